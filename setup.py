@@ -1,0 +1,34 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = "symbid_ros"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
+    package_data={PACKAGE: ["py.typed", "report/*.html", "report/*.css"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/config", sorted(glob("config/*"))),
+        (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
+    ],
+    install_requires=["setuptools"],
+    python_requires=">=3.11",
+    zip_safe=False,
+    maintainer="symbid_ros maintainers",
+    maintainer_email="maintainers@symbid-ros.org",
+    description="Identifies inertial and friction parameters of robots from ROS 2 topics and bags",
+    license="Apache-2.0",
+    tests_require=["pytest"],
+    entry_points={
+        "console_scripts": [
+            "symbid = symbid_ros.cli.main:main",
+            "mujoco_bridge = symbid_ros.ros.mujoco_bridge:main",
+            "recorder = symbid_ros.ros.recorder:main",
+            "identifier = symbid_ros.ros.identifier:main",
+        ],
+    },
+)

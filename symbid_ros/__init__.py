@@ -1,0 +1,1 @@
+"""Identification of inertial and friction parameters on ROS 2."""

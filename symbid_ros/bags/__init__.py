@@ -1,0 +1,1 @@
+"""MCAP bags in and out; knows arrays and bytes, not robots."""

@@ -1,0 +1,1 @@
+"""Spatial algebra, forward kinematics, regressor, wrenches, centroidal quantities."""

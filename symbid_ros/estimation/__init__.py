@@ -1,0 +1,1 @@
+"""Rows to information to estimate."""

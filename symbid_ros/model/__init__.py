@@ -1,0 +1,1 @@
+"""Kinematic tree and inertial parameters; URDF and MJCF in and out."""

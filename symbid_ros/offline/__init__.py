@@ -1,0 +1,1 @@
+"""Whole jobs on bags: identify, evaluate; the nodes and the commands call these."""

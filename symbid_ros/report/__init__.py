@@ -1,0 +1,1 @@
+"""Estimates to one self-contained page."""

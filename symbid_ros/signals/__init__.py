@@ -1,0 +1,1 @@
+"""Streams of messages to samples on one clock."""

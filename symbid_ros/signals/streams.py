@@ -1,0 +1,133 @@
+"""What sensors said, one array per field and topic, before anything is aligned."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class JointStream:
+    """Messages of one JointState topic.
+
+    Attributes
+    ----------
+    topic : str
+        Topic name as recorded, for messages to the user.
+    names : tuple of str
+        Joint names, the order of the columns below.
+    stamp : (N,) int64
+        header.stamp in nanoseconds.
+    position, velocity, effort : (N, J) float64
+        rad or m, rad/s or m/s, Nm or N. NaN where the message has no value.
+    """
+
+    topic: str
+    names: tuple[str, ...]
+    stamp: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    effort: FloatArray
+
+
+@dataclass(frozen=True)
+class ImuStream:
+    """Messages of one Imu topic (REP-145: the acceleration is the specific force).
+
+    Attributes
+    ----------
+    topic, frame_id : str
+        Topic name and header.frame_id, the frame of all vectors below.
+    stamp : (N,) int64
+        header.stamp in nanoseconds.
+    orientation : (N, 4) float64 or None
+        Quaternion xyzw of the IMU in the world; None when the field is absent
+        (first covariance element -1).
+    angular_velocity : (N, 3) float64
+        rad/s.
+    linear_acceleration : (N, 3) float64
+        Specific force (acceleration minus gravity), m/s².
+    """
+
+    topic: str
+    frame_id: str
+    stamp: IntArray
+    orientation: FloatArray | None
+    angular_velocity: FloatArray
+    linear_acceleration: FloatArray
+
+
+@dataclass(frozen=True)
+class WrenchStream:
+    """Messages of one WrenchStamped topic: environment on robot.
+
+    Attributes
+    ----------
+    topic, frame_id : str
+        Topic name and header.frame_id: axes and origin of the wrench.
+    stamp : (N,) int64
+        header.stamp in nanoseconds.
+    force, torque : (N, 3) float64
+        N and Nm, the torque about the frame's origin.
+    """
+
+    topic: str
+    frame_id: str
+    stamp: IntArray
+    force: FloatArray
+    torque: FloatArray
+
+
+@dataclass(frozen=True)
+class Streams:
+    """All sensor streams of one recording; ``source`` names the bag in messages."""
+
+    source: str
+    joints: JointStream
+    imus: tuple[ImuStream, ...]
+    wrenches: tuple[WrenchStream, ...]
+
+
+@dataclass(frozen=True)
+class TruthStreams:
+    """The simulator's ``ground_truth/`` topics; validation alone may read them.
+
+    Attributes
+    ----------
+    source : str
+        The bag's name.
+    joint_names : tuple of str
+        Order of the joint columns.
+    stamp : (N,) int64
+        Nanoseconds, the same instant for every array.
+    position, velocity, acceleration, effort : (N, J) float64
+        True joint motion and true applied torques.
+    base_position : (N, 3) float64
+        Base origin in the world, m.
+    base_orientation : (N, 4) float64
+        Quaternion xyzw of the base in the world.
+    base_linear_velocity, base_angular_velocity : (N, 3) float64
+        Of the base origin relative to the world, in base axes.
+    base_linear_acceleration : (N, 3) float64
+        Second derivative of the base origin's world position, in base axes;
+        gravity is not in it.
+    base_angular_acceleration : (N, 3) float64
+        In base axes, rad/s².
+    """
+
+    source: str
+    joint_names: tuple[str, ...]
+    stamp: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    effort: FloatArray
+    base_position: FloatArray
+    base_orientation: FloatArray
+    base_linear_velocity: FloatArray
+    base_angular_velocity: FloatArray
+    base_linear_acceleration: FloatArray
+    base_angular_acceleration: FloatArray

@@ -1,0 +1,1 @@
+"""MuJoCo plant, balance controller, sensors."""

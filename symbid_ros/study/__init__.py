@@ -1,0 +1,1 @@
+"""Comparisons over data sets, priors and methods."""
