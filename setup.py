@@ -22,7 +22,6 @@ setup(
     maintainer_email="maintainers@symbid-ros.org",
     description="Identifies inertial and friction parameters of robots from ROS 2 topics and bags",
     license="Apache-2.0",
-    tests_require=["pytest"],
     entry_points={
         "console_scripts": [
             "symbid = symbid_ros.cli.main:main",

@@ -1,0 +1,62 @@
+"""Everything the equation of motion needs, on one clock."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+
+from symbid_ros.arrays import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Samples:
+    """N instants of a robot's motion and of the forces on it.
+
+    Joint columns follow the model's joints. Base quantities are in the base's
+    axes at its origin; a fixed base has zero rates and minus gravity as its
+    specific force.
+
+    Attributes
+    ----------
+    stamp : (N,) int64
+        Nanoseconds.
+    position, velocity, acceleration : (N, J) float64
+        Joint motion, rad or m.
+    effort : (N, J) float64
+        Joint torques or forces applied by the motors, Nm or N.
+    base_angular_velocity, base_angular_acceleration : (N, 3) float64
+        rad/s and rad/s².
+    base_specific_force : (N, 3) float64
+        Acceleration of the base's origin minus gravity, m/s².
+    wrenches : (N, F, 6) float64
+        Per sensor the environment's (moment; force) on the robot, in the
+        sensor frame's axes about its origin.
+    wrench_frames : tuple of str
+        The F frames.
+    """
+
+    stamp: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    effort: FloatArray
+    base_angular_velocity: FloatArray
+    base_angular_acceleration: FloatArray
+    base_specific_force: FloatArray
+    wrenches: FloatArray
+    wrench_frames: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def __getitem__(self, index: slice | IntArray) -> "Samples":
+        """Return the samples at ``index``, a slice or indices."""
+        arrays = {
+            field.name: getattr(self, field.name)[index]
+            for field in fields(self)
+            if field.name != "wrench_frames"
+        }
+        return replace(self, **arrays)
+
+    def blocks(self, size: int) -> Iterator["Samples"]:
+        """Yield consecutive blocks of at most ``size`` samples."""
+        for start in range(0, len(self), size):
+            yield self[start : start + size]

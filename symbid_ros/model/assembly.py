@@ -1,0 +1,160 @@
+"""Bodies as a file lists them, assembled into a tree of links that really move.
+
+Both loaders come through here, which is why both formats give the same tree:
+bodies welded to their parent become frames of it and lend it their inertia; a
+body with several joints gets virtual links in between.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import ModelError
+from symbid_ros.model.inertia import transform_phi
+from symbid_ros.model.tree import Frame, Joint, Link, RobotModel
+
+
+@dataclass(frozen=True)
+class BodyJoint:
+    """A joint of a body: ``axis`` and ``anchor`` (3,) in the body's frame."""
+
+    name: str
+    kind: Literal["revolute", "prismatic"]
+    axis: FloatArray
+    anchor: FloatArray
+    reference: float = 0.0
+    lower: float = -np.inf
+    upper: float = np.inf
+    effort: float = np.inf
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body of the file: its pose in its parent, inertia, joints and fixed frames.
+
+    ``parent`` is -1 for the root, whose pose and joints are ignored. ``phi`` is
+    (10,) about the body's origin; ``frames`` maps names to (rotation, translation).
+    """
+
+    name: str
+    parent: int
+    rotation: FloatArray
+    translation: FloatArray
+    phi: FloatArray
+    joints: tuple[BodyJoint, ...] = ()
+    frames: dict[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Carrier:
+    """The link that carries a body, and the body's pose in it."""
+
+    link: int
+    rotation: FloatArray
+    translation: FloatArray
+
+    def place(self, rotation: FloatArray, translation: FloatArray) -> "_Carrier":
+        return _Carrier(
+            self.link, self.rotation @ rotation, self.rotation @ translation + self.translation
+        )
+
+
+class _Assembly:
+    """Links, joints and frames while they grow."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self.names: list[str] = []
+        self.phi: list[FloatArray] = []
+        self.virtual: list[bool] = []
+        self.joints: list[Joint] = []
+        self.frames: dict[str, Frame] = {}
+
+    def add_link(self, name: str, *, virtual: bool = False) -> int:
+        self.names.append(name)
+        self.phi.append(np.zeros(10))
+        self.virtual.append(virtual)
+        return len(self.names) - 1
+
+    def add_frame(self, name: str, carrier: _Carrier) -> None:
+        if name in self.frames:
+            raise ModelError(f"{self.source}: frame name {name!r} is used twice; rename one")
+        self.frames[name] = Frame(name, carrier.link, carrier.rotation, carrier.translation)
+
+    def add_moving_body(self, body: Body, parent: _Carrier) -> _Carrier:
+        placed = parent.place(body.rotation, body.translation)
+        anchor = np.zeros(3)
+        for count, joint in enumerate(body.joints, start=1):
+            last = count == len(body.joints)
+            offset = placed.rotation @ (joint.anchor - anchor)
+            self.joints.append(
+                Joint(
+                    joint.name,
+                    joint.kind,
+                    placed.link,
+                    placed.rotation,
+                    placed.translation + offset,
+                    joint.axis / np.linalg.norm(joint.axis),
+                    joint.reference,
+                    joint.lower,
+                    joint.upper,
+                    joint.effort,
+                )
+            )
+            name = body.name if last else f"{body.name}:{joint.name}"
+            link = self.add_link(name, virtual=not last)
+            placed = _Carrier(link, np.eye(3), np.zeros(3))
+            anchor = joint.anchor
+        carrier = _Carrier(placed.link, np.eye(3), -anchor)
+        if np.any(anchor):
+            # The link's origin is on the joint axis, so the body's own frame lies elsewhere.
+            self.add_frame(body.name, carrier)
+        return carrier
+
+
+def assemble(
+    name: str, bodies: Sequence[Body], *, floating: bool, gravity: FloatArray, source: str
+) -> RobotModel:
+    """Build the robot of ``bodies``, listed parents first.
+
+    Raises
+    ------
+    ModelError
+        When a name is used twice, an axis is zero or a number is not finite.
+    """
+    assembly = _Assembly(source)
+    carriers: list[_Carrier] = []
+    for body in bodies:
+        _check_finite(body, source)
+        if body.parent < 0:
+            carrier = _Carrier(assembly.add_link(body.name), np.eye(3), np.zeros(3))
+        elif body.joints:
+            carrier = assembly.add_moving_body(body, carriers[body.parent])
+        else:
+            carrier = carriers[body.parent].place(body.rotation, body.translation)
+            assembly.add_frame(body.name, carrier)
+        carriers.append(carrier)
+        assembly.phi[carrier.link] = assembly.phi[carrier.link] + transform_phi(
+            body.phi, carrier.rotation, carrier.translation
+        )
+        for frame, pose in body.frames.items():
+            assembly.add_frame(frame, carrier.place(*pose))
+    links = tuple(
+        Link(*fields) for fields in zip(assembly.names, assembly.phi, assembly.virtual, strict=True)
+    )
+    frames = tuple(assembly.frames[key] for key in sorted(assembly.frames))
+    return RobotModel(name, links, tuple(assembly.joints), frames, floating, gravity, source)
+
+
+def _check_finite(body: Body, source: str) -> None:
+    poses = [(body.rotation, body.translation), *body.frames.values()]
+    numbers = [body.phi, *(array for pose in poses for array in pose)]
+    numbers += [array for joint in body.joints for array in (joint.axis, joint.anchor)]
+    if not all(np.all(np.isfinite(array)) for array in numbers):
+        raise ModelError(f"{source}: {body.name!r} has a number that is not finite; correct it")
+    for joint in body.joints:
+        if not np.any(joint.axis):
+            raise ModelError(f"{source}: joint {joint.name!r} has a zero axis; give it a direction")

@@ -1,0 +1,117 @@
+"""The ten inertial parameters of a link, φ = [m, m·c, Ixx, Ixy, Ixz, Iyy, Iyz, Izz].
+
+Inertia is taken about the link's origin and products are matrix elements
+(Ixy = -∫xy dm), as in the thesis, Eq. 2.27.
+"""
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+
+PARAMETERS = ("m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
+
+_UPPER = np.triu_indices(3)
+
+
+def inertia_matrix(phi: FloatArray) -> FloatArray:
+    """Return the (..., 3, 3) inertia about the link origin of φ (..., 10)."""
+    matrix = np.empty((*phi.shape[:-1], 3, 3))
+    matrix[..., _UPPER[0], _UPPER[1]] = phi[..., 4:]
+    matrix[..., _UPPER[1], _UPPER[0]] = phi[..., 4:]
+    return matrix
+
+
+def phi_from_com(mass: float, com: FloatArray, inertia_com: FloatArray) -> FloatArray:
+    """Return φ (10,) of a body from its mass, centre of mass and central inertia.
+
+    Parameters
+    ----------
+    mass : float
+        kg.
+    com : (3,) float64
+        Centre of mass in the link frame, m.
+    inertia_com : (3, 3) float64
+        Inertia about the centre of mass, in link axes, kg m².
+    """
+    steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return np.concatenate([[mass], mass * com, (inertia_com + steiner)[_UPPER]])
+
+
+def com_from_phi(phi: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return mass, centre of mass (3,) and central inertia (3, 3) of φ (10,).
+
+    A link without mass keeps its inertia and gets its centre at the origin:
+    there is no other answer that does not divide by zero.
+    """
+    mass = float(phi[0])
+    com = phi[1:4] / mass if mass != 0.0 else np.zeros(3)
+    steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return mass, com, inertia_matrix(phi) - steiner
+
+
+def transform_phi(phi: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
+    """Return φ (10,) of the same body, seen from another frame.
+
+    Parameters
+    ----------
+    phi : (10,) float64
+        In the body's own frame b.
+    rotation, translation : (3, 3) and (3,) float64
+        Pose of b in the new frame a: x_a = rotation @ x_b + translation.
+    """
+    mass, first = phi[0], rotation @ phi[1:4]
+    # Pseudo-inertia form: the second moments transform without the centre of mass,
+    # so that massless and negative-mass links pass unharmed.
+    second = rotation @ second_moments(phi) @ rotation.T
+    cross = np.outer(first, translation)
+    second = second + cross + cross.T + mass * np.outer(translation, translation)
+    inertia = np.trace(second) * np.eye(3) - second
+    return np.concatenate([[mass], first + mass * translation, inertia[_UPPER]])
+
+
+def second_moments(phi: FloatArray) -> FloatArray:
+    """Return ∫ x xᵀ dm (..., 3, 3) about the link origin of φ (..., 10)."""
+    inertia = inertia_matrix(phi)
+    trace: FloatArray = np.trace(inertia, axis1=-2, axis2=-1)[..., None, None]
+    return 0.5 * trace * np.eye(3) - inertia
+
+
+def pseudo_inertia(phi: FloatArray) -> FloatArray:
+    """Return the (..., 4, 4) pseudo-inertia [[∫xxᵀ, m·c], [m·cᵀ, m]] of φ (..., 10).
+
+    Positive definite exactly for bodies that some mass density can realise
+    (Wensing, Kim and Slotine 2018, IEEE RA-L 3(1), Eq. 11).
+    """
+    matrix = np.empty((*phi.shape[:-1], 4, 4))
+    matrix[..., :3, :3] = second_moments(phi)
+    matrix[..., :3, 3] = matrix[..., 3, :3] = phi[..., 1:4]
+    matrix[..., 3, 3] = phi[..., 0]
+    return matrix
+
+
+def phi_from_pseudo_inertia(matrix: FloatArray) -> FloatArray:
+    """Return φ (..., 10) of pseudo-inertias (..., 4, 4)."""
+    second = matrix[..., :3, :3]
+    trace = np.trace(second, axis1=-2, axis2=-1)[..., None, None]
+    inertia = trace * np.eye(3) - second
+    return np.concatenate(
+        [matrix[..., 3, 3][..., None], matrix[..., :3, 3], inertia[..., _UPPER[0], _UPPER[1]]],
+        axis=-1,
+    )
+
+
+def is_consistent(phi: FloatArray) -> bool:
+    """Tell whether some mass density realises φ (10,); a massless nothing does too.
+
+    Rounding of a degenerate body (a rod, a point mass) is forgiven to 1e-9 of
+    the pseudo-inertia's own scale, taken with lengths in units of the body's size.
+    """
+    if not np.any(phi):
+        return True
+    matrix = pseudo_inertia(phi)
+    diagonal = np.diag(matrix)
+    if phi[0] <= 0 or np.any(diagonal < 0):
+        return False
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    return bool(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0] > -1e-9)

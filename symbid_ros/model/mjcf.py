@@ -1,0 +1,149 @@
+"""Read an MJCF, with MuJoCo as the parser."""
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import ModelError
+from symbid_ros.model.assembly import Body, BodyJoint, assemble
+from symbid_ros.model.inertia import phi_from_com
+from symbid_ros.model.rotation import rotation_from_quaternion
+from symbid_ros.model.tree import RobotModel
+
+
+def load_mjcf(path: Path) -> RobotModel:
+    """Load an MJCF: its only moving tree, with bodies as links and sites as frames.
+
+    The base floats if the tree's root has a free joint. Bodies welded to the world
+    (a floor, a table) are left out of a floating robot.
+
+    Raises
+    ------
+    ModelError
+        When MuJoCo cannot compile the file, or it holds a ball joint, a free
+        joint below the root or more than one moving tree.
+    """
+    # MuJoCo is the parser here and nothing else, so it is imported here and nowhere else
+    # in the rooms that must run without it.
+    import mujoco  # noqa: PLC0415
+
+    if not path.is_file():
+        raise ModelError(f"{path}: no such model file; check the path")
+    try:
+        compiled = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        reason = " ".join(str(error).split())
+        raise ModelError(f"{path}: MuJoCo cannot load the model: {reason}") from None
+    return _Reader(compiled, str(path)).model()
+
+
+class _Reader:
+    """A compiled MuJoCo model while it is read."""
+
+    FREE, BALL, SLIDE, HINGE = range(4)
+
+    def __init__(self, compiled: Any, source: str) -> None:
+        self.m = compiled
+        self.source = source
+
+    def model(self) -> RobotModel:
+        root, members = self._tree()
+        floating = self.FREE in self._joint_kinds(root)
+        gravity = np.array(self.m.opt.gravity)
+        if not floating and root != 0:
+            gravity = rotation_from_quaternion(self.m.body_quat[root]).T @ gravity
+        index = {body: position for position, body in enumerate(members)}
+        bodies = [self._body(body, index, root) for body in members]
+        name = self.m.names[: self.m.names.index(b"\0")].decode()
+        return assemble(name, bodies, floating=floating, gravity=gravity, source=self.source)
+
+    def _tree(self) -> tuple[int, list[int]]:
+        """Return the root body of the moving tree and all its bodies in file order."""
+        m = self.m
+        moving = {int(m.body_rootid[body]) for body in range(1, m.nbody) if m.body_jntnum[body]}
+        if not moving:
+            raise ModelError(f"{self.source}: nothing moves in this model; it needs joints")
+        root = moving.pop() if len(moving) == 1 else 0
+        if root == 0 or (m.body_jntnum[root] and self.FREE not in self._joint_kinds(root)):
+            # A joint directly on the world: the world itself is the fixed base.
+            if any(self.FREE in self._joint_kinds(body) for body in range(m.nbody)):
+                raise ModelError(
+                    f"{self.source}: more than one moving tree; remove what is not the robot"
+                )
+            return 0, list(range(m.nbody))
+        return root, [body for body in range(1, m.nbody) if m.body_rootid[body] == root]
+
+    def _body(self, body: int, index: dict[int, int], root: int) -> Body:
+        m = self.m
+        inertia_axes = rotation_from_quaternion(m.body_iquat[body])
+        central = inertia_axes @ np.diag(m.body_inertia[body]) @ inertia_axes.T
+        at_root = body == root
+        return Body(
+            m.body(body).name or f"body_{body}",
+            -1 if at_root else index[int(m.body_parentid[body])],
+            rotation_from_quaternion(m.body_quat[body]),
+            np.array(m.body_pos[body]),
+            phi_from_com(float(m.body_mass[body]), np.array(m.body_ipos[body]), central),
+            () if at_root else tuple(self._joint(j) for j in self._joint_ids(body)),
+            self._sites(body),
+        )
+
+    def _sites(self, body: int) -> dict[str, tuple[FloatArray, FloatArray]]:
+        m = self.m
+        return {
+            m.site(site).name: (
+                rotation_from_quaternion(m.site_quat[site]),
+                np.array(m.site_pos[site]),
+            )
+            for site in range(m.nsite)
+            if m.site_bodyid[site] == body and m.site(site).name
+        }
+
+    def _joint(self, joint: int) -> BodyJoint:
+        m = self.m
+        name = m.joint(joint).name
+        if not name:
+            body = m.body(m.jnt_bodyid[joint]).name
+            raise ModelError(f"{self.source}: a joint of body {body!r} has no name; name it")
+        kind = m.jnt_type[joint]
+        if kind not in (self.SLIDE, self.HINGE):
+            raise ModelError(
+                f"{self.source}: joint {name!r} is a ball or inner free joint; use hinges"
+            )
+        moving: Literal["revolute", "prismatic"] = "revolute" if kind == self.HINGE else "prismatic"
+        lower, upper = m.jnt_range[joint] if m.jnt_limited[joint] else (-np.inf, np.inf)
+        return BodyJoint(
+            name,
+            moving,
+            np.array(m.jnt_axis[joint]),
+            # Where a slide's axis passes does not matter; the body's origin keeps it simple.
+            np.array(m.jnt_pos[joint]) if moving == "revolute" else np.zeros(3),
+            float(m.qpos0[m.jnt_qposadr[joint]]),
+            float(lower),
+            float(upper),
+            self._effort(joint),
+        )
+
+    def _effort(self, joint: int) -> float:
+        """Return the largest effort of the joint's motors; zero without a motor."""
+        m = self.m
+        largest = 0.0
+        for actuator in range(m.nu):
+            if m.actuator_trntype[actuator] == 0 and m.actuator_trnid[actuator, 0] == joint:
+                bounds = [np.inf]
+                gear = abs(m.actuator_gear[actuator, 0])
+                if m.actuator_ctrllimited[actuator]:
+                    bounds.append(np.abs(m.actuator_ctrlrange[actuator]).max() * gear)
+                if m.actuator_forcelimited[actuator]:
+                    bounds.append(np.abs(m.actuator_forcerange[actuator]).max() * gear)
+                largest += min(bounds)
+        return largest
+
+    def _joint_ids(self, body: int) -> range:
+        first = int(self.m.body_jntadr[body])
+        return range(first, first + int(self.m.body_jntnum[body]))
+
+    def _joint_kinds(self, body: int) -> list[int]:
+        return [int(self.m.jnt_type[joint]) for joint in self._joint_ids(body)]

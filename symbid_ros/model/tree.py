@@ -1,0 +1,187 @@
+"""A robot as a tree of links joined by revolute and prismatic joints."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.errors import ModelError
+
+STANDARD_GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid link.
+
+    Attributes
+    ----------
+    name : str
+        Name of the link (URDF) or body (MJCF).
+    phi : (10,) float64
+        Inertial parameters about the link's origin, see :mod:`symbid_ros.model.inertia`.
+    virtual : bool
+        A frame between two joints of one MJCF body; it has no parameters of its own.
+    """
+
+    name: str
+    phi: FloatArray
+    virtual: bool = False
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A joint; joint k moves link k + 1.
+
+    Attributes
+    ----------
+    name : str
+        Joint name.
+    kind : {"revolute", "prismatic"}
+        Continuous joints are revolute.
+    parent : int
+        Index of the parent link, always smaller than the child's.
+    rotation, translation : (3, 3) and (3,) float64
+        Pose of the child's frame in the parent's where position equals ``reference``.
+    axis : (3,) float64
+        Unit vector in the child's frame.
+    reference : float
+        Position at which the pose above holds, rad or m (MJCF ``ref``).
+    lower, upper : float
+        Position limits, infinite where the file sets none.
+    effort : float
+        Largest effort, Nm or N; zero for a passive joint, infinite where unknown.
+    """
+
+    name: str
+    kind: Literal["revolute", "prismatic"]
+    parent: int
+    rotation: FloatArray
+    translation: FloatArray
+    axis: FloatArray
+    reference: float = 0.0
+    lower: float = -np.inf
+    upper: float = np.inf
+    effort: float = np.inf
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame fixed to a link, such as an IMU or a sole.
+
+    Attributes
+    ----------
+    name : str
+        Frame name, as in ``header.frame_id``.
+    link : int
+        Index of the link that carries it.
+    rotation, translation : (3, 3) and (3,) float64
+        Pose of the frame in the link's frame.
+    """
+
+    name: str
+    link: int
+    rotation: FloatArray
+    translation: FloatArray
+
+
+@dataclass(frozen=True)
+class RobotModel:
+    """Kinematics and inertias of a robot; nothing in here knows how many legs it has.
+
+    Attributes
+    ----------
+    name : str
+        Robot name of the file.
+    links : tuple of Link
+        Link 0 is the base; parents come before children.
+    joints : tuple of Joint
+        Joint k connects ``joints[k].parent`` to link k + 1.
+    frames : tuple of Frame
+        Fixed frames, sorted by name.
+    floating : bool
+        Whether the base is free to move.
+    gravity : (3,) float64
+        Gravity in m/s²: in world axes for a floating base, in the base's axes
+        for a fixed one.
+    source : str
+        File it came from, for messages.
+    """
+
+    name: str
+    links: tuple[Link, ...]
+    joints: tuple[Joint, ...]
+    frames: tuple[Frame, ...]
+    floating: bool
+    gravity: FloatArray
+    source: str
+
+    def __post_init__(self) -> None:
+        """Refuse names that would make a parameter or a frame ambiguous."""
+        for kind, names in (("link", self.link_names), ("joint", self.joint_names)):
+            if len(set(names)) != len(names):
+                twice = sorted({name for name in names if names.count(name) > 1})
+                raise ModelError(
+                    f"{self.source}: {kind} name {twice[0]!r} is used twice; rename one"
+                )
+
+    @cached_property
+    def link_names(self) -> tuple[str, ...]:
+        """Names of all links, base first."""
+        return tuple(link.name for link in self.links)
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints, in column order."""
+        return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def ancestors(self) -> BoolArray:
+        """(J, L) whether joint j lies between the base and link l: Eq. 10's δ_j(l)."""
+        table = np.zeros((len(self.joints), len(self.links)), dtype=bool)
+        for index, joint in enumerate(self.joints):
+            table[:, index + 1] = table[:, joint.parent]
+            table[index, index + 1] = True
+        return table
+
+    @property
+    def dof(self) -> int:
+        """Number of coordinates n: six of a floating base, then the joints."""
+        return 6 * self.floating + len(self.joints)
+
+    @cached_property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the n coordinates: base moment and force, then the joints."""
+        base = [f"base/{kind}_{axis}" for kind in ("moment", "force") for axis in "xyz"]
+        return (*(base if self.floating else []), *self.joint_names)
+
+    def frame(self, name: str) -> Frame:
+        """Return the frame called ``name``; a link's name is the link's own frame.
+
+        Raises
+        ------
+        ModelError
+            When neither a frame nor a link has that name.
+        """
+        for frame in self.frames:
+            if frame.name == name:
+                return frame
+        if name in self.link_names:
+            return Frame(name, self.link_names.index(name), np.eye(3), np.zeros(3))
+        known = ", ".join([*(frame.name for frame in self.frames), *self.link_names])
+        raise ModelError(
+            f"{self.source}: no frame or link {name!r}; add it to the model or remap the "
+            f"header.frame_id to one of: {known}"
+        )
+
+    def with_phi(self, phi: FloatArray) -> "RobotModel":
+        """Return the same robot with the inertias (L, 10) of ``phi``."""
+        links = tuple(replace(link, phi=row) for link, row in zip(self.links, phi, strict=True))
+        return replace(self, links=links)
+
+    @cached_property
+    def phi(self) -> FloatArray:
+        """(L, 10) inertial parameters of all links."""
+        return np.array([link.phi for link in self.links])

@@ -1,0 +1,165 @@
+"""K φ against MuJoCo's inverse dynamics and Pinocchio's regressor."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+from random_robots import CONFIG, random_robot, random_samples
+
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+
+ROBOTS = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
+REAL = {
+    "panda": (ROBOTS / "panda_description/urdf/panda.urdf", "fixed"),
+    "anymal": (ROBOTS / "anymal_c_simple_description/urdf/anymal.urdf", "floating"),
+    "talos": (ROBOTS / "talos_data/robots/talos_full_v2.urdf", "floating"),
+    "g1": (ROBOTS / "g1_description/urdf/g1_29dof_rev_1_0.urdf", "floating"),
+}
+
+
+def relative_rmse(value, truth):
+    return np.sqrt(np.mean((value - truth) ** 2) / np.mean(truth**2))
+
+
+def mujoco_inverse(model, samples, rng):
+    """Return MuJoCo's inverse dynamics with wrenches applied, in our coordinates."""
+    compiled = mujoco.MjModel.from_xml_string(mjcf_text(model))
+    compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data = mujoco.MjData(compiled)
+    rows = []
+    for k in range(len(samples)):
+        rotation = np.eye(3)
+        if model.floating:
+            quaternion = rng.normal(size=4)
+            data.qpos[:3], data.qpos[3:7] = rng.normal(size=3), quaternion / np.linalg.norm(quaternion)
+            flat = np.empty(9)
+            mujoco.mju_quat2Mat(flat, data.qpos[3:7])
+            rotation = flat.reshape(3, 3)
+            data.qvel[:3], data.qvel[3:6] = rng.normal(size=3), samples.base_angular_velocity[k]
+            data.qacc[:3] = rotation @ samples.base_specific_force[k] + compiled.opt.gravity
+            data.qacc[3:6] = samples.base_angular_acceleration[k]
+        joints = len(model.joints)
+        data.qpos[data.qpos.size - joints :] = samples.position[k]
+        data.qvel[data.qvel.size - joints :] = samples.velocity[k]
+        data.qacc[data.qacc.size - joints :] = samples.acceleration[k]
+        mujoco.mj_inverse(compiled, data)
+        torque = data.qfrc_inverse.copy()
+        for sensor, name in enumerate(samples.wrench_frames):
+            site = data.site(name)
+            axes = site.xmat.reshape(3, 3)
+            moment = axes @ samples.wrenches[k, sensor, :3]
+            force = axes @ samples.wrenches[k, sensor, 3:]
+            body = compiled.site(name).bodyid[0]
+            applied = np.zeros(compiled.nv)
+            mujoco.mj_applyFT(compiled, data, force, moment, site.xpos, body, applied)
+            torque -= applied
+        if model.floating:
+            torque[:6] = np.r_[torque[3:6], rotation.T @ torque[:3]]
+        rows.append(torque)
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("floating", [True, False])
+def test_random_trees_obey_mujocos_inverse_dynamics(seed, floating):
+    rng = np.random.default_rng(seed)
+    model = random_robot(seed, links=3 + seed, floating=floating, wrench_frames=seed % 5)
+    samples = random_samples(model, 20, rng)
+    rows = equation_of_motion(ParameterSet(model), samples)
+    wrench_part = rows.y - np.c_[np.zeros((20, 6 * floating)), samples.effort]
+    left = rows.K @ ParameterSet(model).values - wrench_part
+    assert relative_rmse(left, mujoco_inverse(model, samples, rng)) < 1e-11
+
+
+def test_symbitron_obeys_mujocos_inverse_dynamics():
+    rng = np.random.default_rng(1)
+    model = load_model(CONFIG / "symbitron.xml")
+    samples = random_samples(model, 50, rng, ("left_sole", "right_sole"))
+    rows = equation_of_motion(ParameterSet(model), samples)
+    wrench_part = rows.y - np.c_[np.zeros((50, 6)), samples.effort]
+    left = rows.K @ ParameterSet(model).values - wrench_part
+    assert relative_rmse(left, mujoco_inverse(model, samples, rng)) < 1e-11
+
+
+def pinocchio_torque(model, path, samples, rng):
+    """Return K φ with Pinocchio's own regressor and its own parameters, in our coordinates."""
+    root = pinocchio.JointModelFreeFlyer() if model.floating else None
+    pin = pinocchio.buildModelFromUrdf(str(path), *([root] if root else []))
+    gravity = np.array([0, 0, -9.81])
+    pin.gravity.linear = gravity
+    data = pin.createData()
+    phi = np.concatenate([inertia.toDynamicParameters() for inertia in pin.inertias[1:]])
+    rows = []
+    for k in range(len(samples)):
+        q, v, a = pinocchio.neutral(pin), np.zeros(pin.nv), np.zeros(pin.nv)
+        if model.floating:
+            quaternion = rng.normal(size=4)
+            q[3:7] = quaternion / np.linalg.norm(quaternion)
+            rotation = pinocchio.Quaternion(q[3:7]).toRotationMatrix()
+            v[:3], v[3:6] = rng.normal(size=3), samples.base_angular_velocity[k]
+            # Pinocchio's is a spatial acceleration: the classical one less ω × v.
+            a[:3] = samples.base_specific_force[k] + rotation.T @ gravity - np.cross(v[3:6], v[:3])
+            a[3:6] = samples.base_angular_acceleration[k]
+        for j, name in enumerate(model.joint_names):
+            joint = pin.joints[pin.getJointId(name)]
+            angle = samples.position[k, j]
+            q[joint.idx_q : joint.idx_q + joint.nq] = (
+                [np.cos(angle), np.sin(angle)] if joint.nq == 2 else angle
+            )
+            v[joint.idx_v], a[joint.idx_v] = samples.velocity[k, j], samples.acceleration[k, j]
+        torque = pinocchio.computeJointTorqueRegressor(pin, data, q, v, a) @ phi
+        base = np.r_[torque[3:6], torque[:3]] if model.floating else []
+        ours = [torque[pin.joints[pin.getJointId(name)].idx_v] for name in model.joint_names]
+        rows.append(np.r_[base, ours])
+    return np.array(rows)
+
+
+@pytest.mark.parametrize("robot", REAL)
+def test_real_robots_obey_pinocchios_regressor(robot):
+    path, base = REAL[robot]
+    rng = np.random.default_rng(2)
+    model = load_model(path, base)
+    samples = random_samples(model, 20, rng, ())
+    parameters = ParameterSet(model)
+    left = equation_of_motion(parameters, samples).K @ parameters.values
+    assert relative_rmse(left, pinocchio_torque(model, path, samples, rng)) < 1e-11
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_trees_obey_pinocchios_regressor(seed, tmp_path):
+    rng = np.random.default_rng(seed)
+    model = random_robot(seed, links=6)
+    path = tmp_path / "robot.urdf"
+    path.write_text(urdf_text(model))
+    samples = random_samples(model, 20, rng, ())
+    parameters = ParameterSet(model)
+    left = equation_of_motion(parameters, samples).K @ parameters.values
+    assert relative_rmse(left, pinocchio_torque(model, path, samples, rng)) < 1e-11
+
+
+@pytest.mark.parametrize(("friction", "rank"), [(False, 80), (True, 100)])
+def test_symbitron_has_the_thesis_base_parameters(friction, rank):
+    model = load_model(CONFIG / "symbitron.urdf")
+    samples = random_samples(model, 300, np.random.default_rng(3), ())
+    K = equation_of_motion(ParameterSet(model, friction), samples).K
+    W = K.reshape(-1, K.shape[2])
+    values = np.linalg.svd(W / np.linalg.norm(W, axis=0), compute_uv=False)
+    assert np.sum(values > 1e-9 * values[0]) == rank
+
+
+def test_friction_columns_are_eq_2_49():
+    model = load_model(CONFIG / "symbitron.urdf")
+    samples = random_samples(model, 5, np.random.default_rng(4), ())
+    parameters = ParameterSet(model, friction=True)
+    viscous, coulomb = np.arange(10.0), np.arange(10.0) + 20
+    phi = np.r_[np.zeros(110), viscous, coulomb]
+    torque = equation_of_motion(parameters, samples).K @ phi
+    expected = viscous * samples.velocity + coulomb * np.sign(samples.velocity)
+    np.testing.assert_array_equal(torque[:, :6], 0)
+    np.testing.assert_allclose(torque[:, 6:], expected, rtol=1e-15)
