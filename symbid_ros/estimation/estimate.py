@@ -1,11 +1,14 @@
 """An identified parameter vector with everything that is known about it."""
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.atomic import write_text
+from symbid_ros.errors import EstimateError
 
 
 @dataclass(frozen=True)
@@ -52,7 +55,7 @@ class Estimate:
     value: FloatArray
     prior: FloatArray
     std: FloatArray | None
-    determined: NDArray[np.bool_] | None
+    determined: BoolArray | None
     rank: int
     condition: float
     samples: int
@@ -60,3 +63,77 @@ class Estimate:
     consistent: dict[str, bool]
     inputs: tuple[str, ...]
     software: str
+
+    def document(self) -> dict[str, object]:
+        """Return estimate.json's content; what the method cannot give is None."""
+        count = len(self.names)
+        stds = [None] * count if self.std is None else self.std.tolist()
+        verdicts = [None] * count if self.determined is None else self.determined.tolist()
+        values, priors = self.value.tolist(), self.prior.tolist()
+        return {
+            "method": self.method,
+            "model": self.model,
+            "parameters": {
+                name: {
+                    "value": values[i],
+                    "std": stds[i],
+                    "prior": priors[i],
+                    "unit": self.units[i],
+                    "determined": verdicts[i],
+                }
+                for i, name in enumerate(self.names)
+            },
+            "rank": self.rank,
+            "condition": self.condition,
+            "samples": self.samples,
+            "residual_rmse": self.residual_rmse,
+            "consistent": self.consistent,
+            "inputs": list(self.inputs),
+            "software": self.software,
+        }
+
+    def write(self, path: Path) -> None:
+        """Write estimate.json in one step."""
+        write_text(path, json.dumps(self.document(), indent=1) + "\n")
+
+
+def load_estimate(path: Path) -> Estimate:
+    """Read estimate.json.
+
+    Raises
+    ------
+    EstimateError
+        When the file is missing or is not an estimate.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise EstimateError(f"{path}: cannot read it ({error.strerror}); check the path") from None
+    except ValueError as error:
+        raise EstimateError(f"{path}: not an estimate.json ({error})") from None
+    try:
+        entries = list(document["parameters"].values())
+        stds = [entry["std"] for entry in entries]
+        verdicts = [entry["determined"] for entry in entries]
+        return Estimate(
+            method=document["method"],
+            model=document["model"],
+            names=tuple(document["parameters"]),
+            units=tuple(entry["unit"] for entry in entries),
+            value=np.array([entry["value"] for entry in entries], dtype=float),
+            prior=np.array([entry["prior"] for entry in entries], dtype=float),
+            std=None if None in stds else np.array(stds, dtype=float),
+            determined=None if None in verdicts else np.array(verdicts, dtype=bool),
+            rank=document["rank"],
+            condition=document["condition"],
+            samples=document["samples"],
+            residual_rmse=document["residual_rmse"],
+            consistent=document["consistent"],
+            inputs=tuple(document["inputs"]),
+            software=document["software"],
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise EstimateError(
+            f"{path}: not an estimate.json ({type(error).__name__}: {error}); write one with "
+            "`symbid identify`"
+        ) from None

@@ -1,0 +1,66 @@
+"""The ``symbid`` command: one line for every error, exit status 2."""
+
+import logging
+import sys
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.logging import RichHandler
+from threadpoolctl import threadpool_limits
+
+from symbid_ros.cli.demo import demo
+from symbid_ros.cli.evaluate import evaluate
+from symbid_ros.cli.identify import identify
+from symbid_ros.cli.prior import prior
+from symbid_ros.cli.report import report
+from symbid_ros.cli.simulate import simulate
+from symbid_ros.errors import SymbidError
+
+app = typer.Typer(
+    help="Identify the inertial and friction parameters of a robot from ROS 2 bags.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+for command in (demo, simulate, prior, identify, evaluate, report):
+    app.command()(command)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"symbid_ros {version('symbid_ros')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _symbid(
+    show_version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    # Every job here is one stream of small matrices, on which BLAS threads only get in
+    # each other's way (and in the way of whatever else the robot's computer does).
+    threadpool_limits(1)
+
+
+def main() -> None:
+    """Run the command line; errors of ours are one line on stderr and status 2."""
+    console = Console(stderr=True, soft_wrap=True)
+    handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler])
+    try:
+        app()
+    except SymbidError as error:
+        console.print(f"symbid: {error}", style="red", markup=False, highlight=False)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        console.print("symbid: interrupted", markup=False)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

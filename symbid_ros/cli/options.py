@@ -1,0 +1,23 @@
+"""Options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+Base = Literal["auto", "floating", "fixed"]
+
+Model = Annotated[Path, typer.Option(help="Robot model, URDF or MJCF.")]
+BaseKind = Annotated[
+    Base, typer.Option(help="Whether a URDF's base may move; auto: it floats unless on 'world'.")
+]
+JointTopic = Annotated[
+    str | None, typer.Option(help="JointState topic; default: the one named joint_states.")
+]
+ImuTopic = Annotated[
+    list[str] | None, typer.Option(help="Imu topic, repeatable; default: all of that type.")
+]
+WrenchTopic = Annotated[
+    list[str] | None,
+    typer.Option(help="WrenchStamped topic, repeatable; default: all named wrench."),
+]

@@ -1,0 +1,152 @@
+"""All that the data say about the parameters, in one triangular factor.
+
+Rows are folded by QR as they come and never stored. From the factor of the
+*flat* sample row follow, with no second pass over the data, the least-squares
+problem under any covariance of the residuals across coordinates, any column
+scaling, prior or truncation, and the residual of any parameter vector.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import lapack, qr
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.samples import Samples
+from symbid_ros.errors import DataError
+from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.model.parameters import ParameterSet
+
+BLOCK = 1024
+
+
+@dataclass(frozen=True)
+class Information:
+    """The triangular factor of all flat rows so far.
+
+    Attributes
+    ----------
+    layout : RowLayout
+        What the flat row holds.
+    factor : (w, w) float64
+        Upper triangular R with RᵀR = Σ rowᵀ row.
+    samples : int
+        Number of samples folded in.
+    """
+
+    layout: RowLayout
+    factor: FloatArray
+    samples: int
+
+    @classmethod
+    def empty(cls, layout: RowLayout) -> "Information":
+        """Return the state before any data."""
+        return cls(layout, np.zeros((layout.width, layout.width), order="F"), 0)
+
+    @classmethod
+    def of(cls, parameters: ParameterSet, samples: Samples) -> "Information":
+        """Fold all samples of a robot, a block at a time."""
+        information = cls.empty(RowLayout.of(parameters))
+        rows = (equation_of_motion(parameters, block) for block in samples.blocks(BLOCK))
+        return information.fold(rows)
+
+    def fold(self, blocks: Iterable[Rows]) -> "Information":
+        """Return the information with more rows in it.
+
+        Raises
+        ------
+        DataError
+            When a row is not finite: one NaN would poison everything known so far.
+        """
+        factor, samples = self.factor.copy(order="F"), self.samples
+        for rows in blocks:
+            flat = self.layout.flatten(rows)
+            if not np.all(np.isfinite(flat)):
+                raise DataError("a sample of the equation of motion is not finite; mask it first")
+            factor = _updated(factor, flat)
+            samples += len(flat)
+        return Information(self.layout, factor, samples)
+
+    def merge(self, other: "Information") -> "Information":
+        """Return the information of both records together.
+
+        Raises
+        ------
+        DataError
+            When the two are about different robots.
+        """
+        if (self.layout.coordinates, self.layout.parameters) != (
+            other.layout.coordinates,
+            other.layout.parameters,
+        ) or not np.array_equal(self.layout.structure, other.layout.structure):
+            raise DataError("two records of different robots or columns cannot be merged")
+        factor = _updated(self.factor.copy(order="F"), other.factor)
+        return Information(self.layout, factor, self.samples + other.samples)
+
+    def coordinate_factor(self, coordinate: int) -> FloatArray:
+        """Return the triangular factor of [K_i y_i] of one coordinate, its non-zeros only."""
+        place = self.layout.slices[coordinate]
+        # Below row `place.stop` these columns of a triangle are zero.
+        return _triangle(self.factor[: place.stop, place])
+
+    def whitened(self, whitening: FloatArray) -> FloatArray:
+        """Return the factor of the stacked problem with rows weighted across coordinates.
+
+        Parameters
+        ----------
+        whitening : (n, n) float64
+            G: each sample's rows become G [K y]. A diagonal G is Eq. 31's, the
+            inverse Cholesky factor of a residual covariance whitens it fully.
+
+        Returns
+        -------
+        (p + 1, p + 1) float64
+            Upper triangular factor of all rows G [K y].
+        """
+        layout = self.layout
+        p = len(layout.parameters)
+        stacked = []
+        for row in whitening:
+            spread = np.zeros((layout.width, p + 1))
+            for coordinate in np.flatnonzero(row):
+                place, columns = layout.slices[coordinate], layout.columns[coordinate]
+                spread[range(place.start, place.stop - 1), columns] = row[coordinate]
+                spread[place.stop - 1, p] = row[coordinate]
+            used = layout.slices[np.flatnonzero(row)[-1]].stop if np.any(row) else 0
+            stacked.append(_triangle(self.factor[:used, :used] @ spread[:used]))
+        return _triangle(np.concatenate([np.zeros((p + 1, p + 1)), *stacked]))
+
+    def residual_moment(self, phi: FloatArray) -> FloatArray:
+        """Return Σ e eᵀ (n, n) over all samples, e = y - K φ, for φ (p,)."""
+        residual = self.factor @ self.layout.residual_map(phi)
+        moment: FloatArray = residual.T @ residual
+        return moment
+
+    def residual_rmse(self, phi: FloatArray) -> dict[str, float]:
+        """Return the root mean square of y - K φ per coordinate."""
+        squares = np.diag(self.residual_moment(phi)) / max(self.samples, 1)
+        return dict(zip(self.layout.coordinates, np.sqrt(squares).tolist(), strict=True))
+
+
+def _updated(factor: FloatArray, rows: FloatArray) -> FloatArray:
+    """Return the triangle with rows folded in; LAPACK's tpqrt leaves its zeros alone."""
+    width = len(factor)
+    block = np.asfortranarray(rows)
+    updated, _, _, info = lapack.dtpqrt(
+        0, min(32, width), factor, block, overwrite_a=True, overwrite_b=True
+    )
+    if info != 0:
+        raise DataError(f"LAPACK dtpqrt refused argument {-info}")
+    triangle: FloatArray = updated
+    return triangle
+
+
+def _triangle(matrix: FloatArray) -> FloatArray:
+    """Return the square upper triangular factor of a matrix, padded with zero rows."""
+    (upper,) = qr(matrix, mode="r", check_finite=False)
+    width = matrix.shape[1]
+    square = np.zeros((width, width))
+    square[: min(len(upper), width)] = upper[:width]
+    return square

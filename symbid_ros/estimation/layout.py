@@ -1,0 +1,95 @@
+"""Which entries of the regressor can be non-zero, and where they go in a flat row."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.samples import Samples
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+
+
+@dataclass(frozen=True)
+class RowLayout:
+    """The flattened sample row: for each coordinate its non-zeros of K, then its y.
+
+    Attributes
+    ----------
+    coordinates : tuple of str
+        Names of the n coordinates.
+    parameters : tuple of str
+        Names of the p parameters.
+    structure : (n, p) bool
+        The entries of K that some motion makes non-zero.
+    """
+
+    coordinates: tuple[str, ...]
+    parameters: tuple[str, ...]
+    structure: BoolArray
+
+    @classmethod
+    def of(cls, parameters: ParameterSet) -> "RowLayout":
+        """Find the structure of a robot's regressor from noise-free random motions."""
+        model = parameters.model
+        K = np.abs(equation_of_motion(parameters, _random_motions(model, 20)).K).max(axis=0)
+        # Entries that vanish by structure still hold rounding, of the column's size at most.
+        structure = 1e-10 * np.maximum(K.max(axis=0), K.max(axis=1, keepdims=True)) < K
+        return cls(model.coordinates, parameters.names, structure)
+
+    @property
+    def width(self) -> int:
+        """Length w of the flat row."""
+        return int(self.structure.sum()) + len(self.coordinates)
+
+    @cached_property
+    def columns(self) -> tuple[IntArray, ...]:
+        """Per coordinate the indices of its parameters, in the flat row's order."""
+        return tuple(np.flatnonzero(row) for row in self.structure)
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Per coordinate its stretch of the flat row, y last."""
+        ends = np.cumsum([len(columns) + 1 for columns in self.columns])
+        return tuple(
+            slice(int(end) - len(columns) - 1, int(end))
+            for end, columns in zip(ends, self.columns, strict=True)
+        )
+
+    def flatten(self, rows: Rows) -> FloatArray:
+        """Return the flat rows (N, w) of N samples."""
+        flat = np.empty((len(rows.K), self.width))
+        for coordinate, (columns, place) in enumerate(zip(self.columns, self.slices, strict=True)):
+            flat[:, place.start : place.stop - 1] = rows.K[:, coordinate, columns]
+            flat[:, place.stop - 1] = rows.y[:, coordinate]
+        return flat
+
+    def residual_map(self, phi: FloatArray) -> FloatArray:
+        """Return B (w, n) with flat row @ B = y - K φ for the parameters φ (p,)."""
+        B = np.zeros((self.width, len(self.coordinates)))
+        for coordinate, (columns, place) in enumerate(zip(self.columns, self.slices, strict=True)):
+            B[place.start : place.stop - 1, coordinate] = -phi[columns]
+            B[place.stop - 1, coordinate] = 1.0
+        return B
+
+
+def _random_motions(model: RobotModel, count: int) -> Samples:
+    rng = np.random.default_rng(0)
+    joints, base = (count, len(model.joints)), (3, count, 3)
+    motion = rng.normal(size=base) if model.floating else np.zeros(base)
+    if not model.floating:
+        motion[2] = -model.gravity
+    return Samples(
+        stamp=np.arange(count, dtype=np.int64),
+        position=rng.uniform(-np.pi, np.pi, joints),
+        velocity=rng.normal(size=joints),
+        acceleration=rng.normal(size=joints),
+        effort=np.zeros(joints),
+        base_angular_velocity=motion[0],
+        base_angular_acceleration=motion[1],
+        base_specific_force=motion[2],
+        wrenches=np.zeros((count, 0, 6)),
+        wrench_frames=(),
+    )

@@ -1,0 +1,182 @@
+"""An estimate judged against the truth of a simulated bag, as the thesis does."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.bags.reader import read_streams, read_truth
+from symbid_ros.dynamics.centroid import centroidal_momentum, com_position
+from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.spatial import rotate, rotate_back
+from symbid_ros.errors import BagError
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.rotation import rotation_from_xyzw
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.alignment import joint_columns
+from symbid_ros.signals.streams import Streams, TruthStreams
+
+BLOCK = 4096
+
+
+@dataclass(frozen=True)
+class TrueMotion:
+    """A validation record's true motion and true forces.
+
+    Attributes
+    ----------
+    samples : Samples
+        True joint and base motion, true efforts, and the bag's wrenches.
+    base_velocity : (N, 3) float64
+        Linear velocity of the base's origin in base axes, m/s.
+    base_rotation : (N, 3, 3) float64
+        From base axes to world axes.
+    """
+
+    samples: Samples
+    base_velocity: FloatArray
+    base_rotation: FloatArray
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What one parameter vector predicts along a true motion.
+
+    Attributes
+    ----------
+    gen_force : (N, n) float64
+        K φ, Nm and N.
+    com : (N, 3) float64
+        Centre of mass in the base frame, m.
+    momentum : (N, 6) float64
+        Angular about the model's own centre of mass (Nms), then linear (Ns), in
+        world axes.
+    """
+
+    gen_force: FloatArray
+    com: FloatArray
+    momentum: FloatArray
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """The thesis's five attributes (section IV-B); a vector's error is its norm per sample."""
+
+    gen_force_rmse: float
+    torque_rmse: float
+    com_position_rmse_mm: float
+    com_momentum_rmse: float
+    parameter_error_pct: float
+
+
+def read_true_motion(bags: Sequence[Path], model: RobotModel) -> TrueMotion:
+    """Read a simulated bag's truth at the instants that have all of it.
+
+    Raises
+    ------
+    BagError
+        When the bag holds no ground truth, or its truth and its wrenches never
+        coincide.
+    """
+    truth, streams = read_truth(bags), read_streams(bags)
+    common = truth.stamp
+    for wrench in streams.wrenches:
+        common = np.intersect1d(common, wrench.stamp)
+    if len(common) == 0:
+        raise BagError(f"{truth.source}: ground truth and wrenches share no stamp; record both")
+    return TrueMotion(*_at(truth, streams, common, model))
+
+
+def _at(
+    truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotModel
+) -> tuple[Samples, FloatArray, FloatArray]:
+    """Return samples, base velocity and base rotation at stamps that every stream has."""
+    rows = np.searchsorted(truth.stamp, stamp)
+    columns = joint_columns(truth.joint_names, model, f"{truth.source}: ground_truth/joints")
+    wrenches = [
+        np.concatenate([wrench.torque, wrench.force], axis=1)[np.searchsorted(wrench.stamp, stamp)]
+        for wrench in streams.wrenches
+    ]
+    rotation = rotation_from_xyzw(truth.base_orientation[rows])
+    gravity = rotate_back(rotation, model.gravity) if model.floating else model.gravity
+    samples = Samples(
+        stamp=stamp,
+        position=truth.position[np.ix_(rows, columns)],
+        velocity=truth.velocity[np.ix_(rows, columns)],
+        acceleration=truth.acceleration[np.ix_(rows, columns)],
+        effort=truth.effort[np.ix_(rows, columns)],
+        base_angular_velocity=truth.base_angular_velocity[rows],
+        base_angular_acceleration=truth.base_angular_acceleration[rows],
+        base_specific_force=truth.base_linear_acceleration[rows] - gravity,
+        wrenches=np.stack(wrenches, axis=1) if wrenches else np.zeros((len(stamp), 0, 6)),
+        wrench_frames=tuple(wrench.frame_id for wrench in streams.wrenches),
+    )
+    return samples, truth.base_linear_velocity[rows], rotation
+
+
+def predict(parameters: ParameterSet, values: FloatArray, motion: TrueMotion) -> Prediction:
+    """Return what the parameters (p,) predict along the motion."""
+    forces, momenta = [], []
+    velocities = iter(np.split(motion.base_velocity, range(BLOCK, len(motion.samples), BLOCK)))
+    for block in motion.samples.blocks(BLOCK):
+        forces.append(equation_of_motion(parameters, block).K @ values)
+        momenta.append(centroidal_momentum(parameters, values, block, next(velocities)))
+    momentum = np.concatenate(momenta).reshape(-1, 2, 3)
+    poses = link_poses(parameters.model, motion.samples.position)
+    return Prediction(
+        gen_force=np.concatenate(forces),
+        com=com_position(parameters, values, poses),
+        momentum=rotate(motion.base_rotation[:, None], momentum).reshape(-1, 6),
+    )
+
+
+def measured_force(parameters: ParameterSet, motion: TrueMotion) -> FloatArray:
+    """Return y (N, n), the true generalised force along the motion."""
+    return np.concatenate(
+        [equation_of_motion(parameters, block).y for block in motion.samples.blocks(BLOCK)]
+    )
+
+
+def evaluate(
+    parameters: ParameterSet, values: FloatArray, truth: FloatArray, motion: TrueMotion
+) -> Metrics:
+    """Return the five metrics of parameters (p,) against the true ones (p,).
+
+    Forces are compared with those of the bag, everything else with the true model.
+    """
+    predicted, true = predict(parameters, values, motion), predict(parameters, truth, motion)
+    error = predicted.gen_force - measured_force(parameters, motion)
+    first_joint = 6 * parameters.model.floating
+    return Metrics(
+        gen_force_rmse=_rmse(error),
+        torque_rmse=_rmse(error[:, first_joint:]),
+        com_position_rmse_mm=1e3 * _rmse(predicted.com - true.com),
+        com_momentum_rmse=_rmse(predicted.momentum - true.momentum),
+        parameter_error_pct=parameter_error(parameters, values, truth),
+    )
+
+
+def parameter_error(parameters: ParameterSet, values: FloatArray, truth: FloatArray) -> float:
+    """Return the mean of |φ̂ - φ|/|φ| in % over the inertial parameters with φ ≠ 0."""
+    count = parameters.inertial
+    used = truth[:count] != 0
+    error = np.abs(values[:count] - truth[:count])[used] / np.abs(truth[:count])[used]
+    return float(100 * error.mean())
+
+
+def link_errors(parameters: ParameterSet, values: FloatArray, truth: FloatArray) -> FloatArray:
+    """Return the same mean for each link alone, (len(links),), the thesis's Fig. 6."""
+    estimated, true = parameters.link_phi(values), parameters.link_phi(truth)
+    used = true != 0
+    error = np.divide(np.abs(estimated - true), np.abs(true), out=np.zeros(true.shape), where=used)
+    percent: FloatArray = 100 * error.sum(axis=1) / np.maximum(used.sum(axis=1), 1)
+    return percent
+
+
+def _rmse(error: FloatArray) -> float:
+    """Return sqrt(mean over samples of the squared norm) of an error (N, k)."""
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))

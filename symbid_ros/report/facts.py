@@ -1,0 +1,30 @@
+"""The facts at the head of a report: which data, how much, what was done."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from symbid_ros.bags.reader import read_streams
+from symbid_ros.estimation.estimate import Estimate
+
+
+def bag_facts(bags: Sequence[Path]) -> dict[str, str]:
+    """Return what a bag holds, read from its sensor topics."""
+    streams = read_streams(bags)
+    stamp = streams.joints.stamp
+    seconds = (stamp[-1] - stamp[0]) * 1e-9
+    sensors = [streams.joints.topic, *(s.topic for s in (*streams.imus, *streams.wrenches))]
+    return {
+        "Bag": ", ".join(str(bag) for bag in bags),
+        "Duration": f"{seconds:.1f} s, {len(stamp)} joint states",
+        "Sensors": ", ".join(sensors),
+    }
+
+
+def estimate_facts(estimate: Estimate) -> dict[str, str]:
+    """Return what an identification used."""
+    return {
+        "Samples": f"{estimate.samples} used",
+        "Singular values": f"{estimate.rank}, condition {estimate.condition:.3g}",
+        "Inputs": ", ".join(estimate.inputs),
+        "Software": estimate.software,
+    }

@@ -1,0 +1,223 @@
+"""Streams with clocks of their own, brought onto one uniform clock.
+
+The joint states give the clock. Where every stream was sampled at its ticks the
+numbers pass untouched; elsewhere a cubic spline is evaluated. Nothing is invented
+across a gap: there the record is cut into segments.
+"""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.errors import DataError, ModelError
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
+
+logger = logging.getLogger(__name__)
+
+# A stream may miss this many periods in a row before the record is cut.
+LONGEST_GAP = 5.5
+SHORTEST_SEGMENT = 50
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of M uniformly spaced instants at which every sensor spoke.
+
+    Attributes
+    ----------
+    stamp : (M,) int64
+        Nanoseconds.
+    rate : float
+        Hz.
+    position, effort : (M, J) float64
+        Columns in the model's joint order.
+    angular_velocity, linear_acceleration : (M, I, 3) float64
+        Per IMU, in its own frame.
+    wrenches : (M, F, 6) float64
+        Per sensor (moment; force) in its own frame.
+    """
+
+    stamp: IntArray
+    rate: float
+    position: FloatArray
+    effort: FloatArray
+    angular_velocity: FloatArray
+    linear_acceleration: FloatArray
+    wrenches: FloatArray
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """One stream as a matrix: ``topic`` for messages, values (N, c) at ``stamp`` (N,)."""
+
+    topic: str
+    stamp: IntArray
+    values: FloatArray
+
+
+def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
+    """Bring all streams onto the clock of the joint states.
+
+    Raises
+    ------
+    DataError
+        When the streams do not overlap or every stretch is too short.
+    ModelError
+        When the bag's joints are not the model's.
+    """
+    joints = _joint_channel(streams, model)
+    channels = [joints, *map(_imu_channel, streams.imus), *map(_wrench_channel, streams.wrenches)]
+    period = _period(joints)
+    start = max(int(channel.stamp[0]) for channel in channels)
+    stop = min(int(channel.stamp[-1]) for channel in channels)
+    if stop <= start:
+        topics = ", ".join(channel.topic for channel in channels)
+        raise DataError(
+            f"{streams.source}: the topics {topics} share no time; check their clocks and stamps"
+        )
+    segments = tuple(
+        _segment(channels, grid, period, streams, len(model.joints))
+        for grid in _grids(channels, start, stop, period)
+    )
+    if not segments:
+        raise DataError(
+            f"{streams.source}: the log is too short, no stretch of {SHORTEST_SEGMENT} samples has "
+            "data on every topic; record longer"
+        )
+    kept = sum(len(segment.stamp) for segment in segments)
+    expected = int((stop - start) / period) + 1
+    if kept < expected:
+        logger.warning(
+            "%s: %d of %d instants lie in gaps and are left out",
+            streams.source,
+            expected - kept,
+            expected,
+        )
+    return segments
+
+
+def _period(joints: _Channel) -> float:
+    """Return the joint states' sampling period in nanoseconds."""
+    if len(joints.stamp) < SHORTEST_SEGMENT:
+        raise DataError(
+            f"{joints.topic}: {len(joints.stamp)} messages are too few; record at least "
+            f"{SHORTEST_SEGMENT}"
+        )
+    return float(np.median(np.diff(joints.stamp)))
+
+
+def _grids(channels: Sequence[_Channel], start: int, stop: int, period: float) -> list[IntArray]:
+    """Return the uniform clocks of the stretches in which no stream has a gap."""
+    cuts: list[tuple[int, int]] = []
+    for channel in channels:
+        steps = np.diff(channel.stamp)
+        longest = LONGEST_GAP * max(period, float(np.median(steps)))
+        late = np.flatnonzero(steps > longest)
+        cuts += zip(channel.stamp[late].tolist(), channel.stamp[late + 1].tolist(), strict=True)
+    edges = [start, *(edge for cut in _merged(cuts) for edge in cut), stop]
+    grids = []
+    ticks = channels[0].stamp
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        # Start on a tick of the joint states, so that a regular log needs no interpolation.
+        first = np.searchsorted(ticks, begin)
+        if first < len(ticks) and ticks[first] <= end:
+            count = int((end - ticks[first]) / period + 1e-6) + 1
+            if count >= SHORTEST_SEGMENT:
+                grids.append(ticks[first] + np.rint(np.arange(count) * period).astype(np.int64))
+    return grids
+
+
+def _merged(cuts: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    merged: list[tuple[int, int]] = []
+    for begin, end in sorted(cuts):
+        if merged and begin <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(end, merged[-1][1]))
+        else:
+            merged.append((begin, end))
+    return merged
+
+
+def _segment(
+    channels: Sequence[_Channel], grid: IntArray, period: float, streams: Streams, joints: int
+) -> Segment:
+    position_and_effort, *others = (_resampled(channel, grid) for channel in channels)
+    imus, wrenches = others[: len(streams.imus)], others[len(streams.imus) :]
+    count = len(grid)
+    readings = np.stack(imus, axis=1) if imus else np.zeros((count, 0, 6))
+    return Segment(
+        stamp=grid,
+        rate=1e9 / period,
+        position=position_and_effort[:, :joints],
+        effort=position_and_effort[:, joints:],
+        angular_velocity=readings[:, :, :3],
+        linear_acceleration=readings[:, :, 3:],
+        wrenches=np.stack(wrenches, axis=1) if wrenches else np.zeros((count, 0, 6)),
+    )
+
+
+def _resampled(channel: _Channel, grid: IntArray) -> FloatArray:
+    """Return the channel's values (M, c) at the grid's stamps."""
+    first = int(np.searchsorted(channel.stamp, grid[0]))
+    here = channel.stamp[first : first + len(grid)]
+    if len(here) == len(grid) and np.array_equal(here, grid):
+        return channel.values[first : first + len(grid)]
+    low = max(0, int(np.searchsorted(channel.stamp, grid[0], side="right")) - 3)
+    high = int(np.searchsorted(channel.stamp, grid[-1])) + 3
+    stamp, values = channel.stamp[low:high], channel.values[low:high]
+    seconds = (stamp - grid[0]) * 1e-9
+    spline = make_interp_spline(seconds, values, k=min(3, len(stamp) - 1))
+    resampled: FloatArray = spline((grid - grid[0]) * 1e-9)
+    return resampled
+
+
+def _joint_channel(streams: Streams, model: RobotModel) -> _Channel:
+    columns = joint_columns(
+        streams.joints.names, model, f"{streams.source}: {streams.joints.topic}"
+    )
+    effort = streams.joints.effort[:, columns]
+    # A passive joint may have no effort in its messages: nothing drives it.
+    passive = [index for index, joint in enumerate(model.joints) if joint.effort == 0.0]
+    effort[:, passive] = np.nan_to_num(effort[:, passive])
+    values = np.concatenate([streams.joints.position[:, columns], effort], axis=1)
+    if not np.all(np.isfinite(values)):
+        row, column = np.argwhere(~np.isfinite(values))[0]
+        field = "position" if column < len(columns) else "effort"
+        name = model.joint_names[column % len(columns)]
+        raise DataError(
+            f"{streams.source}: {streams.joints.topic} has no finite {field} of joint {name!r} at "
+            f"{streams.joints.stamp[row] * 1e-9:.3f} s; mend or cut the bag"
+        )
+    return _Channel(streams.joints.topic, streams.joints.stamp, values)
+
+
+def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> list[int]:
+    """Return where in ``names`` each of the model's joints stands; ``source`` is for messages.
+
+    Raises
+    ------
+    ModelError
+        When the model has a joint that is not among them.
+    """
+    missing = [name for name in model.joint_names if name not in names]
+    if missing:
+        raise ModelError(
+            f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it has "
+            f"{', '.join(names)}; name the right model or bag"
+        )
+    return [list(names).index(name) for name in model.joint_names]
+
+
+def _imu_channel(imu: ImuStream) -> _Channel:
+    values = np.concatenate([imu.angular_velocity, imu.linear_acceleration], axis=1)
+    return _Channel(imu.topic, imu.stamp, values)
+
+
+def _wrench_channel(wrench: WrenchStream) -> _Channel:
+    return _Channel(
+        wrench.topic, wrench.stamp, np.concatenate([wrench.torque, wrench.force], axis=1)
+    )

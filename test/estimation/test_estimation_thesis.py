@@ -1,0 +1,192 @@
+"""The four methods from the wide factor, against dense solves of the stacked problem."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_robots import random_robot, random_samples
+
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.errors import DataError, EstimateError
+from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.estimation.thesis import METHODS, residual_deviation, scaled_problem
+from symbid_ros.estimation.truncation import select_rank
+from symbid_ros.model.parameters import ParameterSet
+
+
+class Case:
+    """Noisy rows of a random robot, stacked for the dense reference."""
+
+    def __init__(self, seed, *, links=4, count=80, floating=True, friction=False):
+        rng = np.random.default_rng(seed)
+        self.parameters = ParameterSet(random_robot(seed, links, floating=floating), friction)
+        self.samples = random_samples(self.parameters.model, count, rng)
+        rows = equation_of_motion(self.parameters, self.samples)
+        n = rows.K.shape[1]
+        truth = self.parameters.values
+        noise = rng.normal(size=rows.y.shape) * rng.uniform(0.1, 10, n)
+        # The measured force becomes what the true parameters need, plus noise.
+        efforts = self.samples.effort.copy()
+        rows = type(rows)(rows.K, rows.K @ truth + noise)
+        self.rows, self.n, self.efforts = rows, n, efforts
+        self.information = Information.empty(RowLayout.of(self.parameters)).fold([rows])
+        self.prior = draw_prior(self.parameters, "percent", 25, seed)
+        self.W = rows.K.reshape(-1, len(self.parameters))
+        self.y = rows.y.ravel()
+
+    def dense(self, method, z):
+        """Solve as the thesis writes it: stacked, scaled, Eq. 15-23."""
+        W, y, prior = self.W, self.y, self.prior.mean
+        count = len(self.rows.y)
+        if method in ("wls_r", "wls_rc"):
+            U, s, Vt = np.linalg.svd(W, full_matrices=False)
+            m = int(np.sum(s > 1e-11 * s[0]))
+            hat = np.sum(U[:, :m] ** 2, axis=1).reshape(count, self.n).sum(axis=0)
+            ols = prior + Vt[:m].T @ ((U[:, :m].T @ (y - W @ prior)) / s[:m])
+            residual = (y - W @ ols).reshape(count, self.n)
+            sigma = np.sqrt(np.sum(residual**2, axis=0) / (count - hat))
+            weights = np.tile(1 / sigma, count)
+            W, y = W * weights[:, None], y * weights
+        if method in ("wls_c", "wls_rc"):
+            H = np.where(prior != 0, np.abs(prior), self.prior.std)
+            U, s, Vt = np.linalg.svd(W * H, full_matrices=False)
+            return prior + H * (Vt[:z].T @ ((U[:, :z].T @ (y - W @ prior)) / s[:z]))
+        U, s, Vt = np.linalg.svd(W, full_matrices=False)
+        alpha = (U[:, :z].T @ y) / s[:z]
+        essential, null = Vt[:z].T, Vt[z:].T
+        return essential @ alpha + null @ (null.T @ (prior - essential @ alpha))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("floating", [True, False])
+def test_the_factor_solves_as_the_stacked_problem_does(method, seed, floating):
+    case = Case(seed, floating=floating, friction=seed == 1)
+    problem = scaled_problem(case.information, case.prior, method)
+    for z in (1, problem.rank // 2, problem.rank):
+        expected = case.dense(method, z)
+        np.testing.assert_allclose(
+            problem.solution(z), expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max()
+        )
+    np.testing.assert_allclose(problem.solutions()[:, -1], problem.solution(problem.rank))
+
+
+@given(st.integers(0, 1000), st.lists(st.integers(1, 79), max_size=4))
+@settings(max_examples=15, deadline=None)
+def test_information_does_not_care_how_the_rows_came(seed, cuts):
+    case = Case(seed % 5)
+    edges = [0, *sorted(set(cuts)), 80]
+    parts = [
+        Information.empty(case.information.layout).fold(
+            [type(case.rows)(case.rows.K[a:b], case.rows.y[a:b])]
+        )
+        for a, b in zip(edges, edges[1:], strict=False)
+    ]
+    merged = parts[0]
+    for part in parts[1:]:
+        merged = merged.merge(part)
+    whole = case.information.factor.T @ case.information.factor
+    np.testing.assert_allclose(
+        merged.factor.T @ merged.factor, whole, atol=1e-13 * np.abs(whole).max()
+    )
+    assert merged.samples == 80
+
+
+def test_two_halves_merged_give_the_same_estimate():
+    case = Case(7, count=200)
+    halves = [
+        Information.empty(case.information.layout).fold([type(case.rows)(case.rows.K[s], case.rows.y[s])])
+        for s in (slice(0, 100), slice(100, 200))
+    ]
+    merged = halves[0].merge(halves[1])
+    for method in METHODS:
+        whole = scaled_problem(case.information, case.prior, method)
+        parts = scaled_problem(merged, case.prior, method)
+        z = whole.rank // 2
+        np.testing.assert_allclose(parts.solution(z), whole.solution(z), rtol=1e-8, atol=1e-10)
+
+
+def test_a_full_residual_covariance_needs_no_second_pass():
+    case = Case(3)
+    rng = np.random.default_rng(0)
+    whitening = rng.normal(size=(case.n, case.n))
+    stacked = np.concatenate([case.rows.K, case.rows.y[..., None]], axis=2)
+    dense = (whitening @ stacked).reshape(-1, case.W.shape[1] + 1)
+    factor = case.information.whitened(whitening)
+    np.testing.assert_allclose(
+        factor.T @ factor, dense.T @ dense, atol=1e-12 * np.abs(dense.T @ dense).max()
+    )
+
+
+def test_residuals_are_those_of_the_rows():
+    case = Case(4)
+    phi = case.prior.mean
+    residual = case.rows.y - case.rows.K @ phi
+    np.testing.assert_allclose(case.information.residual_moment(phi), residual.T @ residual)
+    expected = np.sqrt(np.mean(residual**2, axis=0))
+    found = case.information.residual_rmse(phi)
+    assert list(found) == list(case.parameters.model.coordinates)
+    np.testing.assert_allclose(list(found.values()), expected)
+
+
+def test_residual_deviation_finds_each_coordinates_noise():
+    case = Case(5, links=3, count=4000)
+    truth = case.rows.y - case.rows.K @ case.parameters.values
+    sigma = residual_deviation(case.information, case.prior)
+    # Where the noise is small the error of the OLS estimate itself shows, so that one is freed.
+    loud = truth.std(axis=0) > 1
+    assert loud.sum() == 7
+    np.testing.assert_allclose(sigma[loud], truth.std(axis=0)[loud], rtol=0.03)
+
+
+@pytest.mark.parametrize("criterion", ["gen_force", "torque", "com"])
+def test_z_is_the_best_on_the_validation_rows(criterion):
+    training, validation = Case(6), Case(6, count=60)
+    problem = scaled_problem(training.information, training.prior, "wls_rc")
+    errors = []
+    for z in range(1, problem.rank + 1):
+        phi = problem.solution(z)
+        residual = validation.rows.y - validation.rows.K @ phi
+        used = {"gen_force": residual, "torque": residual[:, 6:], "com": residual[:, :3]}[criterion]
+        mass = phi[0 : training.parameters.inertial : 10].sum()
+        scale = 9.81 * abs(mass) if criterion == "com" else 1.0
+        errors.append(np.sqrt(np.mean(np.sum((used / scale) ** 2, axis=1))))
+    assert select_rank(problem, validation.information, criterion) == np.argmin(errors) + 1
+
+
+def test_std_covers_the_error_of_a_linear_problem():
+    # Rows scaled to equal noise, regressor exact: Eq. 34 must then be calibrated.
+    ratios = []
+    for seed in range(30):
+        case = Case(2, links=3, count=400)
+        rng = np.random.default_rng(seed)
+        y = case.rows.K @ case.parameters.values + rng.normal(size=case.rows.y.shape)
+        information = Information.empty(case.information.layout).fold([type(case.rows)(case.rows.K, y)])
+        prior = draw_prior(case.parameters, "percent", 25, seed)
+        problem = scaled_problem(information, prior, "wls_c", np.ones(case.n))
+        z = problem.rank // 2
+        error = problem.solution(z) - case.parameters.values
+        ratios.append(error / problem.std(z, prior.std))
+    assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 1.2
+
+
+def test_refusals_are_clear():
+    case = Case(8)
+    bad = type(case.rows)(case.rows.K.copy(), case.rows.y.copy())
+    bad.y[3, 2] = np.nan
+    with pytest.raises(DataError, match="not finite"):
+        case.information.fold([bad])
+    with pytest.raises(DataError, match="different robots"):
+        case.information.merge(Case(9, links=5).information)
+    few = Information.empty(case.information.layout).fold(
+        [type(case.rows)(case.rows.K[:3], case.rows.y[:3])]
+    )
+    with pytest.raises(EstimateError, match="too few"):
+        residual_deviation(few, case.prior)
+    still = Information.empty(case.information.layout).fold(
+        [type(case.rows)(np.zeros_like(case.rows.K), case.rows.y)]
+    )
+    with pytest.raises(EstimateError, match="excites no"):
+        select_rank(scaled_problem(still, case.prior, "ols"), still)

@@ -1,0 +1,183 @@
+"""Streams to samples, on random robots that move in MuJoCo."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_robots import random_robot
+from scipy.signal import butter, filtfilt
+from tree_simulation import TreeSimulation, streams_of
+
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.errors import DataError, ModelError
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.alignment import align
+from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.samples import build_samples
+
+UNFILTERED = LowPass(cutoff=0)
+
+
+def relative_rmse(value, truth):
+    return np.sqrt(np.mean((value - truth) ** 2) / np.mean(truth**2))
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("floating", [True, False])
+def test_sensors_of_any_tree_close_its_equation_of_motion(seed, floating):
+    model = random_robot(seed, links=3 + seed, floating=floating, wrench_frames=seed)
+    streams, _ = streams_of(TreeSimulation(model, 1.0, seed))
+    # The servos' start is a jolt that no differentiation of sampled positions follows.
+    samples = build_samples(streams, model, UNFILTERED)[300:]
+    rows = equation_of_motion(ParameterSet(model), samples)
+    # What is left is the differentiation of positions sampled at 1 kHz.
+    closure = relative_rmse(rows.K @ ParameterSet(model).values, rows.y)
+    assert closure < 5e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_bases_motion_is_found_from_an_imu_on_any_link(seed):
+    model = random_robot(seed, links=6)
+    imu_link = model.frame("imu_link").link
+    assert imu_link != 0 or seed != 0
+    streams, instants = streams_of(TreeSimulation(model, 1.0, seed))
+    samples = build_samples(streams, model, UNFILTERED)[300:]
+    kept = np.isin([instant.stamp for instant in instants], samples.stamp)
+    for name in ("base_angular_velocity", "base_angular_acceleration"):
+        truth = np.array([getattr(instant, name) for instant in instants])[kept]
+        error = relative_rmse(getattr(samples, name), truth)
+        assert error < 2e-3
+
+
+def test_a_filter_changes_both_sides_of_the_equation_alike():
+    model = random_robot(2, links=5)
+    streams, _ = streams_of(TreeSimulation(model, 2.0, 2))
+    filtered = build_samples(streams, model, LowPass(cutoff=30))
+    rows = equation_of_motion(ParameterSet(model), filtered)
+    closure = relative_rmse(rows.K @ ParameterSet(model).values, rows.y)
+    assert closure < 0.02
+    assert len(filtered) < len(streams.joints.stamp) / 5
+
+
+def test_the_filter_is_matlabs_filtfilt_of_a_second_order_butterworth():
+    rng = np.random.default_rng(0)
+    signal = rng.normal(size=(2000, 3))
+    expected = filtfilt(*butter(2, 30, fs=1000), signal, axis=0)
+    middle = slice(300, -300)
+    np.testing.assert_allclose(LowPass(30)(signal, 1000.0)[middle], expected[middle], atol=1e-9)
+
+
+def test_the_thesis_leaves_forces_unfiltered_and_smooths_derivatives_twice():
+    model = random_robot(2, links=4)
+    streams, _ = streams_of(TreeSimulation(model, 0.8, 2))
+    samples = build_samples(streams, model, LowPass(cutoff=30, channels="thesis"))
+    rows = np.isin(streams.joints.stamp, samples.stamp)
+    np.testing.assert_array_equal(samples.effort, streams.joints.effort[rows])
+    low_pass = LowPass(30)
+    position = low_pass(streams.joints.position, 1000.0)
+    velocity = low_pass(np.gradient(position, 1e-3, axis=0), 1000.0)
+    middle = slice(20, -20)
+    np.testing.assert_allclose(samples.velocity[middle], velocity[rows][middle], atol=1e-4)
+
+
+class TestAlignment:
+    @pytest.fixture(scope="class")
+    @classmethod
+    def moving(cls):
+        model = random_robot(1, links=4, wrench_frames=1)
+        return model, streams_of(TreeSimulation(model, 1.0, 1))[0]
+
+    def test_equal_stamps_pass_untouched(self, moving):
+        model, streams = moving
+        (segment,) = align(streams, model)
+        np.testing.assert_array_equal(segment.stamp, streams.joints.stamp)
+        np.testing.assert_array_equal(segment.position, streams.joints.position)
+        np.testing.assert_array_equal(segment.wrenches[:, 0, 3:], streams.wrenches[0].force)
+
+    def test_joints_are_matched_by_name(self, moving):
+        model, streams = moving
+        order = [2, 0, 1]
+        joints = streams.joints
+        shuffled = replace(
+            joints,
+            names=(*(joints.names[i] for i in order), "tail"),
+            position=np.c_[joints.position[:, order], np.zeros(1000)],
+            effort=np.c_[joints.effort[:, order], np.zeros(1000)],
+        )
+        (segment,) = align(replace(streams, joints=shuffled), model)
+        np.testing.assert_array_equal(segment.position, joints.position)
+
+    def test_other_clocks_are_interpolated(self, moving):
+        model, streams = moving
+        imu, wrench = streams.imus[0], streams.wrenches[0]
+        # The plate at 500 Hz, 0.3 ms late on the joint states' clock.
+        grid = wrench.stamp[:-2:2] + 300_000
+        seconds = streams.joints.stamp * 1e-9
+        late = replace(
+            wrench,
+            stamp=grid,
+            force=np.array([np.interp(grid * 1e-9, seconds, c) for c in wrench.force.T]).T,
+            torque=np.array([np.interp(grid * 1e-9, seconds, c) for c in wrench.torque.T]).T,
+        )
+        (segment,) = align(replace(streams, imus=(imu,), wrenches=(late,)), model)
+        inside = np.isin(streams.joints.stamp, segment.stamp)
+        error = relative_rmse(segment.wrenches[:, 0, 3:], wrench.force[inside])
+        assert error < 1e-3
+
+    def test_a_gap_cuts_the_record(self, moving, caplog):
+        model, streams = moving
+        imu = streams.imus[0]
+        keep = np.r_[0:400, 450:1000]
+        gappy = replace(
+            imu,
+            stamp=imu.stamp[keep],
+            angular_velocity=imu.angular_velocity[keep],
+            linear_acceleration=imu.linear_acceleration[keep],
+            orientation=None,
+        )
+        first, second = align(replace(streams, imus=(gappy,)), model)
+        assert (len(first.stamp), len(second.stamp)) == (400, 550)
+        assert "50 of 1000 instants lie in gaps" in caplog.text
+
+    def test_a_single_lost_message_is_bridged(self, moving):
+        model, streams = moving
+        joints = streams.joints
+        keep = np.delete(np.arange(1000), 500)
+        lossy = replace(
+            joints,
+            stamp=joints.stamp[keep],
+            position=joints.position[keep],
+            effort=joints.effort[keep],
+        )
+        (segment,) = align(replace(streams, joints=lossy), model)
+        np.testing.assert_allclose(segment.position, joints.position, atol=1e-7)
+
+    def test_refusals_are_clear(self, moving):
+        model, streams = moving
+        joints = streams.joints
+        with pytest.raises(ModelError, match="has no joint 'joint_"):
+            align(replace(streams, joints=replace(joints, names=("a", "b", "c"))), model)
+        late = replace(streams.imus[0], stamp=streams.imus[0].stamp + 10**10)
+        with pytest.raises(DataError, match="share no time"):
+            align(replace(streams, imus=(late,)), model)
+        short = replace(
+            joints,
+            stamp=joints.stamp[:20],
+            position=joints.position[:20],
+            effort=joints.effort[:20],
+        )
+        with pytest.raises(DataError, match="too few"):
+            align(replace(streams, joints=short), model)
+        silent = replace(joints, effort=np.full_like(joints.effort, np.nan))
+        driven = random_robot(1, links=4, wrench_frames=1)
+        with pytest.raises(DataError, match="no finite effort of joint"):
+            align(replace(streams, joints=silent), driven)
+        with pytest.raises(DataError, match="no sensor_msgs/msg/Imu"):
+            build_samples(replace(streams, imus=()), model, UNFILTERED)
+        lost = replace(streams.imus[0], frame_id="head")
+        with pytest.raises(ModelError, match="no frame or link 'head'"):
+            build_samples(replace(streams, imus=(lost,)), model, UNFILTERED)
+        with pytest.raises(DataError, match="below half the rate"):
+            build_samples(streams, model, LowPass(600))
+        with pytest.raises(DataError, match="no frequency"):
+            LowPass(-1)

@@ -1,0 +1,174 @@
+"""A random robot that really moves in MuJoCo, as instants for bags and as streams."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
+from symbid_ros.simulation.measurement import Instant
+
+
+@dataclass(frozen=True)
+class Sensor:
+    topic: str
+    frame_id: str
+
+
+class TreeSimulation:
+    """Driven joints follow sines, each wrench frame is pushed by sines, ideal sensors.
+
+    The interface is the simulator's, so that its recording writes the bag.
+    """
+
+    period_ns = 1_000_000
+    imu_frame = "imu_link"
+
+    def __init__(self, model, seconds, seed):
+        rng = np.random.default_rng(seed)
+        self.model, self.steps = model, int(seconds * 1000)
+        self.joint_names = model.joint_names
+        self.base_frame = model.links[0].name
+        frames = [f.name for f in model.frames if f.name.startswith("wrench")]
+        self.wrench_sensors = tuple(Sensor(f"{name}/wrench", name) for name in frames)
+        self.m = mujoco.MjModel.from_xml_string(mjcf_text(model))
+        self.m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+        # The plant is continuous to a 1 kHz sensor: ten Runge-Kutta steps between readings.
+        self.m.opt.timestep = 1e-4
+        self.m.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
+        self.d = mujoco.MjData(self.m)
+        joints = len(model.joints)
+        self.driven = np.array([joint.effort > 0 for joint in model.joints])
+        self.frequency = rng.uniform(0.3, 1.5, (4, joints + 6 * len(frames)))
+        self.phase = rng.uniform(0, 6, self.frequency.shape)
+        self.joints = slice(self.m.nv - joints, self.m.nv)
+        self.scale = 10 * model.phi[:, 0].sum()
+        self.inertia = self.m.dof_M0[self.joints]
+        self.d.qpos[self.m.nq - joints :] = self._target(0.0)[:joints]
+        mujoco.mj_forward(self.m, self.d)
+
+    def _target(self, time):
+        return np.sin(2 * np.pi * self.frequency * time + self.phase).mean(axis=0)
+
+    def step(self):
+        instant = None
+        for _ in range(10):
+            forces = self._apply_forces()
+            mujoco.mj_forward(self.m, self.d)
+            instant = instant or self._instant(*forces)
+            mujoco.mj_step(self.m, self.d)
+            mujoco.mj_kinematics(self.m, self.d)
+        return instant
+
+    def _apply_forces(self):
+        m, d = self.m, self.d
+        wave = self._target(d.time)
+        joints = len(self.joint_names)
+        position, velocity = d.qpos[m.nq - joints :], d.qvel[self.joints]
+        # Servos of a few hertz; what has no motor swings.
+        effort = self.inertia * (400 * (wave[:joints] - position) - 30 * velocity) * self.driven
+        wrenches = np.zeros((len(self.wrench_sensors), 6))
+        if len(wrenches):
+            wrenches[:, 3:] = self.scale * wave[joints:].reshape(-1, 6)[:, :3] / len(wrenches)
+            wrenches[:, :3] = 0.1 * self.scale * wave[joints:].reshape(-1, 6)[:, 3:]
+        d.qfrc_applied[:] = 0
+        d.qfrc_applied[self.joints] = effort
+        for sensor, wrench in zip(self.wrench_sensors, wrenches, strict=True):
+            site = d.site(sensor.frame_id)
+            axes = site.xmat.reshape(3, 3)
+            applied = np.zeros(m.nv)
+            body = m.site(sensor.frame_id).bodyid[0]
+            mujoco.mj_applyFT(m, d, axes @ wrench[3:], axes @ wrench[:3], site.xpos, body, applied)
+            d.qfrc_applied += applied
+        return effort, wrenches
+
+    def _instant(self, effort, wrenches):
+        m, d = self.m, self.d
+        joints = len(self.joint_names)
+        rotation = np.eye(3)
+        base = np.zeros((5, 3))
+        quaternion = np.array([0.0, 0, 0, 1])
+        if self.model.floating:
+            rotation = d.body(self.base_frame).xmat.reshape(3, 3).copy()
+            quaternion = np.roll(d.qpos[3:7], -1)
+            base = np.array(
+                [
+                    d.qpos[:3],
+                    rotation.T @ d.qvel[:3],
+                    d.qvel[3:6],
+                    rotation.T @ d.qacc[:3],
+                    d.qacc[3:6],
+                ]
+            )
+        omega, force = self._imu()
+        position, velocity = d.qpos[m.nq - joints :].copy(), d.qvel[self.joints].copy()
+        imu = np.empty(4)
+        mujoco.mju_mat2Quat(imu, d.site(self.imu_frame).xmat)
+        return Instant(
+            stamp=round(d.time * 1e3) * self.period_ns,
+            joint_position=position,
+            joint_velocity=velocity,
+            joint_effort=effort.copy(),
+            imu_orientation=np.roll(imu, -1),
+            imu_angular_velocity=omega,
+            imu_linear_acceleration=force,
+            wrenches=np.concatenate([wrenches[:, 3:], wrenches[:, :3]], axis=1),
+            true_position=position,
+            true_velocity=velocity,
+            true_acceleration=d.qacc[self.joints].copy(),
+            true_effort=effort.copy(),
+            base_position=base[0],
+            base_orientation=quaternion,
+            base_linear_velocity=base[1],
+            base_angular_velocity=base[2],
+            base_linear_acceleration=base[3],
+            base_angular_acceleration=base[4],
+        )
+
+    def _imu(self):
+        """Return the IMU's rate and specific force as MuJoCo computes them."""
+        m, d = self.m, self.d
+        mujoco.mj_rnePostConstraint(m, d)
+        site = m.site(self.imu_frame).id
+        velocity, acceleration = np.empty(6), np.empty(6)
+        mujoco.mj_objectVelocity(m, d, mujoco.mjtObj.mjOBJ_SITE, site, velocity, 1)
+        mujoco.mj_objectAcceleration(m, d, mujoco.mjtObj.mjOBJ_SITE, site, acceleration, 1)
+        return velocity[:3], acceleration[3:]
+
+
+def streams_of(simulation):
+    """Return the sensor streams and the instants of a whole simulation."""
+    instants = [simulation.step() for _ in range(simulation.steps)]
+
+    def column(name):
+        return np.array([getattr(instant, name) for instant in instants])
+
+    stamp = np.array([instant.stamp for instant in instants], dtype=np.int64)
+    joints = JointStream(
+        "/joint_states",
+        simulation.joint_names,
+        stamp,
+        column("joint_position"),
+        column("joint_velocity"),
+        column("joint_effort"),
+    )
+    imu = ImuStream(
+        "/imu/data",
+        simulation.imu_frame,
+        stamp,
+        column("imu_orientation"),
+        column("imu_angular_velocity"),
+        column("imu_linear_acceleration"),
+    )
+    wrenches = tuple(
+        WrenchStream(
+            sensor.topic,
+            sensor.frame_id,
+            stamp,
+            column("wrenches")[:, index, :3],
+            column("wrenches")[:, index, 3:],
+        )
+        for index, sensor in enumerate(simulation.wrench_sensors)
+    )
+    return Streams("simulated", joints, (imu,), wrenches), instants
