@@ -13,9 +13,7 @@ from symbid_ros.cli.options import BaseKind
 
 
 def evaluate(
-    subject: Annotated[
-        Path, typer.Argument(help="Folder of an identification, or a prior.json.")
-    ],
+    subject: Annotated[Path, typer.Argument(help="Folder of an identification, or a prior.json.")],
     model: Annotated[Path, typer.Option(help="The true robot, URDF or MJCF.")],
     bag: Annotated[list[Path], typer.Option(help="Ideal bag with ground truth.")],
     json_file: Annotated[

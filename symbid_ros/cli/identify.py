@@ -15,9 +15,7 @@ Channels = Literal["all", "thesis"]
 def identify(
     bags: Annotated[list[Path], typer.Argument(help="Bags, in sequence.", show_default=False)],
     model: Model,
-    out: Annotated[
-        Path, typer.Option(help="Folder for estimate.json, model.urdf and model.xml.")
-    ],
+    out: Annotated[Path, typer.Option(help="Folder for estimate.json, model.urdf and model.xml.")],
     prior: Annotated[
         Path | None, typer.Option(help="prior.json; default: the model's own inertias.")
     ] = None,

@@ -43,5 +43,7 @@ def report(
         values = ParameterSet(true_robot, parameters.friction).values
         reference = Reference(read_true_motion(bag, true_robot), values)
     facts = bag_facts(bag) | estimate_facts(estimates[chosen])
-    write_report(compose(estimates, parameters, chosen=chosen, facts=facts, reference=reference), out)
+    write_report(
+        compose(estimates, parameters, chosen=chosen, facts=facts, reference=reference), out
+    )
     typer.echo(f"wrote {out}")

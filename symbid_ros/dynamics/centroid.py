@@ -5,7 +5,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import LinkPoses, joint_pose, link_poses
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import inertia_action, rotate, rotate_back, skew
+from symbid_ros.dynamics.spatial import cross, inertia_action, rotate, rotate_back, skew
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
@@ -60,7 +60,7 @@ def centroidal_momentum(
     """
     poses = link_poses(parameters.model, samples.position)
     momentum = momentum_regressor(parameters, samples, base_velocity, poses) @ values
-    momentum[:, :3] -= np.cross(com_position(parameters, values, poses), momentum[:, 3:])
+    momentum[:, :3] -= cross(com_position(parameters, values, poses), momentum[:, 3:])
     return momentum
 
 
@@ -75,7 +75,7 @@ def _link_velocities(
         turn, shift = joint_pose(joint, samples.position[:, index])
         w = omega[:, joint.parent]
         omega[:, index + 1] = rotate_back(turn, w)
-        velocity[:, index + 1] = rotate_back(turn, velocity[:, joint.parent] + np.cross(w, shift))
+        velocity[:, index + 1] = rotate_back(turn, velocity[:, joint.parent] + cross(w, shift))
         moved = omega if joint.kind == "revolute" else velocity
         moved[:, index + 1] += samples.velocity[:, index, None] * joint.axis
     return omega, velocity

@@ -7,7 +7,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import joint_axes, link_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import rotate
+from symbid_ros.dynamics.spatial import cross, rotate
 from symbid_ros.model.tree import RobotModel
 
 
@@ -60,22 +60,22 @@ def base_motion(
     arm = motion.poses.position[:, frame.link] + lever
     acceleration = (
         rotate(link_axes, motion.specific_force[:, frame.link])
-        + np.cross(alpha, lever)
-        + np.cross(omega, np.cross(omega, lever))
+        + cross(alpha, lever)
+        + cross(omega, cross(omega, lever))
     )
     axes = joint_axes(model, motion.poses)[:, model.ancestors[:, frame.link]]
     rates = relative.velocity[:, model.ancestors[:, frame.link]]
     twist = np.einsum("njc,nj->nc", axes, rates)
-    velocity = twist[:, 3:] + np.cross(twist[:, :3], arm)
+    velocity = twist[:, 3:] + cross(twist[:, :3], arm)
 
     base_omega = rotate(to_base, imu.angular_velocity) - omega
-    base_alpha = rotate(to_base, imu.angular_acceleration) - alpha - np.cross(base_omega, omega)
+    base_alpha = rotate(to_base, imu.angular_acceleration) - alpha - cross(base_omega, omega)
     base_force = (
         rotate(to_base, imu.specific_force)
         - acceleration
-        - np.cross(base_alpha, arm)
-        - np.cross(base_omega, np.cross(base_omega, arm))
-        - 2 * np.cross(base_omega, velocity)
+        - cross(base_alpha, arm)
+        - cross(base_omega, cross(base_omega, arm))
+        - 2 * cross(base_omega, velocity)
     )
     return BaseMotion(base_omega, base_alpha, base_force)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import axis_rotations, rotate, rotate_back
+from symbid_ros.dynamics.spatial import axis_rotations, cross, rotate, rotate_back
 from symbid_ros.model.tree import Joint, RobotModel
 
 
@@ -65,12 +65,21 @@ def joint_pose(joint: Joint, position: FloatArray) -> tuple[FloatArray, FloatArr
 
 def link_poses(model: RobotModel, position: FloatArray) -> LinkPoses:
     """Return the poses of all links at joint positions (N, J)."""
-    count, links = len(position), len(model.links)
-    rotation = np.empty((count, links, 3, 3))
-    origin = np.empty((count, links, 3))
+    return _chained(model, joint_poses(model, position), len(position))
+
+
+def joint_poses(model: RobotModel, position: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    """Return :func:`joint_pose` of every joint at joint positions (N, J)."""
+    return [joint_pose(joint, position[:, index]) for index, joint in enumerate(model.joints)]
+
+
+def _chained(
+    model: RobotModel, transforms: list[tuple[FloatArray, FloatArray]], count: int
+) -> LinkPoses:
+    rotation = np.empty((count, len(model.links), 3, 3))
+    origin = np.empty((count, len(model.links), 3))
     rotation[:, 0], origin[:, 0] = np.eye(3), 0.0
-    for index, joint in enumerate(model.joints):
-        turn, shift = joint_pose(joint, position[:, index])
+    for index, (joint, (turn, shift)) in enumerate(zip(model.joints, transforms, strict=True)):
         rotation[:, index + 1] = rotation[:, joint.parent] @ turn
         origin[:, index + 1] = origin[:, joint.parent] + rotate(rotation[:, joint.parent], shift)
     return LinkPoses(rotation, origin)
@@ -83,22 +92,22 @@ def link_motion(model: RobotModel, samples: Samples) -> LinkMotion:
     omega[:, 0] = samples.base_angular_velocity
     alpha[:, 0] = samples.base_angular_acceleration
     force[:, 0] = samples.base_specific_force
-    poses = link_poses(model, samples.position)
-    for index, joint in enumerate(model.joints):
+    transforms = joint_poses(model, samples.position)
+    for index, (joint, (turn, shift)) in enumerate(zip(model.joints, transforms, strict=True)):
         parent, child = joint.parent, index + 1
-        turn, shift = joint_pose(joint, samples.position[:, index])
         rate = samples.velocity[:, index, None] * joint.axis
         change = samples.acceleration[:, index, None] * joint.axis
         w, a = omega[:, parent], alpha[:, parent]
-        at_child = force[:, parent] + np.cross(a, shift) + np.cross(w, np.cross(w, shift))
+        at_child = force[:, parent] + cross(a, shift) + cross(w, cross(w, shift))
         omega[:, child] = w = rotate_back(turn, w)
         alpha[:, child] = rotate_back(turn, a)
         force[:, child] = rotate_back(turn, at_child)
         if joint.kind == "revolute":
-            alpha[:, child] += change + np.cross(w, rate)
+            alpha[:, child] += change + cross(w, rate)
             omega[:, child] += rate
         else:
-            force[:, child] += change + 2 * np.cross(w, rate)
+            force[:, child] += change + 2 * cross(w, rate)
+    poses = _chained(model, transforms, len(samples))
     return LinkMotion(poses, omega, alpha, force)
 
 
@@ -112,7 +121,7 @@ def joint_axes(model: RobotModel, poses: LinkPoses) -> FloatArray:
         direction = rotate(poses.rotation[:, index + 1], joint.axis)
         if joint.kind == "revolute":
             axes[:, index, :3] = direction
-            axes[:, index, 3:] = np.cross(poses.position[:, index + 1], direction)
+            axes[:, index, 3:] = cross(poses.position[:, index + 1], direction)
         else:
             axes[:, index, 3:] = direction
     return axes

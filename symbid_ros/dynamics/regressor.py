@@ -8,7 +8,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import LinkMotion, LinkPoses, joint_axes, link_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import inertia_action, rotate, skew
+from symbid_ros.dynamics.spatial import cross, inertia_action, rotate, skew
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
@@ -125,5 +125,5 @@ def wrenches_at_base(
         origin = poses.position[:, frame.link] + rotate(to_base, frame.translation)
         force = rotate(rotation, wrenches[:, sensor, 3:])
         at_base[:, sensor, 3:] = force
-        at_base[:, sensor, :3] = rotate(rotation, wrenches[:, sensor, :3]) + np.cross(origin, force)
+        at_base[:, sensor, :3] = rotate(rotation, wrenches[:, sensor, :3]) + cross(origin, force)
     return at_base

@@ -113,11 +113,32 @@ def write_identification(estimate: Estimate, parameters: ParameterSet, out: Path
     comment in both names the links that no mass density can realise: programs that check,
     such as MuJoCo, refuse to load those.
     """
-    model = parameters.apply(estimate.value)
-    source = Path(model.source)
-    urdf, mjcf = (None, source) if is_mjcf(source) else (source, None)
-    impossible = [link for link, possible in estimate.consistent.items() if not possible]
-    comment = f"physically impossible: {', '.join(impossible)}" if impossible else ""
-    write_text(out / "model.urdf", urdf_text(model, urdf, comment=comment))
-    write_text(out / "model.xml", mjcf_text(model, mjcf, out, comment=comment))
+    write_text(out / "model.urdf", export_urdf(estimate, parameters))
+    write_text(out / "model.xml", export_mjcf(estimate, parameters, out))
     estimate.write(out / "estimate.json")
+
+
+def export_urdf(estimate: Estimate, parameters: ParameterSet) -> str:
+    """Return the identified robot as URDF text, the user's own file if it is one."""
+    source = Path(parameters.model.source)
+    return urdf_text(
+        parameters.apply(estimate.value),
+        None if is_mjcf(source) else source,
+        comment=_warning(estimate),
+    )
+
+
+def export_mjcf(estimate: Estimate, parameters: ParameterSet, folder: Path) -> str:
+    """Return the identified robot as MJCF text for ``folder``, the user's own file if it is one."""
+    source = Path(parameters.model.source)
+    return mjcf_text(
+        parameters.apply(estimate.value),
+        source if is_mjcf(source) else None,
+        folder,
+        comment=_warning(estimate),
+    )
+
+
+def _warning(estimate: Estimate) -> str:
+    impossible = [link for link, possible in estimate.consistent.items() if not possible]
+    return f"physically impossible: {', '.join(impossible)}" if impossible else ""

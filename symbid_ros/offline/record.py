@@ -83,20 +83,21 @@ def check_weight(record: Record, parameters: ParameterSet, prior: Prior) -> None
     ------
     DataError
         When the base's force rows miss what the prior expects by more than
-        ``WEIGHT_TOLERANCE``.
+        ``WEIGHT_TOLERANCE`` times its weight.
     """
     model = parameters.model
     if not model.floating:
         return
     probe = record.samples[:: max(1, len(record.samples) // 1000)]
     rows = equation_of_motion(parameters, probe)
-    needed = rows.K[:, 3:6] @ prior.mean
-    missing = np.sqrt(np.mean((rows.y[:, 3:6] - needed) ** 2) / np.mean(needed**2))
+    residual = rows.y[:, 3:6] - rows.K[:, 3:6] @ prior.mean
+    weight = np.linalg.norm(model.gravity) * parameters.link_phi(prior.mean)[:, 0].sum()
+    missing = np.sqrt(np.mean(np.sum(residual**2, axis=1))) / weight
     if missing > WEIGHT_TOLERANCE:
         bags = ", ".join(map(str, record.bags))
         frames = ", ".join(record.samples.wrench_frames) or "none"
         raise DataError(
-            f"{bags}: the wrenches measured (frames: {frames}) miss {100 * missing:.0f} % of the "
-            "force that the prior's mass needs; record the wrench of every contact, or name the wrench "
-            "topics yourself to go on with these"
+            f"{bags}: the wrenches measured (frames: {frames}) differ by {100 * missing:.0f} % of the "
+            "prior's weight from what its motion needs; record the wrench of every contact, or name "
+            "the wrench topics yourself to go on with these"
         )

@@ -12,7 +12,8 @@ def bag_facts(bags: Sequence[Path]) -> dict[str, str]:
     streams = read_streams(bags)
     stamp = streams.joints.stamp
     seconds = (stamp[-1] - stamp[0]) * 1e-9
-    sensors = [streams.joints.topic, *(s.topic for s in (*streams.imus, *streams.wrenches))]
+    sensors = [streams.joints.topic]
+    sensors += [imu.topic for imu in streams.imus] + [w.topic for w in streams.wrenches]
     return {
         "Bag": ", ".join(str(bag) for bag in bags),
         "Duration": f"{seconds:.1f} s, {len(stamp)} joint states",

@@ -195,7 +195,7 @@ def _joint_channel(streams: Streams, model: RobotModel) -> _Channel:
     return _Channel(streams.joints.topic, streams.joints.stamp, values)
 
 
-def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> list[int]:
+def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntArray:
     """Return where in ``names`` each of the model's joints stands; ``source`` is for messages.
 
     Raises
@@ -209,7 +209,7 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> list[
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it has "
             f"{', '.join(names)}; name the right model or bag"
         )
-    return [list(names).index(name) for name in model.joint_names]
+    return np.array([list(names).index(name) for name in model.joint_names], dtype=np.int64)
 
 
 def _imu_channel(imu: ImuStream) -> _Channel:

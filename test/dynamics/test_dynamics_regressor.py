@@ -37,7 +37,10 @@ def mujoco_inverse(model, samples, rng):
         rotation = np.eye(3)
         if model.floating:
             quaternion = rng.normal(size=4)
-            data.qpos[:3], data.qpos[3:7] = rng.normal(size=3), quaternion / np.linalg.norm(quaternion)
+            data.qpos[:3], data.qpos[3:7] = (
+                rng.normal(size=3),
+                quaternion / np.linalg.norm(quaternion),
+            )
             flat = np.empty(9)
             mujoco.mju_quat2Mat(flat, data.qpos[3:7])
             rotation = flat.reshape(3, 3)

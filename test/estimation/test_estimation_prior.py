@@ -57,7 +57,7 @@ def test_a_consistent_priors_deviation_is_that_of_its_draws(symbitron):
     ratio = spread / stated
     assert np.median(ratio) == pytest.approx(1, abs=0.05)
     # Below one where a nearly vanishing product meets the floor.
-    assert 0.7 < ratio.min()
+    assert ratio.min() > 0.7
     assert ratio.max() < 1.2
 
 

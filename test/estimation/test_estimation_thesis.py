@@ -1,5 +1,7 @@
 """The four methods from the wide factor, against dense solves of the stacked problem."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -82,7 +84,7 @@ def test_information_does_not_care_how_the_rows_came(seed, cuts):
         Information.empty(case.information.layout).fold(
             [type(case.rows)(case.rows.K[a:b], case.rows.y[a:b])]
         )
-        for a, b in zip(edges, edges[1:], strict=False)
+        for a, b in pairwise(edges)
     ]
     merged = parts[0]
     for part in parts[1:]:
@@ -97,7 +99,9 @@ def test_information_does_not_care_how_the_rows_came(seed, cuts):
 def test_two_halves_merged_give_the_same_estimate():
     case = Case(7, count=200)
     halves = [
-        Information.empty(case.information.layout).fold([type(case.rows)(case.rows.K[s], case.rows.y[s])])
+        Information.empty(case.information.layout).fold(
+            [type(case.rows)(case.rows.K[s], case.rows.y[s])]
+        )
         for s in (slice(0, 100), slice(100, 200))
     ]
     merged = halves[0].merge(halves[1])
@@ -163,7 +167,9 @@ def test_std_covers_the_error_of_a_linear_problem():
         case = Case(2, links=3, count=400)
         rng = np.random.default_rng(seed)
         y = case.rows.K @ case.parameters.values + rng.normal(size=case.rows.y.shape)
-        information = Information.empty(case.information.layout).fold([type(case.rows)(case.rows.K, y)])
+        information = Information.empty(case.information.layout).fold(
+            [type(case.rows)(case.rows.K, y)]
+        )
         prior = draw_prior(case.parameters, "percent", 25, seed)
         problem = scaled_problem(information, prior, "wls_c", np.ones(case.n))
         z = problem.rank // 2

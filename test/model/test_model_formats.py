@@ -113,7 +113,9 @@ def test_welded_bodies_and_several_joints_move_as_in_mujoco(tmp_path):
     assert model.phi[:, 0].sum() == pytest.approx(3.5)
 
 
-@pytest.mark.parametrize(("text", "write"), [("symbitron.xml", mjcf_text), ("symbitron.urdf", urdf_text)])
+@pytest.mark.parametrize(
+    ("text", "write"), [("symbitron.xml", mjcf_text), ("symbitron.urdf", urdf_text)]
+)
 def test_an_estimate_goes_into_the_users_own_file(text, write, tmp_path):
     source = CONFIG / text
     robot = load_model(source)
@@ -178,11 +180,13 @@ BAD_URDFS = {
     "no robot": ("<html/>", "<robot>"),
     "two roots": ("<robot name='r'><link name='a'/><link name='b'/></robot>", "one root link"),
     "no number": (
-        "<robot name='r'><link name='a'><inertial><mass value='heavy'/><inertia/></inertial></link></robot>",
+        "<robot name='r'><link name='a'>"
+        "<inertial><mass value='heavy'/><inertia/></inertial></link></robot>",
         "'heavy' is not a number",
     ),
     "nan": (
-        "<robot name='r'><link name='a'><inertial><mass value='nan'/><inertia/></inertial></link></robot>",
+        "<robot name='r'><link name='a'>"
+        "<inertial><mass value='nan'/><inertia/></inertial></link></robot>",
         "not finite",
     ),
     "planar": (
@@ -208,7 +212,7 @@ def test_a_bad_urdf_says_what_is_wrong(case, tmp_path):
 
 
 def test_bad_mjcf_and_missing_files_say_what_is_wrong(tmp_path):
-    with pytest.raises(ModelError, match="no such|cannot read"):
+    with pytest.raises(ModelError, match="cannot read"):
         load_model(tmp_path / "missing.xml")
     with pytest.raises(ModelError, match="MuJoCo cannot load") as caught:
         load_text("<mujoco><nonsense/></mujoco>", tmp_path / "bad.xml")

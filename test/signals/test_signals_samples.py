@@ -35,20 +35,6 @@ def test_sensors_of_any_tree_close_its_equation_of_motion(seed, floating):
     assert closure < 5e-3
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_the_bases_motion_is_found_from_an_imu_on_any_link(seed):
-    model = random_robot(seed, links=6)
-    imu_link = model.frame("imu_link").link
-    assert imu_link != 0 or seed != 0
-    streams, instants = streams_of(TreeSimulation(model, 1.0, seed))
-    samples = build_samples(streams, model, UNFILTERED)[300:]
-    kept = np.isin([instant.stamp for instant in instants], samples.stamp)
-    for name in ("base_angular_velocity", "base_angular_acceleration"):
-        truth = np.array([getattr(instant, name) for instant in instants])[kept]
-        error = relative_rmse(getattr(samples, name), truth)
-        assert error < 2e-3
-
-
 def test_a_filter_changes_both_sides_of_the_equation_alike():
     model = random_robot(2, links=5)
     streams, _ = streams_of(TreeSimulation(model, 2.0, 2))

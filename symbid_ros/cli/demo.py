@@ -1,0 +1,154 @@
+"""``symbid demo``: the whole loop on one machine, from a standing robot to a report."""
+
+import shutil
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from symbid_ros.errors import SymbidError
+
+MOTION_SEED, VALIDATION_SEED = 1, 2
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for everything the demo makes.")] = Path("demo"),
+    moves: Annotated[int, typer.Option(min=1, max=1000, help="Moves of the centre of mass.")] = 20,
+    percent: Annotated[float, typer.Option(min=1, max=99, help="Prior's half-width in %.")] = 25.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the prior and the noise.")] = 0,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the folder of an earlier demo.")
+    ] = False,
+) -> None:
+    """Simulate, publish, record and identify the Symbitron, and report on it."""
+    from symbid_ros.share import config_file
+
+    console = Console()
+    _prepare_folder(out, overwrite=overwrite)
+    model = config_file("symbitron.xml")
+    with _progress(console) as progress:
+        facts = _record(out, moves, seed, progress)
+        _simulate_validation(out / "validation", moves, progress)
+        _identify(out, model, percent, seed, facts, progress, console)
+    console.print(f"\n[bold]{out}/report.html[/bold] shows it all; the rest of {out}/ made it.")
+
+
+def _progress(console: Console) -> Progress:
+    return Progress(
+        TextColumn("{task.description:<34}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+def _prepare_folder(out: Path, *, overwrite: bool) -> None:
+    if out.exists():
+        if not overwrite:
+            raise SymbidError(f"{out}: exists; remove it, choose another --out or pass --overwrite")
+        if not (out / "prior.json").is_file():
+            raise SymbidError(f"{out}: exists and is no demo's folder; choose another --out")
+        shutil.rmtree(out)
+    out.mkdir(parents=True)
+
+
+def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, str]:
+    """Let bridge and recorder run as processes, and return what they say."""
+    from symbid_ros.cli.processes import NodeProcess, private_domain
+    from symbid_ros.simulation.simulator import Simulator
+
+    motion = {"scenario": "smooth", "moves": moves, "motion_seed": MOTION_SEED, "noise_seed": seed}
+    simulator = Simulator("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
+    seconds = simulator.steps * simulator.period_ns * 1e-9
+    task = progress.add_task("robot moves, topics are recorded", total=seconds)
+    graph = private_domain()
+    logs = out / "log"
+    logs.mkdir()
+    bag = str(out / "bag")
+    bridge_parameters = motion | {"wait_for_subscribers": True}
+    with (
+        NodeProcess("recorder", {"bag": bag}, graph, logs / "recorder.log") as recorder,
+        NodeProcess("mujoco_bridge", bridge_parameters, graph, logs / "bridge.log") as bridge,
+    ):
+        while not bridge.wait(0.2):
+            if not recorder.running:
+                recorder.finish()
+            progress.update(task, completed=min(progress.tasks[task].elapsed or 0, seconds))
+        played = bridge.finish()
+        recorded = recorder.finish(stop=True)
+    progress.update(task, completed=seconds)
+    return _recording_facts(played, recorded)
+
+
+def _recording_facts(played: dict[str, Any], recorded: dict[str, Any]) -> dict[str, str]:
+    published, kept = sum(played["published"].values()), sum(recorded["recorded"].values())
+    missing = sum(gap["missing"] for gap in recorded["gaps"].values())
+    return {
+        "Real-time factor": f"{played['real_time_factor']:.3f}, {played['late_steps']} late steps",
+        "Messages": f"{kept} recorded of {published} published, {missing} missing by stamp",
+    }
+
+
+def _simulate_validation(bag: Path, moves: int, progress: Progress) -> None:
+    from symbid_ros.simulation.recording import record
+    from symbid_ros.simulation.simulator import Simulator
+
+    simulator = Simulator("smooth", moves=moves, motion_seed=VALIDATION_SEED, ideal=True)
+    task = progress.add_task("ideal validation bag", total=simulator.steps)
+    record(simulator, bag, progress=lambda done, _: progress.update(task, completed=done))
+
+
+def _identify(
+    out: Path,
+    model: Path,
+    percent: float,
+    seed: int,
+    facts: dict[str, str],
+    progress: Progress,
+    console: Console,
+) -> None:
+    from symbid_ros.estimation.prior import draw_prior
+    from symbid_ros.estimation.thesis import METHODS
+    from symbid_ros.model.load import load_model
+    from symbid_ros.model.parameters import ParameterSet
+    from symbid_ros.offline.evaluation import read_true_motion
+    from symbid_ros.offline.identification import write_identification
+    from symbid_ros.offline.job import Job, prepare
+    from symbid_ros.report.compose import TITLES, Reference, compose
+    from symbid_ros.report.facts import bag_facts
+    from symbid_ros.report.page import write_report
+    from symbid_ros.report.table import metrics_table
+
+    task = progress.add_task("four methods and a report", total=len(METHODS) + 3)
+    robot = load_model(model)
+    truth = ParameterSet(robot)
+    prior = draw_prior(truth, "percent", percent, seed)
+    prior.write(out / "prior.json")
+    job = Job((out / "bag",), model, prior=out / "prior.json", validation=out / "validation")
+    prepared = prepare(job)
+    progress.advance(task)
+    estimates = {}
+    for method in METHODS:
+        estimate = prepared.solve(method)
+        write_identification(estimate, prepared.parameters, out / method)
+        estimates[TITLES[method]] = estimate
+        progress.advance(task)
+    reference = Reference(read_true_motion([out / "validation"], robot), truth.values)
+    progress.advance(task)
+    described = bag_facts([out / "bag"]) | facts
+    described["Prior"] = f"{prior.kind} %, seed {seed}"
+    described["Filter"] = f"Butterworth, zero phase, {job.processing.low_pass.cutoff:g} Hz"
+    described["Judged on"] = f"{out / 'validation'}, ideal, other moves"
+    content = compose(
+        estimates,
+        prepared.parameters,
+        chosen=TITLES["wls_rc"],
+        facts=described,
+        reference=reference,
+    )
+    write_report(content, out / "report.html")
+    progress.advance(task)
+    console.print(metrics_table(content.methods))

@@ -1,0 +1,136 @@
+"""An estimate in messages that any ROS tool can show."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Inertia, InertiaStamped, WrenchStamped
+from sensor_msgs.msg import JointState
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.model.inertia import PARAMETERS, com_from_phi
+
+# How far a parameter is stepped, in its own deviations, to find the slope of a message's fields.
+STEP = 1e-4
+
+
+def topic_token(link: str) -> str:
+    """Return a link's name as one token of a topic name."""
+    token = re.sub(r"[^A-Za-z0-9_]", "_", link)
+    return f"_{token}" if token[:1].isdigit() else token
+
+
+def inertia_message(estimate: Estimate, link: str, stamp: Time) -> InertiaStamped:
+    """Return a link's inertia: centre of mass in the link's frame, tensor about that centre."""
+    return _inertia_stamped(_central(_of_link(estimate.value, estimate, link)), link, stamp)
+
+
+def inertia_stddev_message(estimate: Estimate, link: str, stamp: Time) -> InertiaStamped:
+    """Return the deviations of the same ten numbers, NaN where the data do not determine them.
+
+    First order, from the deviations of the link's parameters taken as independent.
+    """
+    phi = _of_link(estimate.value, estimate, link)
+    if estimate.std is None or estimate.determined is None:
+        return _inertia_stamped(np.full(10, np.nan), link, stamp)
+    std = _of_link(estimate.std, estimate, link)
+    determined = _of_link(estimate.determined.astype(float), estimate, link) > 0
+    centre = _central(phi)
+    slopes = np.array([_central(phi + STEP * std * unit) - centre for unit in np.eye(10)]) / STEP
+    deviation = np.sqrt(np.sum(slopes**2, axis=0))
+    return _inertia_stamped(np.where(determined, deviation, np.nan), link, stamp)
+
+
+def _of_link(values: FloatArray, estimate: Estimate, link: str) -> FloatArray:
+    first = estimate.names.index(f"{link}/{PARAMETERS[0]}")
+    return values[first : first + 10]
+
+
+def _central(phi: FloatArray) -> FloatArray:
+    """Return mass, centre of mass and central inertia (10,) of φ."""
+    mass, com, inertia = com_from_phi(phi)
+    return np.concatenate([[mass], com, inertia[np.triu_indices(3)]])
+
+
+def _inertia_stamped(numbers: FloatArray, link: str, stamp: Time) -> InertiaStamped:
+    message = InertiaStamped()
+    message.header.stamp, message.header.frame_id = stamp, link
+    mass, x, y, z, *tensor = map(float, numbers)
+    inertia = Inertia(m=mass)
+    inertia.com.x, inertia.com.y, inertia.com.z = x, y, z
+    inertia.ixx, inertia.ixy, inertia.ixz, inertia.iyy, inertia.iyz, inertia.izz = tensor
+    message.inertia = inertia
+    return message
+
+
+def estimate_message(estimate: Estimate, stamp: Time) -> DiagnosticArray:
+    """Return one status per link with every parameter and deviation by name, friction last."""
+    message = DiagnosticArray()
+    message.header.stamp = stamp
+    groups: dict[str, list[int]] = {}
+    for index, name in enumerate(estimate.names):
+        groups.setdefault(name.rsplit("/", 1)[0], []).append(index)
+    message.status = [_status(estimate, group, indices) for group, indices in groups.items()]
+    return message
+
+
+def _status(estimate: Estimate, group: str, indices: Sequence[int]) -> DiagnosticStatus:
+    status = DiagnosticStatus(name=group, hardware_id=estimate.model, level=DiagnosticStatus.OK)
+    status.message = "physically possible"
+    if group not in estimate.consistent:
+        status.message = "joint friction"
+    elif not estimate.consistent[group]:
+        status.level = DiagnosticStatus.WARN
+        status.message = "physically impossible: no mass density has these parameters"
+    for index in indices:
+        key = estimate.names[index].rsplit("/", 1)[1]
+        status.values.append(KeyValue(key=key, value=repr(float(estimate.value[index]))))
+        if estimate.std is not None:
+            deviation = repr(float(estimate.std[index]))
+            status.values.append(KeyValue(key=f"{key}/std", value=deviation))
+    return status
+
+
+def health_message(estimate: Estimate, node: str, stamp: Time) -> DiagnosticArray:
+    """Return the identifier's own state for /diagnostics."""
+    impossible = [link for link, possible in estimate.consistent.items() if not possible]
+    status = DiagnosticStatus(name=f"{node}: estimate", hardware_id=estimate.model)
+    status.level = DiagnosticStatus.WARN if impossible else DiagnosticStatus.OK
+    status.message = (
+        f"physically impossible: {', '.join(impossible)}" if impossible else "estimate published"
+    )
+    facts = {
+        "method": estimate.method,
+        "samples": str(estimate.samples),
+        "rank": str(estimate.rank),
+        "condition": f"{estimate.condition:.6g}",
+    }
+    status.values = [KeyValue(key=key, value=value) for key, value in facts.items()]
+    message = DiagnosticArray(status=[status])
+    message.header.stamp = stamp
+    return message
+
+
+def effort_residual_message(estimate: Estimate, stamp: Time) -> JointState:
+    """Return the root mean square of each joint's effort residual, Nm or N."""
+    message = JointState()
+    message.header.stamp = stamp
+    joints = {name: rmse for name, rmse in estimate.residual_rmse.items() if "base/" not in name}
+    message.name, message.effort = list(joints), list(joints.values())
+    return message
+
+
+def wrench_residual_message(estimate: Estimate, base: str, stamp: Time) -> WrenchStamped | None:
+    """Return the root mean square of the base's wrench residual; None for a fixed base."""
+    residual = estimate.residual_rmse
+    if "base/force_x" not in residual:
+        return None
+    message = WrenchStamped()
+    message.header.stamp, message.header.frame_id = stamp, base
+    for axis in "xyz":
+        setattr(message.wrench.torque, axis, residual[f"base/moment_{axis}"])
+        setattr(message.wrench.force, axis, residual[f"base/force_{axis}"])
+    return message
