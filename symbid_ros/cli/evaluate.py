@@ -30,7 +30,8 @@ def evaluate(
 
     robot = load_model(model, base)
     parameters, values = load_subject(subject, robot)
-    metrics = asdict(judge(parameters, values, parameters.values, read_true_motion(bag, robot)))
+    motion = read_true_motion(bag, robot)
+    metrics = asdict(judge(parameters, {"it": values}, parameters.values, motion)["it"])
     if json_file is not None:
         write_text(json_file, json.dumps(metrics, indent=1) + "\n")
     table = Table(show_header=False)

@@ -1,14 +1,14 @@
 """The base's motion, from an IMU mounted anywhere on the tree (REP-145)."""
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.kinematics import joint_axes, link_motion
-from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import cross, rotate
-from symbid_ros.model.tree import RobotModel
+from symbid_ros.dynamics.joints import JointTable
+from symbid_ros.dynamics.kinematics import Posture, link_motion, link_velocity
+from symbid_ros.dynamics.spatial import component_first, cross, passes, turn
+from symbid_ros.model.tree import Frame, RobotModel
 
 
 @dataclass(frozen=True)
@@ -50,50 +50,77 @@ def base_motion(
         lever arm's part ω̇×r + ω×(ω×r) + 2ω×ṙ.
     """
     frame = model.frame(frame_name)
-    relative = _motion_with_base_at_rest(model, joints)
-    motion = link_motion(model, relative)
-    link_axes = motion.poses.rotation[:, frame.link]
-    to_base = link_axes @ frame.rotation
-    omega = rotate(link_axes, motion.angular_velocity[:, frame.link])
-    alpha = rotate(link_axes, motion.angular_acceleration[:, frame.link])
-    lever = rotate(link_axes, frame.translation)
-    arm = motion.poses.position[:, frame.link] + lever
-    acceleration = (
-        rotate(link_axes, motion.specific_force[:, frame.link])
-        + cross(alpha, lever)
-        + cross(omega, cross(omega, lever))
-    )
-    axes = joint_axes(model, motion.poses)[:, model.ancestors[:, frame.link]]
-    rates = relative.velocity[:, model.ancestors[:, frame.link]]
-    twist = np.einsum("njc,nj->nc", axes, rates)
-    velocity = twist[:, 3:] + cross(twist[:, :3], arm)
+    above = np.flatnonzero(model.ancestors[:, frame.link])
+    # Only the joints between base and IMU matter; alone they are a serial chain.
+    table = JointTable.of([replace(model.joints[j], parent=k) for k, j in enumerate(above)])
+    base = np.empty((3, 3, len(joints[0])))
+    for part in passes(len(joints[0]), len(table) + 1):
+        position, velocity, acceleration = (
+            component_first(rates[part][:, above]) for rates in joints
+        )
+        imu_mount = _imu_with_base_at_rest(table, frame, (position, velocity, acceleration))
+        base[:, :, part] = _less_mount(
+            imu_mount, *(component_first(reading[part]) for reading in astuple(imu))
+        )
+    return BaseMotion(*(motion.T for motion in base))
 
-    base_omega = rotate(to_base, imu.angular_velocity) - omega
-    base_alpha = rotate(to_base, imu.angular_acceleration) - alpha - cross(base_omega, omega)
+
+@dataclass(frozen=True)
+class _Mount:
+    """The IMU's frame seen from a base at rest, (3, ..., N), in base axes.
+
+    Attributes
+    ----------
+    rotation : (3, 3, N) float64
+        From IMU axes to base axes.
+    arm, velocity, acceleration : (3, N) float64
+        Position of the IMU in m and its derivatives.
+    omega, alpha : (3, N) float64
+        Its angular velocity and acceleration.
+    """
+
+    rotation: FloatArray
+    arm: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    omega: FloatArray
+    alpha: FloatArray
+
+
+def _imu_with_base_at_rest(
+    table: JointTable, frame: Frame, joints: tuple[FloatArray, FloatArray, FloatArray]
+) -> _Mount:
+    """Return how joint positions, velocities and accelerations (J, N) alone move the IMU."""
+    position, velocity, acceleration = joints
+    posture = Posture.at(table, position)
+    rest = np.zeros((3, position.shape[1]))
+    motion = link_motion(posture, velocity, acceleration, (rest, rest, rest))
+    _, linear = link_velocity(posture, velocity, rest, rest)
+    omega, alpha = motion.angular_velocity[:, -1], motion.angular_acceleration[:, -1]
+    link_axes = posture.rotation[:, :, -1]
+    lever = turn(link_axes, frame.translation[:, None])
+    swing = cross(omega, lever)
+    return _Mount(
+        rotation=np.einsum("ikn,kj->ijn", link_axes, frame.rotation),
+        arm=posture.position[:, -1] + lever,
+        velocity=linear[:, -1] + swing,
+        acceleration=motion.specific_force[:, -1] + cross(alpha, lever) + cross(omega, swing),
+        omega=omega,
+        alpha=alpha,
+    )
+
+
+def _less_mount(
+    mount: _Mount, omega: FloatArray, alpha: FloatArray, force: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the base's three (3, N) behind the IMU's readings (3, N), in IMU axes."""
+    base_omega = turn(mount.rotation, omega) - mount.omega
+    base_alpha = turn(mount.rotation, alpha) - mount.alpha - cross(base_omega, mount.omega)
+    swing = cross(base_omega, mount.arm) + 2 * mount.velocity
     base_force = (
-        rotate(to_base, imu.specific_force)
-        - acceleration
-        - cross(base_alpha, arm)
-        - cross(base_omega, cross(base_omega, arm))
-        - 2 * cross(base_omega, velocity)
+        turn(mount.rotation, force)
+        - mount.acceleration
+        - cross(base_alpha, mount.arm)
+        - cross(base_omega, swing)
     )
-    return BaseMotion(base_omega, base_alpha, base_force)
-
-
-def _motion_with_base_at_rest(
-    model: RobotModel, joints: tuple[FloatArray, FloatArray, FloatArray]
-) -> Samples:
-    count = len(joints[0])
-    nothing = np.zeros((count, 3))
-    return Samples(
-        stamp=np.zeros(count, dtype=np.int64),
-        position=joints[0],
-        velocity=joints[1],
-        acceleration=joints[2],
-        effort=np.zeros((count, len(model.joints))),
-        base_angular_velocity=nothing,
-        base_angular_acceleration=nothing,
-        base_specific_force=nothing,
-        wrenches=np.zeros((count, 0, 6)),
-        wrench_frames=(),
-    )
+    return base_omega, base_alpha, base_force

@@ -1,7 +1,9 @@
 """Forward kinematics of a block of samples, with no world in it.
 
 The base's specific force already holds gravity, so positions, velocities and the
-gravity direction in the world never appear (Featherstone 2008, §5.3, for trees).
+gravity direction in the world never appear (Featherstone 2008, §5.3, for trees). All
+vectors are in base axes: there each link's motion is the base's plus a sum over the joints
+on the way to it, and only the rotations are left to chain.
 """
 
 from dataclasses import dataclass
@@ -9,14 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import axis_rotations, cross, rotate, rotate_back
-from symbid_ros.model.tree import Joint, RobotModel
+from symbid_ros.dynamics.joints import JointTable
+from symbid_ros.dynamics.spatial import component_first, cross, sample_first, skew, turn
+from symbid_ros.model.tree import RobotModel
 
 
 @dataclass(frozen=True)
 class LinkPoses:
     """Poses of L links relative to the base, for N samples.
+
+    The arrays of :func:`link_poses` are views whose memory runs along the samples.
 
     Attributes
     ----------
@@ -31,84 +35,97 @@ class LinkPoses:
 
 
 @dataclass(frozen=True)
-class LinkMotion:
-    """Motion of L links for N samples, each in its own link's axes.
+class Posture:
+    """Links and joints of N samples in base axes, component first.
 
     Attributes
     ----------
-    poses : LinkPoses
-        Where the links are.
-    angular_velocity, angular_acceleration : (N, L, 3) float64
-        rad/s and rad/s².
-    specific_force : (N, L, 3) float64
-        Acceleration of the link's origin minus gravity, m/s².
+    joints : JointTable
+        The J joints.
+    pose : (3, 4, L, N) float64
+        Rotations from link axes to base axes, then the link origins in m.
+    axis : (3, J, N) float64
+        Unit vectors of the joints.
+    lever : (3, J, N) float64
+        From the parent's origin to the child's, m.
     """
 
-    poses: LinkPoses
+    joints: JointTable
+    pose: FloatArray
+    axis: FloatArray
+    lever: FloatArray
+
+    @classmethod
+    def at(cls, joints: JointTable, position: FloatArray) -> "Posture":
+        """Place the links at joint positions (J, N)."""
+        count = position.shape[1]
+        pose = np.empty((3, 4, len(joints) + 1, count))
+        pose[:, :, 0] = np.eye(3, 4)[..., None]
+        for child, (parent, placed) in enumerate(
+            zip(joints.parent.tolist(), joints.poses(position), strict=True), start=1
+        ):
+            np.einsum("ikn,kjn->ijn", pose[:, :3, parent], placed, out=pose[:, :, child])
+        # So far the last column holds levers; their sum along the path is the origin.
+        lever = pose[:, 3, 1:].copy()
+        pose[:, 3] = joints.along_path(np.zeros((3, count)), lever)
+        return cls(joints, pose, _directions(joints, pose), lever)
+
+    @classmethod
+    def of(cls, joints: JointTable, poses: LinkPoses) -> "Posture":
+        """Take the links as placed by :func:`link_poses`."""
+        origin = component_first(poses.position)
+        pose = np.concatenate([component_first(poses.rotation), origin[:, None]], axis=1)
+        return cls(
+            joints, pose, _directions(joints, pose), origin[:, 1:] - origin[:, joints.parent]
+        )
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3, L, N) rotations from link axes to base axes."""
+        return self.pose[:, :3]
+
+    @property
+    def position(self) -> FloatArray:
+        """(3, L, N) link origins, m."""
+        return self.pose[:, 3]
+
+    @property
+    def poses(self) -> LinkPoses:
+        """The links' poses, sample first."""
+        return LinkPoses(sample_first(self.rotation), sample_first(self.position))
+
+    @property
+    def motion_axes(self) -> FloatArray:
+        """(6, J, N) joint axes about the base's origin, angular part first."""
+        slides = self.joints.slides
+        axes = np.concatenate([self.axis, cross(self.position[:, 1:], self.axis)])
+        axes[:3, slides], axes[3:, slides] = 0.0, self.axis[:, slides]
+        return axes
+
+
+@dataclass(frozen=True)
+class LinkMotion:
+    """Motion of L links for N samples, component first, in base axes.
+
+    Attributes
+    ----------
+    angular_velocity, angular_acceleration : (3, L, N) float64
+        ω in rad/s and ω̇ in rad/s².
+    specific_force : (3, L, N) float64
+        Acceleration of the link's origin minus gravity, m/s².
+    lever_acceleration : (3, 3, L, N) float64
+        S(ω̇) + S(ω)², which takes a vector fixed to the link to its second derivative.
+    """
+
     angular_velocity: FloatArray
     angular_acceleration: FloatArray
     specific_force: FloatArray
-
-
-def joint_pose(joint: Joint, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return rotation (N, 3, 3) and translation (N, 3) of the child in the parent.
-
-    ``position`` (N,) is the joint's position, rad or m.
-    """
-    displacement = position - joint.reference
-    if joint.kind == "revolute":
-        rotation = joint.rotation @ axis_rotations(joint.axis, displacement)
-        return rotation, np.broadcast_to(joint.translation, (len(position), 3))
-    shift = displacement[:, None] * (joint.rotation @ joint.axis)
-    return np.broadcast_to(joint.rotation, (len(position), 3, 3)), joint.translation + shift
+    lever_acceleration: FloatArray
 
 
 def link_poses(model: RobotModel, position: FloatArray) -> LinkPoses:
     """Return the poses of all links at joint positions (N, J)."""
-    return _chained(model, joint_poses(model, position), len(position))
-
-
-def joint_poses(model: RobotModel, position: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    """Return :func:`joint_pose` of every joint at joint positions (N, J)."""
-    return [joint_pose(joint, position[:, index]) for index, joint in enumerate(model.joints)]
-
-
-def _chained(
-    model: RobotModel, transforms: list[tuple[FloatArray, FloatArray]], count: int
-) -> LinkPoses:
-    rotation = np.empty((count, len(model.links), 3, 3))
-    origin = np.empty((count, len(model.links), 3))
-    rotation[:, 0], origin[:, 0] = np.eye(3), 0.0
-    for index, (joint, (turn, shift)) in enumerate(zip(model.joints, transforms, strict=True)):
-        rotation[:, index + 1] = rotation[:, joint.parent] @ turn
-        origin[:, index + 1] = origin[:, joint.parent] + rotate(rotation[:, joint.parent], shift)
-    return LinkPoses(rotation, origin)
-
-
-def link_motion(model: RobotModel, samples: Samples) -> LinkMotion:
-    """Propagate the base's motion outwards to every link."""
-    shape = (len(samples), len(model.links), 3)
-    omega, alpha, force = np.empty(shape), np.empty(shape), np.empty(shape)
-    omega[:, 0] = samples.base_angular_velocity
-    alpha[:, 0] = samples.base_angular_acceleration
-    force[:, 0] = samples.base_specific_force
-    transforms = joint_poses(model, samples.position)
-    for index, (joint, (turn, shift)) in enumerate(zip(model.joints, transforms, strict=True)):
-        parent, child = joint.parent, index + 1
-        rate = samples.velocity[:, index, None] * joint.axis
-        change = samples.acceleration[:, index, None] * joint.axis
-        w, a = omega[:, parent], alpha[:, parent]
-        at_child = force[:, parent] + cross(a, shift) + cross(w, cross(w, shift))
-        omega[:, child] = w = rotate_back(turn, w)
-        alpha[:, child] = rotate_back(turn, a)
-        force[:, child] = rotate_back(turn, at_child)
-        if joint.kind == "revolute":
-            alpha[:, child] += change + cross(w, rate)
-            omega[:, child] += rate
-        else:
-            force[:, child] += change + 2 * cross(w, rate)
-    poses = _chained(model, transforms, len(samples))
-    return LinkMotion(poses, omega, alpha, force)
+    return Posture.at(JointTable.of(model.joints), component_first(position)).poses
 
 
 def joint_axes(model: RobotModel, poses: LinkPoses) -> FloatArray:
@@ -116,12 +133,49 @@ def joint_axes(model: RobotModel, poses: LinkPoses) -> FloatArray:
 
     Angular part first: the base-frame columns of the geometric Jacobian.
     """
-    axes = np.zeros((len(poses.rotation), len(model.joints), 6))
-    for index, joint in enumerate(model.joints):
-        direction = rotate(poses.rotation[:, index + 1], joint.axis)
-        if joint.kind == "revolute":
-            axes[:, index, :3] = direction
-            axes[:, index, 3:] = cross(poses.position[:, index + 1], direction)
-        else:
-            axes[:, index, 3:] = direction
-    return axes
+    return sample_first(Posture.of(JointTable.of(model.joints), poses).motion_axes)
+
+
+def link_motion(
+    posture: Posture,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    base: tuple[FloatArray, FloatArray, FloatArray],
+) -> LinkMotion:
+    """Propagate the base's ω, ω̇ and specific force, (3, N), outwards at joint rates (J, N)."""
+    joints, axis = posture.joints, posture.axis
+    spin = axis * (velocity * joints.turns)
+    omega = joints.along_path(base[0], spin)
+    w = omega[:, joints.parent]
+    change = axis * (acceleration * joints.turns)
+    change += cross(w, spin)
+    alpha = joints.along_path(base[1], change)
+    lever_acceleration = omega[:, None] * omega
+    square = lever_acceleration[[0, 1, 2], [0, 1, 2]].sum(axis=0)
+    lever_acceleration[[0, 1, 2], [0, 1, 2]] -= square
+    lever_acceleration += skew(alpha)
+    step = turn(lever_acceleration[:, :, joints.parent], posture.lever)
+    for j in joints.slides:
+        step[:, j] += axis[:, j] * acceleration[j] + 2 * cross(w[:, j], axis[:, j] * velocity[j])
+    force = joints.along_path(base[2], step)
+    return LinkMotion(omega, alpha, force, lever_acceleration)
+
+
+def link_velocity(
+    posture: Posture, velocity: FloatArray, base_angular: FloatArray, base_linear: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return angular and linear velocities (3, L, N) of the link origins, in base axes.
+
+    The base's own are (3, N), the joints' (J, N).
+    """
+    joints, axis = posture.joints, posture.axis
+    omega = joints.along_path(base_angular, axis * (velocity * joints.turns))
+    step = cross(omega[:, joints.parent], posture.lever)
+    for j in joints.slides:
+        step[:, j] += axis[:, j] * velocity[j]
+    return omega, joints.along_path(base_linear, step)
+
+
+def _directions(joints: JointTable, pose: FloatArray) -> FloatArray:
+    directions: FloatArray = np.einsum("ikjn,kj->ijn", pose[:, :3, 1:], joints.axis)
+    return directions

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.kinematics import LinkMotion, LinkPoses, joint_axes, link_motion
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.dynamics.body_integrals import body_integrals
+from symbid_ros.dynamics.joints import JointTable
+from symbid_ros.dynamics.kinematics import LinkPoses, Posture, link_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import cross, inertia_action, rotate, skew
+from symbid_ros.dynamics.spatial import component_first, cross, passes, sample_first
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
@@ -33,48 +35,97 @@ class Rows:
 def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     """Return the rows of K φ = y for a block of samples."""
     model = parameters.model
-    motion = link_motion(model, samples)
-    axes = joint_axes(model, motion.poses)
+    first_joint = 6 * model.floating
+    joints, branches = JointTable.of(model.joints), _branches(parameters)
     K = np.zeros((len(samples), model.dof, len(parameters)))
-    _fill_inertial(K, parameters, motion, axes)
+    y = np.empty((len(samples), model.dof))
+    for part in passes(len(samples), len(model.links)):
+        block = samples[part]
+        posture = Posture.at(joints, component_first(block.position))
+        axes = posture.motion_axes
+        wrenches = _link_wrenches(parameters, posture, block)
+        if model.floating:
+            K[part, :6, : parameters.inertial] = wrenches
+        _project(K[part, first_joint:], branches, axes, wrenches)
+        y[part] = generalised_force(model, block, posture.poses, sample_first(axes))
     if parameters.friction:
         _fill_friction(K, parameters, samples.velocity)
-    return Rows(K, generalised_force(model, samples, motion.poses, axes))
+    return Rows(K, y)
 
 
-def _fill_inertial(
-    K: FloatArray, parameters: ParameterSet, motion: LinkMotion, axes: FloatArray
-) -> None:
-    """Write Eq. 10 for every link: its wrench at the base, seen by each joint below it."""
-    model = parameters.model
-    first_joint = 6 * model.floating
-    for position, link in enumerate(parameters.links):
-        columns = slice(10 * position, 10 * position + 10)
-        wrench = _link_wrench_at_base(motion, int(link))
-        if model.floating:
-            K[:, :6, columns] = wrench
-        above = np.flatnonzero(model.ancestors[:, link])
-        K[:, first_joint + above, columns] = axes[:, above] @ wrench
+def _link_wrenches(parameters: ParameterSet, posture: Posture, samples: Samples) -> FloatArray:
+    """Return bX_l^F A_l (N, 6, p), Eq. 11 and 14: the links' wrenches per unit parameter."""
+    base = (
+        component_first(samples.base_angular_velocity),
+        component_first(samples.base_angular_acceleration),
+        component_first(samples.base_specific_force),
+    )
+    motion = link_motion(
+        posture, component_first(samples.velocity), component_first(samples.acceleration), base
+    )
+    pose_acceleration = np.empty_like(posture.pose)
+    np.einsum(
+        "ikln,kjln->ijln",
+        motion.lever_acceleration,
+        posture.rotation,
+        out=pose_acceleration[:, :3],
+    )
+    pose_acceleration[:, 3] = motion.specific_force
+    return body_integrals(parameters, posture.pose, pose_acceleration)
 
 
-def _link_wrench_at_base(motion: LinkMotion, link: int) -> FloatArray:
-    """Return bX_l^F A_l (N, 6, 10), Eq. 11 and 14: a link's wrench per unit parameter.
+@dataclass(frozen=True)
+class _Branch:
+    """Joint rows and parameter columns of what hangs on one joint of the base.
 
-    The moment block of m·c is -S(p̈), not the thesis's -S(ṗ) of Eq. 2.38.
+    ``gaps`` are the stretches among them where a joint does not carry a link.
     """
-    omega, alpha = motion.angular_velocity[:, link], motion.angular_acceleration[:, link]
-    force = motion.specific_force[:, link]
-    spin = skew(omega)
-    A = np.zeros((len(omega), 6, 10))
-    A[:, :3, 1:4] = -skew(force)
-    A[:, :3, 4:] = inertia_action(alpha) + spin @ inertia_action(omega)
-    A[:, 3:, 0] = force
-    A[:, 3:, 1:4] = skew(alpha) + spin @ spin
-    rotation, position = motion.poses.rotation[:, link], motion.poses.position[:, link]
-    at_base = np.empty_like(A)
-    at_base[:, 3:] = rotation @ A[:, 3:]
-    at_base[:, :3] = rotation @ A[:, :3] + skew(position) @ at_base[:, 3:]
-    return at_base
+
+    rows: slice
+    columns: slice
+    gaps: tuple[tuple[int, slice], ...]
+
+
+def _branches(parameters: ParameterSet) -> list[_Branch]:
+    """Return the branches: one leg's joints feel no other leg."""
+    model = parameters.model
+    carries = np.repeat(model.ancestors[:, parameters.links], 10, axis=1)
+    branches = []
+    for root, joint in enumerate(model.joints):
+        if joint.parent != 0:
+            continue
+        rows = _hull(model.ancestors[root, 1:])
+        columns = _hull(carries[root])
+        branches.append(_Branch(rows, columns, _gaps(carries, rows, columns)))
+    return branches
+
+
+def _project(
+    K: FloatArray, branches: list[_Branch], axes: FloatArray, wrenches: FloatArray
+) -> None:
+    """Write Eq. 10's joint rows (N, J, p): a link's wrench as each joint below it feels it."""
+    axes = np.ascontiguousarray(sample_first(axes))
+    for branch in branches:
+        rows, columns = branch.rows, branch.columns
+        np.matmul(axes[:, rows], wrenches[:, :, columns], out=K[:, rows, columns])
+        for row, gap in branch.gaps:
+            K[:, row, gap] = 0.0
+
+
+def _hull(mask: BoolArray) -> slice:
+    """Return the shortest slice with every True of a mask (m,)."""
+    found = np.flatnonzero(mask)
+    return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
+
+
+def _gaps(carries: BoolArray, rows: slice, columns: slice) -> tuple[tuple[int, slice], ...]:
+    """Return row and columns of the stretches of False in a part of a table (J, p)."""
+    edges = np.diff(~carries[rows, columns], axis=1, prepend=False, append=False)
+    places = np.add(np.argwhere(edges), (rows.start, columns.start)).tolist()
+    return tuple(
+        (row, slice(start, stop))
+        for (row, start), (_, stop) in zip(places[::2], places[1::2], strict=True)
+    )
 
 
 def _fill_friction(K: FloatArray, parameters: ParameterSet, velocity: FloatArray) -> None:
@@ -102,28 +153,29 @@ def generalised_force(
         From :func:`symbid_ros.dynamics.kinematics.joint_axes`.
     """
     first_joint = 6 * model.floating
-    y = np.zeros((len(samples), model.dof))
-    y[:, first_joint:] = samples.effort
-    at_base = wrenches_at_base(model, samples.wrenches, samples.wrench_frames, poses)
-    for sensor, name in enumerate(samples.wrench_frames):
-        if model.floating:
-            y[:, :6] += at_base[:, sensor]
-        above = np.flatnonzero(model.ancestors[:, model.frame(name).link])
-        y[:, first_joint + above] += (axes[:, above] @ at_base[:, sensor, :, None])[..., 0]
-    return y
+    frames = samples.wrench_frames
+    at_base = component_first(wrenches_at_base(model, samples.wrenches, frames, poses))
+    carries = model.ancestors[:, [model.frame(name).link for name in frames]]
+    y = np.empty((model.dof, len(samples)))
+    y[first_joint:] = component_first(samples.effort)
+    y[first_joint:] += np.einsum("cjn,cjn->jn", component_first(axes), carries @ at_base)
+    if model.floating:
+        y[:6] = at_base.sum(axis=1)
+    return y.T
 
 
 def wrenches_at_base(
     model: RobotModel, wrenches: FloatArray, frames: Sequence[str], poses: LinkPoses
 ) -> FloatArray:
     """Return wrenches (N, F, 6) of sensor frames moved to the base's axes and origin."""
-    at_base = np.empty_like(wrenches)
-    for sensor, name in enumerate(frames):
-        frame = model.frame(name)
-        to_base = poses.rotation[:, frame.link]
-        rotation = to_base @ frame.rotation
-        origin = poses.position[:, frame.link] + rotate(to_base, frame.translation)
-        force = rotate(rotation, wrenches[:, sensor, 3:])
-        at_base[:, sensor, 3:] = force
-        at_base[:, sensor, :3] = rotate(rotation, wrenches[:, sensor, :3]) + cross(origin, force)
-    return at_base
+    mounts = [model.frame(name) for name in frames]
+    links = [mount.link for mount in mounts]
+    mount_rotation = np.array([mount.rotation for mount in mounts]).reshape(-1, 3, 3)
+    lever = np.array([mount.translation for mount in mounts]).reshape(-1, 3).T
+    in_sensor = component_first(wrenches).reshape(2, 3, len(frames), len(wrenches))
+    in_link = np.einsum("fij,kjfn->kifn", mount_rotation, in_sensor)
+    in_link[0] += cross(lever[:, :, None], in_link[1])
+    rotation, position = poses.rotation[:, links], poses.position[:, links]
+    at_base = np.einsum("ijfn,kjfn->kifn", component_first(rotation), in_link)
+    at_base[0] += cross(component_first(position), at_base[1])
+    return sample_first(at_base.reshape(6, len(frames), len(wrenches)))

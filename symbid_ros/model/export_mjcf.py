@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.model.export_urdf import numbers
+from symbid_ros.model.export_urdf import annotate, numbers
 from symbid_ros.model.inertia import com_from_phi, transform_phi
 from symbid_ros.model.rotation import quaternion_from_rotation
 from symbid_ros.model.tree import RobotModel
@@ -15,7 +15,9 @@ from symbid_ros.model.tree import RobotModel
 _COMPILER_OVERRIDES = ("balanceinertia", "boundinertia", "boundmass", "settotalmass")
 
 
-def mjcf_text(model: RobotModel, source: Path | None = None, folder: Path = Path()) -> str:
+def mjcf_text(
+    model: RobotModel, source: Path | None = None, folder: Path = Path(), *, comment: str = ""
+) -> str:
     """Return the robot as MJCF text.
 
     Parameters
@@ -28,11 +30,13 @@ def mjcf_text(model: RobotModel, source: Path | None = None, folder: Path = Path
         Without it, or when it includes other files, a bare tree is written.
     folder : Path
         Where the text will be saved, so that relative mesh folders still hold.
+    comment : str
+        What to say at the top of the file.
     """
     root = None if source is None else _patched(model, source, folder)
     if root is None:
         root = _bare(model)
-    ET.indent(root)
+    annotate(root, comment)
     return ET.tostring(root, encoding="unicode") + "\n"
 
 

@@ -15,7 +15,7 @@ from symbid_ros.model.tree import Joint, RobotModel
 _UNLIMITED = 1e9
 
 
-def urdf_text(model: RobotModel, source: Path | None = None) -> str:
+def urdf_text(model: RobotModel, source: Path | None = None, *, comment: str = "") -> str:
     """Return the robot as URDF text.
 
     Parameters
@@ -26,9 +26,11 @@ def urdf_text(model: RobotModel, source: Path | None = None) -> str:
         The URDF that ``model`` was loaded from. Everything in it but the inertias is
         kept. A link welded to another lends its inertia to the link that moves,
         so its own ``<inertial>`` is taken out. Without it a bare tree is written.
+    comment : str
+        What to say at the top of the file.
     """
     robot = _bare(model) if source is None else _patched(model, source)
-    ET.indent(robot)
+    annotate(robot, comment)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
@@ -134,6 +136,13 @@ def _inertial(phi: FloatArray) -> ET.Element:
     }
     ET.SubElement(element, "inertia", products)
     return element
+
+
+def annotate(root: ET.Element, comment: str) -> None:
+    """Lay the XML out for reading, with ``comment`` (if any) as its first child."""
+    if comment:
+        root.insert(0, ET.Comment(f" {comment.replace('--', '- -')} "))
+    ET.indent(root)
 
 
 def numbers(values: Iterable[float]) -> str:

@@ -23,14 +23,26 @@ def load_model(path: Path, base: Base = "auto") -> RobotModel:
     ModelError
         When the file cannot be read as either.
     """
-    try:
-        head = path.read_bytes()[:65536]
-    except OSError as error:
-        raise ModelError(
-            f"{path}: cannot read the model ({error.strerror}); check the path"
-        ) from None
-    if b"<mujoco" not in head or b"<robot" in head:
+    if not is_mjcf(path):
         return load_urdf(path, base)
     if base != "auto":
         raise ModelError(f"{path}: an MJCF says itself whether its base floats; drop --base {base}")
     return load_mjcf(path)
+
+
+def is_mjcf(path: Path) -> bool:
+    """Tell an MJCF from a URDF (which may hold a <mujoco> extension of its own).
+
+    Raises
+    ------
+    ModelError
+        When the file cannot be read.
+    """
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(65536)
+    except OSError as error:
+        raise ModelError(
+            f"{path}: cannot read the model ({error.strerror}); check the path"
+        ) from None
+    return b"<mujoco" in head and b"<robot" not in head

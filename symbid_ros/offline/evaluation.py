@@ -1,16 +1,16 @@
 """An estimate judged against the truth of a simulated bag, as the thesis does."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.bags.reader import read_streams, read_truth
-from symbid_ros.dynamics.centroid import centroidal_momentum, com_position
-from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regressor
+from symbid_ros.dynamics.kinematics import joint_axes, link_poses
+from symbid_ros.dynamics.regressor import equation_of_motion, generalised_force
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import rotate, rotate_back
 from symbid_ros.errors import BagError
@@ -20,7 +20,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import joint_columns
 from symbid_ros.signals.streams import Streams, TruthStreams
 
-BLOCK = 4096
+BLOCK = 1024
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,12 @@ class TrueMotion:
     samples: Samples
     base_velocity: FloatArray
     base_rotation: FloatArray
+
+    def blocks(self) -> Iterator[tuple[Samples, FloatArray, FloatArray]]:
+        """Yield consecutive blocks of samples, velocities and rotations."""
+        for start in range(0, len(self.samples), BLOCK):
+            part = slice(start, start + BLOCK)
+            yield self.samples[part], self.base_velocity[part], self.base_rotation[part]
 
 
 @dataclass(frozen=True)
@@ -120,44 +126,67 @@ def _at(
 
 def predict(parameters: ParameterSet, values: FloatArray, motion: TrueMotion) -> Prediction:
     """Return what the parameters (p,) predict along the motion."""
-    forces, momenta = [], []
-    velocities = iter(np.split(motion.base_velocity, range(BLOCK, len(motion.samples), BLOCK)))
-    for block in motion.samples.blocks(BLOCK):
-        forces.append(equation_of_motion(parameters, block).K @ values)
-        momenta.append(centroidal_momentum(parameters, values, block, next(velocities)))
-    momentum = np.concatenate(momenta).reshape(-1, 2, 3)
-    poses = link_poses(parameters.model, motion.samples.position)
+    parts = [_Block(parameters, *block).predict(values) for block in motion.blocks()]
     return Prediction(
-        gen_force=np.concatenate(forces),
-        com=com_position(parameters, values, poses),
-        momentum=rotate(motion.base_rotation[:, None], momentum).reshape(-1, 6),
-    )
-
-
-def measured_force(parameters: ParameterSet, motion: TrueMotion) -> FloatArray:
-    """Return y (N, n), the true generalised force along the motion."""
-    return np.concatenate(
-        [equation_of_motion(parameters, block).y for block in motion.samples.blocks(BLOCK)]
+        *(
+            np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(Prediction)
+        )
     )
 
 
 def evaluate(
-    parameters: ParameterSet, values: FloatArray, truth: FloatArray, motion: TrueMotion
-) -> Metrics:
-    """Return the five metrics of parameters (p,) against the true ones (p,).
+    parameters: ParameterSet,
+    candidates: Mapping[str, FloatArray],
+    truth: FloatArray,
+    motion: TrueMotion,
+) -> dict[str, Metrics]:
+    """Return the five metrics of several parameter vectors (p,) against the true one (p,).
 
     Forces are compared with those of the bag, everything else with the true model.
     """
-    predicted, true = predict(parameters, values, motion), predict(parameters, truth, motion)
-    error = predicted.gen_force - measured_force(parameters, motion)
     first_joint = 6 * parameters.model.floating
-    return Metrics(
-        gen_force_rmse=_rmse(error),
-        torque_rmse=_rmse(error[:, first_joint:]),
-        com_position_rmse_mm=1e3 * _rmse(predicted.com - true.com),
-        com_momentum_rmse=_rmse(predicted.momentum - true.momentum),
-        parameter_error_pct=parameter_error(parameters, values, truth),
-    )
+    squares = {label: np.zeros(4) for label in candidates}
+    for block in motion.blocks():
+        prepared = _Block(parameters, *block)
+        true = prepared.predict(truth)
+        for label, values in candidates.items():
+            predicted = prepared.predict(values)
+            force = predicted.gen_force - prepared.rows.y
+            errors = (
+                force,
+                force[:, first_joint:],
+                1e3 * (predicted.com - true.com),
+                predicted.momentum - true.momentum,
+            )
+            squares[label] += [np.sum(error**2) for error in errors]
+    metrics = {}
+    for label, values in candidates.items():
+        force, torque, com, momentum = np.sqrt(squares[label] / len(motion.samples)).tolist()
+        error = parameter_error(parameters, values, truth)
+        metrics[label] = Metrics(force, torque, com, momentum, error)
+    return metrics
+
+
+class _Block:
+    """A block of a true motion with all that is linear in the parameters worked out once."""
+
+    def __init__(
+        self, parameters: ParameterSet, samples: Samples, velocity: FloatArray, rotation: FloatArray
+    ) -> None:
+        self.parameters, self.rotation = parameters, rotation
+        self.rows = equation_of_motion(parameters, samples)
+        self.poses = link_poses(parameters.model, samples.position)
+        self.momentum = momentum_regressor(parameters, samples, velocity, self.poses)
+
+    def predict(self, values: FloatArray) -> Prediction:
+        com = com_position(self.parameters, values, self.poses)
+        momentum = centroidal(self.momentum @ values, com).reshape(-1, 2, 3)
+        return Prediction(
+            gen_force=self.rows.K @ values,
+            com=com,
+            momentum=rotate(self.rotation[:, None], momentum).reshape(-1, 6),
+        )
 
 
 def parameter_error(parameters: ParameterSet, values: FloatArray, truth: FloatArray) -> float:
@@ -173,10 +202,14 @@ def link_errors(parameters: ParameterSet, values: FloatArray, truth: FloatArray)
     estimated, true = parameters.link_phi(values), parameters.link_phi(truth)
     used = true != 0
     error = np.divide(np.abs(estimated - true), np.abs(true), out=np.zeros(true.shape), where=used)
-    percent: FloatArray = 100 * error.sum(axis=1) / np.maximum(used.sum(axis=1), 1)
+    counted = used.sum(axis=1)
+    percent: FloatArray = np.full(len(true), np.nan)
+    percent[counted > 0] = 100 * error.sum(axis=1)[counted > 0] / counted[counted > 0]
     return percent
 
 
-def _rmse(error: FloatArray) -> float:
-    """Return sqrt(mean over samples of the squared norm) of an error (N, k)."""
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
+def environment_force(model: RobotModel, motion: TrueMotion) -> FloatArray:
+    """Return J_gᵀ f_e (N, n), what the measured wrenches contribute to each coordinate."""
+    samples = replace(motion.samples, effort=np.zeros_like(motion.samples.effort))
+    poses = link_poses(model, samples.position)
+    return generalised_force(model, samples, poses, joint_axes(model, poses))

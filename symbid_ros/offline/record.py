@@ -97,7 +97,7 @@ def check_weight(record: Record, parameters: ParameterSet, prior: Prior) -> None
         bags = ", ".join(map(str, record.bags))
         frames = ", ".join(record.samples.wrench_frames) or "none"
         raise DataError(
-            f"{bags}: the wrenches measured (frames: {frames}) differ by {100 * missing:.0f} % of the "
-            "prior's weight from what its motion needs; record the wrench of every contact, or name "
-            "the wrench topics yourself to go on with these"
+            f"{bags}: the wrenches measured (frames: {frames}) differ by {100 * missing:.0f} % of "
+            "the prior's weight from what the motion needs; record the wrench of every contact, or "
+            "name the wrench topics yourself to go on with these"
         )

@@ -8,9 +8,9 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import (
     TrueMotion,
+    environment_force,
     evaluate,
     link_errors,
-    measured_force,
     predict,
 )
 from symbid_ros.report.content import (
@@ -69,9 +69,12 @@ def compose(
     vectors |= {label: estimate.value for label, estimate in estimates.items()}
     if reference is not None:
         vectors[TRUTH] = reference.values
+    metrics: dict[str, dict[str, float]] = {}
+    if reference is not None:
+        judged = evaluate(parameters, vectors, reference.values, reference.motion)
+        metrics = {label: asdict(figures) for label, figures in judged.items()}
     methods = tuple(
-        MethodResult(label, estimates.get(label), _metrics(parameters, values, reference))
-        for label, values in vectors.items()
+        MethodResult(label, estimates.get(label), metrics.get(label)) for label in vectors
     )
     predictions, errors = None, None
     if reference is not None:
@@ -99,14 +102,6 @@ def compose(
     )
 
 
-def _metrics(
-    parameters: ParameterSet, values: FloatArray, reference: Reference | None
-) -> dict[str, float] | None:
-    if reference is None:
-        return None
-    return asdict(evaluate(parameters, values, reference.values, reference.motion))
-
-
 def _series(
     label: str, parameters: ParameterSet, values: FloatArray, motion: TrueMotion
 ) -> PredictionSeries:
@@ -114,7 +109,7 @@ def _series(
     samples = motion.samples
     first_joint = 6 * parameters.model.floating
     # The environment's share of each joint's load is measured; the motors owe the rest.
-    environment = measured_force(parameters, motion)[:, first_joint:] - samples.effort
+    environment = environment_force(parameters.model, motion)[:, first_joint:]
     return PredictionSeries(
         label=label,
         time=(samples.stamp - samples.stamp[0]) * 1e-9,

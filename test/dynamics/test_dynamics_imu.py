@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from random_robots import random_robot
 
-from symbid_ros.dynamics.centroid import centroidal_momentum, com_position
+from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regressor
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.samples import Samples
@@ -79,7 +79,8 @@ def test_centroidal_quantities_are_mujocos(seed):
     com = com_position(parameters, parameters.values, poses)[0]
     np.testing.assert_allclose(d.qpos[:3] + rotation @ com, d.subtree_com[1], atol=1e-13)
     velocity = (rotation.T @ d.qvel[:3])[None]
-    momentum = centroidal_momentum(parameters, parameters.values, samples, velocity)[0]
+    about_base = momentum_regressor(parameters, samples, velocity, poses) @ parameters.values
+    momentum = centroidal(about_base, com[None])[0]
     mujoco.mj_subtreeVel(state.m, d)
     mass = state.m.body_subtreemass[1]
     np.testing.assert_allclose(rotation @ momentum[3:], mass * d.subtree_linvel[1], atol=1e-12)

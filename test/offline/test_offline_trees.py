@@ -37,8 +37,9 @@ def test_any_tree_is_identified_from_its_bag(seed, floating, tmp_path):
     prepared = prepare(job)
     estimate = prepared.solve("wls_rc")
     motion = read_true_motion([tmp_path / "other"], truth.model)
-    found = evaluate(truth, estimate.value, truth.values, motion)
-    prior = evaluate(truth, prepared.prior.mean, truth.values, motion)
+    vectors = {"found": estimate.value, "prior": prepared.prior.mean}
+    metrics = evaluate(truth, vectors, truth.values, motion)
+    found, prior = metrics["found"], metrics["prior"]
     assert found.gen_force_rmse < 0.05 * prior.gen_force_rmse
     assert found.torque_rmse < 0.05 * prior.torque_rmse
     assert found.parameter_error_pct < prior.parameter_error_pct

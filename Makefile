@@ -1,0 +1,59 @@
+# make demo   the whole loop: simulate, record, identify, compare      (needs git, make, Python 3.11 or 3.12)
+# make test   every check
+# make setup  the environment alone, in .venv
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+# A sourced ROS installation would mix its libraries with those of the wheels in .venv.
+unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH
+unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE VIRTUAL_ENV
+# rclpy aborts where it finds neither HOME nor a place for its log.
+export ROS_LOG_DIR ?= $(CURDIR)/log/ros
+# The matrices are small: threads of BLAS only compete with the nodes for the cores.
+export OMP_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
+.PHONY: setup setup-dev demo test lint clean
+
+setup: $(VENV)/.installed
+
+setup-dev: $(VENV)/.installed-dev
+
+demo: setup
+	$(BIN)/symbid demo --overwrite
+
+test: lint
+	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+lint: setup-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+clean:
+	rm -rf $(VENV) build install log demo *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+
+# The interpreters are tried by running them: a shim can be there and fail.
+$(BIN)/python:
+	@for python in python3 python3.12 python3.11; do \
+	    if $$python -c 'import ensurepip, sys; sys.exit(sys.version_info[:2] not in ((3, 11), (3, 12)))' \
+	        >/dev/null 2>&1; then \
+	        echo "creating $(VENV) with $$($$python --version)"; \
+	        exec $$python -m venv --clear $(VENV); \
+	    fi; \
+	done; \
+	echo "make: no Python 3.11 or 3.12 with venv found; install python3.12 and python3.12-venv" >&2; \
+	exit 1
+
+# Most of what is installed is never imported: compiling it all would double the time.
+$(VENV)/.installed: requirements.txt setup.py setup.cfg | $(BIN)/python
+	$(PIP) install --quiet pip==26.3 setuptools==79.0.1
+	$(PIP) install --quiet --no-compile -r requirements.txt
+	PYTHONWARNINGS=ignore $(PIP) install --quiet --no-build-isolation --no-deps --editable .
+	@touch $@
+
+$(VENV)/.installed-dev: requirements-dev.txt $(VENV)/.installed
+	$(PIP) install --quiet --no-compile -r requirements-dev.txt
+	@touch $@

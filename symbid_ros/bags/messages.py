@@ -1,0 +1,213 @@
+"""The message types of a robot log: their layouts and how arrays fill them.
+
+Every ``fill_*`` writes the columns of a block of N records at once; vectors are
+(N, 3), joint arrays (N, J), stamps (N,) integer nanoseconds. With one record all of
+them may drop the first axis: the real-time path patches one record in place.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.bags.layout import Columns, Layout, Records, typestore
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+IMU = "sensor_msgs/msg/Imu"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+ODOMETRY = "nav_msgs/msg/Odometry"
+ACCEL = "geometry_msgs/msg/AccelStamped"
+CLOCK = "rosgraph_msgs/msg/Clock"
+
+NANO = 1_000_000_000
+
+
+def _message(msgtype: str, **fields: Any) -> Any:
+    return typestore().types[msgtype](**fields)
+
+
+def _time() -> Any:
+    return _message("builtin_interfaces/msg/Time", sec=0, nanosec=0)
+
+
+def _header(frame_id: str) -> Any:
+    return _message("std_msgs/msg/Header", stamp=_time(), frame_id=frame_id)
+
+
+def _vector() -> Any:
+    return _message("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+
+
+def _quaternion() -> Any:
+    return _message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+
+
+def joint_state_layout(names: tuple[str, ...]) -> Layout:
+    """Return the layout of a JointState with all four arrays filled."""
+    zeros = np.zeros(len(names))
+    message = _message(
+        JOINT_STATE,
+        header=_header(""),
+        name=list(names),
+        position=zeros,
+        velocity=zeros,
+        effort=zeros,
+    )
+    return Layout.of(message, JOINT_STATE)
+
+
+def imu_layout(frame_id: str) -> Layout:
+    """Return the layout of an Imu; its zero covariances mean unknown (REP-145)."""
+    unknown = np.zeros(9)
+    message = _message(
+        IMU,
+        header=_header(frame_id),
+        orientation=_quaternion(),
+        orientation_covariance=unknown,
+        angular_velocity=_vector(),
+        angular_velocity_covariance=unknown,
+        linear_acceleration=_vector(),
+        linear_acceleration_covariance=unknown,
+    )
+    return Layout.of(message, IMU)
+
+
+def wrench_layout(frame_id: str) -> Layout:
+    """Return the layout of a WrenchStamped: environment on robot in ``frame_id``."""
+    wrench = _message("geometry_msgs/msg/Wrench", force=_vector(), torque=_vector())
+    return Layout.of(_message(WRENCH, header=_header(frame_id), wrench=wrench), WRENCH)
+
+
+def trajectory_layout(names: tuple[str, ...]) -> Layout:
+    """Return the layout of a JointTrajectory of one point."""
+    zeros = np.zeros(len(names))
+    point = _message(
+        "trajectory_msgs/msg/JointTrajectoryPoint",
+        positions=zeros,
+        velocities=zeros,
+        accelerations=zeros,
+        effort=zeros,
+        time_from_start=_message("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+    )
+    message = _message(TRAJECTORY, header=_header(""), joint_names=list(names), points=[point])
+    return Layout.of(message, TRAJECTORY)
+
+
+def odometry_layout(frame_id: str, child_frame_id: str) -> Layout:
+    """Return the layout of an Odometry: pose in ``frame_id``, twist in the child's axes."""
+    point = _message("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0)
+    pose = _message("geometry_msgs/msg/Pose", position=point, orientation=_quaternion())
+    twist = _message("geometry_msgs/msg/Twist", linear=_vector(), angular=_vector())
+    message = _message(
+        ODOMETRY,
+        header=_header(frame_id),
+        child_frame_id=child_frame_id,
+        pose=_message("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
+        twist=_message(
+            "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)
+        ),
+    )
+    return Layout.of(message, ODOMETRY)
+
+
+def accel_layout(frame_id: str) -> Layout:
+    """Return the layout of an AccelStamped in ``frame_id``'s axes."""
+    accel = _message("geometry_msgs/msg/Accel", linear=_vector(), angular=_vector())
+    return Layout.of(_message(ACCEL, header=_header(frame_id), accel=accel), ACCEL)
+
+
+def clock_layout() -> Layout:
+    """Return the layout of a Clock."""
+    return Layout.of(_message(CLOCK, clock=_time()), CLOCK)
+
+
+def fill_stamp(columns: Columns, stamp: IntArray | int, path: str = "header.stamp") -> None:
+    """Write nanoseconds as seconds and remainder."""
+    columns[f"{path}.sec"][...], columns[f"{path}.nanosec"][...] = divmod(stamp, NANO)
+
+
+def read_stamp(records: Records, path: str = "header.stamp") -> IntArray:
+    """Return (N,) int64 nanoseconds."""
+    seconds: IntArray = records[f"{path}.sec"].astype(np.int64)
+    return seconds * NANO + records[f"{path}.nanosec"].astype(np.int64)
+
+
+def fill_joint_state(
+    columns: Columns,
+    stamp: IntArray | int,
+    *,
+    position: FloatArray,
+    velocity: FloatArray,
+    effort: FloatArray,
+) -> None:
+    """Write joint arrays in the layout's joint order."""
+    fill_stamp(columns, stamp)
+    columns["position"][...] = position
+    columns["velocity"][...] = velocity
+    columns["effort"][...] = effort
+
+
+def fill_imu(
+    columns: Columns,
+    stamp: IntArray | int,
+    *,
+    orientation: FloatArray,
+    angular_velocity: FloatArray,
+    linear_acceleration: FloatArray,
+) -> None:
+    """Write orientation (xyzw, IMU in the world), rad/s and specific force in IMU axes."""
+    fill_stamp(columns, stamp)
+    columns["orientation"][...] = orientation
+    columns["angular_velocity"][...] = angular_velocity
+    columns["linear_acceleration"][...] = linear_acceleration
+
+
+def fill_wrench(columns: Columns, stamp: IntArray | int, wrench: FloatArray) -> None:
+    """Write wrenches (N, 6): force, then torque about the frame's origin."""
+    fill_stamp(columns, stamp)
+    columns["wrench.force"][...] = wrench[..., :3]
+    columns["wrench.torque"][...] = wrench[..., 3:]
+
+
+def fill_trajectory(
+    columns: Columns,
+    stamp: IntArray | int,
+    *,
+    position: FloatArray,
+    velocity: FloatArray,
+    acceleration: FloatArray,
+    effort: FloatArray,
+) -> None:
+    """Write the one point of each trajectory."""
+    fill_stamp(columns, stamp)
+    columns["points.0.positions"][...] = position
+    columns["points.0.velocities"][...] = velocity
+    columns["points.0.accelerations"][...] = acceleration
+    columns["points.0.effort"][...] = effort
+
+
+def fill_odometry(
+    columns: Columns,
+    stamp: IntArray | int,
+    *,
+    position: FloatArray,
+    orientation: FloatArray,
+    linear_velocity: FloatArray,
+    angular_velocity: FloatArray,
+) -> None:
+    """Write pose in the header's frame and twist in the child frame's axes."""
+    fill_stamp(columns, stamp)
+    columns["pose.pose.position"][...] = position
+    columns["pose.pose.orientation"][...] = orientation
+    columns["twist.twist.linear"][...] = linear_velocity
+    columns["twist.twist.angular"][...] = angular_velocity
+
+
+def fill_accel(
+    columns: Columns, stamp: IntArray | int, *, linear: FloatArray, angular: FloatArray
+) -> None:
+    """Write linear (m/s²) and angular (rad/s²) acceleration in the header frame's axes."""
+    fill_stamp(columns, stamp)
+    columns["accel.linear"][...] = linear
+    columns["accel.angular"][...] = angular

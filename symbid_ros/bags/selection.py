@@ -1,0 +1,149 @@
+"""Which topics of a bag feed an identification."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from symbid_ros.bags.blocks import Topic
+from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
+from symbid_ros.errors import BagError
+
+TRUTH = "ground_truth"
+
+
+@dataclass(frozen=True)
+class TopicSelection:
+    """Topics to read; a leading slash may be left out everywhere.
+
+    Attributes
+    ----------
+    joints : str or None
+        JointState topic; None takes the only one named ``joint_states`` in any
+        namespace.
+    imus : tuple of str or None
+        Imu topics; None takes all.
+    wrenches : tuple of str or None
+        WrenchStamped topics; None takes all named ``wrench`` in any namespace.
+    """
+
+    joints: str | None = None
+    imus: tuple[str, ...] | None = None
+    wrenches: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        for name in (self.joints or "", *(self.imus or ()), *(self.wrenches or ())):
+            if _is_truth(name):
+                raise BagError(
+                    f"topic {name}: the ground truth is never identified from; name a sensor's"
+                )
+
+
+@dataclass(frozen=True)
+class SelectedTopics:
+    """The topics of one recording that a selection takes."""
+
+    joints: Topic
+    imus: tuple[Topic, ...]
+    wrenches: tuple[Topic, ...]
+
+
+@dataclass
+class Selector:
+    """Applies a selection while a recording is being read.
+
+    Attributes
+    ----------
+    source : str
+        Name of the bag, for messages to the user.
+    selection : TopicSelection
+    counts : dict of Topic to int
+        Messages by topic; whoever reads the bag keeps it.
+    """
+
+    source: str
+    selection: TopicSelection
+    counts: dict[Topic, int] = field(default_factory=dict)
+
+    def wants(self, topic: Topic) -> bool:
+        """Tell whether messages of a topic may be needed."""
+        return (
+            self._is(topic, JOINT_STATE, _given(self.selection.joints), "joint_states")
+            or self._is(topic, IMU, self.selection.imus, None)
+            or self._is(topic, WRENCH, self.selection.wrenches, "wrench")
+        )
+
+    def selected(self) -> SelectedTopics:
+        """Return the selected topics of a recording read to its end."""
+        joints = self._all(JOINT_STATE, _given(self.selection.joints), "joint_states")
+        if not joints:
+            raise BagError(
+                f"{self.source}: no {JOINT_STATE} topic named joint_states, it holds "
+                f"{self._listing()}; name the topic of the joint states"
+            )
+        if len(joints) > 1:
+            raise BagError(
+                f"{self.source}: several topics of joint states, "
+                f"{', '.join(topic.name for topic in joints)}; name the one to use"
+            )
+        chosen = SelectedTopics(
+            joints[0],
+            self._all(IMU, self.selection.imus, None),
+            self._all(WRENCH, self.selection.wrenches, "wrench"),
+        )
+        for topic in (chosen.joints, *chosen.imus, *chosen.wrenches):
+            if not self.counts[topic]:
+                raise BagError(
+                    f"{self.source}: no message on {topic.name}; record it again or leave the "
+                    "topic out"
+                )
+        return chosen
+
+    def _is(
+        self, topic: Topic, msgtype: str, names: tuple[str, ...] | None, ending: str | None
+    ) -> bool:
+        if names is not None:
+            return topic.msgtype == msgtype and _bare(topic.name) in map(_bare, names)
+        is_named = ending is None or topic.name.rsplit("/", 1)[-1] == ending
+        return topic.msgtype == msgtype and is_named and not _is_truth(topic.name)
+
+    def _all(
+        self, msgtype: str, names: tuple[str, ...] | None, ending: str | None
+    ) -> tuple[Topic, ...]:
+        if names is None:
+            found = [topic for topic in self.counts if self._is(topic, msgtype, None, ending)]
+            return tuple(sorted(found, key=lambda topic: topic.name))
+        return tuple(self._named(name, msgtype) for name in names)
+
+    def _named(self, name: str, msgtype: str) -> Topic:
+        others = [topic for topic in self.counts if _bare(topic.name) == _bare(name)]
+        if not others:
+            raise BagError(
+                f"{self.source}: no topic {name}, it holds {self._listing()}; name one of these"
+            )
+        for topic in others:
+            if topic.msgtype == msgtype:
+                return topic
+        raise BagError(
+            f"{self.source}: topic {name} is of type {others[0].msgtype}, not {msgtype}; "
+            "name another topic"
+        )
+
+    def _listing(self) -> str:
+        return listing(self.counts)
+
+
+def listing(topics: Iterable[Topic]) -> str:
+    """Return topics and types in one line."""
+    names = sorted(f"{topic.name} ({topic.msgtype or 'no type'})" for topic in topics)
+    return ", ".join(names) or "no topic at all"
+
+
+def _given(name: str | None) -> tuple[str, ...] | None:
+    return None if name is None else (name,)
+
+
+def _bare(name: str) -> str:
+    return name.lstrip("/")
+
+
+def _is_truth(name: str) -> bool:
+    return TRUTH in name.split("/")

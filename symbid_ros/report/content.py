@@ -1,0 +1,185 @@
+"""What a report is made of: arrays and facts, no markup."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.estimate import Estimate
+
+PRIOR = "prior"
+TRUTH = "truth"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """One of the five figures by which an estimate is judged.
+
+    Attributes
+    ----------
+    key : str
+        Its name in ``MethodResult.metrics``.
+    title, unit : str
+        Column header, short enough for 80 characters and for a phone, and the unit.
+    """
+
+    key: str
+    title: str
+    unit: str
+
+
+METRICS = (
+    Metric("gen_force_rmse", "Gen. force", "N, Nm"),
+    Metric("torque_rmse", "Torque", "Nm"),
+    Metric("com_position_rmse_mm", "CoM", "mm"),
+    Metric("com_momentum_rmse", "Momentum", "Ns, Nms"),
+    Metric("parameter_error_pct", "Parameters", "%"),
+)
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """One row of the comparison.
+
+    Attributes
+    ----------
+    label : str
+        ``prior``, ``truth`` or the method's name as people write it (``WLS-RC``).
+    estimate : Estimate or None
+        None for the prior and the truth.
+    metrics : dict of str to float or None
+        By ``Metric.key``; None without ground truth.
+    """
+
+    label: str
+    estimate: Estimate | None
+    metrics: dict[str, float] | None
+
+
+@dataclass(frozen=True)
+class PredictionSeries:
+    """What one parameter set predicts along a validation motion.
+
+    Attributes
+    ----------
+    label : str
+        ``truth``, ``prior`` or the label of the method.
+    time : (N,) float64
+        Seconds.
+    com : (N, 3) float64
+        Centre of mass in the base frame, m.
+    torque : (N, J) float64
+        Joint torques, Nm.
+    linear_momentum, angular_momentum : (N, 3) float64
+        World axes, Ns and Nms, the angular one about the CoM.
+    """
+
+    label: str
+    time: FloatArray
+    com: FloatArray
+    torque: FloatArray
+    linear_momentum: FloatArray
+    angular_momentum: FloatArray
+
+    def __post_init__(self) -> None:
+        samples = len(self.time)
+        for name in ("com", "torque", "linear_momentum", "angular_momentum"):
+            shape = getattr(self, name).shape
+            columns = shape[-1] if name == "torque" else 3
+            if shape != (samples, columns):
+                raise EstimateError(
+                    f"prediction {self.label!r}: {name} has shape {shape}, "
+                    f"expected ({samples}, {columns}); give one row for each time"
+                )
+
+
+@dataclass(frozen=True)
+class LinkErrors:
+    """Mean relative parameter error of every link, per parameter set.
+
+    Attributes
+    ----------
+    links : tuple of str
+        The L links, in the model's order.
+    percent : dict of str to (L,) float64
+        By label of the parameter set; NaN where a link has no non-zero parameter.
+    """
+
+    links: tuple[str, ...]
+    percent: dict[str, FloatArray]
+
+    def __post_init__(self) -> None:
+        for label, values in self.percent.items():
+            if np.shape(values) != (len(self.links),):
+                raise EstimateError(
+                    f"link errors of {label!r}: {np.shape(values)} values for "
+                    f"{len(self.links)} links; give one for each link"
+                )
+
+
+@dataclass(frozen=True)
+class ReportContent:
+    """Everything one page shows; what is None is left out of it.
+
+    Attributes
+    ----------
+    title, model : str
+        Heading of the page and name of the robot model.
+    facts : dict of str to str
+        What was done to which data, in the order shown.
+    methods : tuple of MethodResult
+        Rows of the comparison, in the order shown.
+    chosen : str
+        Label of the method whose parameters and verdict are shown.
+    joint_names : tuple of str
+        Columns of ``PredictionSeries.torque``.
+    predictions : tuple of PredictionSeries or None
+        Truth, prior and the chosen method along one motion, at the same times;
+        None without ground truth.
+    link_errors : LinkErrors or None
+        None without ground truth.
+    """
+
+    title: str
+    model: str
+    methods: tuple[MethodResult, ...]
+    chosen: str
+    joint_names: tuple[str, ...]
+    facts: dict[str, str] = field(default_factory=dict)
+    predictions: tuple[PredictionSeries, ...] | None = None
+    link_errors: LinkErrors | None = None
+
+    def __post_init__(self) -> None:
+        labels = [method.label for method in self.methods]
+        if len(set(labels)) != len(labels):
+            raise EstimateError(
+                f"report {self.title!r}: labels {labels} repeat; name each row once"
+            )
+        if not any(m.label == self.chosen and m.estimate is not None for m in self.methods):
+            raise EstimateError(
+                f"report {self.title!r}: no method {self.chosen!r} with an estimate "
+                f"among {labels}; choose one of the methods given"
+            )
+        for series in self.predictions or ():
+            if not np.array_equal(series.time, (self.predictions or ())[0].time):
+                raise EstimateError(
+                    f"prediction {series.label!r}: its times are not those of the others; "
+                    "predict all along the same motion"
+                )
+            if series.torque.shape[1] != len(self.joint_names):
+                raise EstimateError(
+                    f"prediction {series.label!r}: {series.torque.shape[1]} torque columns for "
+                    f"{len(self.joint_names)} joint names; give one name for each column"
+                )
+
+    @property
+    def estimate(self) -> Estimate:
+        """The chosen method's estimate."""
+        return next(
+            m.estimate for m in self.methods if m.label == self.chosen and m.estimate is not None
+        )
+
+    def metrics_of(self, label: str) -> dict[str, float] | None:
+        """Return the metrics of the row called ``label``, None where there are none."""
+        return next((m.metrics for m in self.methods if m.label == label), None)

@@ -1,0 +1,105 @@
+"""Raw subscriptions that are emptied by polling instead of by an executor.
+
+An executor rebuilds its wait set for every message and loses messages where a
+plain poll that empties every queue does not.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from symbid_ros.bags.writer import OfferedQos
+from symbid_ros.ros.messages import matching, message_class, offered
+
+BATCH = 256  # messages taken from one queue before the next has its turn
+
+
+class Polled(CallbackGroup):  # type: ignore[misc]
+    """Keeps its subscriptions out of every executor."""
+
+    def can_execute(self, entity: Any) -> bool:
+        """Return that the executor has nothing to do here."""
+        return False
+
+
+@dataclass(frozen=True)
+class Arrival:
+    """One message as it came: bytes, time of receipt and of publishing in nanoseconds."""
+
+    payload: bytes
+    received: int
+    published: int
+
+
+@dataclass(frozen=True)
+class Intake:
+    """A raw subscription.
+
+    Attributes
+    ----------
+    topic, msgtype : str
+        Fully qualified name and type.
+    qos : tuple of OfferedQos
+        What its publishers offered when it was found.
+    """
+
+    topic: str
+    msgtype: str
+    qos: tuple[OfferedQos, ...]
+    _subscription: Subscription
+
+    def arrivals(self) -> Iterator[Arrival]:
+        """Take what lies in the queue, a batch at most."""
+        handle, kind = self._subscription.handle, self._subscription.msg_type
+        with handle:
+            for _ in range(BATCH):
+                taken = handle.take_message(kind, True)
+                if taken is None:
+                    return
+                payload, times = taken
+                yield Arrival(payload, times["received_timestamp"], times["source_timestamp"])
+
+
+def _unused(message: Any) -> None:
+    """Stand where rclpy wants a callback."""
+
+
+@dataclass
+class Discovery:
+    """Subscribes to wanted topics as soon as the graph shows a publisher."""
+
+    node: Node
+    topics: tuple[str, ...]
+    depth: int
+
+    def __post_init__(self) -> None:
+        self._group = Polled()
+        self._missing = {self.node.resolve_topic_name(topic) for topic in self.topics}
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Topics without a publisher so far."""
+        return tuple(sorted(self._missing))
+
+    def look(self, announce: Callable[[Intake], None]) -> None:
+        """Subscribe to what has appeared and announce each."""
+        for topic in self.missing:
+            publishers = self.node.get_publishers_info_by_topic(topic)
+            if not publishers:
+                continue
+            profiles = [publisher.qos_profile for publisher in publishers]
+            msgtype = publishers[0].topic_type
+            subscription = self.node.create_subscription(
+                message_class(msgtype),
+                topic,
+                _unused,
+                matching(profiles, self.depth),
+                callback_group=self._group,
+                raw=True,
+            )
+            self._missing.discard(topic)
+            announce(Intake(topic, msgtype, tuple(map(offered, profiles)), subscription))

@@ -1,0 +1,79 @@
+"""Message classes and qualities of service by the names that bags use."""
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
+
+from symbid_ros.bags.writer import OfferedQos
+from symbid_ros.errors import SymbidError
+
+
+def message_class(msgtype: str) -> type[Any]:
+    """Return the rclpy class of, for example, ``sensor_msgs/msg/Imu``."""
+    try:
+        package, kind, name = msgtype.split("/")
+        found: type[Any] = getattr(import_module(f"{package}.{kind}"), name)
+    except (ValueError, ImportError, AttributeError) as error:
+        raise SymbidError(
+            f"message type {msgtype}: not installed; install its package or leave the topic out"
+        ) from error
+    return found
+
+
+def reliable(depth: int) -> QoSProfile:
+    """Return reliable, volatile, keep-last with a queue of ``depth``."""
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def matching(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
+    """Return the strictest profile that all publishers satisfy, with a queue of ``depth``."""
+    is_reliable = all(offer.reliability == QoSReliabilityPolicy.RELIABLE for offer in offers)
+    is_latched = all(offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=QoSReliabilityPolicy.RELIABLE
+        if is_reliable
+        else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL
+        if is_latched
+        else QoSDurabilityPolicy.VOLATILE,
+    )
+
+
+def offered(profile: QoSProfile) -> OfferedQos:
+    """Return a publisher's profile in a bag's words."""
+    latched = profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+    dependable = profile.reliability == QoSReliabilityPolicy.RELIABLE
+    return OfferedQos(
+        depth=profile.depth,
+        # Discovery tells neither history nor depth; rosbag2 writes the same word.
+        history={
+            QoSHistoryPolicy.KEEP_LAST: "keep_last",
+            QoSHistoryPolicy.KEEP_ALL: "keep_all",
+        }.get(profile.history, "unknown"),
+        reliability="reliable" if dependable else "best_effort",
+        durability="transient_local" if latched else "volatile",
+    )
+
+
+def latched() -> QoSProfile:
+    """Return reliable and transient local: whoever subscribes later gets the last message."""
+    return QoSProfile(
+        history=QoSHistoryPolicy.KEEP_LAST,
+        depth=1,
+        reliability=QoSReliabilityPolicy.RELIABLE,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
+    )

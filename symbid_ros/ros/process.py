@@ -1,0 +1,114 @@
+"""The frame of every node's process: start, stop on signals, one line for an error."""
+
+import argparse
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+import rclpy
+from rclpy.exceptions import NameValidationException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
+
+from symbid_ros.errors import SymbidError
+from symbid_ros.ros.parameters import Parameter
+
+FAILURE = 2
+
+Work = Callable[[Node, threading.Event], None]
+
+
+def run_node(
+    name: str,
+    work: Work,
+    args: Sequence[str] | None = None,
+    *,
+    purpose: str = "",
+    parameters: Sequence[Parameter] = (),
+) -> int:
+    """Run a node until its work is done and return the exit status.
+
+    Services and parameters are answered by an executor in a thread of its own;
+    the work has the main thread. rclpy's own signal handlers are not used: they
+    would invalidate the context first, and what still lies in the queues could
+    not be read any more.
+
+    Parameters
+    ----------
+    name : str
+        Of the node and its executable.
+    work : callable
+        ``work(node, stop)`` returns soon after SIGINT or SIGTERM has set ``stop``.
+    args : sequence of str, optional
+        Arguments without the executable's name; the process's own if left out.
+    purpose : str
+    parameters : sequence of Parameter
+        What ``--help`` tells.
+    """
+    arguments = list(sys.argv if args is None else [name, *args])
+    stop = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: stop.set())
+    try:
+        _refuse_foreign_arguments(name, purpose, parameters, remove_ros_args(arguments)[1:])
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        node = Node(name)
+        try:
+            _work_beside_executor(node, work, stop)
+        finally:
+            node.destroy_node()
+    except SymbidError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return FAILURE
+    except (RuntimeError, NameValidationException) as error:
+        # rcl reports malformed --ros-args and parameter files as RuntimeError.
+        if not _is_argument_error(error):
+            raise
+        print(f"{name}: {' '.join(str(error).split())}; check --ros-args", file=sys.stderr)
+        return FAILURE
+    finally:
+        rclpy.try_shutdown()
+    return 0
+
+
+def _refuse_foreign_arguments(
+    name: str, purpose: str, parameters: Sequence[Parameter], arguments: Sequence[str]
+) -> None:
+    """Answer ``--help``, and exit on what rcl would silently ignore."""
+    lines = [f"  {each.name} ({each.default!r}): {each.description}" for each in parameters]
+    argparse.ArgumentParser(
+        prog=name,
+        usage=f"{name} [--ros-args -p PARAMETER:=VALUE ...]",
+        description="\n".join([purpose, "", "parameters and defaults:", *lines]),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    ).parse_args(arguments)
+
+
+def _work_beside_executor(node: Node, work: Work, stop: threading.Event) -> None:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+
+    def spin() -> None:
+        with suppress(ExternalShutdownException):
+            executor.spin()
+
+    spinner = threading.Thread(target=spin, name="executor", daemon=True)
+    spinner.start()
+    try:
+        work(node, stop)
+    finally:
+        executor.shutdown()
+        spinner.join()
+
+
+def _is_argument_error(error: Exception) -> bool:
+    kind = type(error).__name__
+    return isinstance(error, NameValidationException) or kind in {
+        "RCLError",
+        "RCLInvalidROSArgsError",
+        "UnknownROSArgsError",
+    }

@@ -1,0 +1,107 @@
+"""What a controller computes from its own model of the robot, in world axes."""
+
+import mujoco
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.simulation.plant import State, driven_dofs, site_ids
+
+
+class Belief:
+    """Dynamics of the robot as the controller believes it to be.
+
+    The arrays are refilled in place by `update`. Generalised vectors follow MuJoCo's ``qvel``;
+    spatial vectors are angular first, in world axes, about the origin of the sole's frame.
+
+    Parameters
+    ----------
+    model : mujoco.MjModel
+        May differ from the plant's, in its inertias for one.
+    sole_frames : tuple of str
+        Sites of the F soles; the collision geoms on their links are the contact points.
+
+    Attributes
+    ----------
+    mass : float
+        kg.
+    response : (6 F + A + 1, nv) float64
+        Generalised accelerations that follow, each by itself, from unit wrenches at the soles,
+        from unit torques of the A drives, and (last row) from motion and gravity.
+    outputs : (3 + 6 F, nv) float64
+        Velocities of the trunk (angular, base axes) and of the soles per unit of ``qvel``.
+    sole_jacobian : (6 F, nv) float64
+        The soles' part of ``outputs``, a view.
+    sole_drift : (6 F,) float64
+        Soles' acceleration at q̈ = 0, rad/s² and m/s².
+    sole_arms : (F, 3) float64
+        From the centre of mass to the soles' frames, m.
+    com, com_velocity, angular_momentum : (3,) float64
+        m, m/s, and kg m²/s about the centre of mass.
+    """
+
+    def __init__(self, model: mujoco.MjModel, sole_frames: tuple[str, ...]) -> None:
+        self.model, self._data = model, mujoco.MjData(model)
+        self._soles = np.array(site_ids(model, sole_frames))
+        self._feet = model.site_bodyid[self._soles].tolist()
+        base, nv, rows = int(model.jnt_bodyid[0]), model.nv, 6 * len(self._soles)
+        self.mass = float(model.body_subtreemass[base])
+        # One block, so that neither product nor solution has to gather its rows: trunk, soles,
+        # drives, motion. `outputs` is its first part, the causes of `response` all but the trunk.
+        block = np.zeros((3 + rows + model.nu + 1, nv))
+        block[:3, 3:6] = np.eye(3)
+        block[3 + rows + np.arange(model.nu), driven_dofs(model)] = 1.0
+        self.outputs, self._causes = block[: 3 + rows], block[3:]
+        self.sole_jacobian, self._motion = block[3 : 3 + rows], block[-1]
+        self.response = np.zeros_like(self._causes)
+        self.sole_drift = np.zeros(rows)
+        self.sole_arms = np.zeros((len(self._soles), 3))
+        self._rate = np.zeros((rows, nv))
+        # Views into MuJoCo's arrays, which stay where they are: looking them up costs 1 µs each.
+        data = self._data
+        self.com = data.subtree_com[base]
+        self.com_velocity = data.subtree_linvel[base]
+        self.angular_momentum = data.subtree_angmom[base]
+        self._position, self._velocity = data.qpos, data.qvel
+        self._sites = data.site_xpos
+        self._rows = [
+            (foot, data.site_xpos[site], *np.split(jacobian, 2), *np.split(jacobian_rate, 2))
+            for foot, site, jacobian, jacobian_rate in zip(
+                self._feet,
+                self._soles,
+                np.split(self.sole_jacobian, len(self._soles)),
+                np.split(self._rate, len(self._soles)),
+                strict=True,
+            )
+        ]
+
+    def update(self, state: State) -> None:
+        """Recompute every array for a state."""
+        model, data = self.model, self._data
+        self._position[:], self._velocity[:] = state.position, state.velocity
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        mujoco.mj_factorM(model, data)
+        mujoco.mj_comVel(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        mujoco.mj_rne(model, data, 0, self._motion)
+        np.negative(self._motion, self._motion)
+        for foot, origin, angular, linear, angular_rate, linear_rate in self._rows:
+            mujoco.mj_jac(model, data, linear, angular, origin, foot)
+            mujoco.mj_jacDot(model, data, linear_rate, angular_rate, origin, foot)
+        np.dot(self._rate, self._velocity, self.sole_drift)
+        np.subtract(self._sites.take(self._soles, 0), self.com, self.sole_arms)
+        mujoco.mj_solveM(model, data, self.response, self._causes)
+
+    def sole_bounds(self) -> FloatArray:
+        """(F, 4) lowest and highest x, lowest and highest y of the contact points, sole axes, m."""
+        model = self.model
+        bounds = []
+        for site, foot in zip(self._soles, self._feet, strict=True):
+            geoms = (model.geom_bodyid == foot) & (model.geom_conaffinity > 0)
+            rotation = np.zeros(9)
+            mujoco.mju_quat2Mat(rotation, model.site_quat[site])
+            points = (model.geom_pos[geoms] - model.site_pos[site]) @ rotation.reshape(3, 3)
+            low, high = points.min(axis=0), points.max(axis=0)
+            bounds.append([low[0], high[0], low[1], high[1]])
+        return np.array(bounds)

@@ -1,0 +1,118 @@
+"""The motions that can be simulated, and what each of them needs."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from symbid_ros.simulation.controller import BalanceController, BalanceGains, Controller
+from symbid_ros.simulation.feedback import PoorFeedback
+from symbid_ros.simulation.hoist import Hoist, JointController
+from symbid_ros.simulation.plant import Plant
+from symbid_ros.simulation.reference import MoveRange, draw_reference
+
+SOLES = ("left_sole", "right_sole")
+HOIST_FRAME = "suspension"
+
+# Standing: metres and m/s. Within the support by a margin that also holds the centre of pressure,
+# which leads the centre of mass by its acceleration; low enough that knees stay bent, high enough
+# that ankles keep off their end stops.
+COM_MOVES = MoveRange(
+    centre=np.array([0.0, 0.0, -0.012]),
+    half_widths=np.array([0.045, 0.055, 0.022]),
+    slowest=0.0095,
+    fastest=0.056,
+    shortest=0.045,
+    rest=0.5,
+)
+
+# Suspended: rad and rad/s. The hook rocks by up to 15 degrees, sideways by less and never fast:
+# the undriven ankle joints hang plumb like pendulums and must keep off their end stops.
+HOOK_MOVES = MoveRange(
+    centre=np.zeros(3),
+    half_widths=np.radians([11.0, 15.0, 15.0]),
+    slowest=0.06,
+    fastest=0.16,
+    shortest=0.2,
+    rest=0.5,
+)
+# Each leg's driven joints: hip ab/adduction, hip flexion, knee, ankle flexion.
+LEG_CENTRE, LEG_WIDTHS = (0.0, 0.0, -0.15, 0.0), (0.04, 0.25, 0.3, 0.15)
+LEG_MOVES = MoveRange(
+    centre=np.tile(LEG_CENTRE, 2),
+    half_widths=np.tile(LEG_WIDTHS, 2),
+    slowest=0.06,
+    fastest=0.18,
+    shortest=0.15,
+    rest=0.5,
+)
+LIFT = 0.5  # m from standing to hanging
+
+# Gives joint accelerations of 8 to 10 rad/s² (rms), most of it between 250 and 460 Hz.
+VIBRATING_GAINS = BalanceGains(sole_damping=115.0)
+FEEDBACK_NOISE = 0.05  # rad/s
+FEEDBACK_DELAY = 3  # periods
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A motion, ready to run.
+
+    Attributes
+    ----------
+    controller : Controller
+        Commands the drives.
+    hoist : Hoist or None
+        Holds the base where the robot does not stand.
+    duration : float
+        Seconds.
+    """
+
+    controller: Controller
+    hoist: Hoist | None
+    duration: float
+
+
+def _standing(plant: Plant, moves: int, seed: int, gains: BalanceGains) -> Scenario:
+    plant.observe()
+    start = plant.data.subtree_com[plant.model.jnt_bodyid[0]].copy()
+    reference = draw_reference(start, moves, COM_MOVES, np.random.default_rng([seed, 0]))
+    attitude = plant.data.qpos[3:7].copy()
+    controller = BalanceController(plant.model, reference, attitude, SOLES, gains)
+    return Scenario(controller, None, reference.duration)
+
+
+def _smooth(plant: Plant, moves: int, seed: int) -> Scenario:
+    return _standing(plant, moves, seed, BalanceGains())
+
+
+def _vibrating(plant: Plant, moves: int, seed: int) -> Scenario:
+    calm = _standing(plant, moves, seed, VIBRATING_GAINS)
+    controller = PoorFeedback(
+        calm.controller,
+        FEEDBACK_DELAY,
+        FEEDBACK_NOISE,
+        len(plant.joint_names),
+        np.random.default_rng([seed, 1]),
+    )
+    return Scenario(controller, None, calm.duration)
+
+
+def _suspended(plant: Plant, moves: int, seed: int) -> Scenario:
+    plant.data.qpos[2] += LIFT
+    pose = plant.data.qpos.copy()
+    rocking = draw_reference(np.zeros(3), moves, HOOK_MOVES, np.random.default_rng([seed, 0]))
+    driven = plant.model.jnt_qposadr[plant.model.actuator_trnid[:, 0]]
+    legs = draw_reference(pose[driven], moves, LEG_MOVES, np.random.default_rng([seed, 1]))
+    return Scenario(
+        JointController(plant.model, pose, legs),
+        Hoist(plant, HOIST_FRAME, rocking),
+        rocking.duration,
+    )
+
+
+SCENARIOS: dict[str, Callable[[Plant, int, int], Scenario]] = {
+    "smooth": _smooth,
+    "vibrating": _vibrating,
+    "suspended": _suspended,
+}

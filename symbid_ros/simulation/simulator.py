@@ -1,0 +1,148 @@
+"""The simulated robot as a source of instants: what bags and topics are made from."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.errors import SimulationError
+from symbid_ros.share import config_file
+from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.noise import load_noise
+from symbid_ros.simulation.plant import Plant, Truth
+from symbid_ros.simulation.scenario import HOIST_FRAME, SCENARIOS, SOLES
+from symbid_ros.simulation.sensors import Sensors
+
+# Long enough for feet and hoist to take the load; none of it is recorded.
+SETTLING = 1.0  # s
+# A robot whose base has come down this far does not stand any more.
+FALLEN = 0.7  # of the height at the start
+
+
+@dataclass(frozen=True)
+class WrenchSensor:
+    """A force plate or load cell.
+
+    Attributes
+    ----------
+    topic : str
+        Relative name of its topic.
+    frame_id : str
+        Frame in whose axes and about whose origin it reports.
+    """
+
+    topic: str
+    frame_id: str
+
+
+class Simulator:
+    """One run of a scenario, an instant at a time.
+
+    Stamps are multiples of the period and start at one period: a stamp of 0 means "no time"
+    in ROS. Equal seeds give equal instants, bit for bit, on one machine.
+
+    Parameters
+    ----------
+    scenario : str
+        ``smooth``, ``vibrating`` (both standing on two feet) or ``suspended`` (in a hoist).
+    moves : int
+        Number of moves.
+    motion_seed : int
+        Decides the moves and, in ``vibrating``, the noise of the feedback.
+    noise_seed : int
+        Decides the sensors' noise.
+    ideal : bool
+        The same motion with noise-free sensors.
+    model_path : Path or None
+        MJCF; None for config/symbitron.xml.
+    noise_path : Path or None
+        Standard deviations; None for config/noise.yaml.
+
+    Attributes
+    ----------
+    joint_names : tuple of str
+        Order of joint arrays.
+    base_frame, imu_frame : str
+        Links of the floating base and of the IMU.
+    wrench_sensors : tuple of WrenchSensor
+        Order of wrenches.
+    period_ns : int
+        Nanoseconds from one instant to the next.
+    steps : int
+        Number of instants of the whole motion.
+    """
+
+    def __init__(
+        self,
+        scenario: str = "smooth",
+        *,
+        moves: int = 20,
+        motion_seed: int = 0,
+        noise_seed: int = 0,
+        ideal: bool = False,
+        model_path: Path | None = None,
+        noise_path: Path | None = None,
+    ) -> None:
+        if scenario not in SCENARIOS:
+            raise SimulationError(
+                f"no scenario {scenario!r}; choose one of {', '.join(sorted(SCENARIOS))}"
+            )
+        for name, seed in (("motion seed", motion_seed), ("noise seed", noise_seed)):
+            if seed < 0:
+                raise SimulationError(f"{name} {seed} is negative; give 0 or more")
+        noise = None if ideal else load_noise(noise_path or config_file("noise.yaml"))
+        plant = self._plant = Plant(model_path or config_file("symbitron.xml"), SOLES)
+        motion = self._motion = SCENARIOS[scenario](plant, moves, motion_seed)
+        self.joint_names = plant.joint_names
+        self.base_frame = plant.base_frame
+        self.imu_frame = "imu_link"
+        feet = [WrenchSensor(sole.replace("_sole", "_foot/wrench"), sole) for sole in SOLES]
+        hook = [WrenchSensor(f"{HOIST_FRAME}/wrench", HOIST_FRAME)] if motion.hoist else []
+        self.wrench_sensors = (*feet, *hook)
+        self.period_ns = round(plant.period * 1e9)
+        self.steps = round(motion.duration / plant.period)
+        driven = np.isin(np.arange(6, plant.model.nv), plant.driven)
+        self._sensors = Sensors(driven, len(self.wrench_sensors), noise, noise_seed)
+        self._taken = 0
+        self._lowest = FALLEN * float(plant.data.qpos[2])
+        for step in range(-round(SETTLING / plant.period), 0):
+            self._advance(step)
+
+    def step(self) -> Instant:
+        """Advance one period and return the instant at its beginning.
+
+        Raises
+        ------
+        SimulationError
+            When the robot falls or a joint runs into its end stop.
+        """
+        truth = self._advance(self._taken)
+        self._taken += 1
+        return self._sensors.measure(truth, self._taken * self.period_ns)
+
+    def __iter__(self) -> Iterator[Instant]:
+        """Yield the instants that are left of the motion."""
+        while self._taken < self.steps:
+            yield self.step()
+
+    def _advance(self, step: int) -> Truth:
+        plant, motion = self._plant, self._motion
+        # Time is counted, not summed up: sums drift off the stamps.
+        time = plant.data.time = step * plant.period
+        state = plant.observe()
+        torques = motion.controller.torques(state)
+        if motion.hoist is not None:
+            motion.hoist.pull(time)
+        truth = plant.advance(torques)
+        if state.position[2] < self._lowest:
+            raise SimulationError(
+                f"the robot fell at {time:.3f} s; ask for slower or smaller moves"
+            )
+        joint = plant.joint_at_limit
+        if joint is not None:
+            raise SimulationError(
+                f"joint {joint} ran into its end stop at {time:.3f} s, where no sensor sees the "
+                "force; widen its range or ask for smaller moves"
+            )
+        return truth

@@ -1,0 +1,123 @@
+"""Which topic carries which part of a simulated instant, for bags and for publishers alike."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from symbid_ros.arrays import IntArray
+from symbid_ros.bags import messages
+from symbid_ros.bags.layout import Columns, Layout
+from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.simulator import Simulator
+
+WORLD = "world"
+
+Fill = Callable[[Columns, IntArray | int, Instant], None]
+
+
+@dataclass(frozen=True)
+class SimulatedTopic:
+    """One topic of the simulated robot.
+
+    Attributes
+    ----------
+    name : str
+        Relative topic name.
+    layout : Layout
+        Of its messages.
+    fill : callable
+        ``fill(columns, stamp, instant)`` writes one instant into the columns of one
+        record, or N of them into those of N records when stamp is (N,) and the
+        instant's arrays carry a leading axis of N.
+    """
+
+    name: str
+    layout: Layout
+    fill: Fill
+
+
+def sensor_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
+    """Return joint states, IMU and wrenches as the robot's sensors report them."""
+    wrenches = [
+        SimulatedTopic(sensor.topic, messages.wrench_layout(sensor.frame_id), _wrench_fill(index))
+        for index, sensor in enumerate(robot.wrench_sensors)
+    ]
+    return (
+        SimulatedTopic(
+            "joint_states", messages.joint_state_layout(robot.joint_names), _fill_joints
+        ),
+        SimulatedTopic("imu/data", messages.imu_layout(robot.imu_frame), _fill_imu),
+        *wrenches,
+    )
+
+
+def truth_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
+    """Return the true motion, for validation only."""
+    return (
+        SimulatedTopic(
+            "ground_truth/joints", messages.trajectory_layout(robot.joint_names), _fill_true_joints
+        ),
+        SimulatedTopic(
+            "ground_truth/odom", messages.odometry_layout(WORLD, robot.base_frame), _fill_odometry
+        ),
+        SimulatedTopic(
+            "ground_truth/base_accel", messages.accel_layout(robot.base_frame), _fill_accel
+        ),
+    )
+
+
+def _fill_joints(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
+    messages.fill_joint_state(
+        columns,
+        stamp,
+        position=instant.joint_position,
+        velocity=instant.joint_velocity,
+        effort=instant.joint_effort,
+    )
+
+
+def _fill_imu(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
+    messages.fill_imu(
+        columns,
+        stamp,
+        orientation=instant.imu_orientation,
+        angular_velocity=instant.imu_angular_velocity,
+        linear_acceleration=instant.imu_linear_acceleration,
+    )
+
+
+def _wrench_fill(index: int) -> Fill:
+    def fill(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
+        messages.fill_wrench(columns, stamp, instant.wrenches[..., index, :])
+
+    return fill
+
+
+def _fill_true_joints(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
+    messages.fill_trajectory(
+        columns,
+        stamp,
+        position=instant.true_position,
+        velocity=instant.true_velocity,
+        acceleration=instant.true_acceleration,
+        effort=instant.true_effort,
+    )
+
+
+def _fill_odometry(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
+    messages.fill_odometry(
+        columns,
+        stamp,
+        position=instant.base_position,
+        orientation=instant.base_orientation,
+        linear_velocity=instant.base_linear_velocity,
+        angular_velocity=instant.base_angular_velocity,
+    )
+
+
+def _fill_accel(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
+    messages.fill_accel(
+        columns,
+        stamp,
+        linear=instant.base_linear_acceleration,
+        angular=instant.base_angular_acceleration,
+    )

@@ -1,0 +1,196 @@
+"""What is said about a bag that cannot be used."""
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_bags import STORE, Messages, imu, joint_state, joints_only, wrench, write_rosbags
+from rosbags.rosbag2 import Writer as RosbagsWriter
+
+from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
+from symbid_ros.bags.reader import read_streams, read_truth
+from symbid_ros.bags.selection import TopicSelection
+from symbid_ros.errors import BagError, DataError
+
+NAN, INFINITE = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize(
+    ("messages", "line"),
+    [
+        (
+            [
+                ("/joint_states", JOINT_STATE, joint_state(1, ["hip"], [0.0])),
+                ("/joint_states", JOINT_STATE, joint_state(10**9, ["hip"], [NAN])),
+            ],
+            "/joint_states: position of hip is nan at 1.000 s",
+        ),
+        (
+            [("/joint_states", JOINT_STATE, joint_state(1, ["hip"], [0.0], [NAN], [INFINITE]))],
+            "/joint_states: effort of hip is inf at 0.000 s",
+        ),
+        (
+            [
+                ("/joint_states", JOINT_STATE, joint_state(1, ["hip"], [0.0])),
+                ("/imu/data", IMU, imu(2 * 10**9, (0.0, NAN, 0.0))),
+            ],
+            "/imu/data: angular_velocity.y is nan at 2.000 s",
+        ),
+        (
+            [
+                ("/joint_states", JOINT_STATE, joint_state(1, ["hip"], [0.0])),
+                ("/left_foot/wrench", WRENCH, wrench(0, (0.0, 0.0, -INFINITE))),
+            ],
+            "/left_foot/wrench: wrench.force.z is -inf at 0.000 s",
+        ),
+        (
+            [
+                ("/joint_states", JOINT_STATE, joint_state(1, ["hip"], [0.0])),
+                ("/imu/data", IMU, imu(1)),
+                ("/imu/data", IMU, imu(2, frame="torso")),
+            ],
+            "/imu/data: header.frame_id changes between imu_link, torso",
+        ),
+        (
+            [("/joint_states", JOINT_STATE, joint_state(1, ["hip", "hip"], [0.0, 1.0]))],
+            "/joint_states: a joint is named twice at 0.000 s",
+        ),
+        (
+            [("/joint_states", JOINT_STATE, joint_state(1, []))],
+            "/joint_states: no message names its joints",
+        ),
+        (
+            [("/joint_states", JOINT_STATE, joint_state(0, ["hip"], [n])) for n in range(3)],
+            "/joint_states: all header stamps are 0.000 s",
+        ),
+        (
+            [
+                ("/joint_states", JOINT_STATE, joint_state(5 * 10**9, ["hip"], [0.0])),
+                ("/joint_states", JOINT_STATE, joint_state(10**9, ["hip"], [0.0])),
+            ],
+            "/joint_states: header stamps jump back by 4.000 s after 5.000 s",
+        ),
+        (
+            [("/joint_states", JOINT_STATE, b"\0\1\0\0 too short")],
+            "/joint_states: message 1 is not a valid sensor_msgs/msg/JointState",
+        ),
+    ],
+)
+def test_bad_values_are_named(tmp_path: Path, messages: Messages, line: str) -> None:
+    with pytest.raises(DataError) as caught:
+        read_streams([write_rosbags(tmp_path / "log", messages)])
+    assert str(caught.value).startswith(f"{tmp_path / 'log'}: {line}")
+    assert "\n" not in str(caught.value)
+    assert "; " in str(caught.value)
+
+
+def test_nan_velocity_is_no_fault(tmp_path: Path) -> None:
+    bag = joints_only(tmp_path / "log", joint_state(1, ["hip"], [0.0], [NAN], [0.0]))
+    assert np.isnan(read_streams([bag]).joints.velocity).all()
+
+
+def test_missing_topics_are_named_with_what_there_is(tmp_path: Path) -> None:
+    bag = write_rosbags(
+        tmp_path / "log",
+        [("/imu/data", IMU, imu(1))],
+        topics=[("/robot/joint_states", JOINT_STATE)],
+    )
+    with pytest.raises(BagError, match="no message on /robot/joint_states; record it again"):
+        read_streams([bag])
+    with pytest.raises(BagError, match=r"no topic legs, it holds /imu/data \(sensor_msgs/msg/Imu"):
+        read_streams([bag], TopicSelection(joints="legs"))
+    with pytest.raises(BagError, match="topic /imu/data is of type sensor_msgs/msg/Imu, not sens"):
+        read_streams([bag], TopicSelection(joints="/imu/data"))
+    with pytest.raises(BagError, match="no message on ground_truth/joints, it holds /imu/data"):
+        read_truth([bag])
+    only_imu = write_rosbags(tmp_path / "imu", [("/imu/data", IMU, imu(1))])
+    with pytest.raises(BagError, match="no sensor_msgs/msg/JointState topic named joint_states"):
+        read_streams([only_imu])
+
+
+def damaged(log: Path, change: Callable[[bytearray], bytes]) -> Path:
+    file = log / "log_0.mcap"
+    file.write_bytes(change(bytearray(file.read_bytes())))
+    return log
+
+
+def with_flipped_byte(image: bytearray) -> bytes:
+    image[len(image) // 3] ^= 0x10
+    return bytes(image)
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda image: bytes(image[: len(image) // 2]), "the recording was interrupted"),
+        (lambda image: b"", "not an MCAP file"),
+        (lambda image: b"SQLite format 3\0" + bytes(100), "not an MCAP file"),
+        (lambda image: bytes(image[:8]), "the recording was interrupted"),
+        (with_flipped_byte, "damaged MCAP file"),
+        (lambda image: bytes(image[:4000] + image[-37:]), "damaged MCAP file"),
+    ],
+    ids=["cut", "empty", "sqlite", "magic-only", "flipped", "hollow"],
+)
+def test_damaged_files_are_refused(
+    log: Path, change: Callable[[bytearray], bytes], line: str
+) -> None:
+    with pytest.raises(BagError) as caught:
+        read_streams([damaged(log, change)])
+    assert str(caught.value).startswith(f"{log / 'log_0.mcap'}: ")
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_index_that_points_elsewhere_is_not_believed(robot, log: Path, tmp_path: Path) -> None:
+    """Offsets are shifted in every message index: the records are walked through instead."""
+
+    def shift(image: bytearray) -> bytes:
+        position = 8
+        while position < len(image) - 45:
+            opcode, length = struct.unpack_from("<BQ", image, position)
+            if opcode == 7:
+                for entry in range(position + 15, position + 9 + length, 16):
+                    time, offset = struct.unpack_from("<QQ", image, entry)
+                    struct.pack_into("<QQ", image, entry, time, offset + 1)
+            position += 9 + length
+        return bytes(image)
+
+    effort = read_streams([damaged(log, shift)]).joints.effort
+    assert np.array_equal(effort, robot.all("joint_effort"))
+
+
+def test_missing_places_are_named(log: Path, tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="nowhere: no such bag"):
+        read_streams([tmp_path / "nowhere"])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BagError, match=r"empty: not a bag, it holds no \.mcap file"):
+        read_streams([tmp_path / "empty"])
+    with pytest.raises(BagError, match="no bag given"):
+        read_streams([])
+    (log / "log_0.mcap").unlink()
+    with pytest.raises(BagError, match=r"log_0.mcap: no such file, though .*metadata.yaml lists"):
+        read_streams([log])
+
+
+@pytest.mark.parametrize("text", ["a: [", "rosbag2_bagfile_information: 3", ""])
+def test_broken_metadata_file_is_named(log: Path, text: str) -> None:
+    (log / "metadata.yaml").write_text(text)
+    with pytest.raises(BagError, match=r"metadata.yaml: not a rosbag2 metadata file"):
+        read_streams([log])
+
+
+def test_metadata_may_not_lead_out_of_the_bag(log: Path) -> None:
+    text = (log / "metadata.yaml").read_text().replace("- log_0.mcap", "- ../other/log_0.mcap")
+    (log / "metadata.yaml").write_text(text)
+    with pytest.raises(BagError, match="outside the bag"):
+        read_streams([log])
+
+
+def test_sqlite_bag_asks_for_conversion(tmp_path: Path) -> None:
+    with RosbagsWriter(tmp_path / "log", version=9) as writer:
+        connection = writer.add_connection("/imu", IMU, typestore=STORE)
+        writer.write(connection, 1, imu(1))
+    with pytest.raises(BagError, match=r"log\.db3: not an MCAP file; convert the bag"):
+        read_streams([tmp_path / "log"])

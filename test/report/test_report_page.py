@@ -1,0 +1,321 @@
+"""The page holds what it was given, whole, and nothing it was not."""
+
+import html.parser
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.model.inertia import PARAMETERS, UNITS
+from symbid_ros.report.content import (
+    METRICS,
+    LinkErrors,
+    MethodResult,
+    PredictionSeries,
+    ReportContent,
+)
+from symbid_ros.report.page import render, write_report
+
+VOID = {"meta", "link", "br", "hr", "img", "input"}
+
+
+class Page(html.parser.HTMLParser):
+    """A page read strictly: every element closed in order."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.source = text
+        self.open: list[str] = []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.rows: list[list[str]] = []
+        self.text: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        if tag in {"td", "th"}:
+            self.rows[-1].append("")
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if {"td", "th"} & set(self.open):
+            self.rows[-1][-1] += data.strip()
+        if "style" not in self.open:
+            self.text.append(data)
+
+    def attributes(self, name: str) -> list[str]:
+        return [a[name] or "" for _, a in self.elements if name in a]
+
+    def row(self, header: str) -> list[str]:
+        return next(row for row in self.rows if row[0] == header)
+
+
+def estimate(links: tuple[str, ...], joints: tuple[str, ...], method: str = "wls_rc") -> Estimate:
+    generator = np.random.default_rng(len(links))
+    names = tuple(f"{link}/{p}" for link in links for p in PARAMETERS)
+    prior = generator.uniform(0.1, 9.0, len(names))
+    coordinates = [f"base/{k}_{a}" for k in ("moment", "force") for a in "xyz"]
+    return Estimate(
+        method=method,
+        model="walker",
+        names=names,
+        units=UNITS * len(links),
+        value=1.05 * prior,
+        prior=prior,
+        std=0.01 * prior,
+        determined=np.arange(len(names)) % 2 == 0,
+        rank=7,
+        condition=1e3,
+        samples=4321,
+        residual_rmse=dict.fromkeys((*coordinates, *joints), 0.25),
+        consistent=dict.fromkeys(links, True),
+        inputs=("log", "walker.xml"),
+        software="symbid_ros 0.1.0",
+    )
+
+
+def series(label: str, joints: int, offset: float, samples: int = 5000) -> PredictionSeries:
+    time = np.linspace(0.0, 50.0, samples)
+    wave = np.sin(time)[:, None]
+    return PredictionSeries(
+        label=label,
+        time=time,
+        com=0.01 * wave + offset * np.array([0.01, 0.02, 0.03]),
+        torque=wave * np.arange(1.0, joints + 1.0) + offset,
+        linear_momentum=wave * np.ones(3) + offset,
+        angular_momentum=wave * np.ones(3) - offset,
+    )
+
+
+def metrics(scale: float) -> dict[str, float]:
+    return {metric.key: scale * (i + 1.0) for i, metric in enumerate(METRICS)}
+
+
+def content(joints: int, *, truth: bool = True) -> ReportContent:
+    joint_names = tuple(f"joint_{i}" for i in range(joints))
+    links = ("base_link", *(f"link_{i}" for i in range(joints)))
+    rows = [
+        MethodResult("prior", None, metrics(10.0) if truth else None),
+        MethodResult("OLS", estimate(links, joint_names, "ols"), metrics(2e3) if truth else None),
+        MethodResult("WLS-RC", estimate(links, joint_names), metrics(0.5) if truth else None),
+    ]
+    if truth:
+        rows.append(MethodResult("truth", None, metrics(0.0)))
+    errors = {"prior": np.full(len(links), 12.0), "OLS": np.linspace(1e2, 1e4, len(links))}
+    predictions = (
+        series("truth", joints, 0.0),
+        series("prior", joints, 1.0),
+        series("WLS-RC", joints, 0.1),
+    )
+    return ReportContent(
+        title="Identification of walker",
+        model="walker",
+        methods=tuple(rows),
+        chosen="WLS-RC",
+        joint_names=joint_names,
+        facts={"Bag": "log", "Samples": "4321"},
+        predictions=predictions if truth else None,
+        link_errors=LinkErrors(links, errors) if truth else None,
+    )
+
+
+@pytest.fixture(scope="module", params=[2, 29])
+def joints(request: pytest.FixtureRequest) -> int:
+    count: int = request.param
+    return count
+
+
+@pytest.fixture(scope="module")
+def page(joints: int) -> Page:
+    return Page(render(content(joints)))
+
+
+class TestPage:
+    def test_reaches_for_nothing_outside_itself(self, page: Page) -> None:
+        targets = page.attributes("href") + page.attributes("src")
+        assert all(target.startswith("#") for target in targets)
+        assert not [tag for tag, _ in page.elements if tag in {"script", "link", "iframe", "img"}]
+
+    def test_styles_load_nothing(self, page: Page) -> None:
+        assert "@import" not in page.source
+        assert "http" not in page.source
+        assert set(re.findall(r"url\((.)", page.source)) <= {"#"}
+
+    def test_ids_are_unique_and_every_reference_has_its_target(self, page: Page) -> None:
+        ids = page.attributes("id")
+        assert len(ids) == len(set(ids))
+        references = {target[1:] for target in page.attributes("href")}
+        clips = {m for a in page.attributes("clip-path") for m in re.findall(r"#([^)]+)", a)}
+        assert references | clips <= set(ids)
+
+    def test_every_figure_speaks(self, page: Page) -> None:
+        figures = [a for tag, a in page.elements if tag == "svg" and "aria-hidden" not in a]
+        assert all(a["role"] == "img" and a["aria-label"] for a in figures)
+        assert len(figures) == sum(tag == "figure" for tag, _ in page.elements)
+
+    def test_draws_com_torque_momentum_and_links(self, page: Page, joints: int) -> None:
+        figures = sum(tag == "figure" for tag, _ in page.elements)
+        assert figures == 3 + min(6, joints) + 6 + 1
+
+    def test_axes_have_units(self, page: Page) -> None:
+        labels = {text.strip() for text in page.text}
+        assert {"time [s]", "position [mm]", "torque [Nm]", "momentum [Ns]"} <= labels
+        assert "mean relative parameter error [%]" in labels
+
+    def test_states_the_deviation_that_the_curves_have(self, page: Page) -> None:
+        assert "RMSE: prior 20.0 mm, WLS-RC 2.00 mm" in {text.strip() for text in page.text}
+
+    def test_metrics_are_those_given(self, page: Page) -> None:
+        assert page.row("WLS-RC")[1:] == ["0.500", "1.00", "1.50", "2.00", "2.50"]
+        assert page.row("prior")[1:] == ["10.0", "20.0", "30.0", "40.0", "50.0"]
+
+    def test_verdict_is_computed(self, page: Page, joints: int) -> None:
+        assert (
+            f"WLS-RC: CoM error 1.50 mm against 30.0 mm of the prior; {5 * (joints + 1)} of "
+            f"{10 * (joints + 1)} parameters determined by the data; {joints + 1} of "
+            f"{joints + 1} links physically possible."
+        ) in page.text
+
+    def test_parameters_are_those_given(self, page: Page, joints: int) -> None:
+        shown = estimate(("base_link", *(f"link_{i}" for i in range(joints))), ())
+        rows = [row for row in page.rows if row[0] in PARAMETERS]
+        assert [row[0] for row in rows] == list(PARAMETERS) * (joints + 1)
+        for index, row in enumerate(rows):
+            for text, vector in zip(row[1:4], (shown.value, shown.std, shown.prior), strict=True):
+                assert vector is not None
+                assert float(text) == pytest.approx(vector[index], abs=5.1e-4)
+            assert row[5] == ("yes" if index % 2 == 0 else "no")
+
+    def test_residuals_have_a_row_for_each_coordinate(self, page: Page, joints: int) -> None:
+        assert page.row("base/force_z")[1:] == ["0.250", "0.250"]
+        assert page.row(f"joint_{joints - 1}")[1:] == ["0.250", "0.250"]
+
+
+class TestWithoutTruth:
+    page = Page(render(content(2, truth=False)))
+
+    def test_panels_are_absent_and_not_announced(self) -> None:
+        assert not [tag for tag, _ in self.page.elements if tag == "figure"]
+        sections = [a["id"] for tag, a in self.page.elements if tag == "section"]
+        assert sections == ["possible", "parameters", "residuals", "data"]
+        assert self.page.attributes("href") == [f"#{section}" for section in sections]
+
+    def test_claims_no_error(self) -> None:
+        assert "CoM error" not in "".join(self.page.text)
+
+
+def changed(**fields: object) -> ReportContent:
+    """The small report with some fields of the chosen estimate replaced."""
+    base = content(2, truth=False)
+    return replace(
+        base,
+        methods=tuple(
+            replace(m, estimate=replace(m.estimate, **fields))
+            if m.estimate is not None and m.label == base.chosen
+            else m
+            for m in base.methods
+        ),
+    )
+
+
+def test_impossible_links_are_named() -> None:
+    page = Page(render(changed(consistent={"base_link": True, "link_0": False, "link_1": True})))
+    text = " ".join("".join(page.text).split())
+    assert "impossible: link_0" in text
+    assert "2 of 3 links physically possible" in text
+
+
+def test_what_a_method_does_not_give_is_a_dash() -> None:
+    page = Page(render(changed(std=None, determined=None)))
+    row = page.row("Ixx")
+    assert (row[2], row[5]) == ("—", "—")
+    assert "determined by the data" not in "".join(page.text)
+
+
+def test_friction_stands_apart_from_links() -> None:
+    base = content(2, truth=False).estimate
+    page = Page(
+        render(
+            changed(
+                names=(*base.names, "joint_0/viscous"),
+                units=(*base.units, "Nm s/rad"),
+                value=np.append(base.value, 0.7),
+                prior=np.append(base.prior, 1.0),
+                std=None,
+                determined=None,
+            )
+        )
+    )
+    assert page.row("joint_0/viscous")[1:5] == ["0.7000", "—", "1.0000", "Nm s/rad"]
+    assert sum(tag == "details" for tag, _ in page.elements) == 4
+
+
+def test_a_worse_method_is_not_praised() -> None:
+    base = content(2)
+    worse = tuple(
+        replace(m, metrics=metrics(11.0)) if m.label == "WLS-RC" else m for m in base.methods
+    )
+    page = Page(render(replace(base, methods=worse, predictions=None, link_errors=None)))
+    assert "CoM error 33.0 mm no better than 30.0 mm of the prior" in "".join(page.text)
+
+
+def test_names_are_text_not_markup() -> None:
+    page = Page(render(replace(content(2), title="<b>$a_b$ & co", joint_names=("a<b", "$c$"))))
+    assert "<b>$a_b$ & co" in page.text
+    assert "a<b" in page.text
+
+
+def test_pages_of_equal_content_are_equal(page: Page, joints: int) -> None:
+    assert render(content(joints)) == page.source
+
+
+def test_page_is_written_whole(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "report.html"
+    shown = content(2, truth=False)
+    write_report(shown, path)
+    assert path.read_text(encoding="utf-8") == render(shown)
+    assert [p.name for p in path.parent.iterdir()] == ["report.html"]
+
+
+class TestContentIsChecked:
+    def test_chosen_method_must_have_an_estimate(self) -> None:
+        with pytest.raises(EstimateError, match="'prior'"):
+            replace(content(2), chosen="prior")
+
+    def test_labels_are_unique(self) -> None:
+        base = content(2)
+        with pytest.raises(EstimateError, match="repeat"):
+            replace(base, methods=(*base.methods, base.methods[0]))
+
+    def test_torques_match_the_joints(self) -> None:
+        with pytest.raises(EstimateError, match="2 torque columns for 1 joint names"):
+            replace(content(2), joint_names=("joint_0",))
+
+    def test_predictions_share_their_times(self) -> None:
+        with pytest.raises(EstimateError, match="'WLS-RC'"):
+            replace(
+                content(2), predictions=(series("truth", 2, 0.0), series("WLS-RC", 2, 0.1, 400))
+            )
+
+    def test_vectors_have_one_row_for_each_time(self) -> None:
+        with pytest.raises(EstimateError, match=r"com has shape \(7, 3\)"):
+            replace(series("truth", 2, 0.0), com=np.zeros((7, 3)))
+
+    def test_errors_have_one_value_for_each_link(self) -> None:
+        with pytest.raises(EstimateError, match="2 links"):
+            LinkErrors(("a", "b"), {"prior": np.ones(3)})

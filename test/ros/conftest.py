@@ -1,0 +1,115 @@
+"""Real node processes on a graph of their own."""
+
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+
+DEADLINE = 60.0  # s; only a hang takes as long
+DOMAINS_PER_WORKER = 20
+_domains = itertools.count()
+
+
+@dataclass(frozen=True)
+class Ended:
+    status: int
+    out: str
+    err: str
+
+
+class NodeProcess:
+    def __init__(
+        self,
+        executable: str,
+        env: dict[str, str],
+        parameters: dict[str, object],
+        namespace: str = "/",
+    ) -> None:
+        arguments = [
+            word
+            for name, value in parameters.items()
+            for word in ("-p", f"{name}:={str(value).lower() if value in (True, False) else value}")
+        ]
+        self._process = subprocess.Popen(
+            [
+                Path(sys.executable).parent / executable,
+                "--ros-args",
+                "-r",
+                f"__ns:={namespace}",
+                *arguments,
+            ],
+            env=env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def send(self, number: signal.Signals) -> None:
+        self._process.send_signal(number)
+
+    def ended(self) -> Ended:
+        out, err = self._process.communicate(timeout=DEADLINE)
+        return Ended(self._process.returncode, out, err)
+
+    def kill(self) -> None:
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.communicate()
+
+
+class Graph:
+    """A test's own domain: starts node processes and looks at them from a node."""
+
+    def __init__(self, env: dict[str, str]):
+        self._env = env
+        self._processes: list[NodeProcess] = []
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=int(env["ROS_DOMAIN_ID"]))
+        self.node = Node("observer", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+
+    def start(self, executable: str, namespace: str = "/", **parameters: object) -> NodeProcess:
+        self._processes.append(NodeProcess(executable, self._env, parameters, namespace))
+        return self._processes[-1]
+
+    def wait_until(self, condition: Callable[[], object]) -> None:
+        deadline = time.monotonic() + DEADLINE
+        while not condition():
+            assert time.monotonic() < deadline, "the condition did not come about"
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def wait_for_node(self, name: str) -> None:
+        self.wait_until(lambda: name in self.node.get_node_names())
+
+    def close(self) -> None:
+        for process in self._processes:
+            process.kill()
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+
+@pytest.fixture
+def graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 4
+    domain = 10 + worker * DOMAINS_PER_WORKER + next(_domains) % DOMAINS_PER_WORKER
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    graph = Graph(dict(os.environ))
+    try:
+        yield graph
+    finally:
+        graph.close()

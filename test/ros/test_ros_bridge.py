@@ -1,0 +1,139 @@
+"""The simulated robot as its topics show it, between real processes."""
+
+import json
+import signal
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from rcl_interfaces.srv import DescribeParameters
+from rosbags.highlevel import AnyReader
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+
+from symbid_ros.bags.reader import read_streams, topic_counts
+from symbid_ros.share import config_file
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+MOVES = 1
+ALL_TOPICS = (
+    "[joint_states, imu/data, left_foot/wrench, right_foot/wrench, /clock, "
+    "ground_truth/joints, ground_truth/odom, ground_truth/base_accel]"
+)
+
+
+@pytest.fixture
+def recorded(graph, tmp_path: Path) -> tuple[Path, dict, dict]:
+    """A bag of the bridge's topics, what the bridge and what the recorder said."""
+    recorder = graph.start("recorder", bag=tmp_path / "live", topics=ALL_TOPICS)
+    bridge = graph.start("mujoco_bridge", moves=MOVES, wait_for_subscribers=True, motion_seed=3)
+    told = bridge.ended()
+    recorder.send(signal.SIGINT)
+    heard = recorder.ended()
+    assert (told.status, told.err) == (0, "")
+    assert (heard.status, heard.err) == (0, "")
+    return tmp_path / "live", json.loads(told.out), json.loads(heard.out)
+
+
+def test_recorder_gets_what_the_bridge_says_it_published(
+    recorded: tuple[Path, dict, dict], tmp_path: Path
+) -> None:
+    bag, told, heard = recorded
+    steps = told["steps"]
+    assert steps == Simulator("smooth", moves=MOVES, motion_seed=3).steps
+    assert told["published"]["/joint_states"] == steps
+    assert told["published"]["/ground_truth/odom"] == -(-steps // 10)
+    assert heard["recorded"] == told["published"] == topic_counts(bag)
+    assert all(gaps["missing"] == 0 for gaps in heard["gaps"].values())
+    with AnyReader([bag]) as reader:
+        assert {c.topic: c.msgcount for c in reader.connections} == told["published"]
+
+    record(Simulator("smooth", moves=MOVES, motion_seed=3), tmp_path / "direct")
+    live, direct = read_streams([bag]), read_streams([tmp_path / "direct"])
+    assert live.joints.names == direct.joints.names
+    for field in ("stamp", "position", "velocity", "effort"):
+        assert np.array_equal(getattr(live.joints, field), getattr(direct.joints, field))
+    for field in ("stamp", "orientation", "angular_velocity", "linear_acceleration"):
+        assert np.array_equal(getattr(live.imus[0], field), getattr(direct.imus[0], field))
+    for over_topics, computed in zip(live.wrenches, direct.wrenches, strict=True):
+        assert over_topics.frame_id == computed.frame_id
+        assert np.array_equal(over_topics.force, computed.force)
+        assert np.array_equal(over_topics.torque, computed.torque)
+
+    # From rest to rest the mean vertical force is the weight; flat feet have z up.
+    weight = mujoco.MjModel.from_xml_path(str(config_file("symbitron.xml")))
+    expected = weight.body_mass.sum() * -weight.opt.gravity[2]
+    vertical = sum(stream.force[:, 2] for stream in live.wrenches)
+    assert vertical.mean() == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_the_bridge_cleanly(graph, number: signal.Signals) -> None:
+    stamps: list[int] = []
+    graph.node.create_subscription(
+        Clock,
+        "/clock",
+        lambda message: stamps.append(message.clock.sec * 10**9 + message.clock.nanosec),
+        100,
+    )
+    bridge = graph.start("mujoco_bridge", clock_rate=50.0)
+    graph.wait_until(lambda: len(stamps) > 5)
+    bridge.send(number)
+    ended = bridge.ended()
+    assert (ended.status, ended.err) == (0, "")
+    summary = json.loads(ended.out)
+    assert 0 < summary["steps"] < Simulator("smooth").steps
+    assert summary["published"]["/joint_states"] == summary["steps"]
+    assert set(np.diff(stamps)) == {20_000_000}
+
+
+def test_rates_of_zero_publish_nothing(graph) -> None:
+    states: list[JointState] = []
+    graph.node.create_subscription(JointState, "joint_states", states.append, 100)
+    bridge = graph.start("mujoco_bridge", clock_rate=0.0, ground_truth_rate=0.0)
+    graph.wait_until(lambda: states)
+    topics = {name for name, _ in graph.node.get_topic_names_and_types()}
+    bridge.send(signal.SIGTERM)
+    published = json.loads(bridge.ended().out)["published"]
+    sensors = {"/joint_states", "/imu/data", "/left_foot/wrench", "/right_foot/wrench"}
+    assert set(published) == sensors
+    assert sensors <= topics
+    assert not any(name == "/clock" or "ground_truth" in name for name in topics)
+
+
+def test_parameters_are_described_and_fixed(graph) -> None:
+    bridge = graph.start("mujoco_bridge", wait_for_subscribers=True)
+    client = graph.node.create_client(DescribeParameters, "/mujoco_bridge/describe_parameters")
+    graph.wait_until(client.service_is_ready)
+    names = ["scenario", "real_time_factor", "moves", "ground_truth_rate"]
+    answer = client.call_async(DescribeParameters.Request(names=names))
+    graph.wait_until(answer.done)
+    scenario, factor, moves, _ = answer.result().descriptors
+    assert all(each.description and each.read_only for each in answer.result().descriptors)
+    assert "smooth" in scenario.additional_constraints
+    assert factor.floating_point_range[0].to_value == 100.0
+    assert moves.integer_range[0].from_value == 1
+    bridge.send(signal.SIGINT)
+    assert bridge.ended().status == 0
+
+
+@pytest.mark.parametrize(
+    ("parameters", "line"),
+    [
+        ({"scenario": "dance"}, "parameter scenario: 'dance' is not known; give one of smooth, v"),
+        ({"moves": 0}, "parameter moves: not a valid value; give an integer at least 1"),
+        ({"moves": "many"}, "parameter moves: not a valid value; give an integer at least 1"),
+        ({"real_time_factor": 0.0}, "parameter real_time_factor: not a valid value; give a number"),
+        ({"clock_rate": 300.0}, "parameter clock_rate: 300 does not divide the simulation's rate"),
+        ({"ground_truth_rate": 4000.0}, "parameter ground_truth_rate: 4000 does not divide"),
+        ({"model": "/nowhere.xml"}, "/nowhere.xml"),
+    ],
+)
+def test_bad_parameters_end_with_one_line(graph, parameters: dict, line: str) -> None:
+    ended = graph.start("mujoco_bridge", **parameters).ended()
+    assert ended.status == 2
+    assert ended.err.startswith(f"mujoco_bridge: {line}")
+    assert ended.err.count("\n") == 1
+    assert ended.out == ""

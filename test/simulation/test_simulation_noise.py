@@ -1,0 +1,132 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+
+from symbid_ros.errors import SimulationError
+from symbid_ros.share import config_file
+from symbid_ros.simulation.noise import load_noise
+from symbid_ros.simulation.simulator import Simulator
+
+SAMPLES = 2500
+
+
+def noise_file(folder, **changes):
+    content = yaml.safe_load(config_file("noise.yaml").read_text()) | changes
+    path = folder / "noise.yaml"
+    path.write_text(yaml.safe_dump({k: v for k, v in content.items() if v != "gone"}))
+    return path
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    return Simulator(moves=1, noise_seed=3)
+
+
+@pytest.fixture(scope="module")
+def driven(noisy):
+    return np.array([name not in ("R_aie", "L_aie") for name in noisy.joint_names])
+
+
+@pytest.fixture(scope="module")
+def errors(noisy):
+    """Reading minus truth of the first instants of a run, per sensor."""
+    ideal = Simulator(moves=1, ideal=True)
+    pairs = [(noisy.step(), ideal.step()) for _ in range(SAMPLES)]
+    names = [field.name for field in dataclasses.fields(pairs[0][0])]
+    return {
+        name: np.array([getattr(reading, name) - getattr(truth, name) for reading, truth in pairs])
+        for name in names
+    }
+
+
+def test_each_sensor_has_its_configured_noise(errors, driven):
+    noise = load_noise(config_file("noise.yaml"))
+    expected = {
+        "joint_position": (errors["joint_position"], noise.joint_position),
+        "joint_velocity": (errors["joint_velocity"], noise.joint_velocity),
+        "joint_effort": (errors["joint_effort"][:, driven], noise.joint_effort),
+        "angular_velocity": (errors["imu_angular_velocity"], noise.angular_velocity),
+        "linear_acceleration": (errors["imu_linear_acceleration"], noise.linear_acceleration),
+        "force": (errors["wrenches"][:, :, :3], noise.force),
+        "moment": (errors["wrenches"][:, :, 3:], noise.moment),
+    }
+    for name, (error, sigma) in expected.items():
+        channels = error.reshape(SAMPLES, -1)
+        # Six standard errors of a standard deviation, of a mean, and of a correlation.
+        assert np.abs(channels.std(axis=0) / sigma - 1).max() < 6 / np.sqrt(2 * SAMPLES), name
+        assert np.abs(channels.mean(axis=0)).max() < 6 * sigma / np.sqrt(SAMPLES), name
+        white = (channels[1:] * channels[:-1]).mean(axis=0) / sigma**2
+        assert np.abs(white).max() < 6 / np.sqrt(SAMPLES), name
+
+
+def test_channels_are_independent(errors):
+    channels = np.hstack(
+        [
+            errors["joint_position"],
+            errors["joint_velocity"],
+            errors["wrenches"].reshape(SAMPLES, -1),
+        ]
+    )
+    correlation = np.corrcoef(channels.T) - np.eye(channels.shape[1])
+    assert np.abs(correlation).max() < 6 / np.sqrt(SAMPLES)
+
+
+def test_what_carries_no_noise(errors, driven):
+    assert not errors["imu_orientation"].any()
+    assert not errors["joint_effort"][:, ~driven].any()
+
+
+def test_noise_never_feeds_the_motion(errors):
+    truths = [name for name in errors if name.startswith(("true_", "base_"))]
+    assert len(truths) == 10
+    for name in truths:
+        assert not errors[name].any(), name
+
+
+def test_zero_stands_for_an_ideal_sensor(tmp_path):
+    path = noise_file(tmp_path, joint_effort=0)
+    instant = Simulator(moves=1, noise_path=path).step()
+    np.testing.assert_array_equal(instant.joint_effort, instant.true_effort)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"force": "gone"}, "force missing"),
+        ({"forse": 1.0}, "unknown entry forse"),
+        ({"force": -1.0}, "force is -1.0"),
+        ({"force": float("nan")}, "force is nan"),
+        ({"force": float("inf")}, "force is inf"),
+        ({"force": "much"}, "force is 'much'"),
+        ({"force": True}, "force is True"),
+        ({"force": None}, "force is None"),
+    ],
+)
+def test_bad_values_are_named(tmp_path, changes, message):
+    path = noise_file(tmp_path, **changes)
+    with pytest.raises(SimulationError) as caught:
+        load_noise(path)
+    assert str(path) in str(caught.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [("force: [1", "not valid YAML"), ("- 1\n- 2\n", "not a mapping"), ("", "not a mapping")],
+)
+def test_files_that_are_no_mapping(tmp_path, content, message):
+    path = tmp_path / "noise.yaml"
+    path.write_text(content)
+    with pytest.raises(SimulationError) as caught:
+        load_noise(path)
+    assert str(path) in str(caught.value)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file_is_named(tmp_path):
+    with pytest.raises(SimulationError, match=r"absent\.yaml.*cannot be read"):
+        load_noise(tmp_path / "absent.yaml")

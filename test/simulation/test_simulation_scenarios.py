@@ -1,0 +1,121 @@
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+import scipy.signal
+
+from symbid_ros.errors import SimulationError
+from symbid_ros.share import config_file
+from symbid_ros.simulation.scenario import COM_MOVES, SCENARIOS
+from symbid_ros.simulation.simulator import Simulator
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def test_stamps_are_multiples_of_the_period(run):
+    stamps = run.array("stamp")
+    assert stamps[0] == 1_000_000
+    assert np.all(np.diff(stamps) == 1_000_000)
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_equal_seeds_give_equal_instants(scenario):
+    first, second = (Simulator(scenario, moves=1, motion_seed=2, noise_seed=9) for _ in range(2))
+    for _ in range(700):
+        one, other = first.step(), second.step()
+        for field in dataclasses.fields(one):
+            np.testing.assert_array_equal(
+                getattr(one, field.name), getattr(other, field.name), strict=True
+            )
+
+
+def test_noise_seed_changes_readings_and_not_the_motion():
+    first, second = (Simulator("vibrating", moves=1, noise_seed=seed) for seed in (0, 1))
+    for _ in range(100):
+        one, other = first.step(), second.step()
+        np.testing.assert_array_equal(one.true_acceleration, other.true_acceleration)
+        assert not np.any(one.joint_position == other.joint_position)
+
+
+def test_motion_seed_changes_the_moves():
+    durations = {Simulator(moves=3, motion_seed=seed).steps for seed in range(3)}
+    assert len(durations) == 3
+
+
+def test_iteration_yields_the_steps_that_are_left():
+    simulator = Simulator("suspended", moves=1, ideal=True)
+    for _ in range(10):
+        simulator.step()
+    assert len(list(simulator)) == simulator.steps - 10
+
+
+def test_smooth_motion_is_smooth(smooth):
+    assert 0.1 < rms(smooth.array("true_acceleration")) < 0.5
+
+
+def test_centre_of_mass_follows_its_moves(smooth, body):
+    path = []
+    for instant in smooth.instants[::100]:
+        body.set(instant)
+        mujoco.mj_kinematics(body.model, body.data)
+        mujoco.mj_comPos(body.model, body.data)
+        path.append(body.data.subtree_com[1].copy())
+    offsets = (np.array(path) - path[0] - COM_MOVES.centre) / COM_MOVES.half_widths
+    assert np.linalg.norm(offsets, axis=1).max() < 1.05
+    assert np.ptp(offsets, axis=0).min() > 0.7
+    feet = np.array([body.site(sensor.frame_id)[0] for sensor in smooth.sensors])
+    np.testing.assert_allclose(feet, [[-0.115, 0.13, 0.0], [-0.115, -0.13, 0.0]], atol=2e-3)
+
+
+def test_vibration_is_as_strong_and_as_fast_as_in_the_thesis(vibrating):
+    acceleration = vibrating.array("true_acceleration")
+    assert 8.0 < rms(acceleration) < 10.0
+    frequency, power = scipy.signal.welch(acceleration, fs=1000.0, nperseg=1024, axis=0)
+    share = power.sum(axis=1) / power.sum()
+    median = frequency[np.searchsorted(np.cumsum(share), 0.5)]
+    assert 250.0 < median < 460.0
+
+
+def test_suspended_robot_hangs_by_its_hoist_alone(suspended, body):
+    topics = [sensor.topic for sensor in suspended.sensors]
+    assert topics == ["left_foot/wrench", "right_foot/wrench", "suspension/wrench"]
+    wrenches = suspended.array("wrenches")
+    assert not wrenches[:, :2].any()
+    upward = []
+    for instant in suspended.instants[::20]:
+        body.set(instant)
+        mujoco.mj_kinematics(body.model, body.data)
+        upward.append((body.site("suspension")[1] @ instant.wrenches[2, :3])[2])
+        assert body.data.site("left_sole").xpos[2] > 0.1
+    assert np.mean(upward) == pytest.approx(41.05 * 9.81, rel=0.02)
+
+
+def test_suspended_robot_is_rocked_about_changing_axes(suspended):
+    attitudes = suspended.array("base_orientation")
+    tilt = np.degrees(2 * np.arccos(np.clip(np.abs(attitudes @ attitudes[0]), 0, 1)))
+    assert 10.0 < tilt.max() < 25.0
+    assert np.ptp(suspended.array("true_position"), axis=0).min() > 0.02
+
+
+def test_a_fall_is_reported_with_its_time(tmp_path):
+    feeble = tmp_path / "feeble.xml"
+    feeble.write_text(config_file("symbitron.xml").read_text().replace("-100 100", "-10 10"))
+    with pytest.raises(SimulationError, match=r"at -?\d+\.\d{3} s"):
+        list(Simulator(moves=1, model_path=feeble))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"scenario": "dancing"}, "choose one of smooth, suspended, vibrating"),
+        ({"motion_seed": -1}, "motion seed -1"),
+        ({"noise_seed": -1}, "noise seed -1"),
+        ({"moves": 0}, "0 moves"),
+    ],
+)
+def test_bad_options_are_refused(options, message):
+    with pytest.raises(SimulationError, match=message):
+        Simulator(**options)

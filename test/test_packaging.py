@@ -1,0 +1,256 @@
+"""The tree is a ROS package: colcon builds it, and what it installs runs."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+import yaml
+
+PACKAGE = "symbid_ros"
+ROOT = Path(__file__).resolve().parents[1]
+EXECUTABLES = {"symbid", "mujoco_bridge", "recorder", "identifier"}
+LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+
+
+def clean_environment() -> dict[str, str]:
+    """Return an environment in which a child starts as from a fresh shell.
+
+    The ROS wheels set LD_LIBRARY_PATH once and leave a guard variable; a child
+    that inherits one without the other does not find its libraries.
+    """
+    inherited = {
+        "LD_LIBRARY_PATH",
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+        "PYTHONPATH",
+        "AMENT_PREFIX_PATH",
+        "COLCON_PREFIX_PATH",
+        "CMAKE_PREFIX_PATH",
+    }
+    return {name: value for name, value in os.environ.items() if name not in inherited}
+
+
+def colcon(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [Path(sysconfig.get_path("scripts")) / "colcon", *arguments],
+        cwd=cwd,
+        env=clean_environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def installation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The install/ folder of a colcon build of this tree."""
+    workspace = tmp_path_factory.mktemp("workspace")
+    done = colcon(
+        *("--log-base", "log", "build", "--base-paths", str(ROOT)),
+        *("--build-base", "build", "--install-base", "install"),
+        cwd=workspace,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return workspace / "install"
+
+
+def run_installed(installation: Path, command: str) -> subprocess.CompletedProcess[str]:
+    """Run a shell command as a user does who has sourced the workspace."""
+    return subprocess.run(
+        ["bash", "-c", f'source "{installation}/setup.bash" && {command}'],
+        # Outside the checkout, whose package would be found in the working directory.
+        cwd=installation,
+        env=clean_environment()
+        | {
+            "ROS_LOG_DIR": str(installation.parent / "log"),
+            "ROS_DOMAIN_ID": "97",
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+class TestManifest:
+    root = ElementTree.parse(ROOT / "package.xml").getroot()
+
+    def test_is_format_3_of_build_type_ament_python(self) -> None:
+        assert (self.root.tag, self.root.get("format")) == ("package", "3")
+        assert self.root.findtext("export/build_type") == "ament_python"
+
+    @pytest.mark.parametrize("tag", ["name", "version", "description", "maintainer", "license"])
+    def test_has_what_every_package_must_have(self, tag: str) -> None:
+        assert self.root.findtext(tag)
+
+    def test_maintainer_can_be_written_to(self) -> None:
+        emails = [element.get("email", "") for element in self.root.findall("maintainer")]
+        assert all(re.fullmatch(r"[\w.+-]+@[\w-]+(\.[\w-]+)+", email) for email in emails)
+
+    def test_licence_file_is_the_licence_named(self) -> None:
+        licence = self.root.find("license")
+        assert licence is not None
+        text = (ROOT / licence.get("file", "")).read_text()
+        assert licence.text == "Apache-2.0"
+        assert "Apache License" in text
+        assert "END OF TERMS AND CONDITIONS" in text
+
+    def test_dependencies_are_rosdep_keys_named_once(self) -> None:
+        keys = [e.text or "" for e in self.root if e.tag.endswith("depend")]
+        assert all(re.fullmatch(r"[a-z][a-z0-9]*([_-][a-z0-9]+)*", key) for key in keys)
+        assert len(keys) == len(set(keys))
+
+    def test_every_ros_package_imported_is_declared(self) -> None:
+        declared = {e.text for e in self.root if e.tag.endswith("depend")}
+        sources = [*(ROOT / PACKAGE / "ros").glob("*.py"), *LAUNCH_FILES]
+        used = {
+            name.split(".")[0]
+            for source in sources
+            for node in ast.walk(ast.parse(source.read_text()))
+            for name in _modules(node)
+        }
+        ros = {name for name in used if name.endswith("_msgs") or name.endswith("_srvs")}
+        ros |= used & {"rclpy", "launch", "launch_ros", "ament_index_python", "rpyutils"}
+        assert ros <= declared
+
+    def test_version_is_that_of_setup_py(self) -> None:
+        version = self.root.findtext("version")
+        assert f'version="{version}"' in (ROOT / "setup.py").read_text()
+
+
+def _modules(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+        return [node.module]
+    return []
+
+
+def test_colcon_recognises_a_ros_package(tmp_path: Path) -> None:
+    listed = colcon("list", "--base-paths", str(ROOT), cwd=tmp_path)
+    assert listed.stdout.split()[0] == PACKAGE
+    assert listed.stdout.split()[-1] == "(ros.ament_python)"
+
+
+class TestInstallation:
+    def test_holds_the_executables(self, installation: Path) -> None:
+        folder = installation / PACKAGE / "lib" / PACKAGE
+        assert {path.name for path in folder.iterdir()} == EXECUTABLES
+        assert all(os.access(path, os.X_OK) for path in folder.iterdir())
+
+    def test_holds_the_shared_files(self, installation: Path) -> None:
+        share = installation / PACKAGE / "share"
+        marker = share / "ament_index" / "resource_index" / "packages" / PACKAGE
+        assert marker.is_file()
+        for folder in ("config", "launch"):
+            installed = {p.name for p in (share / PACKAGE / folder).iterdir() if p.is_file()}
+            tracked = {p.name for p in (ROOT / folder).iterdir() if p.is_file()}
+            assert installed == tracked
+
+    def test_is_what_a_sourced_shell_imports(self, installation: Path) -> None:
+        code = "import symbid_ros.share as s; print(s.__file__); print(s.share_directory())"
+        done = run_installed(installation, f"{sys.executable} -c '{code}'")
+        assert done.returncode == 0, done.stderr
+        module, share = map(Path, done.stdout.split())
+        assert module.is_relative_to(installation)
+        assert share == installation / PACKAGE / "share" / PACKAGE
+
+    def test_command_runs(self, installation: Path) -> None:
+        done = run_installed(installation, f"{PACKAGE}/lib/{PACKAGE}/symbid --version")
+        assert (done.returncode, done.stderr) == (0, "")
+        assert done.stdout.startswith(PACKAGE)
+
+    @pytest.mark.parametrize(
+        ("executable", "parameter"),
+        [
+            ("mujoco_bridge", "scenario:=dancing"),
+            ("recorder", "queue_depth:=0"),
+            ("identifier", "method:=guess"),
+        ],
+    )
+    def test_node_starts_and_refuses_a_bad_parameter(
+        self, installation: Path, executable: str, parameter: str
+    ) -> None:
+        node = f"{PACKAGE}/lib/{PACKAGE}/{executable}"
+        done = run_installed(installation, f"{node} --ros-args -p {parameter}")
+        assert done.returncode == 2, done.stderr
+        assert parameter.partition(":=")[0] in done.stderr
+        assert "Traceback" not in done.stderr
+
+    def test_holds_the_report_template(self, installation: Path) -> None:
+        names = {
+            path.name for path in installation.glob(f"{PACKAGE}/lib/python*/*/{PACKAGE}/report/*")
+        }
+        assert {"report.html", "report.css"} <= names
+
+
+@pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda p: p.name)
+class TestLaunchFile:
+    def test_starts_executables_of_this_package(self, path: Path) -> None:
+        tree = ast.parse(path.read_text())
+        started = {
+            keyword.value.value
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Call)
+            for keyword in node.keywords
+            if keyword.arg == "executable" and isinstance(keyword.value, ast.Constant)
+        }
+        assert started
+        assert started <= EXECUTABLES
+
+    def test_names_files_that_exist(self, path: Path) -> None:
+        strings = [
+            node.value
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        ]
+        for name in (s for s in strings if s.endswith(".yaml")):
+            parameters = yaml.safe_load((ROOT / "config" / name).read_text())
+            assert set(parameters) == {"/**"}
+
+    def test_arguments_are_parameters_of_the_node(self, path: Path) -> None:
+        arguments = {
+            key.value
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Assign)
+            and isinstance(node.targets[0], ast.Name)
+            and node.targets[0].id.endswith("ARGUMENTS")
+            and isinstance(node.value, ast.Dict)
+            for key in node.value.keys
+            if isinstance(key, ast.Constant)
+        }
+        executable = {"simulate.launch.py": "mujoco_bridge", "identify.launch.py": "identifier"}
+        source = ROOT / PACKAGE / "ros" / f"{executable[path.name]}.py"
+        declared = {
+            node.args[0].value
+            for node in ast.walk(ast.parse(source.read_text()))
+            if isinstance(node, ast.Call)
+            and isinstance(node.func, ast.Name)
+            and node.func.id == "Parameter"
+            and isinstance(node.args[0], ast.Constant)
+        }
+        assert arguments
+        assert arguments <= declared
+
+    def test_defines_the_entry_point(self, path: Path) -> None:
+        functions = {
+            n.name for n in ast.parse(path.read_text()).body if isinstance(n, ast.FunctionDef)
+        }
+        assert "generate_launch_description" in functions
+
+
+def test_entry_points_exist() -> None:
+    text = (ROOT / "setup.py").read_text()
+    scripts = dict(re.findall(r'"(\w+) = ([\w.]+):main"', text))
+    assert set(scripts) == EXECUTABLES
+    for module in scripts.values():
+        source = ROOT / Path(*module.split(".")).with_suffix(".py")
+        names = {
+            n.name for n in ast.parse(source.read_text()).body if isinstance(n, ast.FunctionDef)
+        }
+        assert "main" in names
