@@ -54,9 +54,7 @@ def main() -> None:
             vectors[method], ranks[method] = found.value, found.rank
         for name, metrics in evaluate(parameters, vectors, parameters.values, truth).items():
             rows[name].append((*astuple(metrics), ranks[name]))
-    print(
-        "| | gen. force (N, Nm) | torque (Nm) | CoM (mm) | momentum | parameters (%) | z |"
-    )
+    print("| | gen. force (N, Nm) | torque (Nm) | CoM (mm) | momentum | parameters (%) | z |")
     print("|---|---|---|---|---|---|---|")
     for name, figures in rows.items():
         cells = " | ".join(f"{mean:.3g}" for mean in np.mean(figures, axis=0))

@@ -3,16 +3,15 @@
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.spatial import cross
 from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
 
-# J of one unit of each parameter.
+# J of one unit of each parameter, (10, 16).
 UNIT_PSEUDO_INERTIA = pseudo_inertia(np.eye(10)).reshape(10, 16)
 
 
 def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatArray) -> FloatArray:
-    """Return ∫ (x × u; u) dm about the base's origin per unit parameter, (N, 6, 10 links).
+    """Return ∫ (x × u; u) dm about the base's origin per unit parameter, (N, 6, inertial).
 
     A body's points x = X ξ, ξ homogeneous in link axes, have rates u = U ξ, so that
     ∫ x uᵀ dm = X J Uᵀ with the pseudo-inertia J = ∫ ξξᵀ dm, linear in the parameters
@@ -30,11 +29,14 @@ def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatA
     if len(parameters.links) < pose.shape[2]:
         pose, pose_rate = pose[:, :, parameters.links], pose_rate[:, :, parameters.links]
     links, count = pose.shape[2:]
-    integrals = np.empty((count, 6, links, 10))
-    products = cross(pose[:, :, None], pose_rate[:, None]).reshape(3, 16, links * count)
-    moment = (UNIT_PSEUDO_INERTIA @ products).reshape(3, 10, links, count)
-    integrals[:, :3] = moment.transpose(3, 0, 2, 1)
-    integrals[:, 3:, :, 0] = pose_rate[:, 3].transpose(2, 0, 1)
-    integrals[:, 3:, :, 1:4] = pose_rate[:, :3].transpose(3, 0, 2, 1)
-    integrals[:, 3:, :, 4:] = 0.0
-    return integrals.reshape(count, 6, 10 * links)
+    integrals = np.empty((6, links, 10, count))
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        # One axis at a time: the products of all three would not fit the cache.
+        products = pose[i, :, None] * pose_rate[j]
+        products -= pose[j, :, None] * pose_rate[i]
+        moment = UNIT_PSEUDO_INERTIA @ products.reshape(16, links * count)
+        integrals[axis] = moment.reshape(10, links, count).swapaxes(0, 1)
+    integrals[3:, :, 0] = pose_rate[:, 3]
+    integrals[3:, :, 1:4] = pose_rate[:, :3].swapaxes(1, 2)
+    integrals[3:, :, 4:] = 0.0
+    return integrals.reshape(6, parameters.inertial, count).transpose(2, 0, 1)

@@ -47,9 +47,9 @@ def momentum_regressor(
             component_first(samples.base_angular_velocity[part]),
             component_first(base_velocity[part]),
         )
-        pose_rate = np.concatenate(
-            [cross(omega[:, None], posture.rotation), velocity[:, None]], axis=1
-        )
+        pose_rate = np.empty_like(posture.pose)
+        pose_rate[:, :3] = cross(omega[:, None], posture.rotation)
+        pose_rate[:, 3] = velocity
         M[part, :, : parameters.inertial] = body_integrals(parameters, posture.pose, pose_rate)
     return M
 

@@ -1,6 +1,6 @@
 """The base's motion, from an IMU mounted anywhere on the tree (REP-145)."""
 
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,15 +53,12 @@ def base_motion(
     above = np.flatnonzero(model.ancestors[:, frame.link])
     # Only the joints between base and IMU matter; alone they are a serial chain.
     table = JointTable.of([replace(model.joints[j], parent=k) for k, j in enumerate(above)])
+    readings = (imu.angular_velocity, imu.angular_acceleration, imu.specific_force)
     base = np.empty((3, 3, len(joints[0])))
     for part in passes(len(joints[0]), len(table) + 1):
-        position, velocity, acceleration = (
-            component_first(rates[part][:, above]) for rates in joints
-        )
-        imu_mount = _imu_with_base_at_rest(table, frame, (position, velocity, acceleration))
-        base[:, :, part] = _less_mount(
-            imu_mount, *(component_first(reading[part]) for reading in astuple(imu))
-        )
+        position, velocity, acceleration = (component_first(x[part][:, above]) for x in joints)
+        mount = _imu_with_base_at_rest(table, frame, (position, velocity, acceleration))
+        base[:, :, part] = _less_mount(mount, *(component_first(x[part]) for x in readings))
     return BaseMotion(*(motion.T for motion in base))
 
 

@@ -26,8 +26,8 @@ class JointTable:
         Unit vectors in the child's axes.
     reference : (J, 1) float64
         Positions at which the child stands as the model file says.
-    pose : (J, 12, 4) float64
-        Child's pose (rotation | translation), flattened from (3, 4), in the parent:
+    pose : (J, 15, 4) float64
+        Child's rotation, translation and joint axis, flattened from (3, 5), in the parent:
         ``pose @ [1, sin q, cos q, q]`` with q counted from the reference.
     path : (L, J) float64
         1 where a joint lies between the base and a link, Eq. 10's δ_j(l).
@@ -64,13 +64,13 @@ class JointTable:
         return len(self.parent)
 
     def poses(self, position: FloatArray) -> FloatArray:
-        """Return the children's poses (J, 3, 4, N) in their parents at positions (J, N)."""
+        """Return rotation | translation | axis (J, 3, 5, N) in the parents at positions (J, N)."""
         displacement = position - self.reference
         basis = np.empty((len(self), 4, position.shape[1]))
         basis[:, 0], basis[:, 3] = 1.0, displacement
         np.sin(displacement, out=basis[:, 1])
         np.cos(displacement, out=basis[:, 2])
-        return (self.pose @ basis).reshape(len(self), 3, 4, position.shape[1])
+        return (self.pose @ basis).reshape(len(self), 3, 5, position.shape[1])
 
     def along_path(self, base: FloatArray, step: FloatArray) -> FloatArray:
         """Return vectors (3, L, N): the base's (3, N) plus the steps (3, J, N) on the way."""
@@ -80,17 +80,18 @@ class JointTable:
 
 
 def _pose_terms(joints: Sequence[Joint], turns: FloatArray) -> FloatArray:
-    """Return the (J, 12, 4) factors of 1, sin q, cos q and q in the poses (Rodrigues)."""
+    """Return the (J, 15, 4) factors of 1, sin q, cos q and q in the poses (Rodrigues)."""
     count = len(joints)
     rotation = np.array([joint.rotation for joint in joints]).reshape(count, 3, 3)
     axis = np.array([joint.axis for joint in joints]).reshape(count, 3)
     turns = turns[:, None, None]
     # What a prismatic joint leaves alone is all of the rotation, not the axis's part of it.
     kept = np.where(turns, axis[:, :, None] * axis[:, None], np.eye(3))
-    terms = np.zeros((count, 3, 4, 4))
+    terms = np.zeros((count, 3, 5, 4))
     terms[:, :, :3, 0] = rotation @ kept
     terms[:, :, :3, 1] = rotation @ (skew(axis.T).transpose(2, 0, 1) * turns)
     terms[:, :, :3, 2] = rotation @ (np.eye(3) - kept)
     terms[:, :, 3, 0] = np.array([joint.translation for joint in joints]).reshape(count, 3)
-    terms[:, :, 3, 3] = (rotation @ axis[:, :, None] * (1 - turns))[..., 0]
-    return terms.reshape(count, 12, 4)
+    terms[:, :, 4, 0] = (rotation @ axis[:, :, None])[..., 0]
+    terms[:, :, 3, 3] = terms[:, :, 4, 0] * (1 - turns[..., 0])
+    return terms.reshape(count, 15, 4)

@@ -59,25 +59,25 @@ class Posture:
     def at(cls, joints: JointTable, position: FloatArray) -> "Posture":
         """Place the links at joint positions (J, N)."""
         count = position.shape[1]
-        pose = np.empty((3, 4, len(joints) + 1, count))
-        pose[:, :, 0] = np.eye(3, 4)[..., None]
-        for child, (parent, placed) in enumerate(
+        placed = np.empty((3, 5, len(joints) + 1, count))
+        placed[:, :, 0] = np.eye(3, 5)[..., None]
+        for child, (parent, pose) in enumerate(
             zip(joints.parent.tolist(), joints.poses(position), strict=True), start=1
         ):
-            np.einsum("ikn,kjn->ijn", pose[:, :3, parent], placed, out=pose[:, :, child])
+            np.einsum("ikn,kjn->ijn", placed[:, :3, parent], pose, out=placed[:, :, child])
+        pose, axis = placed[:, :4], placed[:, 4, 1:]
         # So far the last column holds levers; their sum along the path is the origin.
         lever = pose[:, 3, 1:].copy()
         pose[:, 3] = joints.along_path(np.zeros((3, count)), lever)
-        return cls(joints, pose, _directions(joints, pose), lever)
+        return cls(joints, pose, axis, lever)
 
     @classmethod
     def of(cls, joints: JointTable, poses: LinkPoses) -> "Posture":
         """Take the links as placed by :func:`link_poses`."""
-        origin = component_first(poses.position)
-        pose = np.concatenate([component_first(poses.rotation), origin[:, None]], axis=1)
-        return cls(
-            joints, pose, _directions(joints, pose), origin[:, 1:] - origin[:, joints.parent]
-        )
+        rotation, origin = component_first(poses.rotation), component_first(poses.position)
+        pose = np.concatenate([rotation, origin[:, None]], axis=1)
+        axis = np.einsum("ikjn,kj->ijn", rotation[:, :, 1:], joints.axis)
+        return cls(joints, pose, axis, origin[:, 1:] - origin[:, joints.parent])
 
     @property
     def rotation(self) -> FloatArray:
@@ -150,15 +150,23 @@ def link_motion(
     change = axis * (acceleration * joints.turns)
     change += cross(w, spin)
     alpha = joints.along_path(base[1], change)
-    lever_acceleration = omega[:, None] * omega
-    square = lever_acceleration[[0, 1, 2], [0, 1, 2]].sum(axis=0)
-    lever_acceleration[[0, 1, 2], [0, 1, 2]] -= square
-    lever_acceleration += skew(alpha)
+    lever_acceleration = _lever_acceleration(omega, alpha)
     step = turn(lever_acceleration[:, :, joints.parent], posture.lever)
     for j in joints.slides:
-        step[:, j] += axis[:, j] * acceleration[j] + 2 * cross(w[:, j], axis[:, j] * velocity[j])
+        slide = axis[:, j]
+        step[:, j] += slide * acceleration[j] + 2 * cross(w[:, j], slide * velocity[j])
     force = joints.along_path(base[2], step)
     return LinkMotion(omega, alpha, force, lever_acceleration)
+
+
+def _lever_acceleration(omega: FloatArray, alpha: FloatArray) -> FloatArray:
+    """Return S(ω̇) + S(ω)² (3, 3, ...) with S(ω)² = ωωᵀ - |ω|² 1."""
+    matrix = omega[:, None] * omega
+    square = matrix[0, 0] + matrix[1, 1] + matrix[2, 2]
+    for i in range(3):
+        matrix[i, i] -= square
+    matrix += skew(alpha)
+    return matrix
 
 
 def link_velocity(
@@ -174,8 +182,3 @@ def link_velocity(
     for j in joints.slides:
         step[:, j] += axis[:, j] * velocity[j]
     return omega, joints.along_path(base_linear, step)
-
-
-def _directions(joints: JointTable, pose: FloatArray) -> FloatArray:
-    directions: FloatArray = np.einsum("ikjn,kj->ijn", pose[:, :3, 1:], joints.axis)
-    return directions

@@ -206,8 +206,8 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
     missing = [name for name in model.joint_names if name not in names]
     if missing:
         raise ModelError(
-            f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it has "
-            f"{', '.join(names)}; name the right model or bag"
+            f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
+            f"has {', '.join(names)}; name the right model or bag"
         )
     return np.array([list(names).index(name) for name in model.joint_names], dtype=np.int64)
 
