@@ -84,7 +84,9 @@ def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, s
 
 
 def _recording_facts(played: dict[str, Any], recorded: dict[str, Any]) -> dict[str, str]:
-    published, kept = sum(played["published"].values()), sum(recorded["recorded"].values())
+    kept = sum(recorded["recorded"].values())
+    # The clock is published too, but not recorded: only topics of both count.
+    published = sum(played["published"].get(topic, 0) for topic in recorded["recorded"])
     missing = sum(gap["missing"] for gap in recorded["gaps"].values())
     return {
         "Real-time factor": f"{played['real_time_factor']:.3f}, {played['late_steps']} late steps",
