@@ -180,9 +180,17 @@ def _joint_channel(streams: Streams, model: RobotModel) -> _Channel:
         streams.joints.names, model, f"{streams.source}: {streams.joints.topic}"
     )
     effort = streams.joints.effort[:, columns]
-    # A passive joint may have no effort in its messages: nothing drives it.
-    passive = [index for index, joint in enumerate(model.joints) if joint.effort == 0.0]
-    effort[:, passive] = np.nan_to_num(effort[:, passive])
+    for index, joint in enumerate(model.joints):
+        # Nothing drives a passive joint, so a log may leave its effort out; one that breaks off
+        # in the middle is a fault like any other.
+        if joint.effort == 0.0 and np.all(np.isnan(effort[:, index])):
+            logger.warning(
+                "%s: %s has no effort of joint %s, which is passive in the model: taken as zero",
+                streams.source,
+                streams.joints.topic,
+                joint.name,
+            )
+            effort[:, index] = 0.0
     values = np.concatenate([streams.joints.position[:, columns], effort], axis=1)
     if not np.all(np.isfinite(values)):
         row, column = np.argwhere(~np.isfinite(values))[0]

@@ -138,6 +138,22 @@ class TestAlignment:
         (segment,) = align(replace(streams, joints=lossy), model)
         np.testing.assert_allclose(segment.position, joints.position, atol=1e-7)
 
+    def test_only_a_passive_joint_may_leave_its_effort_out(self, moving, caplog):
+        model, streams = moving
+        free = replace(model, joints=(replace(model.joints[0], effort=0.0), *model.joints[1:]))
+        absent = streams.joints.effort.copy()
+        absent[:, 0] = np.nan
+        silent = replace(streams, joints=replace(streams.joints, effort=absent))
+        (segment,) = align(silent, free)
+        np.testing.assert_array_equal(segment.effort[:, 0], 0)
+        assert "taken as zero" in caplog.text
+        for value in (np.nan, np.inf):
+            broken = streams.joints.effort.copy()
+            broken[500, 0] = value
+            faulty = replace(streams, joints=replace(streams.joints, effort=broken))
+            with pytest.raises(DataError, match="no finite effort of joint"):
+                align(faulty, free)
+
     def test_refusals_are_clear(self, moving):
         model, streams = moving
         joints = streams.joints
