@@ -11,6 +11,11 @@ from symbid_ros.errors import DataError
 
 Channels = Literal["all", "thesis"]
 
+# The thesis filters joint positions, their derivative and that one's derivative: so often its joint
+# accelerations pass. Given to every channel, it leaves both sides of the equation of motion alike,
+# and the least of the gyroscope's noise in the base's angular acceleration.
+PASSES = 3
+
 
 @dataclass(frozen=True)
 class LowPass:
@@ -21,11 +26,11 @@ class LowPass:
     cutoff : float
         Hz; 0 passes everything.
     channels : {"all", "thesis"}
-        "all" gives every channel, forces included, the same filter, so that both
-        sides of the equation of motion lose the same band. "thesis" filters joint
-        positions and the body's rate before they are differentiated and the
-        derivatives once more, and leaves torques, wrenches and the accelerometer
-        alone (thesis, section III-E).
+        "all" runs the filter ``PASSES`` times over every channel, forces included, so
+        that both sides of the equation of motion lose the same band. "thesis" runs it
+        once over joint positions and the body's rate before they are differentiated
+        and once more over each derivative, and leaves torques, wrenches and the
+        accelerometer alone (thesis, section III-E).
     """
 
     cutoff: float = 30.0
@@ -36,8 +41,8 @@ class LowPass:
         if not (np.isfinite(self.cutoff) and self.cutoff >= 0):
             raise DataError(f"cutoff {self.cutoff} Hz is no frequency; give 0 (no filter) or more")
 
-    def __call__(self, signal: FloatArray, rate: float) -> FloatArray:
-        """Return the filtered signal, time along the first axis.
+    def __call__(self, signal: FloatArray, rate: float, passes: int = 1) -> FloatArray:
+        """Return the signal filtered ``passes`` times, time along the first axis.
 
         Raises
         ------
@@ -50,14 +55,18 @@ class LowPass:
             raise DataError(
                 f"cutoff {self.cutoff:g} Hz is not below half the rate of {rate:g} Hz; lower it"
             )
-        sections = butter(2, self.cutoff, fs=rate, output="sos")
-        padding = min(len(signal) - 1, int(3 * rate / self.cutoff))
+        sections = np.tile(butter(2, self.cutoff, fs=rate, output="sos"), (passes, 1))
+        padding = min(len(signal) - 1, int(3 * passes * rate / self.cutoff))
         filtered: FloatArray = sosfiltfilt(sections, signal, axis=0, padlen=padding)
         return filtered
 
+    def motion(self, signal: FloatArray, rate: float) -> FloatArray:
+        """Return a position or rate of turn as this choice treats it before derivatives."""
+        return self(signal, rate, PASSES if self.channels == "all" else 1)
+
     def force(self, signal: FloatArray, rate: float) -> FloatArray:
         """Return a force, torque or specific force as this choice of channels treats it."""
-        return self(signal, rate) if self.channels == "all" else signal
+        return self(signal, rate, PASSES) if self.channels == "all" else signal
 
     def derivative(self, signal: FloatArray, rate: float) -> FloatArray:
         """Return the time derivative of a filtered signal as this choice treats it."""
@@ -66,7 +75,7 @@ class LowPass:
 
     def settling(self, rate: float) -> int:
         """Return the number of samples at either end that still feel the edge."""
-        return 2 if self.cutoff == 0 else max(2, int(np.ceil(rate / self.cutoff)))
+        return 2 if self.cutoff == 0 else max(2, int(np.ceil(PASSES * rate / self.cutoff)))
 
     def stride(self, rate: float) -> int:
         """Return how many samples apart rows still carry all that passed the filter.

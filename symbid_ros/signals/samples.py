@@ -53,7 +53,7 @@ def _segment_samples(
     segment: Segment, streams: Streams, model: RobotModel, low_pass: LowPass
 ) -> Samples:
     rate = segment.rate
-    position = low_pass(segment.position, rate)
+    position = low_pass.motion(segment.position, rate)
     velocity = low_pass.derivative(position, rate)
     acceleration = low_pass.derivative(velocity, rate)
     base = _base(segment, streams, model, low_pass, (position, velocity, acceleration))
@@ -85,7 +85,7 @@ def _base(
         return BaseMotion(nothing, nothing, np.broadcast_to(-model.gravity, nothing.shape))
     motions = []
     for index, imu in enumerate(streams.imus):
-        rate_of_turn = low_pass(segment.angular_velocity[:, index], segment.rate)
+        rate_of_turn = low_pass.motion(segment.angular_velocity[:, index], segment.rate)
         reading = BaseMotion(
             rate_of_turn,
             low_pass.derivative(rate_of_turn, segment.rate),

@@ -51,6 +51,9 @@ class BalanceGains:
         Weights of the squared task errors, in m/s², Nm, rad/s² and m/s², rad/s², N and Nm.
     friction : float
         Coefficient the planned contact forces keep to; less than the floor's.
+    sole_margin : float
+        Distance the planned centres of pressure keep from the soles' edges, m: a sole loaded
+        at its very edge tips, and falls back with a blow.
     """
 
     com_stiffness: float = 60.0
@@ -65,6 +68,7 @@ class BalanceGains:
     trunk_weight: float = 0.1
     wrench_weight: float = 1e-4
     friction: float = 0.6
+    sole_margin: float = 0.02
 
 
 class BalanceController:
@@ -76,7 +80,7 @@ class BalanceController:
     and for each sole the friction pyramid and a centre of pressure within its contact points, as
     the feet stand flat with their toes along world x. Tasks, weighted against each other:
     acceleration of the centre of mass, damped angular momentum about it, soles that stay still,
-    and an upright trunk.
+    and a trunk that softly follows its turns.
 
     Parameters
     ----------
@@ -85,7 +89,10 @@ class BalanceController:
     reference : Reference
         Path of the centre of mass in the world, m.
     attitude : (4,) float64
-        Quaternion wxyz of the base in the world th.
+        Quaternion wxyz of the base in the world that its turns start from.
+    turns : Reference
+        Rotation vectors of the base from there, in base axes, rad. Only their position is
+        followed: feedback without feed-forward rounds the jumps of their acceleration.
     sole_frames : tuple of str
         Sites of the soles.
     gains : BalanceGains
@@ -97,11 +104,12 @@ class BalanceController:
         model: mujoco.MjModel,
         reference: Reference,
         attitude: FloatArray,
+        turns: Reference,
         sole_frames: tuple[str, ...],
         gains: BalanceGains,
     ) -> None:
         self._belief = belief = Belief(model, sole_frames)
-        self._reference, self._attitude = reference, attitude
+        self._reference, self._attitude, self._turns = reference, attitude, turns
         self._wrenches = wrenches = len(belief.sole_jacobian)
         unknowns = wrenches + model.nu
         com, momentum, trunk = np.sqrt(
@@ -123,9 +131,9 @@ class BalanceController:
             self._tasks[:3, column : column + 6][:, force] = com / belief.mass * np.eye(3)
             self._tasks[3:6, column : column + 6][:, moment] = momentum * np.eye(3)
             self._moment_blocks.append(self._tasks[3:6, column : column + 6][:, force])
-        self._preference = _preference(belief, gains, len(sole_frames), unknowns)
+        self._preference = _preference(belief, gains, unknowns)
         cones = scipy.linalg.block_diag(
-            *(_contact_cone(bounds, gains.friction) for bounds in belief.sole_bounds())
+            *(_contact_cone(bounds, gains) for bounds in belief.sole_bounds())
         )
         limits = model.actuator_ctrlrange
         constraints = scipy.linalg.block_diag(cones, np.eye(model.nu))
@@ -135,6 +143,8 @@ class BalanceController:
         settings = self._programme.settings
         settings.eps_abs = 1e-6
         settings.eps_rel = 0.0
+        # No wrench and no torque is always allowed, so that "infeasible" would be a false alarm.
+        settings.eps_primal_inf = settings.eps_dual_inf = 1e-14
         settings.max_iter = 200
         settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
         # Its preconditioner would be computed for this first, meaningless objective.
@@ -164,7 +174,9 @@ class BalanceController:
         for block, arm in zip(self._moment_blocks, belief.sole_arms, strict=True):
             block[:] = np.dot(arm, self._cross).reshape(3, 3)
         np.dot(belief.outputs, belief.response.T, tasks[6:])
-        mujoco.mju_subQuat(self._lean, state.position[3:7], self._attitude)
+        aim = self._attitude.copy()
+        mujoco.mju_quatIntegrate(aim, self._turns.at(state.time)[0], 1.0)
+        mujoco.mju_subQuat(self._lean, state.position[3:7], aim)
         errors = np.concatenate(
             [
                 self._reference.at(state.time).ravel(),
@@ -198,27 +210,36 @@ def _feedback(gains: BalanceGains, com: float, momentum: float, trunk: float) ->
     return np.asarray(np.kron(blocks, np.eye(3)), dtype=np.float64)
 
 
-def _preference(belief: Belief, gains: BalanceGains, soles: int, unknowns: int) -> FloatArray:
+def _preference(belief: Belief, gains: BalanceGains, unknowns: int) -> FloatArray:
     """(unknowns + 1, unknowns + 1) quadratic form that draws each sole to its share of the weight.
 
-    Standing on two feet leaves the wrenches' split between them open; this settles it.
+    Standing on two feet leaves the wrenches' split between them open; this settles it: half the
+    weight each, in the middle of the sole.
     """
     weight = gains.wrench_weight / gains.sole_weight
-    share = np.concatenate([np.zeros(3), -belief.mass * np.array(belief.model.opt.gravity) / soles])
+    bounds = belief.sole_bounds()
+    force = -belief.mass * np.array(belief.model.opt.gravity) / len(bounds)
     form = np.zeros((unknowns + 1, unknowns + 1))
-    form[: 6 * soles, : 6 * soles] = weight * np.eye(6 * soles)
-    form[: 6 * soles, -1] = -weight * np.tile(share, soles)
+    for sole, (back, front, right, left) in enumerate(bounds):
+        middle = np.array([back + front, right + left, 0.0]) / 2.0
+        about_middle = np.eye(6)
+        about_middle[:3, 3:] = -(middle @ CROSS).reshape(3, 3)
+        aim = about_middle @ np.concatenate([np.cross(middle, force), force])
+        block = slice(6 * sole, 6 * sole + 6)
+        form[block, block] = weight * about_middle.T @ about_middle
+        form[block, -1] = -weight * about_middle.T @ aim
     return form
 
 
-def _contact_cone(bounds: FloatArray, friction: float) -> FloatArray:
+def _contact_cone(bounds: FloatArray, gains: BalanceGains) -> FloatArray:
     """Rows C with C (moment; force) ≤ 0 for wrenches a flat sole can bear, (10, 6).
 
     Friction pyramid, centre of pressure (x = -n_y / f_z, y = n_x / f_z) within ``bounds``
-    (low x, high x, low y, high y), and a twist no larger than friction at half the sole's
-    length gives.
+    (low x, high x, low y, high y) less the margin, and a twist no larger than friction at half
+    the sole's length gives.
     """
-    back, front, right, left = bounds
+    margin, friction = gains.sole_margin, gains.friction
+    back, front, right, left = bounds + margin * np.array([1.0, -1.0, 1.0, -1.0])
     twist = friction * (front - back) / 2.0
     return np.array(
         [

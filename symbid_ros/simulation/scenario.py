@@ -14,17 +14,28 @@ from symbid_ros.simulation.reference import MoveRange, draw_reference
 SOLES = ("left_sole", "right_sole")
 HOIST_FRAME = "suspension"
 
-# Standing: metres and m/s. Within the support by a margin that also holds the centre of pressure,
-# which leads the centre of mass by its acceleration; low enough that knees stay bent, high enough
-# that ankles keep off their end stops.
+# Standing: metres and m/s. Sideways both feet must keep a share of the weight, and low enough that
+# knees stay bent, high enough that ankles keep off their end stops.
 COM_MOVES = MoveRange(
-    centre=np.array([0.0, 0.0, -0.012]),
-    half_widths=np.array([0.045, 0.055, 0.022]),
-    slowest=0.0095,
-    fastest=0.056,
-    shortest=0.045,
+    centre=np.array([-0.004, 0.0, -0.018]),
+    half_widths=np.array([0.08, 0.08, 0.014]),
+    slowest=0.015,
+    fastest=0.085,
+    shortest=0.07,
     rest=0.5,
 )
+# The trunk turns meanwhile, rad and rad/s: about roll and pitch, by what little the legs allow about
+# yaw. Only a leaning trunk shows how high its mass is, and only turning that is brisker than the
+# gyroscope's noise shows inertia (thesis, section IV-A: no torso stabilisation, for that reason).
+TRUNK_TURNS = MoveRange(
+    centre=np.zeros(3),
+    half_widths=np.radians([6.5, 12.0, 6.0]),
+    slowest=0.13,
+    fastest=0.2,
+    shortest=0.12,
+    rest=0.5,
+)
+TURNS_PER_MOVE = 2
 
 # Suspended: rad and rad/s. The hook rocks by up to 15 degrees, sideways by less and never fast:
 # the undriven ankle joints hang plumb like pendulums and must keep off their end stops.
@@ -78,8 +89,11 @@ def _standing(plant: Plant, moves: int, seed: int, gains: BalanceGains) -> Scena
     start = plant.data.subtree_com[plant.model.jnt_bodyid[0]].copy()
     reference = draw_reference(start, moves, COM_MOVES, np.random.default_rng([seed, 0]))
     attitude = plant.data.qpos[3:7].copy()
-    controller = BalanceController(plant.model, reference, attitude, SOLES, gains)
-    return Scenario(controller, None, reference.duration)
+    turns = draw_reference(
+        np.zeros(3), TURNS_PER_MOVE * moves, TRUNK_TURNS, np.random.default_rng([seed, 2])
+    )
+    controller = BalanceController(plant.model, reference, attitude, turns, SOLES, gains)
+    return Scenario(controller, None, max(reference.duration, turns.duration))
 
 
 def _smooth(plant: Plant, moves: int, seed: int) -> Scenario:
