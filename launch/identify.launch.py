@@ -3,40 +3,51 @@
 ros2 launch symbid_ros identify.launch.py bag:=log model:=robot.urdf validate:=validation
 """
 
+import yaml
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-from symbid_ros.share import PACKAGE
+from symbid_ros.share import PACKAGE, config_file
 
-# Name: (type, default or None for an argument that must be given, description).
-ARGUMENTS = {
-    "model": (str, None, "robot model, URDF or MJCF"),
-    "prior": (str, "", "prior.json; default: the model's own inertias"),
-    "method": (str, "wls_rc", "ols, wls_r, wls_c or wls_rc"),
-    "cutoff": (float, "30.0", "low-pass cutoff in Hz; 0 filters nothing"),
-    "friction": (bool, "false", "identify joint friction as well"),
-    "rank": (int, "0", "number of singular values; 0: choose it on the validation bag"),
-    "validate": (str, "", "bag on which to choose the number of singular values"),
-    "out": (str, "", "folder for estimate.json, model.urdf and model.xml"),
+# What a robot or a bag decides; the other defaults stand in identifier.yaml alone.
+PATHS = {
+    "prior": "prior.json; default: the model's own inertias",
+    "validate": "bag on which to choose the number of singular values",
+    "out": "folder for estimate.json, model.urdf and model.xml",
+}
+CHOICES = {
+    "method": "ols, wls_r, wls_c or wls_rc",
+    "cutoff": "low-pass cutoff in Hz; 0 filters nothing",
+    "friction": "identify joint friction as well",
+    "rank": "number of singular values; 0: choose it on the validation bag",
 }
 
 
 def generate_launch_description() -> LaunchDescription:
+    file = config_file("identifier.yaml")
+    defaults = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
     arguments = [
-        DeclareLaunchArgument(name, default_value=default, description=description)
-        for name, (_, default, description) in ARGUMENTS.items()
+        DeclareLaunchArgument("bag", description="bag to identify from"),
+        DeclareLaunchArgument("model", description="robot model, URDF or MJCF"),
     ]
-    arguments.append(DeclareLaunchArgument("bag", description="bag to identify from"))
-    parameters = {
-        name: ParameterValue(LaunchConfiguration(name), value_type=kind)
-        for name, (kind, _, _) in ARGUMENTS.items()
+    arguments += [
+        DeclareLaunchArgument(name, default_value="", description=description)
+        for name, description in PATHS.items()
+    ]
+    arguments += [
+        DeclareLaunchArgument(name, default_value=str(defaults[name]), description=description)
+        for name, description in CHOICES.items()
+    ]
+    given = {
+        name: ParameterValue(LaunchConfiguration(name), value_type=type(defaults.get(name, "")))
+        for name in ("model", *PATHS, *CHOICES)
     }
     # The node takes a list of bags; launch reads a parameter without a type as YAML.
-    parameters["bag"] = ParameterValue(["['", LaunchConfiguration("bag"), "']"])
+    given["bag"] = ParameterValue(["['", LaunchConfiguration("bag"), "']"])
     identifier = Node(
-        package=PACKAGE, executable="identifier", parameters=[parameters], output="screen"
+        package=PACKAGE, executable="identifier", parameters=[str(file), given], output="screen"
     )
     return LaunchDescription([*arguments, identifier])

@@ -3,9 +3,10 @@
 import logging
 import sys
 from importlib.metadata import version
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
+import typer.exceptions
 from rich.console import Console
 from rich.logging import RichHandler
 from threadpoolctl import threadpool_limits
@@ -25,8 +26,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-for command in (demo, simulate, prior, identify, evaluate, report):
-    app.command()(command)
+COMMANDS = {
+    command.__name__: command for command in (demo, simulate, prior, identify, evaluate, report)
+}
+INTERRUPTED = 130  # as shells have it: 128 and the signal's number
+
+for name, command in COMMANDS.items():
+    app.command(name)(command)
 
 
 def _print_version(wanted: bool) -> None:
@@ -53,13 +59,26 @@ def main() -> None:
     handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler])
     try:
-        app()
+        status = app(standalone_mode=False)
     except SymbidError as error:
-        console.print(f"symbid: {error}", style="red", markup=False, highlight=False)
-        sys.exit(2)
+        _fail(console, str(error))
+    except typer.exceptions.TyperException as error:
+        if not error.format_message():  # no arguments at all, answered by the help
+            sys.exit(2)
+        where = getattr(getattr(error, "ctx", None), "info_name", None)
+        help_command = f"symbid {where} --help" if where in COMMANDS else "symbid --help"
+        _fail(console, f"{error.format_message().rstrip('.')}; see `{help_command}`")
     except KeyboardInterrupt:
+        status = INTERRUPTED
+    if status == INTERRUPTED:
         console.print("symbid: interrupted", markup=False)
-        sys.exit(130)
+    sys.exit(status)
+
+
+def _fail(console: Console, message: str) -> NoReturn:
+    text = " ".join(message.split())
+    console.print(f"symbid: {text}", style="red", markup=False, highlight=False)
+    sys.exit(2)
 
 
 if __name__ == "__main__":

@@ -28,7 +28,7 @@ def simulate(
         scenario, moves=moves, motion_seed=motion_seed, noise_seed=noise_seed, ideal=ideal
     )
     console = Console(stderr=True)
-    with Progress(console=console, transient=True) as progress:
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"simulating {scenario}", total=simulator.steps)
         counts = record(
             simulator, out, progress=lambda done, _: progress.update(task, completed=done)

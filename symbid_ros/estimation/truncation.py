@@ -13,11 +13,17 @@ Criterion = Literal["gen_force", "torque", "com"]
 
 GRAVITY = 9.81
 
+# The error is flat over many z while noise in the regressor carries the parameters ever further
+# off: among z that predict about equally well, the one that leaves most to the prior is the safest.
+TOLERANCE = 1.25
+
 
 def select_rank(
     problem: ScaledProblem, validation: Information, criterion: Criterion = "gen_force"
 ) -> int:
-    """Return the z whose estimate predicts the validation data best.
+    """Return the smallest z that predicts the validation data about as well as the best.
+
+    "About as well" is an error of at most ``TOLERANCE`` times the least one.
 
     Parameters
     ----------
@@ -38,7 +44,7 @@ def select_rank(
     if problem.rank == 0:
         raise EstimateError("the log excites no parameter at all; record a motion")
     errors = prediction_errors(validation, problem.solutions(), criterion)
-    return int(np.argmin(errors)) + 1
+    return int(np.argmax(errors <= TOLERANCE * errors.min())) + 1
 
 
 def prediction_errors(

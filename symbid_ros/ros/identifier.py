@@ -158,4 +158,12 @@ def _path(value: str) -> Path | None:
 def main(args: Sequence[str] | None = None) -> None:
     """Run the node ``identifier``."""
     threadpool_limits(1)
-    sys.exit(run_node("identifier", lambda node, stop: Identifier(node).run(stop), args))
+    sys.exit(
+        run_node(
+            "identifier",
+            lambda node, stop: Identifier(node).run(stop),
+            args,
+            purpose="Identify a robot's inertial parameters from bags and publish them, latched.",
+            parameters=PARAMETERS,
+        )
+    )

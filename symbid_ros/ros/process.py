@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import rclpy
-from rclpy.exceptions import NameValidationException
+from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
@@ -64,7 +64,7 @@ def run_node(
     except SymbidError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return FAILURE
-    except (RuntimeError, NameValidationException) as error:
+    except (RuntimeError, NameValidationException, InvalidParameterTypeException) as error:
         # rcl reports malformed --ros-args and parameter files as RuntimeError.
         if not _is_argument_error(error):
             raise
@@ -106,8 +106,9 @@ def _work_beside_executor(node: Node, work: Work, stop: threading.Event) -> None
 
 
 def _is_argument_error(error: Exception) -> bool:
-    kind = type(error).__name__
-    return isinstance(error, NameValidationException) or kind in {
+    if isinstance(error, NameValidationException | InvalidParameterTypeException):
+        return True
+    return type(error).__name__ in {
         "RCLError",
         "RCLInvalidROSArgsError",
         "UnknownROSArgsError",

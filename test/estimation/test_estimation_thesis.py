@@ -146,7 +146,7 @@ def test_residual_deviation_finds_each_coordinates_noise():
 
 
 @pytest.mark.parametrize("criterion", ["gen_force", "torque", "com"])
-def test_z_is_the_best_on_the_validation_rows(criterion):
+def test_z_is_the_least_of_those_that_predict_the_validation_rows_well(criterion):
     training, validation = Case(6), Case(6, count=60)
     problem = scaled_problem(training.information, training.prior, "wls_rc")
     errors = []
@@ -157,7 +157,9 @@ def test_z_is_the_best_on_the_validation_rows(criterion):
         mass = phi[0 : training.parameters.inertial : 10].sum()
         scale = 9.81 * abs(mass) if criterion == "com" else 1.0
         errors.append(np.sqrt(np.mean(np.sum((used / scale) ** 2, axis=1))))
-    assert select_rank(problem, validation.information, criterion) == np.argmin(errors) + 1
+    z = select_rank(problem, validation.information, criterion)
+    assert errors[z - 1] <= 1.25 * min(errors)
+    assert all(error > 1.25 * min(errors) for error in errors[: z - 1])
 
 
 def test_std_covers_the_error_of_a_linear_problem():

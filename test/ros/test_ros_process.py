@@ -7,10 +7,14 @@ from pathlib import Path
 import pytest
 import yaml
 
-from symbid_ros.ros import mujoco_bridge, recorder
+from symbid_ros.ros import identifier, mujoco_bridge, recorder
 from symbid_ros.share import config_file
 
-NODES = {"mujoco_bridge": mujoco_bridge.PARAMETERS, "recorder": recorder.PARAMETERS}
+NODES = {
+    "mujoco_bridge": mujoco_bridge.PARAMETERS,
+    "recorder": recorder.PARAMETERS,
+    "identifier": identifier.PARAMETERS,
+}
 
 
 def run(executable: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -39,7 +43,13 @@ def test_arguments_of_no_meaning_are_refused(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "arguments", [("-p", "bag"), ("--params-file", "/nowhere.yaml"), ("-r", "__ns:=a//b")]
+    "arguments",
+    [
+        ("-p", "bag"),
+        ("-p", "use_sim_time:=nonsense"),
+        ("--params-file", "/nowhere.yaml"),
+        ("-r", "__ns:=a//b"),
+    ],
 )
 def test_malformed_ros_arguments_end_without_traceback(arguments: tuple[str, ...]) -> None:
     ended = run("recorder", "--ros-args", *arguments)

@@ -1,0 +1,49 @@
+"""The command as a user runs it, and bags that several tests read."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from symbid_ros.share import config_file
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+Command = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture(scope="session")
+def symbid() -> Command:
+    def run(*arguments: object, columns: int = 100) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [Path(sys.executable).parent / "symbid", *map(str, arguments)],
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=300,
+            env={**os.environ, "COLUMNS": str(columns)},
+        )
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def model() -> Path:
+    return config_file("symbitron.xml")
+
+
+@pytest.fixture(scope="session")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    bag = tmp_path_factory.mktemp("bags") / "log"
+    record(Simulator("smooth", moves=3, motion_seed=21, noise_seed=5), bag)
+    return bag
+
+
+@pytest.fixture(scope="session")
+def ideal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    bag = tmp_path_factory.mktemp("bags") / "ideal"
+    record(Simulator("smooth", moves=3, motion_seed=22, ideal=True), bag)
+    return bag
