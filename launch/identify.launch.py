@@ -13,12 +13,12 @@ from launch_ros.parameter_descriptions import ParameterValue
 from symbid_ros.share import PACKAGE, config_file
 
 # What a robot or a bag decides; the other defaults stand in identifier.yaml alone.
-PATHS = {
+PATH_ARGUMENTS = {
     "prior": "prior.json; default: the model's own inertias",
     "validate": "bag on which to choose the number of singular values",
     "out": "folder for estimate.json, model.urdf and model.xml",
 }
-CHOICES = {
+CHOICE_ARGUMENTS = {
     "method": "ols, wls_r, wls_c or wls_rc",
     "cutoff": "low-pass cutoff in Hz; 0 filters nothing",
     "friction": "identify joint friction as well",
@@ -35,15 +35,15 @@ def generate_launch_description() -> LaunchDescription:
     ]
     arguments += [
         DeclareLaunchArgument(name, default_value="", description=description)
-        for name, description in PATHS.items()
+        for name, description in PATH_ARGUMENTS.items()
     ]
     arguments += [
         DeclareLaunchArgument(name, default_value=str(defaults[name]), description=description)
-        for name, description in CHOICES.items()
+        for name, description in CHOICE_ARGUMENTS.items()
     ]
     given = {
         name: ParameterValue(LaunchConfiguration(name), value_type=type(defaults.get(name, "")))
-        for name in ("model", *PATHS, *CHOICES)
+        for name in ("model", *PATH_ARGUMENTS, *CHOICE_ARGUMENTS)
     }
     # The node takes a list of bags; launch reads a parameter without a type as YAML.
     given["bag"] = ParameterValue(["['", LaunchConfiguration("bag"), "']"])

@@ -1,6 +1,7 @@
 """The ``symbid`` command: one line for every error, exit status 2."""
 
 import logging
+import os
 import sys
 from importlib.metadata import version
 from typing import Annotated, NoReturn
@@ -9,7 +10,6 @@ import typer
 import typer.exceptions
 from rich.console import Console
 from rich.logging import RichHandler
-from threadpoolctl import threadpool_limits
 
 from symbid_ros.cli.demo import demo
 from symbid_ros.cli.evaluate import evaluate
@@ -49,8 +49,9 @@ def _symbid(
     ] = False,
 ) -> None:
     # Every job here is one stream of small matrices, on which BLAS threads only get in
-    # each other's way (and in the way of whatever else the robot's computer does).
-    threadpool_limits(1)
+    # each other's way (and in the way of whatever else the robot's computer does); with their
+    # number the last digits would change. Read when NumPy and SciPy are loaded, which is later.
+    os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 
 
 def main() -> None:

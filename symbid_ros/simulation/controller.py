@@ -71,6 +71,26 @@ class BalanceGains:
     sole_margin: float = 0.02
 
 
+@dataclass(frozen=True)
+class BalanceTask:
+    """What the balance controller is to do.
+
+    Attributes
+    ----------
+    com : Reference
+        Path of the centre of mass in the world, m.
+    attitude : (4,) float64
+        Quaternion wxyz of the base in the world that its turns start from.
+    turns : Reference
+        Rotation vectors of the base from there, in base axes, rad. Only their position is
+        followed: feedback without feed-forward rounds the jumps of their acceleration.
+    """
+
+    com: Reference
+    attitude: FloatArray
+    turns: Reference
+
+
 class BalanceController:
     """Whole-body controller that moves the centre of mass along a reference.
 
@@ -86,13 +106,8 @@ class BalanceController:
     ----------
     model : mujoco.MjModel
         What the controller believes the robot to be; it may differ from the plant's.
-    reference : Reference
-        Path of the centre of mass in the world, m.
-    attitude : (4,) float64
-        Quaternion wxyz of the base in the world that its turns start from.
-    turns : Reference
-        Rotation vectors of the base from there, in base axes, rad. Only their position is
-        followed: feedback without feed-forward rounds the jumps of their acceleration.
+    task : BalanceTask
+        Where centre of mass and trunk are to go.
     sole_frames : tuple of str
         Sites of the soles.
     gains : BalanceGains
@@ -102,14 +117,12 @@ class BalanceController:
     def __init__(
         self,
         model: mujoco.MjModel,
-        reference: Reference,
-        attitude: FloatArray,
-        turns: Reference,
+        task: BalanceTask,
         sole_frames: tuple[str, ...],
         gains: BalanceGains,
     ) -> None:
         self._belief = belief = Belief(model, sole_frames)
-        self._reference, self._attitude, self._turns = reference, attitude, turns
+        self._task = task
         self._wrenches = wrenches = len(belief.sole_jacobian)
         unknowns = wrenches + model.nu
         com, momentum, trunk = np.sqrt(
@@ -174,12 +187,12 @@ class BalanceController:
         for block, arm in zip(self._moment_blocks, belief.sole_arms, strict=True):
             block[:] = np.dot(arm, self._cross).reshape(3, 3)
         np.dot(belief.outputs, belief.response.T, tasks[6:])
-        aim = self._attitude.copy()
-        mujoco.mju_quatIntegrate(aim, self._turns.at(state.time)[0], 1.0)
+        aim = self._task.attitude.copy()
+        mujoco.mju_quatIntegrate(aim, self._task.turns.at(state.time)[0], 1.0)
         mujoco.mju_subQuat(self._lean, state.position[3:7], aim)
         errors = np.concatenate(
             [
-                self._reference.at(state.time).ravel(),
+                self._task.com.at(state.time).ravel(),
                 belief.com,
                 belief.com_velocity,
                 belief.angular_momentum,

@@ -5,7 +5,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.simulation.controller import BalanceController, BalanceGains, Controller
+from symbid_ros.simulation.controller import (
+    BalanceController,
+    BalanceGains,
+    BalanceTask,
+    Controller,
+)
 from symbid_ros.simulation.feedback import PoorFeedback
 from symbid_ros.simulation.hoist import Hoist, JointController
 from symbid_ros.simulation.plant import Plant
@@ -24,9 +29,9 @@ COM_MOVES = MoveRange(
     shortest=0.07,
     rest=0.5,
 )
-# The trunk turns meanwhile, rad and rad/s: about roll and pitch, by what little the legs allow about
-# yaw. Only a leaning trunk shows how high its mass is, and only turning that is brisker than the
-# gyroscope's noise shows inertia (thesis, section IV-A: no torso stabilisation, for that reason).
+# The trunk turns meanwhile, rad and rad/s; the legs allow little about yaw. Only a leaning trunk
+# shows how high its mass is, and only turning brisker than the gyroscope's noise shows inertia
+# (thesis, section IV-A: no torso stabilisation, for that reason).
 TRUNK_TURNS = MoveRange(
     centre=np.zeros(3),
     half_widths=np.radians([6.5, 12.0, 6.0]),
@@ -92,7 +97,8 @@ def _standing(plant: Plant, moves: int, seed: int, gains: BalanceGains) -> Scena
     turns = draw_reference(
         np.zeros(3), TURNS_PER_MOVE * moves, TRUNK_TURNS, np.random.default_rng([seed, 2])
     )
-    controller = BalanceController(plant.model, reference, attitude, turns, SOLES, gains)
+    task = BalanceTask(reference, attitude, turns)
+    controller = BalanceController(plant.model, task, SOLES, gains)
     return Scenario(controller, None, max(reference.duration, turns.duration))
 
 

@@ -107,7 +107,6 @@ def test_a_value_that_is_no_number(symbid, good, tmp_path) -> None:
     [
         (["identify", "log"], "Missing option '--model'; see `symbid identify --help`"),
         (["simulate", "--out", "bag", "--moves", 0], "'--moves'"),
-        (["report", "/nowhere", "--out", "report.html"], "/nowhere"),
         (["dance"], "No such command 'dance'; see `symbid --help`"),
     ],
 )

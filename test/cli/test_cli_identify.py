@@ -87,9 +87,7 @@ def sensors_only(bag: Path, copy: Path) -> None:
             writer.write(to[connection.id], time, data)
 
 
-def test_no_truth_leaks_into_an_estimate(
-    symbid, model, log, ideal, prior, found, tmp_path, monkeypatch
-) -> None:
+def test_no_truth_leaks_into_an_estimate(symbid, model, log, ideal, prior, found, tmp_path) -> None:
     """With a prior file neither the model's inertias nor the ground truth are looked at."""
     rng = np.random.default_rng(0)
     text = model.read_text()
@@ -98,9 +96,9 @@ def test_no_truth_leaks_into_an_estimate(
     )
     randomised = re.sub(
         r'fullinertia="([^"]+)"',
-        lambda found: 'fullinertia="'
-        + " ".join(str(float(each) * 1.7) for each in found[1].split())
-        + '"',
+        lambda found: (
+            'fullinertia="' + " ".join(str(float(each) * 1.7) for each in found[1].split()) + '"'
+        ),
         randomised,
     )
     assert randomised != text

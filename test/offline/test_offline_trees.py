@@ -23,7 +23,7 @@ def test_any_tree_is_identified_from_its_bag(seed, floating, tmp_path):
     path = tmp_path / "robot.xml"
     path.write_text(mjcf_text(robot))
     truth = ParameterSet(load_model(path))
-    record(TreeSimulation(robot, 1.5, seed), tmp_path / "log")
+    record(TreeSimulation(robot, 2.5, seed), tmp_path / "log")
     record(TreeSimulation(robot, 0.8, seed + 100), tmp_path / "other")
     draw_prior(truth, "percent", 25, seed).write(tmp_path / "prior.json")
 

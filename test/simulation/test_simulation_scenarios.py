@@ -64,7 +64,10 @@ def test_centre_of_mass_follows_its_moves(smooth, body):
         mujoco.mj_comPos(body.model, body.data)
         path.append(body.data.subtree_com[1].copy())
     offsets = (np.array(path) - path[0] - COM_MOVES.centre) / COM_MOVES.half_widths
-    assert np.linalg.norm(offsets, axis=1).max() < 1.05
+    distances = np.linalg.norm(offsets, axis=1)
+    arrived = np.argmax(distances < 1.0)  # the start itself lies higher
+    assert distances[arrived] < 1.0
+    assert distances[arrived:].max() < 1.05
     assert np.ptp(offsets, axis=0).min() > 0.7
     feet = np.array([body.site(sensor.frame_id)[0] for sensor in smooth.sensors])
     np.testing.assert_allclose(feet, [[-0.115, 0.13, 0.0], [-0.115, -0.13, 0.0]], atol=2e-3)
