@@ -15,7 +15,7 @@ GRAVITY = 9.81
 
 # The error is flat over many z while noise in the regressor carries the parameters ever further
 # off: among z that predict about equally well, the one that leaves most to the prior is the safest.
-TOLERANCE = 1.25
+TOLERANCE = 1.5
 
 
 def select_rank(
