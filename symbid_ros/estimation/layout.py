@@ -8,6 +8,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
+from symbid_ros.errors import EstimateError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
@@ -32,8 +33,19 @@ class RowLayout:
 
     @classmethod
     def of(cls, parameters: ParameterSet) -> "RowLayout":
-        """Find the structure of a robot's regressor from noise-free random motions."""
+        """Find the structure of a robot's regressor from noise-free random motions.
+
+        Raises
+        ------
+        EstimateError
+            When the robot cannot move at all.
+        """
         model = parameters.model
+        if not model.coordinates:
+            raise EstimateError(
+                f"{model.source}: its base is fixed and no joint moves, so no force tells of its "
+                "inertia; name a model with joints, or say that the base floats"
+            )
         K = np.abs(equation_of_motion(parameters, _random_motions(model, 20)).K).max(axis=0)
         # Entries that vanish by structure still hold rounding, of the column's size at most.
         structure = 1e-10 * np.maximum(K.max(axis=0), K.max(axis=1, keepdims=True)) < K

@@ -15,6 +15,7 @@ from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.thesis import METHODS, residual_deviation, scaled_problem
 from symbid_ros.estimation.truncation import select_rank
+from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 
 
@@ -198,3 +199,15 @@ def test_refusals_are_clear():
     )
     with pytest.raises(EstimateError, match="excites no"):
         select_rank(scaled_problem(still, case.prior, "ols"), still)
+
+
+def test_a_robot_that_cannot_move_is_refused(tmp_path):
+    path = tmp_path / "vase.urdf"
+    path.write_text(
+        '<robot name="vase"><link name="world"/><link name="body"><inertial><mass value="1"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+        '<joint name="glue" type="fixed"><parent link="world"/><child link="body"/></joint></robot>'
+    )
+    parameters = ParameterSet(load_model(path))
+    with pytest.raises(EstimateError, match=r"vase\.urdf: its base is fixed and no joint moves"):
+        RowLayout.of(parameters)
