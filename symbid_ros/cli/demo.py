@@ -28,10 +28,11 @@ def demo(
     console = Console()
     _prepare_folder(out, overwrite=overwrite)
     model = config_file("symbitron.xml")
+    _draw_prior(out, model, percent, seed)
     with _progress(console) as progress:
         facts = _record(out, moves, seed, progress)
         _simulate_validation(out / "validation", moves, progress)
-        _identify(out, model, percent, seed, facts, progress, console)
+        _identify(out, model, facts, progress, console)
     console.print(f"\n[bold]{out}/report.html[/bold] shows it all; the rest of {out}/ made it.")
 
 
@@ -53,6 +54,15 @@ def _prepare_folder(out: Path, *, overwrite: bool) -> None:
             raise SymbidError(f"{out}: exists and is no demo's folder; choose another --out")
         shutil.rmtree(out)
     out.mkdir(parents=True)
+
+
+def _draw_prior(out: Path, model: Path, percent: float, seed: int) -> None:
+    # First of all, as it marks the folder as a demo's: one that was interrupted can be replaced.
+    from symbid_ros.estimation.prior import draw_prior
+    from symbid_ros.model.load import load_model
+    from symbid_ros.model.parameters import ParameterSet
+
+    draw_prior(ParameterSet(load_model(model)), "percent", percent, seed).write(out / "prior.json")
 
 
 def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, str]:
@@ -106,13 +116,10 @@ def _simulate_validation(bag: Path, moves: int, progress: Progress) -> None:
 def _identify(
     out: Path,
     model: Path,
-    percent: float,
-    seed: int,
     facts: dict[str, str],
     progress: Progress,
     console: Console,
 ) -> None:
-    from symbid_ros.estimation.prior import draw_prior
     from symbid_ros.estimation.thesis import METHODS
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
@@ -127,8 +134,6 @@ def _identify(
     task = progress.add_task("four methods and a report", total=len(METHODS) + 3)
     robot = load_model(model)
     truth = ParameterSet(robot)
-    prior = draw_prior(truth, "percent", percent, seed)
-    prior.write(out / "prior.json")
     job = Job((out / "bag",), model, prior=out / "prior.json", validation=out / "validation")
     prepared = prepare(job)
     progress.advance(task)
@@ -141,8 +146,8 @@ def _identify(
     reference = Reference(read_true_motion([out / "validation"], robot), truth.values)
     progress.advance(task)
     described = bag_facts([out / "bag"]) | facts
-    described["Prior"] = f"{prior.kind} %, seed {seed}"
-    described["Filter"] = f"Butterworth, zero phase, {job.processing.low_pass.cutoff:g} Hz"
+    described["Prior"] = f"{prepared.prior.kind}, seed {prepared.prior.seed}"
+    described["Filter"] = str(job.processing.low_pass)
     described["Judged on"] = f"{out / 'validation'}, ideal, other moves"
     content = compose(
         estimates,

@@ -41,6 +41,13 @@ class LowPass:
         if not (np.isfinite(self.cutoff) and self.cutoff >= 0):
             raise DataError(f"cutoff {self.cutoff} Hz is no frequency; give 0 (no filter) or more")
 
+    def __str__(self) -> str:
+        """Return what a report says of it."""
+        if self.cutoff == 0:
+            return "none"
+        passes = f"{PASSES} passes" if self.channels == "all" else "the thesis's passes"
+        return f"second-order Butterworth at {self.cutoff:g} Hz, zero phase, {passes}"
+
     def __call__(self, signal: FloatArray, rate: float, passes: int = 1) -> FloatArray:
         """Return the signal filtered ``passes`` times, time along the first axis.
 
