@@ -68,9 +68,15 @@ def test_a_topic_that_is_not_there(symbid, good) -> None:
     fails(symbid, "/absent", **good | {"imu_topic": "/absent"})
 
 
-def test_a_forgotten_force_plate(symbid, good) -> None:
-    one = fails(symbid, "wrench", **good | {"wrench_topic": "/nowhere/wrench"})
-    assert "/nowhere/wrench" in one
+def test_a_topic_that_was_not_recorded(symbid, good, copied_without, tmp_path) -> None:
+    bag = copied_without(good["bag"], tmp_path / "blind", "imu")
+    fails(symbid, "blind", "Imu", **good | {"bag": bag})
+
+
+def test_a_forgotten_force_plate(symbid, good, copied_without, tmp_path) -> None:
+    """Its bag reads well, but the forces in it do not carry the robot."""
+    bag = copied_without(good["bag"], tmp_path / "limping", "left_foot")
+    fails(symbid, "limping", "right_sole", "% of the prior's weight", **good | {"bag": bag})
 
 
 def test_what_was_there_stays(symbid, good) -> None:
