@@ -20,7 +20,7 @@ from symbid_ros.offline.job import Job, prepare
 from symbid_ros.offline.record import Processing
 from symbid_ros.ros import estimate_messages as messages
 from symbid_ros.ros.messages import latched, reliable
-from symbid_ros.ros.parameters import Parameter, ParameterError, declare
+from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.process import run_node
 from symbid_ros.signals.filters import LowPass
 
@@ -97,9 +97,8 @@ def job_from(values: dict[str, Any]) -> Job:
 class Identifier:
     """Solves a job and keeps its result on the topics until stopped."""
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
-        values = declare(node, PARAMETERS)
         self._job = job_from(values)
         self._out = _path(values["out"])
         # Latched publishers must outlive the call that made them, or their data goes with them.
@@ -161,7 +160,7 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(
         run_node(
             "identifier",
-            lambda node, stop: Identifier(node).run(stop),
+            lambda node, values, stop: Identifier(node, values).run(stop),
             args,
             purpose="Identify a robot's inertial parameters from bags and publish them, latched.",
             parameters=PARAMETERS,

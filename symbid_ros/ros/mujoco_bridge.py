@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 from rclpy.node import Node
 
-from symbid_ros.ros.parameters import Parameter, ParameterError, declare
+from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.process import run_node
 from symbid_ros.ros.publishing import (
     InstantPublisher,
@@ -71,8 +72,7 @@ class Pace:
 class MujocoBridge:
     """Steps the simulator on schedule and publishes what it measures."""
 
-    def __init__(self, node: Node) -> None:
-        values = declare(node, PARAMETERS)
+    def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._simulator = Simulator(
             values["scenario"],
             moves=values["moves"],
@@ -158,7 +158,7 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(
         run_node(
             "mujoco_bridge",
-            lambda node, stop: MujocoBridge(node).run(stop),
+            lambda node, values, stop: MujocoBridge(node, values).run(stop),
             args,
             purpose="Publish a simulated robot on ROS 2 topics in real time.",
             parameters=PARAMETERS,

@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
@@ -15,11 +16,11 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 from symbid_ros.errors import SymbidError
-from symbid_ros.ros.parameters import Parameter
+from symbid_ros.ros.parameters import Parameter, declare
 
 FAILURE = 2
 
-Work = Callable[[Node, threading.Event], None]
+Work = Callable[[Node, dict[str, Any], threading.Event], None]
 
 
 def run_node(
@@ -32,22 +33,24 @@ def run_node(
 ) -> int:
     """Run a node until its work is done and return the exit status.
 
-    Services and parameters are answered by an executor in a thread of its own;
-    the work has the main thread. rclpy's own signal handlers are not used: they
-    would invalidate the context first, and what still lies in the queues could
-    not be read any more.
+    Services and parameters are answered by an executor in a thread of its own, once
+    all parameters are declared; the work has the main thread. rclpy's own signal
+    handlers are not used: they would invalidate the context first, and what still
+    lies in the queues could not be read any more.
 
     Parameters
     ----------
     name : str
         Of the node and its executable.
     work : callable
-        ``work(node, stop)`` returns soon after SIGINT or SIGTERM has set ``stop``.
+        ``work(node, values, stop)``, with the parameters' values by name, returns soon
+        after SIGINT or SIGTERM has set ``stop``.
     args : sequence of str, optional
         Arguments without the executable's name; the process's own if left out.
     purpose : str
+        What ``--help`` says that the node does.
     parameters : sequence of Parameter
-        What ``--help`` tells.
+        What the node declares and ``--help`` lists.
     """
     arguments = list(sys.argv if args is None else [name, *args])
     stop = threading.Event()
@@ -58,7 +61,8 @@ def run_node(
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name)
         try:
-            _work_beside_executor(node, work, stop)
+            values = declare(node, parameters)
+            _work_beside_executor(node, lambda: work(node, values, stop))
         finally:
             node.destroy_node()
     except SymbidError as error:
@@ -88,7 +92,7 @@ def _refuse_foreign_arguments(
     ).parse_args(arguments)
 
 
-def _work_beside_executor(node: Node, work: Work, stop: threading.Event) -> None:
+def _work_beside_executor(node: Node, work: Callable[[], None]) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
 
@@ -99,7 +103,7 @@ def _work_beside_executor(node: Node, work: Work, stop: threading.Event) -> None
     spinner = threading.Thread(target=spin, name="executor", daemon=True)
     spinner.start()
     try:
-        work(node, stop)
+        work()
     finally:
         executor.shutdown()
         spinner.join()

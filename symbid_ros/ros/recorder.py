@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
 from threading import Event
+from typing import Any
 
 import numpy as np
 from rclpy.node import Node
@@ -17,7 +18,7 @@ from symbid_ros.bags.gaps import find_gaps, has_stamp, stamp_of
 from symbid_ros.bags.writer import BagWriter
 from symbid_ros.errors import BagError
 from symbid_ros.ros.intake import Discovery, Intake
-from symbid_ros.ros.parameters import Parameter, declare
+from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import run_node
 
 SENSORS = ["joint_states", "imu/data", "left_foot/wrench", "right_foot/wrench"]
@@ -58,8 +59,7 @@ class _Recording:
 class Recorder:
     """Empties raw subscriptions into a bag until stopped."""
 
-    def __init__(self, node: Node) -> None:
-        values = declare(node, PARAMETERS)
+    def __init__(self, node: Node, values: dict[str, Any]) -> None:
         name = values["bag"] or datetime.now().strftime("log_%Y_%m_%d-%H_%M_%S")
         self._flush_period: float = values["flush_period"]
         self._silence: float = values["stop_when_silent"]
@@ -140,7 +140,7 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(
         run_node(
             "recorder",
-            lambda node, stop: Recorder(node).run(stop),
+            lambda node, values, stop: Recorder(node, values).run(stop),
             args,
             purpose="Record topics into a rosbag2 MCAP bag.",
             parameters=PARAMETERS,
