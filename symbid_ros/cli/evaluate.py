@@ -1,6 +1,7 @@
 """``symbid evaluate``."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +17,16 @@ def evaluate(
     subject: Annotated[Path, typer.Argument(help="Folder of an identification, or a prior.json.")],
     model: Annotated[Path, typer.Option(help="The true robot, URDF or MJCF.")],
     bag: Annotated[list[Path], typer.Option(help="Ideal bag with ground truth.")],
+    realistic: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Noisy bag with ground truth: predict it also from its sensors, with velocities "
+            "filtered in real time and contact forces by the thesis's Eq. 4.1."
+        ),
+    ] = None,
+    velocity_cutoff: Annotated[
+        float, typer.Option(help="Hz, of the velocities of --realistic; 0: no filter.")
+    ] = 50.0,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="File to write the figures to.")
     ] = None,
@@ -26,15 +37,30 @@ def evaluate(
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.evaluation import evaluate as judge
     from symbid_ros.offline.evaluation import read_true_motion
+    from symbid_ros.offline.prediction import evaluate_realistic, read_realistic_motion
     from symbid_ros.offline.subject import load_subject
+    from symbid_ros.signals.causal import CausalLowPass
 
     robot = load_model(model, base)
     parameters, values = load_subject(subject, robot)
     motion = read_true_motion(bag, robot)
-    metrics = asdict(judge(parameters, {"it": values}, parameters.values, motion)["it"])
+    low_pass = CausalLowPass(velocity_cutoff)
+    noisy = read_realistic_motion(realistic, robot, low_pass) if realistic else None
+    candidates = {"it": values}
+    ideal = asdict(judge(parameters, candidates, parameters.values, motion)["it"])
+    figures: dict[str, object] = dict(ideal)
+    tables = [_table("", ideal)]
+    if noisy is not None:
+        judged = evaluate_realistic(parameters, candidates, parameters.values, noisy)["it"]
+        figures["realistic"] = asdict(judged)
+        tables.append(_table("from noisy sensors", asdict(judged)))
     if json_file is not None:
-        write_text(json_file, json.dumps(metrics, indent=1) + "\n")
-    table = Table(show_header=False)
+        write_text(json_file, json.dumps(figures, indent=1) + "\n")
+    Console().print(*tables, sep="\n")
+
+
+def _table(title: str, metrics: Mapping[str, float]) -> Table:
+    table = Table(show_header=False, title=title, title_justify="left")
     for name, value in metrics.items():
         table.add_row(name, f"{value:.4g}")
-    Console().print(table)
+    return table

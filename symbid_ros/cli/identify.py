@@ -40,6 +40,12 @@ def identify(
     friction: Annotated[
         bool, typer.Option("--friction", help="Identify viscous and Coulomb friction as well.")
     ] = False,
+    armature: Annotated[
+        bool, typer.Option("--armature", help="Identify the drives' reflected inertias as well.")
+    ] = False,
+    offset: Annotated[
+        bool, typer.Option("--offset", help="Identify a constant effort per joint as well.")
+    ] = False,
     sensor_std: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
@@ -56,6 +62,7 @@ def identify(
     from symbid_ros.bags.selection import TopicSelection
     from symbid_ros.cli.summary import print_estimate
     from symbid_ros.estimation.row_weights import SensorDeviation
+    from symbid_ros.model.parameters import joint_terms
     from symbid_ros.offline.identification import write_identification
     from symbid_ros.offline.job import Job, prepare
     from symbid_ros.offline.record import Processing
@@ -72,7 +79,7 @@ def identify(
         base=base,
         prior=prior,
         method=method,
-        friction=friction,
+        terms=joint_terms(friction, armature, offset),
         processing=Processing(LowPass(cutoff, channels), topics),
         rank=rank,
         validation=validate,

@@ -40,7 +40,7 @@ def report(
     reference = None
     if truth is not None:
         true_robot = load_model(truth, base)
-        values = ParameterSet(true_robot, parameters.friction).values
+        values = ParameterSet(true_robot, parameters.terms).values
         reference = Reference(read_true_motion(bag, true_robot), values)
     facts = bag_facts(bag) | estimate_facts(estimates[chosen])
     write_report(

@@ -7,11 +7,12 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.body_integrals import body_integrals
+from symbid_ros.dynamics.friction import coulomb_column
 from symbid_ros.dynamics.joints import JointTable
 from symbid_ros.dynamics.kinematics import LinkPoses, Posture, link_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import component_first, cross, passes, sample_first
-from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.parameters import ParameterSet, Term
 from symbid_ros.model.tree import RobotModel
 
 
@@ -53,8 +54,8 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
         np.matmul(np.ascontiguousarray(axes), wrenches, out=rows)
         rows *= carries
         y[part] = generalised_force(model, block, posture.poses, axes)
-    if parameters.friction:
-        _fill_friction(K, parameters, samples.velocity)
+    if parameters.terms:
+        _fill_joint_terms(K, parameters, samples)
     return Rows(K, y)
 
 
@@ -76,13 +77,24 @@ def _link_wrenches(parameters: ParameterSet, posture: Posture, samples: Samples)
     return body_integrals(parameters, posture.pose, pose_acceleration)
 
 
-def _fill_friction(K: FloatArray, parameters: ParameterSet, velocity: FloatArray) -> None:
-    """Write Eq. 2.49: viscous columns q̇ and Coulomb columns sign(q̇)."""
-    joints = np.arange(velocity.shape[1])
-    rows, viscous = K.shape[1] - len(joints) + joints, parameters.inertial + joints
+def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples) -> None:
+    """Write what each joint's drive adds to its own row, Eq. 2.49 with armature and offset.
+
+    The armature is the inertia of rotor and gear as felt at the joint. It turns with q̇_j
+    alone: the rotor's spin in inertial space, small beside its geared spin, is left out, as
+    in MuJoCo (Featherstone 2008, sec. 9.6).
+    """
+    content: dict[Term, FloatArray] = {
+        "viscous": samples.velocity,
+        "coulomb": coulomb_column(samples.velocity),
+        "armature": samples.acceleration,
+        "offset": np.ones(1),
+    }
+    joints = np.arange(samples.velocity.shape[1])
+    rows = K.shape[1] - len(joints) + joints
     K[:, :, parameters.inertial :] = 0.0
-    K[:, rows, viscous] = velocity
-    K[:, rows, viscous + len(joints)] = np.sign(velocity)
+    for term, columns in parameters.term_columns.items():
+        K[:, rows, columns.start + joints] = content[term]
 
 
 def generalised_force(

@@ -109,13 +109,16 @@ class Information:
         p = len(layout.parameters)
         stacked = []
         for row in whitening:
-            spread = np.zeros((layout.width, p + 1))
-            for coordinate in np.flatnonzero(row):
+            used = np.flatnonzero(row)
+            stop = layout.slices[used[-1]].stop if len(used) else 0
+            weighted = np.zeros((stop, p + 1))
+            for coordinate in used:
                 place, columns = layout.slices[coordinate], layout.columns[coordinate]
-                spread[range(place.start, place.stop - 1), columns] = row[coordinate]
-                spread[place.stop - 1, p] = row[coordinate]
-            used = layout.slices[np.flatnonzero(row)[-1]].stop if np.any(row) else 0
-            stacked.append(_triangle(self.factor[:used, :used] @ spread[:used]))
+                part = row[coordinate] * self.factor[:stop, place]
+                # Below its last column a stretch of a triangle is zero; columns never repeat.
+                weighted[:, columns] += part[:, :-1]
+                weighted[:, p] += part[:, -1]
+            stacked.append(_triangle(weighted))
         return _triangle(np.concatenate([np.zeros((p + 1, p + 1)), *stacked]))
 
     def residual_moment(self, phi: FloatArray) -> FloatArray:
@@ -141,6 +144,11 @@ def _updated(factor: FloatArray, rows: FloatArray) -> FloatArray:
         raise DataError(f"LAPACK dtpqrt refused argument {-info}")
     triangle: FloatArray = updated
     return triangle
+
+
+def stacked_factor(*blocks: FloatArray) -> FloatArray:
+    """Return the square upper triangular factor of matrices (·, w) on top of one another."""
+    return _triangle(np.concatenate(blocks))
 
 
 def _triangle(matrix: FloatArray) -> FloatArray:

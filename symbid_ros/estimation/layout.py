@@ -41,12 +41,7 @@ class RowLayout:
             When the robot cannot move at all.
         """
         model = parameters.model
-        if not model.coordinates:
-            raise EstimateError(
-                f"{model.source}: its base is fixed and no joint moves, so no force tells of its "
-                "inertia; name a model with joints, or say that the base floats"
-            )
-        K = np.abs(equation_of_motion(parameters, _random_motions(model, 20)).K).max(axis=0)
+        K = np.abs(equation_of_motion(parameters, random_motions(model, 20)).K).max(axis=0)
         # Entries that vanish by structure still hold rounding, of the column's size at most.
         structure = 1e-10 * np.maximum(K.max(axis=0), K.max(axis=1, keepdims=True)) < K
         return cls(model.coordinates, parameters.names, structure)
@@ -87,7 +82,22 @@ class RowLayout:
         return B
 
 
-def _random_motions(model: RobotModel, count: int) -> Samples:
+def random_motions(model: RobotModel, count: int) -> Samples:
+    """Return ``count`` noise-free random states and accelerations, the same at every call.
+
+    They show what the regressor can show: lengths, rates and accelerations are of
+    order one in SI units, joint limits are ignored, nothing touches the robot.
+
+    Raises
+    ------
+    EstimateError
+        When the robot cannot move at all.
+    """
+    if not model.coordinates:
+        raise EstimateError(
+            f"{model.source}: its base is fixed and no joint moves, so no force tells of its "
+            "inertia; name a model with joints, or say that the base floats"
+        )
     rng = np.random.default_rng(0)
     joints, base = (count, len(model.joints)), (3, count, 3)
     motion = rng.normal(size=base) if model.floating else np.zeros(base)

@@ -1,4 +1,4 @@
-"""What is believed about the parameters before the data: a mean and a deviation each."""
+"""What is believed about the parameters before the data: a Gaussian."""
 
 import json
 from dataclasses import dataclass
@@ -10,22 +10,27 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic import write_text
 from symbid_ros.errors import PriorError
-from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia, second_moments
-from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.estimation.deviation import (
+    absolute_std,
+    consistent_std,
+    is_stated,
+    percent_floor,
+    percent_std,
+)
+from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia
+from symbid_ros.model.parameters import TERMS, ParameterSet
 
 Kind = Literal["percent", "absolute", "consistent"]
 
 # What is believed about a model file that comes without a prior of its own.
 DEFAULT_PERCENT = 25.0
-# A friction coefficient that no file states is small beside this, in SI units.
-FRICTION_STD = 1.0
-# The scale of a link that the file gives no mass or no extent.
-_BARE_MASS, _BARE_EXTENT = 1.0, 0.1
+# Share of a deviation that must remain when all parameters before it are known.
+_CERTAINTY = 1e-10
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Independent Gaussian beliefs about the parameters of one model.
+    """Gaussian beliefs about the parameters of one model.
 
     Attributes
     ----------
@@ -39,6 +44,15 @@ class Prior:
         Parameter names.
     mean, std : (p,) float64
         In each parameter's SI unit; every standard deviation is positive.
+    factor : (p, p) float64 or None
+        Lower triangular L with covariance L Lᵀ, whose diagonal is ``std`` squared;
+        None for independent beliefs.
+
+    Raises
+    ------
+    PriorError
+        When a number is not finite, a standard deviation not positive, or the factor
+        not that of a covariance with these deviations.
     """
 
     model: str
@@ -47,6 +61,22 @@ class Prior:
     names: tuple[str, ...]
     mean: FloatArray
     std: FloatArray
+    factor: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what is no distribution."""
+        for name, value, deviation in zip(self.names, self.mean, self.std, strict=True):
+            if not (np.isfinite(value) and np.isfinite(deviation) and deviation > 0):
+                raise PriorError(
+                    f"{name} has value {value} and std {deviation}; both must be finite and the "
+                    "standard deviation positive"
+                )
+        if self.factor is not None:
+            _check_factor(self.factor, self.names, self.std)
+
+    def covariance_factor(self) -> FloatArray:
+        """Return L (p, p), lower triangular, with covariance L Lᵀ."""
+        return np.diag(self.std) if self.factor is None else self.factor
 
     def write(self, path: Path) -> None:
         """Write prior.json."""
@@ -54,20 +84,46 @@ class Prior:
             name: {"value": float(value), "std": float(std)}
             for name, value, std in zip(self.names, self.mean, self.std, strict=True)
         }
-        document = {
+        document: dict[str, object] = {
             "model": self.model,
             "kind": self.kind,
             "seed": self.seed,
             "parameters": parameters,
         }
+        if self.factor is not None:
+            document["covariance_factor"] = self.factor.tolist()
         write_text(path, json.dumps(document, indent=1) + "\n")
 
 
-def model_prior(parameters: ParameterSet) -> Prior:
-    """Return the model file's own values, believed to ±25 %."""
-    mean = parameters.values
-    kind = f"model, percent {DEFAULT_PERCENT:g}"
-    std = _percent_std(parameters, mean, DEFAULT_PERCENT)
+def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
+    """Return the model file's own values, uniform within ± ``percent`` % as far as it is known.
+
+    What the file does not state of a joint is zero to within ``TERM_STD``.
+
+    Raises
+    ------
+    PriorError
+        When ``percent`` is not positive.
+    """
+    _check_amount(percent)
+    mean, kind = parameters.values, f"model, percent {percent:g}"
+    std = percent_std(parameters, mean, percent)
+    return Prior(parameters.model.name, kind, None, parameters.names, mean, std)
+
+
+def absolute_model_prior(parameters: ParameterSet, amount: float) -> Prior:
+    """Return the model file's own values, uniform within ± ``amount`` in their SI units.
+
+    What the file does not state of a joint is zero to within ``TERM_STD``.
+
+    Raises
+    ------
+    PriorError
+        When ``amount`` is not positive.
+    """
+    _check_amount(amount)
+    mean, kind = parameters.values, f"model, absolute {amount:g}"
+    std = absolute_std(parameters, amount)
     return Prior(parameters.model.name, kind, None, parameters.names, mean, std)
 
 
@@ -77,14 +133,15 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
     Parameters
     ----------
     parameters : ParameterSet
-        The model and its columns. Friction coefficients keep the file's value.
+        The model and its columns. What the file does not state of a joint stays zero,
+        to within ``TERM_STD``.
     kind : {"percent", "absolute", "consistent"}
         "percent": each parameter uniform within ± ``amount`` % of its value;
         "absolute": uniform within ± ``amount`` in its unit (thesis, Table 4.1);
         "consistent": each link's pseudo-inertia J = L Lᵀ becomes L S Lᵀ, where S has
         random axes and eigenvalues uniform within 1 ± ``amount`` %, so that every
         drawn link is physically possible and every moment ∫(aᵀx + b)² dm within
-        ± ``amount`` % of its value.
+        ± ``amount`` % of its value; joints as with "percent".
     amount : float
         Half-width of the distribution.
     seed : int
@@ -95,25 +152,25 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
     PriorError
         When the amount is not positive, or ≥ 100 % of a consistent link.
     """
-    if not (np.isfinite(amount) and amount > 0):
-        raise PriorError(f"a prior of ± {amount:g} is no distribution; give a positive half-width")
+    _check_amount(amount)
     rng = np.random.default_rng(seed)
     mean = parameters.values.copy()
     count = parameters.inertial
     if kind == "percent":
-        mean[:count] *= 1 + rng.uniform(-amount / 100, amount / 100, count)
-        std = _percent_std(parameters, mean, amount)
+        mean *= 1 + rng.uniform(-amount / 100, amount / 100, len(mean))
+        std = percent_std(parameters, mean, amount)
     elif kind == "absolute":
-        mean[:count] += rng.uniform(-amount, amount, count)
-        std = np.full(len(mean), amount / np.sqrt(3))
-        std[count:] = FRICTION_STD
+        mean += np.where(is_stated(parameters), rng.uniform(-amount, amount, len(mean)), 0.0)
+        std = absolute_std(parameters, amount)
     else:
         if amount >= 100:
             raise PriorError(f"± {amount:g} % leaves no mass; a consistent prior stays below 100")
         drawn = [_consistent(phi, amount / 100, rng) for phi in parameters.link_phi(mean)]
         mean[:count] = np.concatenate([phi for phi, _ in drawn])
-        std = np.concatenate([*(std for _, std in drawn), np.full(len(mean) - count, FRICTION_STD)])
-        std = np.maximum(std, _floor(parameters, amount))
+        mean[count:] *= 1 + rng.uniform(-amount / 100, amount / 100, len(mean) - count)
+        std = percent_std(parameters, mean, amount)
+        links = np.concatenate([deviation for _, deviation in drawn])
+        std[:count] = np.maximum(links, percent_floor(parameters, amount)[:count])
     name = parameters.model.name
     return Prior(name, f"{kind} {amount:g}", seed, parameters.names, mean, std)
 
@@ -121,11 +178,14 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
 def load_prior(path: Path, parameters: ParameterSet) -> Prior:
     """Read prior.json and check that it belongs to the model.
 
+    Of the joints' terms it may hold more or fewer than ``parameters``: those not in use are
+    marginalised out, those that it lacks are as the model file has them, as in
+    :func:`model_prior`.
+
     Raises
     ------
     PriorError
-        When the file is missing, malformed, for another model, or has a value that
-        is not finite or a standard deviation that is not positive.
+        When the file is missing, malformed, for another model, or no distribution.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -139,24 +199,42 @@ def load_prior(path: Path, parameters: ParameterSet) -> Prior:
         model, entries = document["model"], document["parameters"]
         values = {name: (float(e["value"]), float(e["std"])) for name, e in entries.items()}
         kind, seed = str(document["kind"]), document["seed"]
+        rows = document.get("covariance_factor")
+        factor = None if rows is None else np.array(rows, dtype=float)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise PriorError(
             f"{path}: not a prior.json ({type(error).__name__}: {error}); write one with "
             "`symbid prior`"
         ) from None
     _check_belongs(path, model, values, parameters)
+    mean, std = np.array(list(values.values())).T
+    try:
+        read = Prior(model, kind, seed, tuple(values), mean, std, factor)
+        return _for_columns(read, parameters)
+    except PriorError as error:
+        raise PriorError(f"{path}: {error}") from None
+
+
+def _for_columns(prior: Prior, parameters: ParameterSet) -> Prior:
+    """Return the beliefs about ``parameters``, in their order."""
     names = parameters.names
-    defaults = dict(zip(names, parameters.values.tolist(), strict=True))
-    # A prior drawn without friction serves a model with it: nothing is known there.
-    chosen = [values.get(name, (defaults[name], FRICTION_STD)) for name in names]
-    mean, std = np.array(chosen).T
-    for name, value, deviation in zip(names, mean, std, strict=True):
-        if not (np.isfinite(value) and np.isfinite(deviation) and deviation > 0):
-            raise PriorError(
-                f"{path}: {name} has value {value} and std {deviation}; both must be finite and "
-                "the standard deviation positive"
-            )
-    return Prior(model, kind, seed, names, mean, std)
+    if prior.names == names:
+        return prior
+    own = model_prior(parameters)
+    place = {name: index for index, name in enumerate(prior.names)}
+    held = np.array([name in place for name in names])
+    index = [place[name] for name in names if name in place]
+    mean, std, factor = own.mean.copy(), own.std.copy(), None
+    mean[held], std[held] = prior.mean[index], prior.std[index]
+    if prior.factor is not None:
+        # A Gaussian's marginal keeps the rows of a root of its covariance; QR makes the root
+        # triangular again.
+        root = np.zeros((len(names), len(prior.names) + len(names)))
+        root[held, : len(prior.names)] = prior.factor[index]
+        root[~held, len(prior.names) :] = np.diag(std)[~held]
+        upper = np.linalg.qr(root.T, mode="r")
+        factor = (upper * np.sign(np.diag(upper))[:, None]).T
+    return Prior(prior.model, prior.kind, prior.seed, names, mean, std, factor)
 
 
 def _check_belongs(
@@ -165,7 +243,7 @@ def _check_belongs(
     robot = parameters.model
     inertial = parameters.names[: parameters.inertial]
     missing = [name for name in inertial if name not in values]
-    known = set(ParameterSet(robot, friction=True).names)
+    known = set(ParameterSet(robot, TERMS).names)
     unknown = [name for name in values if name not in known]
     if model != robot.name or missing or unknown:
         detail = f"the model calls itself {robot.name!r}"
@@ -179,27 +257,36 @@ def _check_belongs(
         )
 
 
-def _percent_std(parameters: ParameterSet, mean: FloatArray, percent: float) -> FloatArray:
-    """Return the deviation of a uniform ± percent, floored so that a zero is no certainty."""
-    uniform = percent / 100 * np.abs(mean) / np.sqrt(3)
-    std: FloatArray = np.maximum(uniform, _floor(parameters, percent))
-    return std
+def _check_amount(amount: float) -> None:
+    if not (np.isfinite(amount) and amount > 0):
+        raise PriorError(f"a prior of ± {amount:g} is no distribution; give a positive half-width")
 
 
-def _floor(parameters: ParameterSet, percent: float) -> FloatArray:
-    """Return 1 % of the deviation that a parameter of its link's scale {m, mℓ, mℓ²} would have.
-
-    ℓ is the link's root-mean-square extent about its origin. The floor is small: it
-    serves zeros in somebody's file, and leaves small true values their own scale.
-    """
-    floor = np.full(len(parameters), FRICTION_STD)
-    for index, phi in enumerate(parameters.link_phi(parameters.values)):
-        mass = abs(phi[0])
-        extent = np.sqrt(max(np.trace(second_moments(phi)), 0.0) / mass) if mass > 0 else 0.0
-        mass, extent = mass or _BARE_MASS, extent or _BARE_EXTENT
-        scale = np.repeat([mass, mass * extent, mass * extent**2], [1, 3, 6])
-        floor[10 * index : 10 * index + 10] = 0.01 * percent / 100 / np.sqrt(3) * scale
-    return floor
+def _check_factor(factor: FloatArray, names: tuple[str, ...], std: FloatArray) -> None:
+    size = len(names)
+    if factor.shape != (size, size):
+        raise PriorError(
+            f"covariance_factor has shape {factor.shape}; {size} parameters need "
+            f"{size} rows of {size} numbers"
+        )
+    if not np.all(np.isfinite(factor)):
+        raise PriorError("covariance_factor has a number that is not finite; correct it")
+    if np.any(np.triu(factor, 1)):
+        raise PriorError("covariance_factor is not lower triangular; give L of covariance L Lᵀ")
+    # The diagonal is what remains of each deviation when the parameters before it are known.
+    certain = np.flatnonzero(np.diag(factor) <= _CERTAINTY * std)
+    if len(certain):
+        raise PriorError(
+            f"covariance_factor is not positive definite: its diagonal at {names[certain[0]]} is "
+            f"{factor[certain[0], certain[0]]:g}; give every parameter some freedom"
+        )
+    implied = np.linalg.norm(factor, axis=1)
+    wrong = np.flatnonzero(np.abs(implied / std - 1) > 1e-6)
+    if len(wrong):
+        raise PriorError(
+            f"covariance_factor gives {names[wrong[0]]} a std of {implied[wrong[0]]:g}, its own "
+            f"entry {std[wrong[0]]:g}; make them agree"
+        )
 
 
 def _consistent(
@@ -218,23 +305,4 @@ def _consistent(
     turn = turn * np.sign(np.diag(upper))
     S = turn @ np.diag(1 + rng.uniform(-half_width, half_width, 4)) @ turn.T
     drawn = root @ S @ root.T
-    return phi_from_pseudo_inertia(drawn), _consistent_std(root, half_width)
-
-
-def _consistent_std(root: FloatArray, half_width: float) -> FloatArray:
-    """Return the deviations (10,) of φ under J → L S Lᵀ, in closed form.
-
-    With iid eigenvalues of variance σ² and axes uniform over O(4), S has
-    E[S_ij S_kl] - E[S_ij] E[S_kl] = σ²/6 (δ_ij δ_kl + δ_ik δ_jl + δ_il δ_jk).
-    """
-    variance = half_width**2 / 3 / 6
-    spread = np.zeros((10, 4, 4))
-    for i in range(4):
-        for j in range(4):
-            unit = np.zeros((4, 4))
-            unit[i, j] = 1.0
-            moved = root @ (unit + unit.T) @ root.T / 2
-            spread[:, i, j] = phi_from_pseudo_inertia(moved)
-    trace = np.trace(spread, axis1=1, axis2=2)
-    std: FloatArray = np.sqrt(variance * (trace**2 + 2 * np.sum(spread**2, axis=(1, 2))))
-    return std
+    return phi_from_pseudo_inertia(drawn), consistent_std(root, half_width)

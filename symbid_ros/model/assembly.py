@@ -29,6 +29,9 @@ class BodyJoint:
     lower: float = -np.inf
     upper: float = np.inf
     effort: float = np.inf
+    damping: float = 0.0
+    friction_loss: float = 0.0
+    armature: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,9 @@ class _Assembly:
                     joint.lower,
                     joint.upper,
                     joint.effort,
+                    joint.damping,
+                    joint.friction_loss,
+                    joint.armature,
                 )
             )
             name = body.name if last else f"{body.name}:{joint.name}"
@@ -152,7 +158,9 @@ def assemble(
 def _check_finite(body: Body, source: str) -> None:
     poses = [(body.rotation, body.translation), *body.frames.values()]
     numbers = [body.phi, *(array for pose in poses for array in pose)]
-    numbers += [array for joint in body.joints for array in (joint.axis, joint.anchor)]
+    for joint in body.joints:
+        numbers += [joint.axis, joint.anchor]
+        numbers.append(np.array([joint.damping, joint.friction_loss, joint.armature]))
     if not all(np.all(np.isfinite(array)) for array in numbers):
         raise ModelError(f"{source}: {body.name!r} has a number that is not finite; correct it")
     for joint in body.joints:

@@ -7,12 +7,15 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.model.export_urdf import annotate, numbers
+from symbid_ros.model.export_urdf import annotate, numbers, without_negative_terms
 from symbid_ros.model.inertia import com_from_phi, transform_phi
+from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.rotation import quaternion_from_rotation
-from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.tree import Joint, RobotModel
 
 _COMPILER_OVERRIDES = ("balanceinertia", "boundinertia", "boundmass", "settotalmass")
+# Attributes of a joint element and the joint's fields.
+_TERMS = {"damping": "damping", "frictionloss": "friction_loss", "armature": "armature"}
 
 
 def mjcf_text(
@@ -25,18 +28,20 @@ def mjcf_text(
     model : RobotModel
         The robot to write.
     source : Path, optional
-        The MJCF that ``model`` was loaded from. Everything in it but the inertias is
-        kept. A body welded to another lends its inertia to the body that moves.
-        Without it, or when it includes other files, a bare tree is written.
+        The MJCF that ``model`` was loaded from. Everything in it but the inertias and
+        changed joint terms is kept. A body welded to another lends its inertia to the body
+        that moves. Without it, or when it includes other files, a bare tree is written.
     folder : Path
         Where the text will be saved, so that relative mesh folders still hold.
     comment : str
-        What to say at the top of the file.
+        What to say at the top of the file; negative friction and armature, which are
+        written as zero, are added to it.
     """
+    model, negative = without_negative_terms(model)
     root = None if source is None else _patched(model, source, folder)
     if root is None:
         root = _bare(model)
-    annotate(root, comment)
+    annotate(root, comment, negative)
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
@@ -53,6 +58,13 @@ def _patched(model: RobotModel, source: Path, folder: Path) -> ET.Element | None
             _set_inertial(body, _phi_in_body(model, name))
         elif name in frames:
             _set_inertial(body, np.zeros(10))
+    # An element may inherit its terms from a class, so what the file says is what MuJoCo reads.
+    stated = {joint.name: joint for joint in load_mjcf(source).joints}
+    joints = {joint.name: joint for joint in model.joints}
+    for element in root.iterfind("worldbody//joint"):
+        name = element.get("name", "")
+        if name in joints:
+            _set_terms(element, joints[name], stated[name])
     _settle_compiler(root, source, folder)
     return root
 
@@ -69,6 +81,14 @@ def _set_inertial(body: ET.Element, phi: FloatArray) -> None:
         body.remove(old)
     if np.any(phi) or body.find("geom") is not None:
         body.insert(0, _inertial(phi))
+
+
+def _set_terms(element: ET.Element, joint: Joint, stated: Joint | None = None) -> None:
+    """Write the joint's terms that differ from the stated ones; silence means zero."""
+    for key, field in _TERMS.items():
+        value = getattr(joint, field)
+        if value != (0.0 if stated is None else getattr(stated, field)):
+            element.set(key, repr(float(value)))
 
 
 def _settle_compiler(root: ET.Element, source: Path, folder: Path) -> None:
@@ -138,6 +158,7 @@ def _add_body(elements: dict[int, ET.Element], model: RobotModel, chain: list[in
         element.set("ref", repr(float(joint.reference)))
         if np.isfinite([joint.lower, joint.upper]).all():
             element.set("range", numbers([joint.lower, joint.upper]))
+        _set_terms(element, joint)
     return body
 
 

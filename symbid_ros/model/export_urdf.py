@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,14 +24,19 @@ def urdf_text(model: RobotModel, source: Path | None = None, *, comment: str = "
     model : RobotModel
         The robot to write.
     source : Path, optional
-        The URDF that ``model`` was loaded from. Everything in it but the inertias is
-        kept. A link welded to another lends its inertia to the link that moves,
-        so its own ``<inertial>`` is taken out. Without it a bare tree is written.
+        The URDF that ``model`` was loaded from. Everything in it but the inertias and
+        changed joint friction is kept. A link welded to another lends its inertia to the
+        link that moves, so its own ``<inertial>`` is taken out. Without it a bare tree
+        is written.
     comment : str
-        What to say at the top of the file.
+        What to say at the top of the file; negative friction, which is written as zero,
+        and armature, for which a URDF has no place, are added to it.
     """
+    model, negative = without_negative_terms(model)
+    armature = [f"{j.name} {j.armature:.6g}" for j in model.joints if j.armature != 0.0]
+    unwritten = f"armature, not part of a URDF: {', '.join(armature)}" if armature else ""
     robot = _bare(model) if source is None else _patched(model, source)
-    annotate(robot, comment)
+    annotate(robot, comment, negative, unwritten)
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
@@ -44,7 +50,23 @@ def _patched(model: RobotModel, source: Path) -> ET.Element:
             element.remove(old)
         if name in index and np.any(index[name].phi):
             element.insert(0, _inertial(index[name].phi))
+    joints = {joint.name: joint for joint in model.joints}
+    for element in robot.findall("joint"):
+        name = element.get("name", "")
+        if name in joints:
+            _set_dynamics(element, joints[name])
     return robot
+
+
+def _set_dynamics(element: ET.Element, joint: Joint) -> None:
+    """Write the joint's friction where the element says otherwise; silence means zero."""
+    dynamics = element.find("dynamics")
+    for key, value in (("damping", joint.damping), ("friction", joint.friction_loss)):
+        stated = 0.0 if dynamics is None else float(dynamics.get(key, "0"))
+        if value != stated:
+            if dynamics is None:
+                dynamics = ET.SubElement(element, "dynamics")
+            dynamics.set(key, repr(float(value)))
 
 
 def _bare(model: RobotModel) -> ET.Element:
@@ -97,6 +119,7 @@ def _joint(robot: ET.Element, model: RobotModel, joint: Joint, child: str) -> No
         limit.set("upper", repr(float(joint.upper)))
     limit.set("effort", repr(min(float(joint.effort), _UNLIMITED)))
     limit.set("velocity", repr(_UNLIMITED))
+    _set_dynamics(element, joint)
 
 
 def _at_zero(joint: Joint) -> FloatArray:
@@ -138,8 +161,31 @@ def _inertial(phi: FloatArray) -> ET.Element:
     return element
 
 
-def annotate(root: ET.Element, comment: str) -> None:
-    """Lay the XML out for reading, with ``comment`` (if any) as its first child."""
+def without_negative_terms(model: RobotModel) -> tuple[RobotModel, str]:
+    """Return the robot with negative joint terms set to zero, and what to say of them.
+
+    Noise may turn a small friction or armature negative. Such a joint feeds a simulation
+    energy until it diverges.
+    """
+    joints, remarks = [], []
+    for joint in model.joints:
+        terms = {
+            "damping": joint.damping,
+            "friction": joint.friction_loss,
+            "armature": joint.armature,
+        }
+        remarks += [f"{joint.name} {k} {value:.6g}" for k, value in terms.items() if value < 0]
+        damping, friction_loss, armature = (max(value, 0.0) for value in terms.values())
+        joints.append(
+            replace(joint, damping=damping, friction_loss=friction_loss, armature=armature)
+        )
+    remark = f"negative, written as zero: {', '.join(remarks)}" if remarks else ""
+    return replace(model, joints=tuple(joints)), remark
+
+
+def annotate(root: ET.Element, *comments: str) -> None:
+    """Lay the XML out for reading, with the comments (if any) as its first child."""
+    comment = "; ".join(filter(None, comments))
     if comment:
         root.insert(0, ET.Comment(f" {comment.replace('--', '- -')} "))
     ET.indent(root)

@@ -124,6 +124,9 @@ class _Reader:
             float(lower),
             float(upper),
             self._effort(joint),
+            float(m.dof_damping[m.jnt_dofadr[joint]]),
+            float(m.dof_frictionloss[m.jnt_dofadr[joint]]),
+            float(m.dof_armature[m.jnt_dofadr[joint]]),
         )
 
     def _effort(self, joint: int) -> float:

@@ -1,32 +1,79 @@
 """The parameter vector: which columns the regressor has, and what they are called."""
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.errors import ModelError
 from symbid_ros.model.inertia import PARAMETERS, UNITS
-from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.tree import Joint, RobotModel
+
+Term = Literal["viscous", "coulomb", "armature", "offset"]
+TERMS: tuple[Term, ...] = ("viscous", "coulomb", "armature", "offset")
+
+# The joint's field that a model file states; a torque offset belongs to a drive, not to a file.
+_STATED: dict[Term, Literal["damping", "friction_loss", "armature"]] = {
+    "viscous": "damping",
+    "coulomb": "friction_loss",
+    "armature": "armature",
+}
+_UNITS: dict[Term, dict[str, str]] = {
+    "viscous": {"revolute": "Nm s/rad", "prismatic": "N s/m"},
+    "coulomb": {"revolute": "Nm", "prismatic": "N"},
+    "armature": {"revolute": "kg m^2", "prismatic": "kg"},
+    "offset": {"revolute": "Nm", "prismatic": "N"},
+}
+
+
+def joint_terms(friction: bool, armature: bool, offset: bool) -> tuple[Term, ...]:
+    """Return the terms of three options: friction is viscous and Coulomb together."""
+    chosen: dict[Term, bool] = {
+        "viscous": friction,
+        "coulomb": friction,
+        "armature": armature,
+        "offset": offset,
+    }
+    return tuple(term for term in TERMS if chosen[term])
 
 
 @dataclass(frozen=True)
 class ParameterSet:
-    """The standard parameters of a robot, Eq. 2.27–2.28, in column order.
+    """The standard parameters of a robot, Eq. 2.27–2.28 and 2.49, in column order.
 
-    First ten per link that has parameters of its own, base first; then, with
-    ``friction``, a viscous coefficient per joint and a Coulomb one per joint.
+    First ten per link that has parameters of its own, base first; then, for each of
+    ``terms``, one per joint.
 
     Attributes
     ----------
     model : RobotModel
         The robot.
-    friction : bool
-        Whether the friction columns of Eq. 2.49 are there.
+    terms : tuple of {"viscous", "coulomb", "armature", "offset"}
+        What a joint's drive adds to its row: viscous q̇, Coulomb sign(q̇), armature q̈
+        (the reflected inertia of rotor and gear) and a constant offset. Kept in
+        this order, however given.
+
+    Raises
+    ------
+    ModelError
+        When a term is none of these.
     """
 
     model: RobotModel
-    friction: bool = False
+    terms: tuple[Term, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Bring the terms into their order."""
+        unknown = [term for term in self.terms if term not in TERMS]
+        if unknown:
+            raise ModelError(
+                f"{self.model.source}: a joint has no term {unknown[0]!r}; choose from "
+                f"{', '.join(TERMS)}"
+            )
+        object.__setattr__(self, "terms", tuple(term for term in TERMS if term in self.terms))
 
     @cached_property
     def links(self) -> IntArray:
@@ -40,33 +87,42 @@ class ParameterSet:
 
     @property
     def inertial(self) -> int:
-        """Number of inertial parameters; they come before the friction coefficients."""
+        """Number of inertial parameters; they come before the joints' terms."""
         return 10 * len(self.links)
 
     @cached_property
+    def term_columns(self) -> dict[Term, slice]:
+        """Columns of each term in use, one per joint in the model's order."""
+        joints = len(self.model.joints)
+        starts = (self.inertial + joints * position for position in range(len(self.terms)))
+        return {
+            term: slice(start, start + joints)
+            for term, start in zip(self.terms, starts, strict=True)
+        }
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
-        """``<link>/<m|mc_x|…|Izz>``, then ``<joint>/viscous``, then ``<joint>/coulomb``."""
+        """``<link>/<m|mc_x|…|Izz>``, then ``<joint>/<term>`` with all joints of a term together."""
         inertial = [f"{link}/{name}" for link in self.link_names for name in PARAMETERS]
-        kinds = ("viscous", "coulomb") if self.friction else ()
-        friction = [f"{joint}/{kind}" for kind in kinds for joint in self.model.joint_names]
-        return (*inertial, *friction)
+        joint = [f"{joint}/{term}" for term in self.terms for joint in self.model.joint_names]
+        return (*inertial, *joint)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """SI unit of each parameter."""
-        revolute = [joint.kind == "revolute" for joint in self.model.joints]
-        viscous = ["Nm s/rad" if turns else "N s/m" for turns in revolute]
-        coulomb = ["Nm" if turns else "N" for turns in revolute]
-        return (*(UNITS * len(self.links)), *((viscous + coulomb) if self.friction else ()))
+        joint = [_UNITS[term][joint.kind] for term in self.terms for joint in self.model.joints]
+        return (*(UNITS * len(self.links)), *joint)
 
     def __len__(self) -> int:
         return len(self.names)
 
     @cached_property
     def values(self) -> FloatArray:
-        """(p,) parameters of the model file; friction coefficients are zero."""
+        """(p,) parameters of the model file; what it does not state of a joint is zero."""
         values = np.zeros(len(self))
         values[: self.inertial] = self.model.phi[self.links].ravel()
+        for term, columns in self.term_columns.items():
+            values[columns] = [_stated(joint, term) for joint in self.model.joints]
         return values
 
     def link_phi(self, values: FloatArray) -> FloatArray:
@@ -74,7 +130,38 @@ class ParameterSet:
         return values[: self.inertial].reshape(-1, 10)
 
     def apply(self, values: FloatArray) -> RobotModel:
-        """Return the robot with the inertias of the parameter vector (p,)."""
+        """Return the robot with the parameters (p,); joints keep the terms not in use."""
         phi = np.zeros((len(self.model.links), 10))
         phi[self.links] = self.link_phi(values)
-        return self.model.with_phi(phi)
+        joints = list(self.model.joints)
+        for term, columns in self.term_columns.items():
+            if term in _STATED:
+                joints = [
+                    replace(joint, **{_STATED[term]: value})
+                    for joint, value in zip(joints, values[columns].tolist(), strict=True)
+                ]
+        return replace(self.model.with_phi(phi), joints=tuple(joints))
+
+
+def neglected_terms(parameters: ParameterSet) -> dict[str, tuple[str, ...]]:
+    """Return the joints whose file states a term that is not in use, by term.
+
+    Identification goes on as if these were zero, and other parameters make up for it.
+    """
+    joints = parameters.model.joints
+    neglected: dict[str, tuple[str, ...]] = {
+        term: tuple(joint.name for joint in joints if _stated(joint, term) != 0.0)
+        for term in TERMS
+        if term not in parameters.terms
+    }
+    return {term: names for term, names in neglected.items() if names}
+
+
+def terms_in(names: Collection[str]) -> tuple[Term, ...]:
+    """Return the terms that parameter names are about."""
+    kinds = {name.rpartition("/")[2] for name in names}
+    return tuple(term for term in TERMS if term in kinds)
+
+
+def _stated(joint: Joint, term: Term) -> float:
+    return float(getattr(joint, _STATED[term])) if term in _STATED else 0.0

@@ -53,6 +53,9 @@ class Joint:
         Position limits, infinite where the file sets none.
     effort : float
         Largest effort, Nm or N; zero for a passive joint, infinite where unknown.
+    damping, friction_loss, armature : float
+        Viscous friction (Nm s/rad or N s/m), Coulomb friction (Nm or N) and the inertia of
+        rotor and gear reflected to the joint (kg m² or kg), as the file states them.
     """
 
     name: str
@@ -65,6 +68,9 @@ class Joint:
     lower: float = -np.inf
     upper: float = np.inf
     effort: float = np.inf
+    damping: float = 0.0
+    friction_loss: float = 0.0
+    armature: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -115,6 +115,8 @@ class _Reader:
         axis = joint.find("axis")
         limit = joint.find("limit")
         limits = {} if limit is None else limit.attrib
+        dynamics = joint.find("dynamics")
+        friction = {} if dynamics is None else dynamics.attrib
         bounded = kind != "continuous" and "lower" in limits and "upper" in limits
         return (
             BodyJoint(
@@ -125,6 +127,8 @@ class _Reader:
                 lower=self._number(limits["lower"]) if bounded else -np.inf,
                 upper=self._number(limits["upper"]) if bounded else np.inf,
                 effort=self._number(limits.get("effort", "inf")),
+                damping=self._number(friction.get("damping", "0")),
+                friction_loss=self._number(friction.get("friction", "0")),
             ),
         )
 

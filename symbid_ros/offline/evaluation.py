@@ -41,11 +41,14 @@ class TrueMotion:
     base_velocity: FloatArray
     base_rotation: FloatArray
 
-    def blocks(self) -> Iterator[tuple[Samples, FloatArray, FloatArray]]:
-        """Yield consecutive blocks of samples, velocities and rotations."""
+    def __getitem__(self, index: slice | IntArray) -> "TrueMotion":
+        """Return the motion at ``index``, a slice or indices."""
+        return TrueMotion(self.samples[index], self.base_velocity[index], self.base_rotation[index])
+
+    def blocks(self) -> Iterator["TrueMotion"]:
+        """Yield consecutive stretches of the motion."""
         for start in range(0, len(self.samples), BLOCK):
-            part = slice(start, start + BLOCK)
-            yield self.samples[part], self.base_velocity[part], self.base_rotation[part]
+            yield self[start : start + BLOCK]
 
 
 @dataclass(frozen=True)
@@ -88,19 +91,27 @@ def read_true_motion(bags: Sequence[Path], model: RobotModel) -> TrueMotion:
         When the bag holds no ground truth, or its truth and its wrenches never
         coincide.
     """
-    truth, streams = read_truth(bags), read_streams(bags)
+    return true_motion(read_truth(bags), read_streams(bags), model)
+
+
+def true_motion(truth: TruthStreams, streams: Streams, model: RobotModel) -> TrueMotion:
+    """Return the truth at the instants that have all of it; of the streams, wrenches alone serve.
+
+    Raises
+    ------
+    BagError
+        When truth and wrenches never coincide.
+    """
     common = truth.stamp
     for wrench in streams.wrenches:
         common = np.intersect1d(common, wrench.stamp)
     if len(common) == 0:
         raise BagError(f"{truth.source}: ground truth and wrenches share no stamp; record both")
-    return TrueMotion(*_at(truth, streams, common, model))
+    return _at(truth, streams, common, model)
 
 
-def _at(
-    truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotModel
-) -> tuple[Samples, FloatArray, FloatArray]:
-    """Return samples, base velocity and base rotation at stamps that every stream has."""
+def _at(truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotModel) -> TrueMotion:
+    """Return the motion at stamps that every stream has."""
     rows = np.searchsorted(truth.stamp, stamp)
     columns = joint_columns(truth.joint_names, model, f"{truth.source}: ground_truth/joints")
     wrenches = [
@@ -121,12 +132,12 @@ def _at(
         wrenches=np.stack(wrenches, axis=1) if wrenches else np.zeros((len(stamp), 0, 6)),
         wrench_frames=tuple(wrench.frame_id for wrench in streams.wrenches),
     )
-    return samples, truth.base_linear_velocity[rows], rotation
+    return TrueMotion(samples, truth.base_linear_velocity[rows], rotation)
 
 
 def predict(parameters: ParameterSet, values: FloatArray, motion: TrueMotion) -> Prediction:
     """Return what the parameters (p,) predict along the motion."""
-    parts = [_Block(parameters, *block).predict(values) for block in motion.blocks()]
+    parts = [_Block(parameters, block).predict(values) for block in motion.blocks()]
     return Prediction(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -148,7 +159,7 @@ def evaluate(
     first_joint = 6 * parameters.model.floating
     squares = {label: np.zeros(4) for label in candidates}
     for block in motion.blocks():
-        prepared = _Block(parameters, *block)
+        prepared = _Block(parameters, block)
         true = prepared.predict(truth)
         for label, values in candidates.items():
             predicted = prepared.predict(values)
@@ -171,13 +182,13 @@ def evaluate(
 class _Block:
     """A block of a true motion with all that is linear in the parameters worked out once."""
 
-    def __init__(
-        self, parameters: ParameterSet, samples: Samples, velocity: FloatArray, rotation: FloatArray
-    ) -> None:
-        self.parameters, self.rotation = parameters, rotation
-        self.rows = equation_of_motion(parameters, samples)
-        self.poses = link_poses(parameters.model, samples.position)
-        self.momentum = momentum_regressor(parameters, samples, velocity, self.poses)
+    def __init__(self, parameters: ParameterSet, motion: TrueMotion) -> None:
+        self.parameters, self.rotation = parameters, motion.base_rotation
+        self.rows = equation_of_motion(parameters, motion.samples)
+        self.poses = link_poses(parameters.model, motion.samples.position)
+        self.momentum = momentum_regressor(
+            parameters, motion.samples, motion.base_velocity, self.poses
+        )
 
     def predict(self, values: FloatArray) -> Prediction:
         com = com_position(self.parameters, values, self.poses)

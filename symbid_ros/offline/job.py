@@ -10,7 +10,7 @@ from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviat
 from symbid_ros.estimation.thesis import METHODS, Method
 from symbid_ros.estimation.truncation import Criterion
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.parameters import ParameterSet, Term
 from symbid_ros.model.urdf import Base
 from symbid_ros.offline.identification import Truncation, identify
 from symbid_ros.offline.record import Processing, Record, check_weight, read_record
@@ -32,8 +32,8 @@ class Job:
         prior.json; None takes the model file's inertias.
     method : {"ols", "wls_r", "wls_c", "wls_rc"}
         Which of the thesis's methods.
-    friction : bool
-        Whether viscous and Coulomb friction are identified too.
+    terms : tuple of {"viscous", "coulomb", "armature", "offset"}
+        What of the joints is identified too.
     processing : Processing
         Topics and filter.
     rank : int or None
@@ -51,7 +51,7 @@ class Job:
     base: Base = "auto"
     prior: Path | None = None
     method: Method = "wls_rc"
-    friction: bool = False
+    terms: tuple[Term, ...] = ()
     processing: Processing = field(default_factory=Processing)
     rank: int | None = None
     validation: Path | None = None
@@ -107,7 +107,7 @@ def prepare(job: Job) -> Prepared:
             f"{job.method} needs either a rank (--rank N) or a validation bag (--validate BAG) to "
             "choose it on"
         )
-    parameters = ParameterSet(load_model(job.model, job.base), job.friction)
+    parameters = ParameterSet(load_model(job.model, job.base), job.terms)
     prior = model_prior(parameters) if job.prior is None else load_prior(job.prior, parameters)
     record = read_record(job.bags, parameters, job.processing)
     validation = None

@@ -9,7 +9,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import load_estimate
 from symbid_ros.estimation.prior import load_prior
-from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.parameters import ParameterSet, terms_in
 from symbid_ros.model.tree import RobotModel
 
 
@@ -26,11 +26,10 @@ def load_subject(path: Path, model: RobotModel) -> tuple[ParameterSet, FloatArra
         parameters = ParameterSet(model)
         return parameters, load_prior(file, parameters).mean
     estimate = load_estimate(file)
-    for friction in (False, True):
-        parameters = ParameterSet(model, friction)
-        if set(parameters.names) == set(estimate.names):
-            order = [estimate.names.index(name) for name in parameters.names]
-            return parameters, np.asarray(estimate.value[order])
+    parameters = ParameterSet(model, terms_in(estimate.names))
+    if set(parameters.names) == set(estimate.names):
+        order = [estimate.names.index(name) for name in parameters.names]
+        return parameters, np.asarray(estimate.value[order])
     raise EstimateError(
         f"{file}: this estimate is of model {estimate.model!r} and its parameters are not those of "
         f"{model.source}; name the model it was identified with"

@@ -67,7 +67,7 @@ def _inertia_stamped(numbers: FloatArray, link: str, stamp: Time) -> InertiaStam
 
 
 def estimate_message(estimate: Estimate, stamp: Time) -> DiagnosticArray:
-    """Return one status per link with every parameter and deviation by name, friction last."""
+    """Return one status per link with every parameter and deviation by name, joints' terms last."""
     message = DiagnosticArray()
     message.header.stamp = stamp
     groups: dict[str, list[int]] = {}
@@ -81,7 +81,7 @@ def _status(estimate: Estimate, group: str, indices: Sequence[int]) -> Diagnosti
     status = DiagnosticStatus(name=group, hardware_id=estimate.model, level=DiagnosticStatus.OK)
     status.message = "physically possible"
     if group not in estimate.consistent:
-        status.message = "joint friction"
+        status.message = "joint terms"
     elif not estimate.consistent[group]:
         status.level = DiagnosticStatus.WARN
         status.message = "physically impossible: no mass density has these parameters"

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from symbid_ros.bags.selection import TopicSelection
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.model.parameters import joint_terms
 from symbid_ros.offline.identification import export_urdf, write_identification
 from symbid_ros.offline.job import Job, prepare
 from symbid_ros.offline.record import Processing
@@ -56,6 +57,8 @@ PARAMETERS = (
         choices=("gen_force", "torque", "com"),
     ),
     Parameter("friction", False, "Identify viscous and Coulomb friction as well."),
+    Parameter("armature", False, "Identify the drives' reflected inertias as well."),
+    Parameter("offset", False, "Identify a constant effort per joint as well."),
     Parameter("joint_topic", "", "JointState topic of the bag; empty for joint_states."),
     Parameter("imu_topics", [""], "Imu topics of the bag; empty for all."),
     Parameter("wrench_topics", [""], "WrenchStamped topics of the bag; empty for all."),
@@ -86,7 +89,7 @@ def job_from(values: dict[str, Any]) -> Job:
         base=values["base"],
         prior=_path(values["prior"]),
         method=values["method"],
-        friction=values["friction"],
+        terms=joint_terms(values["friction"], values["armature"], values["offset"]),
         processing=Processing(LowPass(values["cutoff"], values["channels"]), topics),
         rank=values["rank"] or None,
         validation=_path(values["validate"]),

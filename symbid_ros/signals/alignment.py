@@ -7,7 +7,7 @@ across a gap: there the record is cut into segments.
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -40,6 +40,8 @@ class Segment:
         Per IMU, in its own frame.
     wrenches : (M, F, 6) float64
         Per sensor (moment; force) in its own frame.
+    imu_frames, wrench_frames : tuple of str
+        The I and F frames.
     """
 
     stamp: IntArray
@@ -49,6 +51,24 @@ class Segment:
     angular_velocity: FloatArray
     linear_acceleration: FloatArray
     wrenches: FloatArray
+    imu_frames: tuple[str, ...]
+    wrench_frames: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def cut(self, start: int, stop: int) -> "Segment":
+        """Return the instants from ``start`` up to ``stop``."""
+        part = slice(start, stop)
+        return replace(
+            self,
+            stamp=self.stamp[part],
+            position=self.position[part],
+            effort=self.effort[part],
+            angular_velocity=self.angular_velocity[part],
+            linear_acceleration=self.linear_acceleration[part],
+            wrenches=self.wrenches[part],
+        )
 
 
 @dataclass(frozen=True)
@@ -157,6 +177,8 @@ def _segment(
         angular_velocity=readings[:, :, :3],
         linear_acceleration=readings[:, :, 3:],
         wrenches=np.stack(wrenches, axis=1) if wrenches else np.zeros((count, 0, 6)),
+        imu_frames=tuple(imu.frame_id for imu in streams.imus),
+        wrench_frames=tuple(wrench.frame_id for wrench in streams.wrenches),
     )
 
 

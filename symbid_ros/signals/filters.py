@@ -1,10 +1,10 @@
-"""Zero-phase low-pass filters and differentiation."""
+"""Zero-phase smoothing and differentiation, so that rows can be taken at single instants."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Protocol
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, savgol_filter, sosfiltfilt
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import DataError
@@ -17,6 +17,22 @@ Channels = Literal["all", "thesis"]
 PASSES = 3
 
 
+class Smoothing(Protocol):
+    """What turns noisy, uniformly sampled channels into motion and forces."""
+
+    def motion(self, signal: FloatArray, rate: float, order: int) -> tuple[FloatArray, ...]:
+        """Return a position or rate of turn and its first ``order`` derivatives."""
+
+    def force(self, signal: FloatArray, rate: float) -> FloatArray:
+        """Return a force, torque or specific force."""
+
+    def settling(self, rate: float) -> int:
+        """Return the number of samples at either end that still feel the edge."""
+
+    def stride(self, rate: float) -> int:
+        """Return how many samples apart rows still carry all that was let through."""
+
+
 @dataclass(frozen=True)
 class LowPass:
     """Second-order Butterworth, run forwards and backwards (Matlab's ``filtfilt``).
@@ -26,15 +42,18 @@ class LowPass:
     cutoff : float
         Hz; 0 passes everything.
     channels : {"all", "thesis"}
-        "all" runs the filter ``PASSES`` times over every channel, forces included, so
+        "all" runs the filter ``passes`` times over every channel, forces included, so
         that both sides of the equation of motion lose the same band. "thesis" runs it
         once over joint positions and the body's rate before they are differentiated
         and once more over each derivative, and leaves torques, wrenches and the
         accelerometer alone (thesis, section III-E).
+    passes : int
+        How often the filter runs over every channel where ``channels`` is "all".
     """
 
     cutoff: float = 30.0
     channels: Channels = "all"
+    passes: int = PASSES
 
     def __post_init__(self) -> None:
         """Refuse a cutoff that is no frequency."""
@@ -45,7 +64,7 @@ class LowPass:
         """Return what a report says of it."""
         if self.cutoff == 0:
             return "none"
-        passes = f"{PASSES} passes" if self.channels == "all" else "the thesis's passes"
+        passes = f"{self.passes} passes" if self.channels == "all" else "the thesis's passes"
         return f"second-order Butterworth at {self.cutoff:g} Hz, zero phase, {passes}"
 
     def __call__(self, signal: FloatArray, rate: float, passes: int = 1) -> FloatArray:
@@ -67,22 +86,29 @@ class LowPass:
         filtered: FloatArray = sosfiltfilt(sections, signal, axis=0, padlen=padding)
         return filtered
 
-    def motion(self, signal: FloatArray, rate: float) -> FloatArray:
-        """Return a position or rate of turn as this choice treats it before derivatives."""
-        return self(signal, rate, PASSES if self.channels == "all" else 1)
+    def motion(self, signal: FloatArray, rate: float, order: int) -> tuple[FloatArray, ...]:
+        """Return a position or rate of turn and its first ``order`` derivatives.
+
+        Time runs along the first axis; all are as this choice of channels treats them.
+        """
+        filtered = [self(signal, rate, self.passes if self.channels == "all" else 1)]
+        for _ in range(order):
+            slope = differentiate(filtered[-1], rate)
+            filtered.append(self(slope, rate) if self.channels == "thesis" else slope)
+        return tuple(filtered)
 
     def force(self, signal: FloatArray, rate: float) -> FloatArray:
         """Return a force, torque or specific force as this choice of channels treats it."""
-        return self(signal, rate, PASSES) if self.channels == "all" else signal
-
-    def derivative(self, signal: FloatArray, rate: float) -> FloatArray:
-        """Return the time derivative of a filtered signal as this choice treats it."""
-        slope = differentiate(signal, rate)
-        return self(slope, rate) if self.channels == "thesis" else slope
+        return self(signal, rate, self.passes) if self.channels == "all" else signal
 
     def settling(self, rate: float) -> int:
         """Return the number of samples at either end that still feel the edge."""
-        return 2 if self.cutoff == 0 else max(2, int(np.ceil(PASSES * rate / self.cutoff)))
+        return 2 if self.cutoff == 0 else max(2, int(np.ceil(self._most * rate / self.cutoff)))
+
+    @property
+    def _most(self) -> int:
+        """How often any channel passes."""
+        return self.passes if self.channels == "all" else PASSES
 
     def stride(self, rate: float) -> int:
         """Return how many samples apart rows still carry all that passed the filter.
@@ -91,6 +117,71 @@ class LowPass:
         than 99 %, so denser rows repeat one another.
         """
         return 1 if self.cutoff == 0 else max(1, int(rate / (5 * self.cutoff)))
+
+
+@dataclass(frozen=True)
+class SavitzkyGolay:
+    """A polynomial fitted around every sample; derivatives are the polynomial's own.
+
+    Savitzky and Golay 1964. All channels see the same window and degree.
+
+    Attributes
+    ----------
+    window : float
+        Seconds.
+    degree : int
+        Of the polynomial, at least 2, as second derivatives are asked of it.
+    """
+
+    window: float = 0.081
+    degree: int = 3
+
+    def __post_init__(self) -> None:
+        """Refuse a window or degree that is none."""
+        if not (np.isfinite(self.window) and self.window > 0 and self.degree >= 2):
+            raise DataError(
+                f"Savitzky-Golay window {self.window} s, degree {self.degree}: give a positive "
+                "window and a degree of at least 2"
+            )
+
+    def __str__(self) -> str:
+        """Return what a report says of it."""
+        return f"Savitzky-Golay, {1e3 * self.window:g} ms, degree {self.degree}"
+
+    def motion(self, signal: FloatArray, rate: float, order: int) -> tuple[FloatArray, ...]:
+        """Return a position or rate of turn and its first ``order`` derivatives."""
+        return tuple(self._fit(signal, rate, derivative) for derivative in range(order + 1))
+
+    def force(self, signal: FloatArray, rate: float) -> FloatArray:
+        """Return a force, torque or specific force."""
+        return self._fit(signal, rate, 0)
+
+    def _fit(self, signal: FloatArray, rate: float, derivative: int) -> FloatArray:
+        length = self._length(rate)
+        if signal.size == 0:
+            return signal
+        if length > len(signal):
+            raise DataError(
+                f"a Savitzky-Golay window of {self.window:g} s is longer than a stretch of "
+                f"{len(signal) / rate:.3g} s; shorten it or record longer"
+            )
+        fitted: FloatArray = savgol_filter(
+            signal, length, self.degree, derivative, 1 / rate, axis=0
+        )
+        return fitted
+
+    def _length(self, rate: float) -> int:
+        """Return the window in samples: odd, and long enough for the polynomial."""
+        half = max(round(self.window * rate / 2), (self.degree + 2) // 2)
+        return 2 * half + 1
+
+    def settling(self, rate: float) -> int:
+        """Return the number of samples at either end whose window would leave the record."""
+        return self._length(rate) // 2
+
+    def stride(self, rate: float) -> int:
+        """Return how many samples apart rows are taken: four per window."""
+        return max(1, self._length(rate) // 4)
 
 
 def differentiate(signal: FloatArray, rate: float) -> FloatArray:

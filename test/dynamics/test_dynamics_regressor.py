@@ -6,13 +6,14 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
-from random_robots import CONFIG, random_robot, random_samples
+from random_robots import CONFIG, random_robot, random_samples, with_drives
 
+from symbid_ros.dynamics.friction import slips
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.parameters import TERMS, ParameterSet
 
 ROBOTS = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
 REAL = {
@@ -78,6 +79,24 @@ def test_random_trees_obey_mujocos_inverse_dynamics(seed, floating):
     wrench_part = rows.y - np.c_[np.zeros((20, 6 * floating)), samples.effort]
     left = rows.K @ ParameterSet(model).values - wrench_part
     assert relative_rmse(left, mujoco_inverse(model, samples, rng)) < 1e-11
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("floating", [True, False])
+def test_drives_obey_mujocos_inverse_dynamics(seed, floating):
+    rng = np.random.default_rng(seed)
+    model = random_robot(seed, links=4 + seed, floating=floating, wrench_frames=0)
+    driven = with_drives(model, rng, damping=5.0, armature=1.0)
+    samples = random_samples(driven, 20, rng, ())
+    parameters = ParameterSet(driven, ("viscous", "armature"))
+    K = equation_of_motion(parameters, samples).K
+    truth = mujoco_inverse(driven, samples, rng)
+    assert relative_rmse(K @ parameters.values, truth) < 1e-11
+    # The drives are a good part of that, and nothing of it is felt by the base.
+    bare = equation_of_motion(ParameterSet(model), samples).K @ ParameterSet(model).values
+    base = 6 * floating
+    assert relative_rmse(bare[:, base:], truth[:, base:]) > 0.05
+    np.testing.assert_array_equal(K[:, :base, parameters.inertial :], 0)
 
 
 def test_symbitron_obeys_mujocos_inverse_dynamics():
@@ -146,23 +165,25 @@ def test_random_trees_obey_pinocchios_regressor(seed, tmp_path):
     assert relative_rmse(left, pinocchio_torque(model, path, samples, rng)) < 1e-11
 
 
-@pytest.mark.parametrize(("friction", "rank"), [(False, 80), (True, 100)])
-def test_symbitron_has_the_thesis_base_parameters(friction, rank):
+@pytest.mark.parametrize(("terms", "rank"), [((), 80), (("viscous", "coulomb"), 100), (TERMS, 120)])
+def test_symbitron_has_the_thesis_base_parameters(terms, rank):
     model = load_model(CONFIG / "symbitron.urdf")
     samples = random_samples(model, 300, np.random.default_rng(3), ())
-    K = equation_of_motion(ParameterSet(model, friction), samples).K
+    K = equation_of_motion(ParameterSet(model, terms), samples).K
     W = K.reshape(-1, K.shape[2])
     values = np.linalg.svd(W / np.linalg.norm(W, axis=0), compute_uv=False)
     assert np.sum(values > 1e-9 * values[0]) == rank
 
 
-def test_friction_columns_are_eq_2_49():
+def test_joint_columns_are_eq_2_49_with_armature_and_offset():
     model = load_model(CONFIG / "symbitron.urdf")
-    samples = random_samples(model, 5, np.random.default_rng(4), ())
-    parameters = ParameterSet(model, friction=True)
-    viscous, coulomb = np.arange(10.0), np.arange(10.0) + 20
-    phi = np.r_[np.zeros(110), viscous, coulomb]
+    samples = random_samples(model, 5, np.random.default_rng(5), ())
+    assert np.all(slips(samples.velocity))
+    parameters = ParameterSet(model, TERMS)
+    viscous, coulomb, armature, offset = np.arange(10.0) + 20 * np.arange(4)[:, None]
+    phi = np.r_[np.zeros(110), viscous, coulomb, armature, offset]
     torque = equation_of_motion(parameters, samples).K @ phi
     expected = viscous * samples.velocity + coulomb * np.sign(samples.velocity)
+    expected += armature * samples.acceleration + offset
     np.testing.assert_array_equal(torque[:, :6], 0)
-    np.testing.assert_allclose(torque[:, 6:], expected, rtol=1e-15)
+    np.testing.assert_allclose(torque[:, 6:], expected, rtol=1e-14)

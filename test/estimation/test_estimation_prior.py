@@ -1,16 +1,24 @@
 """Priors: drawn, written, read, refused."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_robots import CONFIG, random_robot
+from random_robots import CONFIG, random_robot, with_drives
 
 from symbid_ros.errors import PriorError
-from symbid_ros.estimation.prior import draw_prior, load_prior, model_prior
+from symbid_ros.estimation.deviation import TERM_STD
+from symbid_ros.estimation.prior import (
+    Prior,
+    absolute_model_prior,
+    draw_prior,
+    load_prior,
+    model_prior,
+)
 from symbid_ros.model.inertia import is_consistent, pseudo_inertia
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.parameters import TERMS, ParameterSet
 
 
 @pytest.fixture(scope="module")
@@ -83,12 +91,197 @@ def test_the_models_own_prior_never_takes_a_zero_for_certain():
     assert np.all(prior.std > 0)
 
 
+def test_the_models_own_prior_is_as_wide_as_asked(symbitron):
+    percent, absolute = model_prior(symbitron, 10.0), absolute_model_prior(symbitron, 0.125)
+    for prior in (percent, absolute):
+        np.testing.assert_array_equal(prior.mean, symbitron.values)
+    assert percent.std[0] == pytest.approx(0.1 * symbitron.values[0] / np.sqrt(3))
+    np.testing.assert_allclose(percent.std, 0.4 * model_prior(symbitron).std)
+    np.testing.assert_allclose(absolute.std, 0.125 / np.sqrt(3))
+    assert (percent.kind, absolute.kind) == ("model, percent 10", "model, absolute 0.125")
+    for amount in (0.0, -1.0, np.nan, np.inf):
+        with pytest.raises(PriorError, match="positive half-width"):
+            model_prior(symbitron, amount)
+        with pytest.raises(PriorError, match="positive half-width"):
+            absolute_model_prior(symbitron, amount)
+
+
+@pytest.fixture
+def driven():
+    """A tree with a slide, whose file states the terms of its joints, but for one."""
+    # Large, so that no floor is met.
+    sizes = {"damping": 100.0, "friction_loss": 100.0, "armature": 100.0}
+    robot = with_drives(random_robot(10, links=6), np.random.default_rng(4), **sizes)
+    assert {joint.kind for joint in robot.joints} == {"revolute", "prismatic"}
+    silent = replace(robot.joints[0], damping=0.0)
+    return ParameterSet(replace(robot, joints=(silent, *robot.joints[1:])), TERMS)
+
+
+def terms_of(parameters, values):
+    return {term: values[columns] for term, columns in parameters.term_columns.items()}
+
+
+def test_what_no_file_states_of_a_joint_is_zero_within_the_terms_own_scale(driven):
+    parameters = ParameterSet(random_robot(10, links=6), TERMS)
+    kinds = np.array([joint.kind for joint in parameters.model.joints])
+    stds = []
+    for prior in (
+        model_prior(parameters, 10),
+        absolute_model_prior(parameters, 0.1),
+        *(draw_prior(parameters, kind, 10, 0) for kind in ("percent", "absolute", "consistent")),
+    ):
+        np.testing.assert_array_equal(prior.mean[parameters.inertial :], 0)
+        stds.append(prior.std[parameters.inertial :])
+        for term, std in terms_of(parameters, prior.std).items():
+            np.testing.assert_array_equal(std[kinds == "revolute"], TERM_STD[term])
+        # Seen at the lever of the same drive, a slide's motion and effort each count once.
+        levers = {"viscous": 100, "coulomb": 10, "armature": 100, "offset": 10}
+        for term, std in terms_of(parameters, prior.std).items():
+            np.testing.assert_allclose(std[kinds == "prismatic"], levers[term] * TERM_STD[term])
+    assert model_prior(driven).std[driven.inertial] == stds[0][0]
+
+
+@pytest.mark.parametrize(("kind", "amount"), [("percent", 25), ("consistent", 25)])
+def test_stated_joint_terms_are_drawn_as_links_are(driven, kind, amount):
+    stated = np.flatnonzero(driven.values[driven.inertial :]) + driven.inertial
+    assert len(stated) == 3 * len(driven.model.joints) - 1
+    draws = [draw_prior(driven, kind, amount, seed) for seed in range(200)]
+    relative = np.array([prior.mean[stated] for prior in draws]) / driven.values[stated] - 1
+    assert np.abs(relative).max() <= 0.25
+    assert relative.std() == pytest.approx(0.25 / np.sqrt(3), rel=0.03)
+    for prior in draws[:3]:
+        np.testing.assert_allclose(prior.std[stated], 0.25 * prior.mean[stated] / np.sqrt(3))
+
+
+def test_stated_joint_terms_move_by_an_absolute_amount(driven):
+    stated = np.flatnonzero(driven.values[driven.inertial :]) + driven.inertial
+    draws = [draw_prior(driven, "absolute", 0.125, seed) for seed in range(200)]
+    error = np.array([prior.mean[stated] for prior in draws]) - driven.values[stated]
+    assert np.abs(error).max() <= 0.125
+    assert error.std() == pytest.approx(0.125 / np.sqrt(3), rel=0.03)
+    np.testing.assert_allclose(draws[0].std[stated], 0.125 / np.sqrt(3))
+
+
+@pytest.mark.parametrize("kind", ["percent", "absolute", "consistent"])
+def test_joint_terms_leave_the_draw_of_the_links_alone(driven, kind):
+    links = draw_prior(ParameterSet(driven.model), kind, 10, 3)
+    both = draw_prior(driven, kind, 10, 3)
+    np.testing.assert_array_equal(both.mean[: driven.inertial], links.mean)
+    np.testing.assert_array_equal(both.std[: driven.inertial], links.std)
+
+
+def test_a_nearly_vanishing_stated_term_is_not_taken_for_certain(driven):
+    joint = replace(driven.model.joints[1], damping=1e-9)
+    joints = (driven.model.joints[0], joint, *driven.model.joints[2:])
+    parameters = ParameterSet(replace(driven.model, joints=joints), TERMS)
+    index = parameters.names.index(f"{joint.name}/viscous")
+    assert model_prior(parameters).std[index] > 1e-4
+
+
+def random_factor(std, rng):
+    """Return the Cholesky factor of a random covariance with these deviations."""
+    covariance = np.cov(rng.normal(size=(len(std), 3 * len(std))))
+    correlation = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    return np.linalg.cholesky(correlation * np.outer(std, std))
+
+
+def with_factor(prior, seed=0):
+    return replace(prior, factor=random_factor(prior.std, np.random.default_rng(seed)))
+
+
+def test_a_covariance_survives_the_file(symbitron, tmp_path):
+    prior = with_factor(draw_prior(symbitron, "percent", 25, 3))
+    prior.write(tmp_path / "prior.json")
+    read = load_prior(tmp_path / "prior.json", symbitron)
+    np.testing.assert_array_equal(read.factor, prior.factor)
+    np.testing.assert_array_equal(read.covariance_factor(), prior.factor)
+    independent = draw_prior(symbitron, "percent", 25, 3)
+    np.testing.assert_array_equal(independent.covariance_factor(), np.diag(independent.std))
+
+
+@pytest.mark.parametrize("terms", [(), ("armature",), ("viscous", "offset"), TERMS])
+def test_a_covariance_is_marginalised_to_the_columns_in_use(driven, terms, tmp_path):
+    held = ParameterSet(driven.model, ("viscous", "armature"))
+    prior = with_factor(draw_prior(held, "consistent", 25, 3))
+    covariance = prior.factor @ prior.factor.T
+    order = np.random.default_rng(1).permutation(len(prior.names))
+    shuffled = Prior(
+        prior.model,
+        prior.kind,
+        prior.seed,
+        tuple(prior.names[i] for i in order),
+        prior.mean[order],
+        prior.std[order],
+        np.linalg.cholesky(covariance[np.ix_(order, order)]),
+    )
+    shuffled.write(tmp_path / "prior.json")
+    parameters = ParameterSet(driven.model, terms)
+    read = load_prior(tmp_path / "prior.json", parameters)
+    assert read.names == parameters.names
+    known = [name for name in parameters.names if name in held.names]
+    here = [parameters.names.index(name) for name in known]
+    there = [held.names.index(name) for name in known]
+    found = read.factor @ read.factor.T
+    scale = np.outer(read.std, read.std)
+    assert not np.any(np.triu(read.factor, 1))
+    np.testing.assert_allclose(
+        (found / scale)[np.ix_(here, here)],
+        (covariance / np.outer(prior.std, prior.std))[np.ix_(there, there)],
+        atol=1e-12,
+    )
+    np.testing.assert_array_equal(read.mean[here], prior.mean[there])
+    # What the file lacks is as the model has it, and has nothing to do with the rest.
+    rest = np.setdiff1d(np.arange(len(parameters)), here)
+    own = model_prior(parameters)
+    np.testing.assert_array_equal(read.mean[rest], own.mean[rest])
+    np.testing.assert_allclose(found[np.ix_(rest, rest)], np.diag(own.std[rest] ** 2), atol=1e-12)
+    assert np.abs((found / scale)[np.ix_(rest, here)]).max(initial=0) < 1e-12
+
+
+BAD_FACTORS = {
+    "wrong size": (lambda L: L[:-1], r"shape \(109, 110\); 110 parameters need 110 rows"),
+    "no matrix": (lambda L: L[0], r"shape \(110,\)"),
+    "NaN": (lambda L: np.where(np.eye(110) * np.arange(110) == 7, np.nan, L), "not finite"),
+    "upper": (lambda L: L.T, "not lower triangular"),
+    "singular": (lambda L: L * (np.arange(110) < 109), "not positive definite: its diagonal at"),
+    "negative": (lambda L: -L, "not positive definite"),
+    "other deviations": (lambda L: 1.00001 * L, "base_link/m a std of .* make them agree"),
+    "ragged": (lambda L: [row[:i].tolist() for i, row in enumerate(L)], "not a prior.json"),
+    "words": (lambda L: [["much"]], "not a prior.json"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_FACTORS)
+def test_a_bad_covariance_says_what_is_wrong(case, symbitron, tmp_path):
+    change, message = BAD_FACTORS[case]
+    path = tmp_path / "prior.json"
+    prior = with_factor(draw_prior(symbitron, "percent", 25, 3))
+    prior.write(path)
+    document = json.loads(path.read_text())
+    document["covariance_factor"] = np.asarray(change(prior.factor), dtype=object).tolist()
+    path.write_text(json.dumps(document))
+    with pytest.raises(PriorError, match=message) as caught:
+        load_prior(path, symbitron)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
 def test_a_prior_without_friction_serves_a_model_with_it(symbitron, tmp_path):
     path = tmp_path / "prior.json"
     draw_prior(symbitron, "percent", 25, 3).write(path)
-    prior = load_prior(path, ParameterSet(symbitron.model, friction=True))
+    prior = load_prior(path, ParameterSet(symbitron.model, ("viscous", "coulomb")))
     assert len(prior.mean) == 130
     np.testing.assert_array_equal(prior.mean[110:], 0)
+    np.testing.assert_array_equal(prior.std[110:120], TERM_STD["viscous"])
+
+
+def test_a_prior_with_joint_terms_serves_a_model_without(driven, tmp_path):
+    prior = draw_prior(driven, "percent", 25, 3)
+    prior.write(tmp_path / "prior.json")
+    links = load_prior(tmp_path / "prior.json", ParameterSet(driven.model))
+    np.testing.assert_array_equal(links.mean, prior.mean[: driven.inertial])
+    both = load_prior(tmp_path / "prior.json", driven)
+    np.testing.assert_array_equal(both.mean, prior.mean)
 
 
 def edited(document, change):

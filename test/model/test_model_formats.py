@@ -36,7 +36,10 @@ def assert_same_robot(one, other, tolerance=1e-12):
     np.testing.assert_allclose(one.phi, other.phi, rtol=tolerance, atol=tolerance)
     for a, b in zip(one.joints, other.joints, strict=True):
         assert (a.kind, a.parent) == (b.kind, b.parent)
-        for field in ("rotation", "translation", "axis", "lower", "upper"):
+        for field in (
+            *("rotation", "translation", "axis", "lower", "upper"),
+            *("damping", "friction_loss", "armature"),
+        ):
             np.testing.assert_allclose(getattr(a, field), getattr(b, field), atol=tolerance)
     assert [(f.name, f.link) for f in one.frames] == [(f.name, f.link) for f in other.frames]
     for a, b in zip(one.frames, other.frames, strict=True):

@@ -1,5 +1,6 @@
 """Random robots and random motions: branching trees, slides, oblique axes, any frames."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,20 @@ def random_robot(seed, links=8, *, floating=True, wrench_frames=2):
     if not floating:
         gravity = random_rotation(rng) @ gravity
     return RobotModel(f"random_{seed}", bodies, joints, frames, floating, gravity, "random")
+
+
+def with_drives(model, rng, *, damping=1.0, friction_loss=2.0, armature=0.5):
+    """Return the robot with random joint terms up to these sizes."""
+    joints = tuple(
+        replace(
+            joint,
+            damping=damping * rng.uniform(0.1, 1),
+            friction_loss=friction_loss * rng.uniform(0.1, 1),
+            armature=armature * rng.uniform(0.1, 1),
+        )
+        for joint in model.joints
+    )
+    return replace(model, joints=joints)
 
 
 def _depth_first(joints):

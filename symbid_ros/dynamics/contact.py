@@ -1,0 +1,82 @@
+"""Contact forces predicted from the equation of motion (thesis, Eq. 4.1)."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.dynamics.kinematics import LinkPoses, joint_axes
+from symbid_ros.dynamics.regressor import wrenches_at_base
+from symbid_ros.model.tree import RobotModel
+
+# Singular values of a contact Jacobian below this share of its largest count as zero.
+RANK_TOLERANCE = 1e-10
+
+
+def contact_jacobian(model: RobotModel, frames: Sequence[str], poses: LinkPoses) -> FloatArray:
+    """Return the geometric Jacobian J_g (N, 6 F, n) of F frames, stacked.
+
+    Parameters
+    ----------
+    model : RobotModel
+        The robot.
+    frames : sequence of str
+        Wrench frames; two may sit on one link.
+    poses : LinkPoses
+        Of N samples.
+
+    Returns
+    -------
+    (N, 6 F, n) float64
+        Six rows per frame, (angular; linear) in the frame's own axes at its origin. Six
+        columns of a floating base's twist, in base axes, then one per joint. J_gᵀ f_e is
+        what wrenches f_e, in the frames' own axes, do to each coordinate (Eq. 4).
+    """
+    count = len(poses.position)
+    first_joint = 6 * model.floating
+    # A wrench of one along each component of each frame: their images are the Jacobian's rows.
+    names = [name for name in frames for _ in range(6)]
+    units = np.broadcast_to(np.tile(np.eye(6), (len(frames), 1)), (count, len(names), 6))
+    at_base = wrenches_at_base(model, units, names, poses)
+    carries = model.ancestors[:, [model.frame(name).link for name in names]]
+    jacobian = np.empty((count, len(names), model.dof))
+    if model.floating:
+        jacobian[:, :, :6] = at_base
+    axes = joint_axes(model, poses)
+    jacobian[:, :, first_joint:] = (at_base @ axes.transpose(0, 2, 1)) * carries.T
+    return jacobian
+
+
+def contact_wrenches(
+    jacobian: FloatArray, force: FloatArray, tolerance: float = RANK_TOLERANCE
+) -> FloatArray:
+    """Return the environment's wrenches f_e = (J_gᵀ)⁺ (K φ - Sᵀ f_a), Eq. 4.1.
+
+    They leave the least squares error J_gᵀ f_e - (K φ - Sᵀ f_a), newtons and newton metres
+    alike. Two feet and sixteen coordinates leave four equations over, so most of an error in φ
+    hides in the wrenches: this predicts contact forces, it does not replace measuring them.
+
+    Where J_gᵀ lacks full column rank the data do not determine all of f_e, and of all least
+    squares solutions the one of least norm is returned. So it is with more wrench components
+    than coordinates (two feet and a hoist), with a frame on a fixed base, with legs in the same
+    plane (none of their joints feels the feet twisted against each other), and with several
+    frames on one link (only the sum of their wrenches is felt).
+
+    Parameters
+    ----------
+    jacobian : (N, 6 F, n) float64
+        From :func:`contact_jacobian`.
+    force : (N, ..., n) float64
+        K φ - Sᵀ f_a, what the motion needs beyond the motors, Nm and N; several per sample
+        share the work.
+    tolerance : float
+        Singular values below this share of the largest are taken as zero.
+
+    Returns
+    -------
+    (N, ..., F, 6) float64
+        Per frame (moment; force) on the robot, in the frame's own axes about its origin.
+    """
+    inverse = np.linalg.pinv(jacobian.transpose(0, 2, 1), tolerance)
+    stacked: FloatArray = np.einsum("nij,n...j->n...i", inverse, force)
+    return stacked.reshape(*force.shape[:-1], jacobian.shape[1] // 6, 6)

@@ -1,0 +1,88 @@
+"""How far off a parameter may be: scales of links and joints, and uniform half-widths."""
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.model.inertia import phi_from_pseudo_inertia, second_moments
+from symbid_ros.model.parameters import ParameterSet, Term
+
+# Deviations of what no file states of a joint, about zero. They are wide for a leg's drives:
+# Nm s/rad, Nm, kg m² and Nm.
+TERM_STD: dict[Term, float] = {"viscous": 1.0, "coulomb": 2.0, "armature": 0.1, "offset": 1.0}
+# A slide is given the drive of a joint with this lever, m.
+_SLIDE_LEVER = 0.1
+# Share of a parameter's own scale below which its deviation does not fall.
+_FLOOR = 0.01
+# The scale of a link that the file gives no mass or no extent.
+_BARE_MASS, _BARE_EXTENT = 1.0, 0.1
+
+
+def percent_std(parameters: ParameterSet, mean: FloatArray, percent: float) -> FloatArray:
+    """Return the deviation of a uniform ± percent, floored so that a zero is no certainty."""
+    uniform = percent / 100 * np.abs(mean) / np.sqrt(3)
+    std: FloatArray = np.maximum(uniform, percent_floor(parameters, percent))
+    joints = slice(parameters.inertial, None)
+    std[joints] = np.where(is_stated(parameters)[joints], std[joints], _term_scale(parameters))
+    return std
+
+
+def absolute_std(parameters: ParameterSet, amount: float) -> FloatArray:
+    """Return the deviation of a uniform ± amount where the file states a value."""
+    std = np.full(len(parameters), amount / np.sqrt(3))
+    joints = slice(parameters.inertial, None)
+    std[joints] = np.where(is_stated(parameters)[joints], std[joints], _term_scale(parameters))
+    return std
+
+
+def consistent_std(root: FloatArray, half_width: float) -> FloatArray:
+    """Return the deviations (10,) of φ under J → L S Lᵀ, in closed form, L (4, 4) being ``root``.
+
+    With iid eigenvalues of variance σ² and axes uniform over O(4), S has
+    E[S_ij S_kl] - E[S_ij] E[S_kl] = σ²/6 (δ_ij δ_kl + δ_ik δ_jl + δ_il δ_jk).
+    """
+    variance = half_width**2 / 3 / 6
+    # φ of L S Lᵀ per unit of S's entry (i, j).
+    moved = np.einsum("ai,bj->ijab", root, root)
+    spread = phi_from_pseudo_inertia((moved + moved.swapaxes(2, 3)) / 2)
+    trace = np.einsum("iik->k", spread)
+    std: FloatArray = np.sqrt(variance * (trace**2 + 2 * np.sum(spread**2, axis=(0, 1))))
+    return std
+
+
+def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:
+    """Return 1 % of the deviation that a parameter of its link's scale {m, mℓ, mℓ²} would have.
+
+    ℓ is the link's root-mean-square extent about its origin; the scale of a joint's term is
+    ``TERM_STD``. The floor is small: it serves zeros in somebody's file, and leaves small
+    true values their own scale.
+    """
+    unit = _FLOOR * percent / 100 / np.sqrt(3)
+    floor = np.empty(len(parameters))
+    floor[parameters.inertial :] = unit * _term_scale(parameters)
+    for index, phi in enumerate(parameters.link_phi(parameters.values)):
+        mass = abs(phi[0])
+        extent = np.sqrt(max(np.trace(second_moments(phi)), 0.0) / mass) if mass > 0 else 0.0
+        mass, extent = mass or _BARE_MASS, extent or _BARE_EXTENT
+        scale = np.repeat([mass, mass * extent, mass * extent**2], [1, 3, 6])
+        floor[10 * index : 10 * index + 10] = unit * scale
+    return floor
+
+
+def is_stated(parameters: ParameterSet) -> BoolArray:
+    """Return (p,) whether the model file states the parameter: links do, joints where not zero."""
+    stated: BoolArray = parameters.values != 0.0
+    stated[: parameters.inertial] = True
+    return stated
+
+
+def _term_scale(parameters: ParameterSet) -> FloatArray:
+    """Return ``TERM_STD`` of the parameters after the inertial ones."""
+    # Per lever, a slide's effort and offset grow once, what multiplies its motion twice.
+    grows = {"viscous": 2, "armature": 2, "coulomb": 1, "offset": 1}
+    return np.array(
+        [
+            TERM_STD[term] / (_SLIDE_LEVER ** grows[term] if joint.kind == "prismatic" else 1.0)
+            for term in parameters.terms
+            for joint in parameters.model.joints
+        ]
+    )

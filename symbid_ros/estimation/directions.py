@@ -1,0 +1,183 @@
+"""What the data added to the prior: which directions of parameter space, how much, about whom."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.errors import EstimateError, PriorError
+from symbid_ros.model.inertia import PARAMETERS
+
+# Beyond this the prior's covariance is singular to working precision.
+_CONDITION = 1e12
+# Rounding of two factors computed apart; a posterior wider by more belongs to another prior.
+_SLACK = 1e-6
+# Loadings below this share of the largest one do not help a reader.
+_WORTH_READING = 0.2
+
+
+@dataclass(frozen=True)
+class DeterminedDirections:
+    """The posterior covariance against the prior's, P d = r² P₀ d, most determined first.
+
+    In the coordinates ξ = C φ the prior has covariance I and the posterior diag(r²):
+    each ξ_i is known to r_i of what the prior knew, independently of the others
+    (Golub and Van Loan 2013, Matrix Computations, sec. 8.7).
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the p parameters.
+    threshold : float
+        A direction is determined where its ratio is smaller.
+    ratios : (p,) float64
+        Posterior over prior standard deviation r of each direction, ascending.
+    directions : (p, p) float64
+        D = C⁻¹ in its columns: what one prior standard deviation of ξ_i does to φ, in
+        the parameters' units; D Dᵀ is the prior's covariance, D diag(r²) Dᵀ the
+        posterior's.
+    coordinates : (p, p) float64
+        C in its rows: the combinations of parameters that the data tell of.
+    prior_std : (p,) float64
+        Prior standard deviation of each parameter.
+    link_gain : dict of str to float
+        Per link half the base-2 logarithm of det(prior block) over det(posterior block)
+        of its ten parameters, bit. Links that the data see only together gain less one
+        by one than together.
+    """
+
+    names: tuple[str, ...]
+    threshold: float
+    ratios: FloatArray
+    directions: FloatArray
+    coordinates: FloatArray
+    prior_std: FloatArray
+    link_gain: dict[str, float]
+
+    @property
+    def determined(self) -> BoolArray:
+        """(p,) directions that the data, not the prior, decide."""
+        return np.asarray(self.ratios < self.threshold)
+
+    @property
+    def gain(self) -> float:
+        """Information of the data about all parameters together, bit."""
+        return _bits(self.ratios)
+
+    @property
+    def effective(self) -> float:
+        """Effective number of parameters the data decide, Σ (1 - r²).
+
+        MacKay 1992, Neural Computation 4(3), p. 415.
+        """
+        return float(np.sum(1 - self.ratios**2))
+
+    @property
+    def loadings(self) -> FloatArray:
+        """(p, p) prior correlation of each parameter (row) with each ξ (column)."""
+        loadings: FloatArray = self.directions / self.prior_std[:, None]
+        return loadings
+
+    def describe(self, index: int, terms: int = 4) -> str:
+        """Return direction ``index`` by its largest loadings, ``+0.92 foot/m -0.31 shank/m``."""
+        loading = self.loadings[:, index]
+        largest = np.argsort(-np.abs(loading), kind="stable")[:terms]
+        worth = np.abs(loading[largest]) >= _WORTH_READING * abs(loading[largest[0]])
+        return " ".join(f"{loading[k]:+.2f} {self.names[k]}" for k in largest[worth])
+
+    def text(self, limit: int | None = 12, terms: int = 4) -> str:
+        """Return the determined directions, one a line, and each link's information gain."""
+        count = int(np.sum(self.determined))
+        shown = count if limit is None else min(limit, count)
+        lines = [
+            f"{count} of {len(self.ratios)} directions determined (standard deviation below "
+            f"{self.threshold:g} of the prior's), {self.effective:.1f} effective parameters, "
+            f"{self.gain:.1f} bit gained"
+        ]
+        lines += [f"{self.ratios[k]:9.2g}  {self.describe(k, terms)}" for k in range(shown)]
+        if shown < count:
+            lines.append(f"{count - shown} more")
+        if self.link_gain:
+            gains = ", ".join(f"{link} {gain:.1f}" for link, gain in self.link_gain.items())
+            lines.append(f"bit gained per link: {gains}")
+        return "\n".join(lines)
+
+
+def determined_directions(
+    prior_factor: FloatArray, posterior_factor: FloatArray, names: Sequence[str], threshold: float
+) -> DeterminedDirections:
+    """Compare a posterior with its prior, direction by direction.
+
+    Parameters
+    ----------
+    prior_factor, posterior_factor : (p, p) float64
+        Any L₀ and L with covariances L₀ L₀ᵀ and L Lᵀ, in the parameters' units. The
+        posterior may be certain of a direction, the prior may not.
+    names : sequence of str
+        Of the p parameters, ``<link>/<m|mc_x|...|Izz>`` or ``<joint>/<term>``.
+    threshold : float
+        Largest ratio of standard deviations at which a direction counts as determined.
+
+    Raises
+    ------
+    PriorError
+        When the prior's covariance is singular.
+    EstimateError
+        When a factor is not finite or the posterior is wider than the prior.
+    """
+    if not (np.all(np.isfinite(prior_factor)) and np.all(np.isfinite(posterior_factor))):
+        raise EstimateError(
+            "a covariance factor of the prior or the posterior is not finite; solve again"
+        )
+    prior_std = np.linalg.norm(prior_factor, axis=1)
+    vanishing = np.flatnonzero(prior_std == 0)
+    if len(vanishing):
+        raise PriorError(
+            f"the prior is certain of {names[vanishing[0]]}; give it a positive standard deviation"
+        )
+    # In units of the prior's deviations, so that kg and kg m² weigh alike.
+    scaled = prior_factor / prior_std[:, None]
+    if np.linalg.cond(scaled) > _CONDITION:
+        raise PriorError(
+            "the prior is certain of a combination of parameters; widen its covariance factor"
+        )
+    whitened = np.linalg.solve(scaled, posterior_factor / prior_std[:, None])
+    axes, ratios, _ = np.linalg.svd(whitened)
+    axes, ratios = axes[:, ::-1], ratios[::-1]
+    if ratios[-1] > 1 + _SLACK:
+        raise EstimateError(
+            f"the posterior is {ratios[-1]:.6g} times as wide as the prior in some direction; "
+            "compare it with the prior that it was computed from"
+        )
+    loadings = scaled @ axes
+    largest = np.abs(loadings).argmax(axis=0)
+    axes = axes * np.where(np.take_along_axis(loadings, largest[None], axis=0)[0] < 0, -1.0, 1.0)
+    return DeterminedDirections(
+        names=tuple(names),
+        threshold=threshold,
+        ratios=np.minimum(ratios, 1.0),
+        directions=prior_factor @ axes,
+        coordinates=np.linalg.solve(scaled.T, axes).T / prior_std,
+        prior_std=prior_std,
+        link_gain=_link_gain(prior_factor, posterior_factor, names),
+    )
+
+
+def _link_gain(prior: FloatArray, posterior: FloatArray, names: Sequence[str]) -> dict[str, float]:
+    rows: dict[str, list[int]] = {}
+    for index, name in enumerate(names):
+        link, _, parameter = name.rpartition("/")
+        if parameter in PARAMETERS:
+            rows.setdefault(link, []).append(index)
+    gains = {}
+    for link, block in rows.items():
+        before, after = (np.linalg.qr(factor[block].T, mode="r") for factor in (prior, posterior))
+        gains[link] = max(0.0, _bits(np.abs(np.diag(after) / np.diag(before))))
+    return gains
+
+
+def _bits(ratios: FloatArray) -> float:
+    """Return -Σ log₂ r; a direction known exactly is worth infinitely many."""
+    with np.errstate(divide="ignore"):
+        return float(-np.sum(np.log2(ratios)))

@@ -1,0 +1,138 @@
+"""What one or several logs say: the rows' information, and that of the noise in them."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import eigh
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.signals.weak_form import INFLATION, WindowedRows
+
+# Fewer samples than this per coordinate give no covariance between coordinates worth having.
+SAMPLES_PER_COORDINATE = 3
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Rows averaged over windows of one length, folded.
+
+    Attributes
+    ----------
+    rows : Information
+        Of the rows.
+    noise : Information
+        Of the differences that as much noise again in the motion makes. As Σ ΔᵀΔ of [K y] it is
+        what that noise adds, on average, to the rows' own moments.
+    counts : (n, n) float64
+        In how many samples two coordinates are both used.
+    window : float
+        s.
+    inflation : float
+        By how much overlapping windows make the rows look more than they are.
+    """
+
+    rows: Information
+    noise: Information
+    counts: FloatArray
+    window: float
+    inflation: float = INFLATION
+
+    @classmethod
+    def empty(cls, layout: RowLayout, window: float) -> "Observations":
+        """Return the state before any data."""
+        n = len(layout.coordinates)
+        nothing = Information.empty(layout)
+        return cls(nothing, nothing, np.zeros((n, n)), window)
+
+    @property
+    def layout(self) -> RowLayout:
+        """What the flat rows hold."""
+        return self.rows.layout
+
+    def fold(self, blocks: Iterable[WindowedRows]) -> "Observations":
+        """Return the observations with more rows in them."""
+        kept = list(blocks)
+        counts = self.counts
+        for block in kept:
+            valid = block.valid.astype(np.float64)
+            counts = counts + valid.T @ valid
+        return replace(
+            self,
+            rows=self.rows.fold(block.mean for block in kept),
+            noise=self.noise.fold(block.noise for block in kept),
+            counts=counts,
+        )
+
+    def merge(self, other: "Observations") -> "Observations":
+        """Return what both records say together.
+
+        Raises
+        ------
+        DataError
+            When the two are about different robots.
+        EstimateError
+            When their windows differ: their residuals are not alike.
+        """
+        if self.window != other.window:
+            raise EstimateError(
+                f"information over windows of {other.window:g} s cannot be added to information "
+                f"over {self.window:g} s; choose one window for both"
+            )
+        return replace(
+            self,
+            rows=self.rows.merge(other.rows),
+            noise=self.noise.merge(other.noise),
+            counts=self.counts + other.counts,
+        )
+
+    def residual_covariance(self, phi: FloatArray) -> FloatArray:
+        """Return Σ (n, n) of one row's residual at φ (p,), overlap accounted for.
+
+        Coordinates that are left out here and there are taken to be independent of the
+        others: what a residual that was not there would have said of theirs is
+        not known. So are all of a log too short to tell.
+        """
+        moment = self.rows.residual_moment(phi) / np.maximum(self.counts, 1)
+        self._decouple(moment)
+        # A coordinate without any residual is an ideal one; its weight must stay finite.
+        diagonal = moment.diagonal()
+        square = self.rows.residual_moment(np.zeros_like(phi)).diagonal()
+        scale = square / np.maximum(self.counts.diagonal(), 1)
+        floor = 1e-14 * scale + 1e-18 * max(float(scale.max()), 1e-200)
+        moment[np.diag_indices(len(moment))] = np.maximum(diagonal, floor) + floor
+        return self.inflation * moment
+
+    def plausible_noise(self, phi: FloatArray, covariance: FloatArray) -> float:
+        """Return the share of the noise's moments that the residuals Σ (n, n) leave room for.
+
+        Noise in K is in the residual at φ (p,) as well. Where it were more than all that is
+        there, motion has been taken for noise.
+        """
+        moment = self.noise.residual_moment(phi) / np.maximum(self.counts, 1)
+        self._decouple(moment)
+        largest = eigh(self.inflation * moment, covariance, eigvals_only=True)[-1]
+        return float(1 / max(largest, 1.0))
+
+    def _decouple(self, moment: FloatArray) -> None:
+        """Clear the elements (n, n) between coordinates that are not always seen together."""
+        n = len(moment)
+        full = np.diag(self.counts) == self.rows.samples
+        full &= self.rows.samples > SAMPLES_PER_COORDINATE * n * self.inflation
+        alone = ~np.outer(full, full)
+        alone[np.diag_indices(n)] = False
+        moment[alone] = 0.0
+
+
+def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float:
+    """Return how much less the residual at φ (p,) shrinks in longer windows than noise would.
+
+    White noise loses variance as windows gain length: 1. What lasts, as an error of the model or
+    of a sensor's calibration does, loses none: the ratio of the windows' lengths.
+    """
+    before, after = short.residual_covariance(phi), long.residual_covariance(phi)
+    kept = np.trace(np.linalg.solve(before, after)) / len(before)
+    return float(kept * long.window / short.window)

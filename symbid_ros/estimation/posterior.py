@@ -1,0 +1,194 @@
+"""Rows and a prior to a Gaussian posterior: the method ``map``.
+
+With φ = φ̄ + L x, x ~ N(0, 1), and rows whitened across coordinates by the covariance Σ of their
+residuals, the most probable x solves (AᵀA - NᵀN + 1) x = Aᵀb - Nᵀc. A x = b are the rows and
+N x = c their noise part, which would otherwise pass for information: noise in K adds to AᵀA
+whether or not the motion does (errors in variables). Σ follows from the residuals at the
+solution, so the two are found in turn, from the one pass over the data that the wide factor is.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+from scipy.optimize import minimize_scalar
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.information import stacked_factor
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.prior import Prior
+
+REWHITENINGS = 20
+SETTLED = 1e-9  # of a posterior standard deviation
+
+# More of a direction's information than this is never called noise: its noise is only estimated.
+NOISIEST = 0.75
+
+# Factor by which the evidence may say that a prior is too wide or too narrow.
+SCALES = (1e-3, 1e3)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """A Gaussian over the parameters.
+
+    Attributes
+    ----------
+    mean : (p,) float64
+        Most probable parameters, in SI units.
+    factor : (p, p) float64
+        R with (RᵀR)⁻¹ the covariance: the minimised square is ‖R (φ - mean)‖².
+    prior : Prior
+        What was believed before.
+    covariance : (n, n) float64
+        Σ of a row's residual.
+    prior_scale : float
+        The factor on the prior's deviations under which the data are most probable.
+    noise_share : float
+        Largest share of a direction's apparent information that was noise in the regressor.
+    """
+
+    mean: FloatArray
+    factor: FloatArray
+    prior: Prior
+    covariance: FloatArray
+    prior_scale: float
+    noise_share: float
+
+    @cached_property
+    def deviation_factor(self) -> FloatArray:
+        """L (p, p) with covariance L Lᵀ."""
+        scale = self.prior.std
+        scaled = self.factor * scale
+        inverse = np.linalg.solve(scaled, np.eye(len(scale)))
+        factor: FloatArray = scale[:, None] * inverse
+        return factor
+
+    @cached_property
+    def std(self) -> FloatArray:
+        """Standard deviations (p,)."""
+        std: FloatArray = np.sqrt(np.sum(self.deviation_factor**2, axis=1))
+        return std
+
+    @cached_property
+    def gain(self) -> float:
+        """Information that the data added, in nats: ½ log of the covariances' ratio."""
+        _, after = np.linalg.slogdet(self.factor * self.prior.std)
+        _, before = np.linalg.slogdet(self.prior.covariance_factor() / self.prior.std[:, None])
+        return float(after + before)
+
+
+@dataclass(frozen=True)
+class _Square:
+    """‖A x - b‖² less the noise's ‖N x - c‖² as ‖R x‖² - 2 gᵀx + ..., x in prior deviations.
+
+    Attributes
+    ----------
+    A, N : (k, p) float64
+        Triangular factors.
+    b, c : (k,) float64
+        Their right-hand sides.
+    covariance : (n, n) float64
+        What whitened the rows.
+    """
+
+    A: FloatArray
+    b: FloatArray
+    N: FloatArray
+    c: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def of(
+        cls, observations: Observations, phi: FloatArray, mean: FloatArray, L: FloatArray
+    ) -> "_Square":
+        covariance = observations.residual_covariance(phi)
+        whitening = np.asarray(np.linalg.inv(cholesky(covariance, lower=True)), dtype=np.float64)
+        believed = np.sqrt(observations.plausible_noise(phi, covariance))
+        parts = []
+        for information, weight in ((observations.rows, 1.0), (observations.noise, believed)):
+            factor = weight * information.whitened(whitening)
+            W, target = factor[:, :-1], factor[:, -1]
+            parts += [W @ L, target - W @ mean]
+        return cls(*parts, covariance)
+
+    def minimum(self, scale: float = 1.0) -> tuple[FloatArray, FloatArray, float]:
+        """Return x (p,), the precision's factor R (p, p) and the largest share of noise."""
+        p = self.A.shape[1]
+        square = stacked_factor(
+            np.column_stack([self.A, self.b]),
+            np.column_stack([np.eye(p) / scale, np.zeros(p)]),
+        )
+        R, target = square[:p, :p], square[:p, p]
+        x = solve_triangular(R, target)
+        # What noise added is taken off in the directions in which it is a share of the whole.
+        C = solve_triangular(R, self.N.T, trans="T").T
+        _, values, Vt = np.linalg.svd(C, full_matrices=False)
+        share = values**2
+        kept = np.minimum(share, NOISIEST)
+        shrink = np.sqrt(np.where(share > 0, kept / np.maximum(share, 1e-300), 1.0))
+        pull = (Vt.T * shrink) @ Vt
+        step = pull @ C.T @ (self.N @ x - self.c)
+        step = step + Vt.T @ ((kept / (1 - kept)) * (Vt @ step))
+        x = x + solve_triangular(R, step)
+        factor = np.eye(p) + (Vt.T * (np.sqrt(1 - kept) - 1)) @ Vt
+        return x, factor @ R, float(share.max(initial=0.0))
+
+    def evidence_scale(self) -> float:
+        """Return the factor λ on the prior's deviations that makes the data most probable."""
+        U, values, _ = np.linalg.svd(self.A, full_matrices=False)
+        values, turned = values**2, values * (U.T @ self.b)
+
+        def cost(log_scale: float) -> float:
+            variance = np.exp(2 * log_scale)
+            fit = variance * turned**2 / (1 + variance * values)
+            return float(np.sum(np.log1p(variance * values)) - np.sum(fit))
+
+        low, high = np.log(SCALES)
+        grid = np.linspace(low, high, 60)
+        best = int(np.argmin([cost(point) for point in grid]))
+        bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
+        return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))
+
+
+def posterior(observations: Observations, prior: Prior, *, empirical: bool = False) -> Posterior:
+    """Return the Gaussian posterior of the parameters.
+
+    Parameters
+    ----------
+    observations : Observations
+        The data.
+    prior : Prior
+        Mean and covariance of the parameters before the data.
+    empirical : bool
+        Let the evidence choose a common factor on the prior's deviations.
+    """
+    mean, L = prior.mean, prior.covariance_factor()
+    scale = 1.0
+    x = np.zeros(len(mean))
+    for _ in range(REWHITENINGS):
+        square = _Square.of(observations, mean + L @ x, mean, L)
+        best = square.evidence_scale()
+        if empirical:
+            scale = best
+        before = x
+        x, factor, share = square.minimum(scale)
+        if np.linalg.norm(factor @ (x - before)) < SETTLED * np.sqrt(len(x)):
+            break
+    phi = mean + L @ x
+    precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
+    return Posterior(
+        mean=phi,
+        factor=precision,
+        prior=widened(prior, scale),
+        covariance=square.covariance,
+        prior_scale=best,
+        noise_share=share,
+    )
+
+
+def widened(prior: Prior, scale: float) -> Prior:
+    """Return the prior with all its deviations times ``scale``."""
+    factor = None if prior.factor is None else scale * prior.factor
+    return replace(prior, std=scale * prior.std, factor=factor)

@@ -1,0 +1,141 @@
+"""Credible intervals of predictions under a Gaussian posterior of the parameters."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.dynamics.centroid import com_position
+from symbid_ros.dynamics.kinematics import LinkPoses, link_poses
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.errors import EstimateError
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.evaluation import TrueMotion
+
+LEVEL = 0.9
+# Half the width of the interval that holds LEVEL of a Gaussian, in standard deviations.
+HALF_WIDTH = float(ndtri(0.5 + LEVEL / 2))
+
+
+@dataclass(frozen=True)
+class PredictionStd:
+    """Standard deviations of what an estimate predicts along a motion.
+
+    Attributes
+    ----------
+    com : (N, 3) float64
+        Of the centre of mass in the base frame, m, to first order in the parameters.
+    torque : (N, J) float64
+        Of each joint's row of K φ, Nm or N: of the torque that the motion needs, the contact
+        forces given.
+    """
+
+    com: FloatArray
+    torque: FloatArray
+
+
+@dataclass(frozen=True)
+class IntervalSummary:
+    """How wide the intervals are and how often they hold the truth.
+
+    Samples of one motion share one estimate, so that a single coverage can lie far from
+    ``LEVEL`` by chance; over many estimates its mean must not.
+
+    Attributes
+    ----------
+    com_std_mm, torque_std : float
+        RMS over the samples of the norm of the standard deviations, mm and Nm.
+    com_coverage, torque_coverage : float
+        Share of samples and axes or joints whose truth lies in the 90 % interval.
+    """
+
+    com_std_mm: float
+    torque_std: float
+    com_coverage: float
+    torque_coverage: float
+
+
+def prediction_std(
+    parameters: ParameterSet, values: FloatArray, factor: FloatArray, motion: TrueMotion
+) -> PredictionStd:
+    """Return how far the parameters' uncertainty moves the predictions.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        The robot and its columns.
+    values : (p,) float64
+        The estimate.
+    factor : (p, r) float64
+        Square root L of the posterior's covariance L Lᵀ.
+    motion : TrueMotion
+        Where to predict.
+
+    Raises
+    ------
+    EstimateError
+        When the factor is not one of these parameters.
+    """
+    if factor.ndim != 2 or len(factor) != len(parameters):
+        raise EstimateError(
+            f"a covariance factor of shape {factor.shape} does not belong to the "
+            f"{len(parameters)} parameters of {parameters.model.source}; give one row for each"
+        )
+    first_joint = 6 * parameters.model.floating
+    com, torque = [], []
+    for block in motion.blocks():
+        poses = link_poses(parameters.model, block.samples.position)
+        com.append(np.linalg.norm(_com_jacobian(parameters, values, poses) @ factor, axis=2))
+        K = equation_of_motion(parameters, block.samples).K[:, first_joint:]
+        torque.append(np.linalg.norm(K @ factor, axis=2))
+    return PredictionStd(np.concatenate(com), np.concatenate(torque))
+
+
+def summarise_intervals(
+    parameters: ParameterSet,
+    values: FloatArray,
+    factor: FloatArray,
+    truth: FloatArray,
+    motion: TrueMotion,
+) -> IntervalSummary:
+    """Compare the intervals around an estimate with the truth.
+
+    The true centre of mass follows from the true parameters (p,), the true torques from the
+    motion's forces, as in :func:`symbid_ros.offline.evaluation.evaluate`.
+    """
+    std = prediction_std(parameters, values, factor, motion)
+    first_joint = 6 * parameters.model.floating
+    com_error, torque_error = [], []
+    for block in motion.blocks():
+        poses = link_poses(parameters.model, block.samples.position)
+        found, true = (com_position(parameters, phi, poses) for phi in (values, truth))
+        com_error.append(found - true)
+        rows = equation_of_motion(parameters, block.samples)
+        torque_error.append((rows.K @ values - rows.y)[:, first_joint:])
+    return IntervalSummary(
+        com_std_mm=1e3 * _rms(std.com),
+        torque_std=_rms(std.torque),
+        com_coverage=_coverage(np.concatenate(com_error), std.com),
+        torque_coverage=_coverage(np.concatenate(torque_error), std.torque),
+    )
+
+
+def _com_jacobian(parameters: ParameterSet, values: FloatArray, poses: LinkPoses) -> FloatArray:
+    """Return the derivative (N, 3, p) of Σ (m p + R mc) / Σ m by the parameters (p,)."""
+    com = com_position(parameters, values, poses)
+    jacobian = np.zeros((len(com), 3, len(parameters)))
+    for index, link in enumerate(parameters.links):
+        first = 10 * index
+        jacobian[:, :, first] = poses.position[:, link] - com
+        jacobian[:, :, first + 1 : first + 4] = poses.rotation[:, link]
+    jacobian /= parameters.link_phi(values)[:, 0].sum()
+    return jacobian
+
+
+def _rms(deviation: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum(deviation**2, axis=1))))
+
+
+def _coverage(error: FloatArray, std: FloatArray) -> float:
+    return float(np.mean(np.abs(error) <= HALF_WIDTH * std))

@@ -1,0 +1,269 @@
+"""Predictions as the robot itself could make them, from noisy sensors (thesis, chapter 4)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.bags.reader import read_streams, read_truth
+from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regressor
+from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
+from symbid_ros.dynamics.imu import BaseMotion, base_motion
+from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.spatial import rotate
+from symbid_ros.errors import BagError, DataError
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.offline.evaluation import BLOCK, TrueMotion, predict, true_motion
+from symbid_ros.signals.alignment import Segment, align
+from symbid_ros.signals.causal import CausalLowPass
+from symbid_ros.signals.streams import Streams
+
+# A combination of wrenches that the coordinates feel less than this share of the best felt one is
+# taken as unfelt, for its noise would outgrow the wrench: with the legs in parallel planes the feet
+# twisted against each other reach 1e-3, anything else of two feet and a hoist 1e-2.
+FELT = 3e-3
+
+
+@dataclass(frozen=True)
+class RealisticMotion:
+    """A noisy record as a controller on the robot has it, beside the truth.
+
+    Attributes
+    ----------
+    known : Samples
+        Positions as measured; velocities, the base's angular one included, filtered
+        causally; efforts as measured one period *before* (Eq. 4.1's f_aⁱ, of little use where
+        the motors vibrate at hundreds of hertz); wrenches as measured. The accelerations and
+        the specific force are the true ones: they stand for the ideal desired motion.
+    truth : TrueMotion
+        The same instants. Of it, predictions use the base's linear velocity and orientation
+        too, which no sensor of the record measures: a state estimator's, taken as ideal.
+    """
+
+    known: Samples
+    truth: TrueMotion
+
+
+@dataclass(frozen=True)
+class RealisticPrediction:
+    """What one parameter vector predicts of a noisy record.
+
+    Attributes
+    ----------
+    wrenches : (N, F, 6) float64
+        Contact forces of Eq. 4.1, per frame (moment; force) in its own axes about its origin.
+    torque : (N, J) float64
+        Joint torques that the desired accelerations ask for, given those contact forces.
+    torque_from_wrenches : (N, J) float64
+        The same, given the measured wrenches instead.
+    com : (N, 3) float64
+        Centre of mass in the base frame, m.
+    momentum : (N, 6) float64
+        Angular about the model's own centre of mass (Nms), then linear (Ns), in world axes.
+    """
+
+    wrenches: FloatArray
+    torque: FloatArray
+    torque_from_wrenches: FloatArray
+    com: FloatArray
+    momentum: FloatArray
+
+
+@dataclass(frozen=True)
+class RealisticMetrics:
+    """RMSE of realistic predictions in Nm, N, Nm, mm, and Ns with Nms.
+
+    A vector's error is its norm per sample. Torques are compared with the true ones; contact
+    forces and moments with the measured wrenches, whose noise is in the figure; centre of mass
+    and momentum with the true model's on the true motion.
+    """
+
+    torque_rmse: float
+    torque_from_wrenches_rmse: float
+    contact_force_rmse: float
+    contact_moment_rmse: float
+    com_position_rmse_mm: float
+    com_momentum_rmse: float
+
+
+def read_realistic_motion(
+    bags: Sequence[Path], model: RobotModel, low_pass: CausalLowPass | None = None
+) -> RealisticMotion:
+    """Read a noisy simulated bag with ground truth; ``low_pass`` filters the velocities.
+
+    Raises
+    ------
+    BagError
+        When the bag holds no ground truth, or never at the joint states' instants.
+    DataError
+        When a floating robot's bag has no IMU.
+    """
+    streams = read_streams(bags)
+    truth = true_motion(read_truth(bags), streams, model)
+    if model.floating and not streams.imus:
+        raise DataError(
+            f"{streams.source}: {model.source} floats but the bag has no sensor_msgs/msg/Imu "
+            "topic; record the IMU, or say that the base is fixed"
+        )
+    low_pass = low_pass or CausalLowPass()
+    known = [_known(segment, streams, model, low_pass) for segment in align(streams, model)]
+    stamp = np.concatenate([part.stamp for part in known])
+    common, here, there = np.intersect1d(stamp, truth.samples.stamp, return_indices=True)
+    if len(common) == 0:
+        raise BagError(
+            f"{streams.source}: ground truth and {streams.joints.topic} share no stamp once the "
+            "velocity filter has settled; use a longer bag of this package's simulator"
+        )
+
+    def at_common(name: str) -> FloatArray:
+        found: FloatArray = np.concatenate([getattr(part, name) for part in known])[here]
+        return found
+
+    true = truth[there]
+    samples = replace(
+        true.samples,
+        position=at_common("position"),
+        velocity=at_common("velocity"),
+        effort=at_common("last_effort"),
+        base_angular_velocity=at_common("base_angular_velocity"),
+    )
+    return RealisticMotion(samples, true)
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What the robot's own sensors tell at ``stamp`` (N,), as in :class:`RealisticMotion`."""
+
+    stamp: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    last_effort: FloatArray
+    base_angular_velocity: FloatArray
+
+
+def _known(
+    segment: Segment, streams: Streams, model: RobotModel, low_pass: CausalLowPass
+) -> _Known:
+    position, rate = segment.position, segment.rate
+    velocity = low_pass.velocity(position, rate)
+    edge = max(1, low_pass.settling(rate))
+    return _Known(
+        stamp=segment.stamp[edge:],
+        position=position[edge:],
+        velocity=velocity[edge:],
+        last_effort=segment.effort[edge - 1 : -1],
+        base_angular_velocity=_base_rate(segment, streams, model, low_pass, velocity)[edge:],
+    )
+
+
+def _base_rate(
+    segment: Segment,
+    streams: Streams,
+    model: RobotModel,
+    low_pass: CausalLowPass,
+    velocity: FloatArray,
+) -> FloatArray:
+    """Return the base's angular velocity (M, 3), the mean of what the IMUs say."""
+    unused = np.zeros((len(segment.stamp), 3))
+    if not model.floating:
+        return unused
+    joints = segment.position, velocity, np.zeros_like(velocity)
+    rates = [
+        base_motion(
+            model,
+            imu.frame_id,
+            joints,
+            BaseMotion(low_pass(segment.angular_velocity[:, index], segment.rate), unused, unused),
+        ).angular_velocity
+        for index, imu in enumerate(streams.imus)
+    ]
+    mean: FloatArray = np.mean(rates, axis=0)
+    return mean
+
+
+def predict_realistic(
+    parameters: ParameterSet, values: FloatArray, motion: RealisticMotion
+) -> RealisticPrediction:
+    """Return what the parameters (p,) predict of the record."""
+    parts = [_predictions(parameters, [values], block)[0] for block in _blocks(motion)]
+    return RealisticPrediction(
+        *(
+            np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(RealisticPrediction)
+        )
+    )
+
+
+def evaluate_realistic(
+    parameters: ParameterSet,
+    candidates: Mapping[str, FloatArray],
+    truth: FloatArray,
+    motion: RealisticMotion,
+) -> dict[str, RealisticMetrics]:
+    """Return the metrics of several parameter vectors (p,); ``truth`` (p,) is the true one."""
+    squares = np.zeros((len(candidates), len(fields(RealisticMetrics))))
+    for block in _blocks(motion):
+        true = predict(parameters, truth, block.truth)
+        effort, wrenches = block.truth.samples.effort, block.known.wrenches
+        for row, predicted in zip(
+            squares, _predictions(parameters, [*candidates.values()], block), strict=True
+        ):
+            contact = predicted.wrenches - wrenches
+            errors = (
+                predicted.torque - effort,
+                predicted.torque_from_wrenches - effort,
+                contact[..., 3:],
+                contact[..., :3],
+                1e3 * (predicted.com - true.com),
+                predicted.momentum - true.momentum,
+            )
+            row += [np.sum(error**2) for error in errors]
+    roots = np.sqrt(squares / len(motion.known))
+    return {
+        label: RealisticMetrics(*row.tolist()) for label, row in zip(candidates, roots, strict=True)
+    }
+
+
+def _blocks(motion: RealisticMotion) -> list[RealisticMotion]:
+    return [
+        RealisticMotion(known, truth)
+        for known, truth in zip(motion.known.blocks(BLOCK), motion.truth.blocks(), strict=True)
+    ]
+
+
+def _predictions(
+    parameters: ParameterSet, candidates: Sequence[FloatArray], motion: RealisticMotion
+) -> list[RealisticPrediction]:
+    """Return each candidate's prediction of one block; what they share is worked out once."""
+    model, known, truth = parameters.model, motion.known, motion.truth
+    first_joint = 6 * model.floating
+    poses = link_poses(model, known.position)
+    jacobian = contact_jacobian(model, known.wrench_frames, poses)
+    momentum = momentum_regressor(parameters, known, truth.base_velocity, poses)
+    needed = np.stack(candidates) @ equation_of_motion(parameters, known).K.transpose(0, 2, 1)
+    unmet = needed.copy()
+    unmet[:, :, first_joint:] -= known.effort[:, None]
+    wrenches = contact_wrenches(jacobian, unmet, FELT)
+    stacked = wrenches.reshape(*needed.shape[:2], jacobian.shape[1])
+    measured = known.wrenches.reshape(len(known), 1, jacobian.shape[1])
+    torque = (needed - stacked @ jacobian)[:, :, first_joint:]
+    from_measured = (needed - measured @ jacobian)[:, :, first_joint:]
+    predictions = []
+    for index, values in enumerate(candidates):
+        com = com_position(parameters, values, poses)
+        about_com = centroidal(momentum @ values, com).reshape(-1, 2, 3)
+        predictions.append(
+            RealisticPrediction(
+                wrenches=wrenches[:, index],
+                torque=torque[:, index],
+                torque_from_wrenches=from_measured[:, index],
+                com=com,
+                momentum=rotate(truth.base_rotation[:, None], about_com).reshape(-1, 6),
+            )
+        )
+    return predictions

@@ -1,0 +1,59 @@
+"""How noisy each channel is, from the channel alone."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.signals.alignment import Segment
+
+# The quietest of these equal bands, from this share of the rate up to half of it, is taken to hold
+# noise alone: a vibrating robot fills some of them, hardly ever all.
+BANDS = 8
+LOWEST = 0.1
+# Expected least of eight standard normal numbers: what the quietest band is by chance.
+LEAST_OF_BANDS = 1.4236
+
+
+def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
+    """Return the standard deviation (c,) of the white noise in signals (N, c).
+
+    The spectrum of white noise is flat, so its level in one quiet band is its level
+    everywhere, also where motion hides it.
+    """
+    count = len(channel)
+    window = np.hanning(count + 2)[1:-1, None]
+    spectrum = np.fft.rfft((channel - channel.mean(axis=0)) * window, axis=0)
+    power = np.abs(spectrum) ** 2 / np.sum(window**2)
+    frequency = np.fft.rfftfreq(count, 1 / rate)
+    edges = np.searchsorted(frequency, np.linspace(LOWEST * rate, rate / 2, BANDS + 1))
+    bands = np.array([power[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a])
+    if len(bands) < BANDS:
+        return np.zeros(channel.shape[1])
+    # Neighbouring bins of a Hann window share their noise: about half of them are independent.
+    chance = LEAST_OF_BANDS / np.sqrt(max((edges[-1] - edges[0]) / BANDS / 1.94, 4.0))
+    deviation: FloatArray = np.sqrt(bands.min(axis=0) / (1 - chance))
+    return deviation
+
+
+def with_more_noise(segment: Segment) -> Segment:
+    """Return the stretch with as much noise again on every channel that is differentiated.
+
+    The draw is the same every time. Forces are left alone, as their noise is no part of the
+    regressor; so is the accelerometer, whose averaged noise is nothing beside gravity while
+    a vibrating base shakes it in every band.
+    """
+    rng = np.random.default_rng([0, int(segment.stamp[0]), len(segment)])
+
+    def noisier(signal: FloatArray) -> FloatArray:
+        channel = signal.reshape(len(signal), -1)
+        noise = rng.standard_normal(channel.shape) * noise_deviation(channel, segment.rate)
+        noisy: FloatArray = signal + noise.reshape(signal.shape)
+        return noisy
+
+    return replace(
+        segment,
+        position=noisier(segment.position),
+        angular_velocity=noisier(segment.angular_velocity),
+    )

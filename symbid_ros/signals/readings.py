@@ -1,0 +1,126 @@
+"""What the sensors of one stretch say once smoothed, with the derivatives that are needed."""
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.dynamics.imu import BaseMotion, base_motion
+from symbid_ros.dynamics.samples import Samples
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.alignment import Segment
+from symbid_ros.signals.filters import Smoothing
+
+
+@dataclass(frozen=True)
+class Readings:
+    """N instants of smoothed sensor channels, each in its sensor's own frame.
+
+    Attributes
+    ----------
+    stamp : (N,) int64
+        Nanoseconds.
+    position, velocity, acceleration, effort : (N, J) float64
+        Of the joints, in the model's order.
+    imus : tuple of BaseMotion
+        Angular velocity, angular acceleration and specific force of each IMU.
+    wrenches : (N, F, 6) float64
+        Moment and force of each sensor.
+    imu_frames, wrench_frames : tuple of str
+        Where the sensors are.
+    """
+
+    stamp: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    effort: FloatArray
+    imus: tuple[BaseMotion, ...]
+    wrenches: FloatArray
+    imu_frames: tuple[str, ...]
+    wrench_frames: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def __getitem__(self, index: slice) -> "Readings":
+        """Return the readings of some of the instants."""
+        return replace(
+            self,
+            stamp=self.stamp[index],
+            position=self.position[index],
+            velocity=self.velocity[index],
+            acceleration=self.acceleration[index],
+            effort=self.effort[index],
+            imus=tuple(
+                BaseMotion(*(getattr(imu, field.name)[index] for field in fields(BaseMotion)))
+                for imu in self.imus
+            ),
+            wrenches=self.wrenches[index],
+        )
+
+
+def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) -> Readings:
+    """Return a stretch's readings, less ``edge`` of them at its ends, which feel the edge."""
+    rate = segment.rate
+    position, velocity, acceleration = smoothing.motion(segment.position, rate, 2)
+    imus = []
+    for index in range(len(segment.imu_frames)):
+        omega, alpha = smoothing.motion(segment.angular_velocity[:, index], rate, 1)
+        force = smoothing.force(segment.linear_acceleration[:, index], rate)
+        imus.append(BaseMotion(omega, alpha, force))
+    readings = Readings(
+        stamp=segment.stamp,
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        effort=smoothing.force(segment.effort, rate),
+        imus=tuple(imus),
+        wrenches=smoothing.force(segment.wrenches, rate),
+        imu_frames=segment.imu_frames,
+        wrench_frames=segment.wrench_frames,
+    )
+    if edge is None:
+        edge = smoothing.settling(rate)
+    return readings[edge : max(edge, len(readings) - edge)]
+
+
+def at_base(readings: Readings, model: RobotModel) -> Samples:
+    """Return the samples of the equation of motion that the readings make.
+
+    Raises
+    ------
+    ModelError
+        When a sensor's frame is not in the model.
+    """
+    base = _base(readings, model)
+    return Samples(
+        stamp=readings.stamp,
+        position=readings.position,
+        velocity=readings.velocity,
+        acceleration=readings.acceleration,
+        effort=readings.effort,
+        base_angular_velocity=base.angular_velocity,
+        base_angular_acceleration=base.angular_acceleration,
+        base_specific_force=base.specific_force,
+        wrenches=readings.wrenches,
+        wrench_frames=readings.wrench_frames,
+    )
+
+
+def _base(readings: Readings, model: RobotModel) -> BaseMotion:
+    if not model.floating:
+        nothing = np.zeros((len(readings), 3))
+        return BaseMotion(nothing, nothing, np.broadcast_to(-model.gravity, nothing.shape))
+    joints = (readings.position, readings.velocity, readings.acceleration)
+    motions = [
+        base_motion(model, frame, joints, imu)
+        for frame, imu in zip(readings.imu_frames, readings.imus, strict=True)
+    ]
+    # Several IMUs see the same base; their mean is the least noisy of equals.
+    return BaseMotion(
+        *(
+            np.mean([getattr(motion, field.name) for motion in motions], axis=0)
+            for field in fields(BaseMotion)
+        )
+    )

@@ -1,0 +1,218 @@
+"""Rows of the equation of motion averaged over smooth windows, and how noisy they are.
+
+The equation of motion holds at every instant, so it holds for any average of instants, and
+one smooth window takes the noise out of both of its sides alike. By summation by parts the
+average needs no acceleration: Σ w A q̈ = -Σ Δ(w A)/Δt q̇, exactly, where the differences are
+central ones and the window ends at zero (``doc/theory.md``).
+
+What noise does to the regressor is seen by adding as much again: the level of every
+differentiated channel's noise shows in the quietest part of its spectrum. The difference that it makes is averaged
+over the same windows.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.dynamics.friction import slips
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.alignment import Segment
+from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.noise_floor import with_more_noise
+from symbid_ros.signals.readings import Readings, at_base, smoothed
+
+# Seconds. Short windows follow brisk motion, long ones leave less noise in the regressor of calm
+# motion; which of them serves a log best is decided by the data.
+WINDOWS = (0.081, 0.161, 0.321)
+
+# Windows never reach over a multiple of this, in ns of header.stamp: a log can be cut there, and
+# worked on piece by piece, and nothing changes.
+BLOCK = 4_000_000_000
+
+# Neighbouring Hann windows, half overlapped, share a sixth of white noise's variance; information
+# counted as if they shared none is too much by 1 + 2/6.
+INFLATION = 4 / 3
+
+# A low-pass before differentiation, in Hz: far above what the windows let through, low enough that
+# the squares of noisy rates add nothing. Slowly sampled logs get a share of their rate instead.
+PREFILTER = 100.0
+PREFILTER_SHARE = 0.1
+
+# Periods of the low-pass's cutoff that are left out at the ends of a block. What a filter does at an
+# edge dies out by a factor of 80 in one period, and acceleration shows it most.
+SETTLING = 4
+
+# A joint row counts where the joint slipped for this share of the window.
+SLIPPING = 0.95
+
+CHUNK = 512
+# Low-passed noise is followed well enough by every fourth sample.
+NOISE_STRIDE = 4
+
+
+@dataclass(frozen=True)
+class SampledRows:
+    """Rows at single instants.
+
+    Attributes
+    ----------
+    stamp : (N,) int64
+        Nanoseconds.
+    rows : Rows
+        N of them.
+    valid : (N, n) bool
+        Coordinates at which the equation holds; not where a joint may stick.
+    """
+
+    stamp: IntArray
+    rows: Rows
+    valid: BoolArray
+
+
+RowBuilder = Callable[[Readings], Iterator[SampledRows]]
+
+
+@dataclass(frozen=True)
+class WindowedRows:
+    """Averages over windows.
+
+    Attributes
+    ----------
+    mean : Rows
+        The equation of motion, averaged. Coordinates that must not be used are zero.
+    noise : Rows
+        By how much they differ when encoders and gyroscopes have their noise twice.
+    valid : (N, n) bool
+        Which coordinates are used.
+    """
+
+    mean: Rows
+    noise: Rows
+    valid: BoolArray
+
+
+def equation_rows(parameters: ParameterSet) -> RowBuilder:
+    """Return what builds the rows of a robot's parameters from readings."""
+
+    def build(readings: Readings) -> Iterator[SampledRows]:
+        model = parameters.model
+        for start in range(0, len(readings), CHUNK):
+            samples = at_base(readings[start : start + CHUNK], model)
+            yield SampledRows(
+                samples.stamp,
+                equation_of_motion(parameters, samples),
+                sticking_left_out(parameters, samples.velocity),
+            )
+
+    return build
+
+
+def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
+    """Return which coordinates (N, n) obey the friction columns at joint rates (N, J)."""
+    model = parameters.model
+    valid = np.ones((len(velocity), model.dof), dtype=bool)
+    if "coulomb" in parameters.terms:
+        valid[:, 6 * model.floating :] = slips(velocity)
+    return valid
+
+
+def windowed_rows(
+    segment: Segment, build: RowBuilder, windows: Sequence[float]
+) -> Iterator[tuple[WindowedRows, ...]]:
+    """Yield a stretch's rows block by block, for each length of window.
+
+    Parameters
+    ----------
+    segment : Segment
+        Uniformly sampled sensor channels.
+    build : callable
+        Makes rows of readings, such as :func:`equation_rows`.
+    windows : sequence of float
+        Lengths in s.
+    """
+    low_pass = LowPass(min(PREFILTER, PREFILTER_SHARE * segment.rate), passes=1)
+    edge = int(np.ceil(SETTLING * segment.rate / low_pass.cutoff))
+    blocks = segment.stamp // BLOCK
+    edges = np.searchsorted(blocks, np.arange(blocks[0], blocks[-1] + 2))
+    for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        if stop - start <= 2 * edge + 1:
+            continue
+        block = segment.cut(start, stop)
+        readings = smoothed(block, low_pass, edge)
+        sparse = readings[::NOISE_STRIDE]
+        noisy = smoothed(with_more_noise(block), low_pass, edge)[::NOISE_STRIDE]
+        centres = _centres(readings, windows)
+        weights, coarse = (
+            [_hann(one, *window) for window in zip(centres, windows, strict=True)]
+            for one in (readings, sparse)
+        )
+        averages = [
+            _averages(build(one), weight)
+            for one, weight in ((readings, weights), (sparse, coarse), (noisy, coarse))
+        ]
+        yield tuple(_combined(*parts) for parts in zip(*averages, strict=True))
+
+
+def _centres(readings: Readings, windows: Sequence[float]) -> list[FloatArray]:
+    """Return the middles of half overlapping windows, s after the first reading."""
+    last = (readings.stamp[-1] - readings.stamp[0]) * 1e-9
+    return [np.arange(length / 2, last - length / 2 + 1e-9, length / 2) for length in windows]
+
+
+def _hann(readings: Readings, centres: FloatArray, length: float) -> csr_array:
+    """Return the weights (W, N) of readings in Hann windows about the centres (W,), s."""
+    time = (readings.stamp - readings.stamp[0]) * 1e-9
+    first = np.searchsorted(time, centres - length / 2, side="right")
+    last = np.searchsorted(time, centres + length / 2, side="left")
+    rows = np.repeat(np.arange(len(centres)), last - first)
+    ends = np.cumsum(last - first)
+    columns = np.arange(ends[-1] if len(ends) else 0)
+    columns = columns - np.repeat(ends - (last - first) - first, last - first)
+    values = np.cos(np.pi * (time[columns] - centres[rows]) / length) ** 2
+    total = np.bincount(rows, values, minlength=len(centres))
+    values /= total[rows]
+    return csr_array((values, (rows, columns)), shape=(len(centres), len(time)))
+
+
+@dataclass(frozen=True)
+class _Average:
+    """Sums over windows: flat [K y] (W, n p + n), share of valid weight (W, n), and (n, p)."""
+
+    flat: FloatArray
+    valid: FloatArray
+    shape: tuple[int, int]
+
+
+def _averages(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> list[_Average]:
+    sums: list[_Average] = []
+    start = 0
+    for part in parts:
+        count, n, p = part.rows.K.shape
+        flat = np.concatenate([part.rows.K.reshape(count, n * p), part.rows.y], axis=1)
+        columns = slice(start, start + count)
+        terms = [
+            _Average(weight[:, columns] @ flat, weight[:, columns] @ part.valid, (n, p))
+            for weight in weights
+        ]
+        sums = terms if not sums else [_added(a, b) for a, b in zip(sums, terms, strict=True)]
+        start += count
+    return sums
+
+
+def _added(a: _Average, b: _Average) -> _Average:
+    return _Average(a.flat + b.flat, a.valid + b.valid, a.shape)
+
+
+def _combined(mean: _Average, without: _Average, more: _Average) -> WindowedRows:
+    n, p = mean.shape
+    valid = mean.valid > SLIPPING
+
+    def rows(flat: FloatArray) -> Rows:
+        K, y = flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]
+        return Rows(K * valid[:, :, None], y * valid)
+
+    return WindowedRows(rows(mean.flat), rows(more.flat - without.flat), valid)

@@ -1,0 +1,54 @@
+"""``symbid simulate`` as a user runs it."""
+
+import mujoco
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from symbid_ros.bags.reader import read_streams
+from symbid_ros.simulation.errors import ERRORS
+from symbid_ros.simulation.simulator import Simulator
+
+
+def test_help_names_every_scenario_and_error(symbid):
+    shown = symbid("simulate", "--help", columns=200)
+    assert shown.returncode == 0
+    words = ("smooth", "vibrating", "suspended", "tare", "typical", *ERRORS)
+    assert [word for word in words if word not in shown.stdout] == []
+
+
+def test_tare_shows_the_plates_offsets(symbid, tmp_path):
+    bag, robot = tmp_path / "tare", tmp_path / "robot.xml"
+    done = symbid(
+        *("simulate", "--scenario", "tare", "--errors", "typical", "--error-seed", 3),
+        *("--friction", "--true-model", robot, "--out", bag),
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"{bag}: 5.0 s, ")
+    drawn = Simulator("smooth", errors="plate_offset", error_seed=3).errors.plate_offset
+    streams = read_streams([bag])
+    for wrench, offset in zip(streams.wrenches, drawn, strict=False):
+        # Mean of 5000 readings of noise 1 N and .1 Nm: within five standard errors.
+        np.testing.assert_allclose(wrench.force.mean(axis=0), offset[:3], atol=5 / 5000**0.5)
+        np.testing.assert_allclose(wrench.torque.mean(axis=0), offset[3:], atol=0.5 / 5000**0.5)
+    with AnyReader([bag]) as reader:
+        assert {c.msgcount for c in reader.connections} == {5000}
+    assert mujoco.MjModel.from_xml_path(str(robot)).joint("L_kfe").armature[0] == 0.009
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--errors", "plate_gian"), "no systematic error 'plate_gian'; give typical or any of"),
+        (("--friction-file", "absent.yaml"), "absent.yaml: cannot be read"),
+        (("--error-seed", "-1"), "--error-seed"),
+        (("--scenario", "dance"), "'dance' is not one of"),
+    ],
+)
+def test_bad_options_end_with_one_line(symbid, tmp_path, options, message):
+    done = symbid("simulate", "--out", tmp_path / "bag", *options)
+    assert done.returncode == 2
+    assert done.stderr.startswith("symbid: ")
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "bag").exists()

@@ -1,0 +1,146 @@
+"""Joint terms against a MuJoCo robot that moves under dry friction."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from random_robots import CONFIG, random_robot, random_samples, with_drives
+
+from symbid_ros.dynamics.friction import COULOMB_SPEED, coulomb_column, slips
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import TERMS, ParameterSet
+
+DRY = mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+
+
+def forward(model, samples, rng):
+    """Return the samples with MuJoCo's accelerations, and its dry friction (N, J)."""
+    compiled = mujoco.MjModel.from_xml_string(mjcf_text(model))
+    # MuJoCo's dry friction is a spring's: with its usual time constant of 20 ms a joint that is
+    # pushed hard slips against the push. As stiff as it goes it is Coulomb's.
+    compiled.opt.timestep, compiled.dof_solref[:] = 1e-5, (2e-5, 1.0)
+    compiled.dof_solimp[:, :2] = 0.9999
+    compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    data = mujoco.MjData(compiled)
+    joints, base, friction, motion = len(model.joints), [], [], []
+    for k in range(len(samples)):
+        rotation = np.eye(3)
+        if model.floating:
+            quaternion = rng.normal(size=4)
+            data.qpos[3:7] = quaternion / np.linalg.norm(quaternion)
+            flat = np.empty(9)
+            mujoco.mju_quat2Mat(flat, data.qpos[3:7])
+            rotation = flat.reshape(3, 3)
+            data.qvel[3:6] = samples.base_angular_velocity[k]
+        data.qpos[compiled.nq - joints :] = samples.position[k]
+        data.qvel[compiled.nv - joints :] = samples.velocity[k]
+        data.qfrc_applied[compiled.nv - joints :] = samples.effort[k]
+        mujoco.mj_forward(compiled, data)
+        assert np.all(data.efc_type == DRY)
+        # One row a joint, in the joints' order: the Jacobian is the identity.
+        friction.append(data.efc_force.copy())
+        np.testing.assert_array_equal(data.efc_id, np.arange(joints) + compiled.nv - joints)
+        motion.append(data.qacc[compiled.nv - joints :].copy())
+        if model.floating:
+            force = rotation.T @ (data.qacc[:3] - compiled.opt.gravity)
+            base.append([force, data.qacc[3:6].copy()])
+    moved = replace(samples, acceleration=np.array(motion))
+    if model.floating:
+        force, turn = np.array(base).swapaxes(0, 1)
+        moved = replace(moved, base_specific_force=force, base_angular_acceleration=turn)
+    return moved, np.array(friction)
+
+
+def moving(model, count, rng, lowest):
+    """Return random samples in which every joint is faster than ``lowest``."""
+    samples = random_samples(model, count, rng, ())
+    speed = lowest + rng.uniform(0, 3, samples.velocity.shape)
+    return replace(samples, velocity=speed * rng.choice([-1, 1], speed.shape))
+
+
+def robots():
+    """Yield trees with floating and fixed bases, slides among their joints, and Symbitron."""
+    for seed in range(4):
+        yield random_robot(seed, links=6 + seed, floating=seed % 2 == 0, wrench_frames=0)
+    yield load_model(CONFIG / "symbitron.xml")
+
+
+@pytest.fixture(params=robots(), ids=lambda model: model.name)
+def robot(request):
+    return with_drives(request.param, np.random.default_rng(100))
+
+
+def test_slipping_joints_obey_mujocos_dry_friction(robot):
+    rng = np.random.default_rng(1)
+    samples, friction = forward(robot, moving(robot, 30, rng, 1.0), rng)
+    parameters = ParameterSet(robot, TERMS)
+    coulomb = parameters.values[parameters.term_columns["coulomb"]]
+    np.testing.assert_allclose(-friction, coulomb * np.sign(samples.velocity), rtol=1e-9)
+    rows = equation_of_motion(parameters, samples)
+    error = rows.K @ parameters.values - rows.y
+    assert np.abs(error).max() < 1e-9 * np.abs(rows.y).max()
+
+
+def test_the_columns_find_what_mujoco_was_given(robot):
+    rng = np.random.default_rng(2)
+    parameters = ParameterSet(robot, TERMS)
+    samples = moving(robot, 40, rng, 1.0)
+    offset = rng.normal(size=len(robot.joints))
+    samples, _ = forward(robot, samples, rng)
+    # A drive that reads too high by its offset.
+    rows = equation_of_motion(parameters, replace(samples, effort=samples.effort + offset))
+    known, sought = np.split(parameters.values, [parameters.inertial])
+    y = rows.y - rows.K[:, :, : parameters.inertial] @ known
+    W = rows.K[:, :, parameters.inertial :].reshape(-1, len(sought))
+    found, _, rank, _ = np.linalg.lstsq(W, y.ravel())
+    assert rank == len(sought)
+    sought[-len(offset) :] = offset
+    np.testing.assert_allclose(found, sought, atol=1e-8)
+
+
+def test_a_sticking_joint_feels_less_than_its_friction(robot):
+    rng = np.random.default_rng(3)
+    samples = random_samples(robot, 30, rng, ())
+    bound = np.full(len(robot.joints), 40.0)
+    robot = replace(robot, joints=tuple(replace(j, friction_loss=40.0) for j in robot.joints))
+    samples = replace(samples, velocity=np.zeros_like(samples.velocity))
+    samples, friction = forward(robot, samples, rng)
+    share = friction / bound
+    assert np.abs(share).max() < 1 + 1e-9
+    stuck = np.abs(share) < 1 - 1e-9
+    assert stuck.mean() > 0.25
+    # Anything between the bounds, so no column tells it, and all of these rows are left out.
+    assert share[stuck].std() > 0.25
+    assert not slips(samples.velocity).any()
+    assert not coulomb_column(samples.velocity).any()
+
+
+def test_each_joint_term_stands_in_its_joints_row_alone(robot):
+    parameters = ParameterSet(robot, TERMS)
+    structure = RowLayout.of(parameters).structure
+    joints = len(robot.joints)
+    for columns in parameters.term_columns.values():
+        expected = np.vstack([np.zeros((6 * robot.floating, joints)), np.eye(joints)])
+        np.testing.assert_array_equal(structure[:, columns], expected)
+    bare = RowLayout.of(ParameterSet(robot)).structure
+    np.testing.assert_array_equal(structure[:, : parameters.inertial], bare)
+
+
+speeds = st.floats(-1e3, 1e3, allow_nan=False)
+
+
+@given(speeds)
+def test_the_coulomb_column_is_the_sign_of_a_joint_that_slips(speed):
+    column, slipping = coulomb_column(np.array([[speed]])), slips(np.array([[speed]]))
+    assert slipping == (abs(speed) >= COULOMB_SPEED)
+    if slipping:
+        assert column == np.sign(speed)
+    else:
+        assert column == pytest.approx(speed / COULOMB_SPEED)
+    assert coulomb_column(np.array([[-speed]])) == -column

@@ -1,0 +1,209 @@
+"""Friction and armature of joints: read from both formats, identified, written back."""
+
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from random_robots import CONFIG, random_robot, with_drives
+
+from symbid_ros.errors import ModelError
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import (
+    TERMS,
+    ParameterSet,
+    joint_terms,
+    neglected_terms,
+    terms_in,
+)
+
+MJCF = """<mujoco model="arm">
+  <default><default class="drive"><joint damping="0.30" armature="0.010"/></default></default>
+  <worldbody>
+    <body name="base"><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <body name="arm">
+        <joint name="knee" class="drive" frictionloss="0.50"/>
+        <joint name="lift" type="slide" axis="1 0 0"/>
+        <inertial pos=".1 .2 .3" mass="2" diaginertia=".1 .2 .25"/>
+        <body name="hand"><joint name="wrist" class="drive" damping="0.700" armature="0"/>
+          <inertial pos="0 0 .1" mass=".5" diaginertia=".01 .01 .01"/></body>
+      </body>
+    </body>
+  </worldbody>
+  <actuator><motor name="knee" joint="knee"/></actuator>
+</mujoco>
+"""
+
+URDF = """<robot name="arm"><link name="base"/><link name="arm"/><link name="hand"/>
+  <joint name="knee" type="continuous"><parent link="base"/><child link="arm"/>
+    <dynamics damping="0.30" friction="0.50"/></joint>
+  <joint name="lift" type="prismatic"><parent link="arm"/><child link="hand"/>
+    <limit lower="-1" upper="1" effort="5" velocity="1"/>{}</joint>
+</robot>
+"""
+
+
+def drives(model):
+    """Return (J, 3) damping, friction loss and armature."""
+    return np.array([(j.damping, j.friction_loss, j.armature) for j in model.joints])
+
+
+def load_text(text, path):
+    path.write_text(text)
+    return load_model(path)
+
+
+@pytest.fixture
+def arm(tmp_path):
+    return load_text(MJCF, tmp_path / "arm.xml")
+
+
+@pytest.fixture
+def urdf_arm(tmp_path):
+    return load_text(URDF.format(""), tmp_path / "arm.urdf")
+
+
+def test_an_mjcf_states_all_three_also_through_its_classes(arm):
+    assert arm.joint_names == ("knee", "lift", "wrist")
+    np.testing.assert_array_equal(drives(arm), [[0.3, 0.5, 0.01], [0, 0, 0], [0.7, 0, 0]])
+
+
+def test_a_urdf_states_friction_and_silence_is_zero(urdf_arm):
+    np.testing.assert_array_equal(drives(urdf_arm), [[0.3, 0.5, 0], [0, 0, 0]])
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "much"])
+def test_friction_that_is_no_number_is_refused(value, tmp_path):
+    text = URDF.format(f'<dynamics damping="{value}"/>')
+    with pytest.raises(ModelError, match=r"arm\.urdf: .*(not finite|not a number)"):
+        load_text(text, tmp_path / "arm.urdf")
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("floating", [True, False])
+def test_a_random_trees_drives_survive_both_formats(seed, floating, tmp_path):
+    robot = random_robot(seed, links=3 + seed, floating=floating)
+    robot = with_drives(robot, np.random.default_rng(seed))
+    again = load_text(mjcf_text(robot), tmp_path / "robot.xml")
+    np.testing.assert_array_equal(drives(again), drives(robot))
+    urdf = load_text(urdf_text(robot), tmp_path / "robot.urdf")
+    np.testing.assert_array_equal(drives(urdf)[:, :2], drives(robot)[:, :2])
+
+
+def test_what_a_urdf_has_no_place_for_is_said(arm, urdf_arm):
+    assert "armature, not part of a URDF: knee 0.01 " in urdf_text(arm)
+    assert "armature" not in urdf_text(urdf_arm)
+
+
+def test_parameters_of_joints_follow_the_links(arm):
+    parameters = ParameterSet(arm, ("offset", "armature", "viscous", "coulomb"))
+    assert parameters.terms == TERMS
+    assert parameters == ParameterSet(arm, TERMS)
+    names = [f"{joint}/{term}" for term in TERMS for joint in arm.joint_names]
+    assert parameters.names[30:] == tuple(names)
+    assert parameters.units[30:] == (
+        *("Nm s/rad", "N s/m", "Nm s/rad"),
+        *("Nm", "N", "Nm"),
+        *("kg m^2", "kg", "kg m^2"),
+        *("Nm", "N", "Nm"),
+    )
+    stated = np.r_[drives(arm).T.ravel(), np.zeros(3)]
+    np.testing.assert_array_equal(parameters.values[30:], stated)
+    assert parameters.term_columns["armature"] == slice(36, 39)
+    assert terms_in(parameters.names) == TERMS
+    assert terms_in(parameters.names[:30]) == ()
+
+
+def test_only_terms_in_use_have_columns_and_an_unknown_one_is_refused(arm):
+    parameters = ParameterSet(arm, ("offset", "coulomb"))
+    assert parameters.term_columns == {"coulomb": slice(30, 33), "offset": slice(33, 36)}
+    assert len(ParameterSet(arm)) == 30
+    with pytest.raises(ModelError, match="no term 'stiffness'; choose from viscous, coulomb"):
+        ParameterSet(arm, ("viscous", "stiffness"))
+
+
+def test_options_choose_terms():
+    assert joint_terms(False, False, False) == ()
+    assert joint_terms(True, False, False) == ("viscous", "coulomb")
+    assert joint_terms(False, True, True) == ("armature", "offset")
+    assert joint_terms(True, True, True) == TERMS
+
+
+def test_stated_terms_that_are_not_identified_are_named(arm):
+    assert neglected_terms(ParameterSet(arm, TERMS)) == {}
+    assert neglected_terms(ParameterSet(arm)) == {
+        "viscous": ("knee", "wrist"),
+        "coulomb": ("knee",),
+        "armature": ("knee",),
+    }
+    assert set(neglected_terms(ParameterSet(arm, ("viscous", "coulomb")))) == {"armature"}
+    assert neglected_terms(ParameterSet(load_model(CONFIG / "symbitron.xml"))) == {}
+
+
+@pytest.mark.parametrize("terms", [(), ("viscous",), ("coulomb", "offset"), TERMS])
+def test_values_applied_are_the_robots_own_and_the_rest_stays(arm, terms):
+    parameters = ParameterSet(arm, terms)
+    changed = parameters.values + np.arange(len(parameters)) / 7
+    robot = parameters.apply(changed)
+    stated = np.array(["/offset" not in name for name in parameters.names])
+    np.testing.assert_array_equal(ParameterSet(robot, terms).values[stated], changed[stated])
+    for column, term in enumerate(("viscous", "coulomb", "armature")):
+        if term not in terms:
+            np.testing.assert_array_equal(drives(robot)[:, column], drives(arm)[:, column])
+
+
+def test_identified_terms_go_into_the_users_own_mjcf(arm, tmp_path):
+    parameters = ParameterSet(arm, ("viscous", "armature"))
+    values = parameters.values.copy()
+    values[parameters.term_columns["viscous"]] = 0.3, 1.25, 2.5
+    values[parameters.term_columns["armature"]] = 0.02, 0.03, 0.0
+    text = mjcf_text(parameters.apply(values), tmp_path / "arm.xml", tmp_path)
+    again = load_text(text, tmp_path / "identified.xml")
+    expected = [[0.3, 0.5, 0.02], [1.25, 0, 0.03], [2.5, 0, 0]]
+    np.testing.assert_array_equal(drives(again), expected)
+    # The file's own wording stays wherever its value does.
+    joint = {element.get("name"): element.attrib for element in ET.fromstring(text).iter("joint")}
+    assert "damping" not in joint["knee"]
+    assert joint["knee"]["frictionloss"] == "0.50"
+    assert joint["wrist"]["armature"] == "0"
+    assert '<joint damping="0.30" armature="0.010" />' in text
+
+
+def test_identified_terms_go_into_the_users_own_urdf(urdf_arm, tmp_path):
+    parameters = ParameterSet(urdf_arm, ("viscous", "coulomb"))
+    values = parameters.values.copy()
+    values[-4:] = 0.3, 4.0, 0.75, 0.0
+    text = urdf_text(parameters.apply(values), tmp_path / "arm.urdf")
+    again = load_text(text, tmp_path / "identified.urdf")
+    np.testing.assert_array_equal(drives(again), [[0.3, 0.75, 0], [4.0, 0, 0]])
+    assert 'damping="0.30"' in text
+    np.testing.assert_array_equal(
+        drives(load_text(urdf_text(urdf_arm, tmp_path / "arm.urdf"), tmp_path / "same.urdf")),
+        drives(urdf_arm),
+    )
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_negative_terms_are_written_as_zero_and_named(own, arm, urdf_arm, tmp_path):
+    for model, write, file in ((arm, mjcf_text, "arm.xml"), (urdf_arm, urdf_text, "arm.urdf")):
+        knee = replace(model.joints[0], damping=-0.2, friction_loss=-0.1)
+        robot = replace(model, joints=(knee, *model.joints[1:]))
+        text = write(robot, tmp_path / file if own else None, comment="first")
+        assert "first; negative, written as zero: knee damping -0.2, knee friction -0.1 " in text
+        again = load_text(text, tmp_path / f"again_{file}")
+        expected = drives(model)
+        expected[0, :2] = 0.0
+        np.testing.assert_array_equal(drives(again), expected)
+
+
+def test_an_mjcf_with_written_drives_is_the_same_in_mujoco(tmp_path):
+    robot = load_model(CONFIG / "symbitron.xml")
+    robot = with_drives(robot, np.random.default_rng(1))
+    (tmp_path / "symbitron.xml").write_text(mjcf_text(robot, CONFIG / "symbitron.xml", tmp_path))
+    compiled = mujoco.MjModel.from_xml_path(str(tmp_path / "symbitron.xml"))
+    fields = compiled.dof_damping, compiled.dof_frictionloss, compiled.dof_armature
+    np.testing.assert_array_equal(np.transpose(fields)[:6], 0)
+    np.testing.assert_array_equal(np.transpose(fields)[6:], drives(robot))

@@ -1,0 +1,151 @@
+"""Realistic predictions of simulated bags against the truth that the bags hold."""
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from random_robots import CONFIG, random_robot
+from tree_simulation import TreeSimulation
+
+from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
+from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.evaluation import predict, read_true_motion
+from symbid_ros.offline.prediction import (
+    FELT,
+    evaluate_realistic,
+    predict_realistic,
+    read_realistic_motion,
+)
+from symbid_ros.signals.causal import CausalLowPass
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """The same motion of the Symbitron with ideal and with noisy sensors."""
+    folder = tmp_path_factory.mktemp("bags")
+    for name, ideal in (("ideal", True), ("noisy", False)):
+        simulator = Simulator("smooth", moves=1, motion_seed=2, noise_seed=4, ideal=ideal)
+        record(simulator, folder / name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def symbitron():
+    return ParameterSet(load_model(CONFIG / "symbitron.xml"))
+
+
+@pytest.fixture(scope="module")
+def noisy(bags, symbitron):
+    return read_realistic_motion([bags / "noisy"], symbitron.model)
+
+
+def test_eq_4_1_finds_the_measured_wrenches_of_an_ideal_bag(bags, symbitron):
+    samples = read_true_motion([bags / "ideal"], symbitron.model).samples
+    poses = link_poses(symbitron.model, samples.position)
+    jacobian = contact_jacobian(symbitron.model, samples.wrench_frames, poses)
+    force = equation_of_motion(symbitron, samples).K @ symbitron.values
+    force[:, 6:] -= samples.effort
+    # The feet twisted against each other are hardly felt: there the data determine nothing.
+    found = contact_wrenches(jacobian, force, FELT).reshape(-1, 12)
+    left, size, felt = np.linalg.svd(jacobian.transpose(0, 2, 1), full_matrices=False)
+    assert left.shape == (len(samples), 16, 12)
+    determined = felt * (size > FELT * size[:, :1])[..., None]
+    seen = np.einsum("nki,nj,nkj->ni", determined, samples.wrenches.reshape(-1, 12), determined)
+    np.testing.assert_allclose(found, seen, atol=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("seed", "floating", "frames"), [(1, True, 1), (4, True, 2), (2, False, 2), (3, False, 0)]
+)
+def test_eq_4_1_explains_any_trees_bag(seed, floating, frames, tmp_path):
+    robot = random_robot(seed, links=6, floating=floating, wrench_frames=frames)
+    (tmp_path / "robot.xml").write_text(mjcf_text(robot))
+    parameters = ParameterSet(load_model(tmp_path / "robot.xml"))
+    record(TreeSimulation(robot, 0.4, seed), tmp_path / "log")
+    motion = read_realistic_motion([tmp_path / "log"], parameters.model, CausalLowPass(0))
+    known = replace(motion.known, velocity=motion.truth.samples.velocity)
+    known = replace(known, effort=motion.truth.samples.effort)
+    exact = predict_realistic(parameters, parameters.values, replace(motion, known=known))
+    scale = np.linalg.norm(known.effort) + np.linalg.norm(known.wrenches)
+    np.testing.assert_allclose(exact.torque, known.effort, atol=1e-8 * scale)
+    np.testing.assert_allclose(exact.torque_from_wrenches, known.effort, atol=1e-8 * scale)
+    jacobian = contact_jacobian(
+        parameters.model, known.wrench_frames, link_poses(parameters.model, known.position)
+    )
+    error = (exact.wrenches - known.wrenches).reshape(len(known), 1, -1) @ jacobian
+    np.testing.assert_allclose(error, 0, atol=1e-8 * scale)
+
+
+def test_a_controller_knows_the_last_torques_and_late_velocities(bags, symbitron):
+    cutoff = 40.0
+    motion = read_realistic_motion([bags / "ideal"], symbitron.model, CausalLowPass(cutoff))
+    known, truth = motion.known, motion.truth.samples
+    np.testing.assert_array_equal(known.stamp, truth.stamp)
+    np.testing.assert_array_equal(known.position, truth.position)
+    np.testing.assert_array_equal(known.acceleration, truth.acceleration)
+    np.testing.assert_array_equal(known.effort[1:], truth.effort[:-1])
+    # The backward difference is half a period late, the filter 0.225 periods of its cutoff.
+    late = 0.0005 + 0.225 / cutoff
+    time = (truth.stamp - truth.stamp[0]) * 1e-9
+    settled = slice(100, None)
+    for found, true in (
+        (known.velocity, truth.velocity),
+        (known.base_angular_velocity, truth.base_angular_velocity),
+    ):
+        shift = late if found is known.velocity else late - 0.0005
+        expected = np.stack([np.interp(time - shift, time, column) for column in true.T], axis=1)
+        unshifted = np.sqrt(np.mean((found - true)[settled] ** 2))
+        assert np.sqrt(np.mean((found - expected)[settled] ** 2)) < 0.2 * unshifted
+
+
+def test_torques_balance_what_the_contact_forces_leave(noisy, symbitron):
+    prediction = predict_realistic(symbitron, symbitron.values, noisy)
+    known = noisy.known
+    needed = equation_of_motion(symbitron, known).K @ symbitron.values
+    poses = link_poses(symbitron.model, known.position)
+    jacobian = contact_jacobian(symbitron.model, known.wrench_frames, poses)
+    given = np.c_[np.zeros((len(known), 6)), known.effort]
+    for k in range(0, len(known), 97):
+        contact = np.linalg.lstsq(jacobian[k].T, needed[k] - given[k], rcond=FELT)[0]
+        np.testing.assert_allclose(prediction.wrenches[k].ravel(), contact, atol=1e-6)
+        left = needed[k] - jacobian[k].T @ contact
+        np.testing.assert_allclose(prediction.torque[k], left[6:], atol=1e-6)
+
+
+def test_a_prior_predicts_worse_than_the_truth_and_the_noise_sets_the_floor(noisy, symbitron):
+    prior = draw_prior(symbitron, "percent", 25, 1).mean
+    judged = evaluate_realistic(
+        symbitron, {"truth": symbitron.values, "prior": prior}, symbitron.values, noisy
+    )
+    truth, wrong = asdict(judged["truth"]), asdict(judged["prior"])
+    assert all(truth[name] < wrong[name] for name in truth)
+    # A passive joint's torque is zero for sure; the eight motors' are measured with 0.1 Nm.
+    assert 0.1 < truth["torque_rmse"] < 0.1 * np.sqrt(8)
+    # One newton along three axes of two plates, and what the motors' noise adds to the prediction.
+    assert np.sqrt(6) < truth["contact_force_rmse"] < 2 * np.sqrt(6)
+    assert truth["com_position_rmse_mm"] < 0.01
+
+
+def test_metrics_are_norms_per_sample(noisy, symbitron):
+    prior = draw_prior(symbitron, "percent", 25, 2).mean
+    judged = evaluate_realistic(symbitron, {"it": prior}, symbitron.values, noisy)["it"]
+    found = predict_realistic(symbitron, prior, noisy)
+    true = predict(symbitron, symbitron.values, noisy.truth)
+
+    def rmse(error):
+        return pytest.approx(np.sqrt(np.mean(np.sum(error.reshape(len(error), -1) ** 2, axis=1))))
+
+    effort, contact = noisy.truth.samples.effort, found.wrenches - noisy.known.wrenches
+    assert judged.torque_rmse == rmse(found.torque - effort)
+    assert judged.torque_from_wrenches_rmse == rmse(found.torque_from_wrenches - effort)
+    assert judged.contact_force_rmse == rmse(contact[:, :, 3:])
+    assert judged.contact_moment_rmse == rmse(contact[:, :, :3])
+    assert judged.com_position_rmse_mm == rmse(1e3 * (found.com - true.com))
+    assert judged.com_momentum_rmse == rmse(found.momentum - true.momentum)
