@@ -17,11 +17,14 @@ from symbid_ros.share import PACKAGE, config_file
 
 # What is worth changing from the command line; the defaults stand in bridge.yaml alone.
 BRIDGE_ARGUMENTS = {
-    "scenario": "smooth, vibrating or suspended",
-    "moves": "number of moves of the centre of mass",
+    "scenario": "smooth, vibrating, suspended or tare",
+    "moves": "number of moves",
     "motion_seed": "draws the moves",
     "noise_seed": "draws the sensor noise",
     "ideal": "true: noise-free sensors, the same motion",
+    "friction": "true: joints with friction and armature",
+    "errors": "systematic errors: typical, or names with commas",
+    "error_seed": "draws the systematic errors",
     "real_time_factor": "simulated seconds per second",
 }
 

@@ -7,25 +7,63 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-Scenario = Literal["smooth", "vibrating", "suspended"]
+Scenario = Literal["smooth", "vibrating", "suspended", "tare"]
 
 
 def simulate(
     out: Annotated[Path, typer.Option(help="Bag folder to write; must not exist.")],
-    scenario: Annotated[Scenario, typer.Option(help="Motion to simulate.")] = "smooth",
-    moves: Annotated[int, typer.Option(min=1, max=1000, help="Moves of the centre of mass.")] = 20,
+    scenario: Annotated[Scenario, typer.Option(help="What the robot does.")] = "smooth",
+    moves: Annotated[int, typer.Option(min=1, max=1000, help="Number of moves.")] = 20,
     motion_seed: Annotated[int, typer.Option(min=0, help="Seed of the motion.")] = 0,
     noise_seed: Annotated[int, typer.Option(min=0, help="Seed of the sensor noise.")] = 0,
     ideal: Annotated[
         bool, typer.Option("--ideal", help="Same motion, sensors without noise.")
     ] = False,
+    friction: Annotated[
+        bool, typer.Option("--friction", help="Joints with friction and armature.")
+    ] = False,
+    friction_file: Annotated[
+        Path | None,
+        typer.Option(help="Other values than the package's friction.yaml; implies --friction."),
+    ] = None,
+    errors: Annotated[
+        str, typer.Option(help="Systematic errors: typical, or names with commas, see above.")
+    ] = "",
+    error_seed: Annotated[
+        int, typer.Option(min=0, help="Seed of these errors: one seed, one robot.")
+    ] = 0,
+    true_model: Annotated[
+        Path | None,
+        typer.Option(help="MJCF to write of the robot as simulated, for symbid evaluate."),
+    ] = None,
 ) -> None:
-    """Simulate the Symbitron in MuJoCo and record its sensors and the truth to a bag."""
+    """Simulate the Symbitron in MuJoCo and record its sensors and the truth to a bag.
+
+    In [b]smooth[/b] and [b]vibrating[/b] it stands and moves its centre of mass, in
+    [b]suspended[/b] it is rocked in a hoist, in [b]tare[/b] it hangs still for 5 s with nothing
+    touching the force plates, whatever --moves and --motion-seed say.
+
+    [b]Systematic errors[/b], each drawn from --error-seed and its own name alone:
+    [b]plate_gain[/b] .25-.75 % a channel, [b]plate_offset[/b] 1-2 N and .1-.2 Nm a channel,
+    [b]plate_pose[/b] 1-3 mm, [b]torque_gain[/b] 1-2 % a drive, [b]imu_mounting[/b] .1-.3
+    degrees, [b]encoder_offset[/b] .05-.15 degrees a joint ([b]typical[/b] is these six);
+    [b]link_length[/b] 1-2 mm between joints, [b]sample_rates[/b] joints 1000, IMU 500, plates
+    333 Hz, [b]delays[/b] 1-5 ms, each sensor its own, [b]quantisation[/b] 16 to 18 bits.
+    """
+    from symbid_ros.atomic import write_text
     from symbid_ros.simulation.recording import record
     from symbid_ros.simulation.simulator import Simulator
 
     simulator = Simulator(
-        scenario, moves=moves, motion_seed=motion_seed, noise_seed=noise_seed, ideal=ideal
+        scenario,
+        moves=moves,
+        motion_seed=motion_seed,
+        noise_seed=noise_seed,
+        ideal=ideal,
+        friction=friction,
+        errors=errors,
+        error_seed=error_seed,
+        friction_path=friction_file,
     )
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
@@ -33,5 +71,7 @@ def simulate(
         counts = record(
             simulator, out, progress=lambda done, _: progress.update(task, completed=done)
         )
+    if true_model is not None:
+        write_text(true_model, simulator.robot)
     seconds = simulator.steps * simulator.period_ns * 1e-9
     typer.echo(f"{out}: {seconds:.1f} s, {sum(counts.values())} messages on {len(counts)} topics")

@@ -46,6 +46,14 @@ class RowLayout:
         structure = 1e-10 * np.maximum(K.max(axis=0), K.max(axis=1, keepdims=True)) < K
         return cls(model.coordinates, parameters.names, structure)
 
+    def extended(self, names: tuple[str, ...], structure: BoolArray) -> "RowLayout":
+        """Return the layout with more columns, and the coordinates (n, r) that they reach."""
+        return RowLayout(
+            self.coordinates,
+            self.parameters + names,
+            np.concatenate([self.structure, structure], axis=1),
+        )
+
     @property
     def width(self) -> int:
         """Length w of the flat row."""

@@ -7,7 +7,7 @@ whether or not the motion does (errors in variables). Σ follows from the residu
 solution, so the two are found in turn, from the one pass over the data that the wide factor is.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,20 @@ NOISIEST = 0.75
 
 # Factor by which the evidence may say that a prior is too wide or too narrow.
 SCALES = (1e-3, 1e3)
+
+
+@dataclass(frozen=True)
+class SoftRows:
+    """Knowledge that is no log's: rows @ φ = targets, each to a standard deviation of one.
+
+    Attributes
+    ----------
+    rows : (k, p) float64
+    targets : (k,) float64
+    """
+
+    rows: FloatArray
+    targets: FloatArray
 
 
 @dataclass(frozen=True)
@@ -71,12 +85,17 @@ class Posterior:
         std: FloatArray = np.sqrt(np.sum(self.deviation_factor**2, axis=1))
         return std
 
-    @cached_property
-    def gain(self) -> float:
-        """Information that the data added, in nats: ½ log of the covariances' ratio."""
-        _, after = np.linalg.slogdet(self.factor * self.prior.std)
-        _, before = np.linalg.slogdet(self.prior.covariance_factor() / self.prior.std[:, None])
-        return float(after + before)
+    def gain(self, count: int) -> float:
+        """Return what was learnt of the first ``count`` parameters, whatever the others are.
+
+        In nats: half the logarithm of the ratio of the covariances' determinants.
+        """
+
+        def log_volume(factor: FloatArray) -> float:
+            rows = factor[:count] / self.prior.std[:count, None]
+            return float(np.sum(np.log(np.linalg.svd(rows, compute_uv=False))))
+
+        return log_volume(self.prior.covariance_factor()) - log_volume(self.deviation_factor)
 
 
 @dataclass(frozen=True)
@@ -101,17 +120,26 @@ class _Square:
 
     @classmethod
     def of(
-        cls, observations: Observations, phi: FloatArray, mean: FloatArray, L: FloatArray
+        cls,
+        observations: Observations,
+        phi: FloatArray,
+        mean: FloatArray,
+        L: FloatArray,
+        known: "SoftRows | None",
     ) -> "_Square":
         covariance = observations.residual_covariance(phi)
         whitening = np.asarray(np.linalg.inv(cholesky(covariance, lower=True)), dtype=np.float64)
         believed = np.sqrt(observations.plausible_noise(phi, covariance))
-        parts = []
+        parts: list[FloatArray] = []
         for information, weight in ((observations.rows, 1.0), (observations.noise, believed)):
             factor = weight * information.whitened(whitening)
             W, target = factor[:, :-1], factor[:, -1]
             parts += [W @ L, target - W @ mean]
-        return cls(*parts, covariance)
+        A, b, N, c = parts
+        if known is not None:
+            A = np.concatenate([A, known.rows @ L])
+            b = np.concatenate([b, known.targets - known.rows @ mean])
+        return cls(A, b, N, c, covariance)
 
     def minimum(self, scale: float = 1.0) -> tuple[FloatArray, FloatArray, float]:
         """Return x (p,), the precision's factor R (p, p) and the largest share of noise."""
@@ -152,7 +180,13 @@ class _Square:
         return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))
 
 
-def posterior(observations: Observations, prior: Prior, *, empirical: bool = False) -> Posterior:
+def posterior(
+    observations: Observations,
+    prior: Prior,
+    known: SoftRows | None = None,
+    *,
+    empirical: bool = False,
+) -> Posterior:
     """Return the Gaussian posterior of the parameters.
 
     Parameters
@@ -161,6 +195,8 @@ def posterior(observations: Observations, prior: Prior, *, empirical: bool = Fal
         The data.
     prior : Prior
         Mean and covariance of the parameters before the data.
+    known : SoftRows, optional
+        What else is known, such as a weighing.
     empirical : bool
         Let the evidence choose a common factor on the prior's deviations.
     """
@@ -168,7 +204,7 @@ def posterior(observations: Observations, prior: Prior, *, empirical: bool = Fal
     scale = 1.0
     x = np.zeros(len(mean))
     for _ in range(REWHITENINGS):
-        square = _Square.of(observations, mean + L @ x, mean, L)
+        square = _Square.of(observations, mean + L @ x, mean, L, known)
         best = square.evidence_scale()
         if empirical:
             scale = best
@@ -181,14 +217,8 @@ def posterior(observations: Observations, prior: Prior, *, empirical: bool = Fal
     return Posterior(
         mean=phi,
         factor=precision,
-        prior=widened(prior, scale),
+        prior=prior.widened(scale),
         covariance=square.covariance,
         prior_scale=best,
         noise_share=share,
     )
-
-
-def widened(prior: Prior, scale: float) -> Prior:
-    """Return the prior with all its deviations times ``scale``."""
-    factor = None if prior.factor is None else scale * prior.factor
-    return replace(prior, std=scale * prior.std, factor=factor)

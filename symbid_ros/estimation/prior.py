@@ -1,11 +1,12 @@
 """What is believed about the parameters before the data: a Gaussian."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic import write_text
@@ -77,6 +78,22 @@ class Prior:
     def covariance_factor(self) -> FloatArray:
         """Return L (p, p), lower triangular, with covariance L Lᵀ."""
         return np.diag(self.std) if self.factor is None else self.factor
+
+    def widened(self, scale: float) -> "Prior":
+        """Return the prior with all its deviations times ``scale``."""
+        factor = None if self.factor is None else scale * self.factor
+        return replace(self, std=scale * self.std, factor=factor)
+
+    def extended(self, names: tuple[str, ...], mean: FloatArray, std: FloatArray) -> "Prior":
+        """Return the prior with more parameters, independent of those that are there."""
+        factor = None if self.factor is None else block_diag(self.factor, np.diag(std))
+        return replace(
+            self,
+            names=self.names + names,
+            mean=np.concatenate([self.mean, mean]),
+            std=np.concatenate([self.std, std]),
+            factor=factor,
+        )
 
     def write(self, path: Path) -> None:
         """Write prior.json."""

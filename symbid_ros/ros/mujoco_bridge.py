@@ -27,12 +27,21 @@ PARAMETERS = (
         "scenario",
         "smooth",
         "What the robot does.",
-        choices=("smooth", "vibrating", "suspended"),
+        choices=("smooth", "vibrating", "suspended", "tare"),
     ),
-    Parameter("moves", 20, "Number of moves of the centre of mass.", minimum=1),
+    Parameter(
+        "moves",
+        20,
+        "Number of moves, of the centre of mass or the hook; a tare has none.",
+        minimum=1,
+    ),
     Parameter("motion_seed", 0, "Draws the moves; the same seed moves the same.", minimum=0),
     Parameter("noise_seed", 0, "Draws the sensor noise.", minimum=0),
     Parameter("ideal", False, "Publish noise-free sensors; the motion stays the same."),
+    Parameter("friction", False, "Give the joints friction and armature, as friction.yaml says."),
+    Parameter("friction_file", "", "Other YAML file of friction; implies friction."),
+    Parameter("errors", "", "Systematic errors: typical, or names with commas; empty for none."),
+    Parameter("error_seed", 0, "Draws the systematic errors.", minimum=0),
     Parameter("model", "", "MJCF file of the robot; empty for the package's Symbitron."),
     Parameter("noise", "", "YAML file of sensor noise; empty for the package's noise.yaml."),
     Parameter(
@@ -79,14 +88,18 @@ class MujocoBridge:
             motion_seed=values["motion_seed"],
             noise_seed=values["noise_seed"],
             ideal=values["ideal"],
+            friction=values["friction"],
+            errors=values["errors"],
+            error_seed=values["error_seed"],
             model_path=_path(values["model"]),
             noise_path=_path(values["noise"]),
+            friction_path=_path(values["friction_file"]),
         )
         self._real_time_factor: float = values["real_time_factor"]
         self._is_patient: bool = values["wait_for_subscribers"]
         depth = values["queue_depth"]
         self._sensors = [
-            InstantPublisher.create(node, topic, every=1, depth=depth)
+            InstantPublisher.create(node, topic, every=topic.every, depth=depth)
             for topic in sensor_topics(self._simulator)
         ]
         self._others = []

@@ -43,7 +43,7 @@ class Readings:
     def __len__(self) -> int:
         return len(self.stamp)
 
-    def __getitem__(self, index: slice) -> "Readings":
+    def __getitem__(self, index: slice | IntArray) -> "Readings":
         """Return the readings of some of the instants."""
         return replace(
             self,

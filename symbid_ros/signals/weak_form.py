@@ -6,8 +6,8 @@ average needs no acceleration: Σ w A q̈ = -Σ Δ(w A)/Δt q̇, exactly, where 
 central ones and the window ends at zero (``doc/theory.md``).
 
 What noise does to the regressor is seen by adding as much again: the level of every
-differentiated channel's noise shows in the quietest part of its spectrum. The difference that it makes is averaged
-over the same windows.
+differentiated channel's noise shows in the quietest part of its spectrum. The difference that
+it makes is averaged over the same windows.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -42,8 +42,8 @@ INFLATION = 4 / 3
 PREFILTER = 100.0
 PREFILTER_SHARE = 0.1
 
-# Periods of the low-pass's cutoff that are left out at the ends of a block. What a filter does at an
-# edge dies out by a factor of 80 in one period, and acceleration shows it most.
+# Periods of the low-pass's cutoff that are left out at the ends of a block. What a filter does
+# at an edge dies out by a factor of 80 in one period, and acceleration shows it most.
 SETTLING = 4
 
 # A joint row counts where the joint slipped for this share of the window.

@@ -82,11 +82,19 @@ class JointController:
         First pose.
     reference : Reference
         Positions (n_actuated,) of the driven joints, rad.
+    weight : (n_actuated,) float64 or None
+        Torques that carry the legs, Nm; without them they sag by their springs.
     """
 
     FREQUENCY, DAMPING_RATIO = 15.0, 0.7  # rad/s of each joint by itself
 
-    def __init__(self, model: mujoco.MjModel, position: FloatArray, reference: Reference) -> None:
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        position: FloatArray,
+        reference: Reference,
+        weight: FloatArray | None = None,
+    ) -> None:
         data = mujoco.MjData(model)
         data.qpos[:] = position
         mujoco.mj_forward(model, data)
@@ -98,6 +106,7 @@ class JointController:
         self._stiffness = self.FREQUENCY**2 * inertias
         self._damping = 2.0 * self.DAMPING_RATIO * self.FREQUENCY * inertias
         self._reference = reference
+        self._weight = np.zeros(model.nu) if weight is None else weight
 
     def torques(self, state: State) -> FloatArray:
         """Return the drives' torques (n_actuated,), Nm."""
@@ -105,4 +114,5 @@ class JointController:
         return np.asarray(
             self._stiffness * (position - state.position[self._position])
             + self._damping * (velocity - state.velocity[self._velocity])
+            + self._weight
         )

@@ -1,12 +1,9 @@
 """How noisy the simulated sensors are: the contents of config/noise.yaml."""
 
-import math
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-import yaml
-
-from symbid_ros.errors import SimulationError
+from symbid_ros.simulation.settings import numbers, read_mapping
 
 
 @dataclass(frozen=True)
@@ -47,32 +44,5 @@ def load_noise(path: Path) -> SensorNoise:
     SimulationError
         When the file is missing, is not such a mapping, or a value is no standard deviation.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise SimulationError(f"{path}: cannot be read ({error}); name an existing file") from error
-    except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise SimulationError(f"{path}: not valid YAML ({reason}); mend that line") from error
     names = [field.name for field in fields(SensorNoise)]
-    if not isinstance(content, dict):
-        raise SimulationError(
-            f"{path}: not a mapping; give one line for each of {', '.join(names)}"
-        )
-    missing = [name for name in names if name not in content]
-    if missing:
-        raise SimulationError(f"{path}: {', '.join(missing)} missing; 0 stands for an ideal sensor")
-    unknown = [str(name) for name in content if name not in names]
-    if unknown:
-        raise SimulationError(f"{path}: unknown entry {', '.join(unknown)}; remove it")
-    return SensorNoise(**{name: _standard_deviation(path, name, content[name]) for name in names})
-
-
-def _standard_deviation(path: Path, name: str, value: object) -> float:
-    # YAML reads "yes" as a boolean, which Python would take for the number 1.
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not math.isfinite(value) or value < 0:  # type: ignore[arg-type,operator]
-        raise SimulationError(
-            f"{path}: {name} is {value!r}; a standard deviation is a finite number, 0 or more"
-        )
-    return float(value)  # type: ignore[arg-type]
+    return SensorNoise(**numbers(read_mapping(path), names, str(path)))

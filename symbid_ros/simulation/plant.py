@@ -65,10 +65,14 @@ class Truth:
     wrenches: FloatArray
 
 
-def load_model(path: Path) -> mujoco.MjModel:
-    """Compile an MJCF file, with the file named in any error."""
+def load_model(path: Path, text: str | None = None) -> mujoco.MjModel:
+    """Compile an MJCF file, or a text in its place, with the file named in any error."""
     try:
-        return mujoco.MjModel.from_xml_path(str(path))
+        if text is None:
+            return mujoco.MjModel.from_xml_path(str(path))
+        spec = mujoco.MjSpec.from_string(text)
+        spec.modelfiledir = str(path.parent)  # where relative mesh paths begin
+        return spec.compile()
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise SimulationError(f"{path}: MuJoCo refuses the model ({reason})") from error
@@ -109,10 +113,31 @@ class Plant:
         ``imu_linear_acceleration``, and a keyframe ``standing``.
     contact_frames : tuple of str
         Sites at which the contact forces on their bodies are summed.
+    text : str or None
+        MJCF to compile in the file's place.
+
+    Attributes
+    ----------
+    model, data : mujoco.MjModel, mujoco.MjData
+        MuJoCo's own, the state at the keyframe to begin with.
+    text : str
+        The MJCF.
+    joint_names : tuple of str
+        Of all joints but the free one.
+    base_frame : str
+        The floating body.
+    driven : (n_actuated,) int64
+        Degrees of freedom with a drive, in actuator order.
+    period : float
+        Seconds.
     """
 
-    def __init__(self, path: Path, contact_frames: tuple[str, ...]) -> None:
-        self.model = load_model(path)
+    def __init__(
+        self, path: Path, contact_frames: tuple[str, ...], text: str | None = None
+    ) -> None:
+        self.path = path
+        self.model = load_model(path, text)
+        self.text = path.read_text(encoding="utf-8") if text is None else text
         self.data = mujoco.MjData(self.model)
         self._require(path)
         model, data = self.model, self.data

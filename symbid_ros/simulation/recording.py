@@ -52,10 +52,11 @@ def record(
             for topic in topics:
                 records = topic.layout.records(len(instants))
                 topic.fill(topic.layout.columns(records), stamps, block)
-                payloads.append([one.tobytes() for one in records])
+                payloads.append(records)
             for row, instant in enumerate(instants):
-                for channel, encoded in zip(channels, payloads, strict=True):
-                    bag.write(channel, instant.stamp, encoded[row])
+                for channel, topic, records in zip(channels, topics, payloads, strict=True):
+                    if (done + row) % topic.every == 0:
+                        bag.write(channel, instant.stamp, records[row].tobytes())
             done += len(instants)
             if progress is not None:
                 progress(done, simulator.steps)

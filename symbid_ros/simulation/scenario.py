@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from symbid_ros.arrays import FloatArray
 from symbid_ros.simulation.controller import (
     BalanceController,
     BalanceGains,
@@ -14,7 +15,8 @@ from symbid_ros.simulation.controller import (
 from symbid_ros.simulation.feedback import PoorFeedback
 from symbid_ros.simulation.hoist import Hoist, JointController
 from symbid_ros.simulation.plant import Plant
-from symbid_ros.simulation.reference import MoveRange, draw_reference
+from symbid_ros.simulation.reference import MoveRange, Reference, draw_reference
+from symbid_ros.simulation.stance import gravity_torques, plumb_pose
 
 SOLES = ("left_sole", "right_sole")
 HOIST_FRAME = "suspension"
@@ -63,9 +65,12 @@ LEG_MOVES = MoveRange(
     rest=0.5,
 )
 LIFT = 0.5  # m from standing to hanging
+TARE = 5.0  # s
 
-# Gives joint accelerations of 8 to 10 rad/s² (rms), most of it between 250 and 460 Hz.
+# Gives joint accelerations of 8 to 10 rad/s² (rms), most of it between 250 and 460 Hz. Friction
+# calms the vibration, which takes more gain then.
 VIBRATING_GAINS = BalanceGains(sole_damping=115.0)
+VIBRATING_GAINS_WITH_FRICTION = BalanceGains(sole_damping=130.0)
 FEEDBACK_NOISE = 0.05  # rad/s
 FEEDBACK_DELAY = 3  # periods
 
@@ -107,7 +112,9 @@ def _smooth(plant: Plant, moves: int, seed: int) -> Scenario:
 
 
 def _vibrating(plant: Plant, moves: int, seed: int) -> Scenario:
-    calm = _standing(plant, moves, seed, VIBRATING_GAINS)
+    has_friction = np.any(plant.model.dof_damping) or np.any(plant.model.dof_frictionloss)
+    gains = VIBRATING_GAINS_WITH_FRICTION if has_friction else VIBRATING_GAINS
+    calm = _standing(plant, moves, seed, gains)
     controller = PoorFeedback(
         calm.controller,
         FEEDBACK_DELAY,
@@ -119,20 +126,39 @@ def _vibrating(plant: Plant, moves: int, seed: int) -> Scenario:
 
 
 def _suspended(plant: Plant, moves: int, seed: int) -> Scenario:
-    plant.data.qpos[2] += LIFT
-    pose = plant.data.qpos.copy()
     rocking = draw_reference(np.zeros(3), moves, HOOK_MOVES, np.random.default_rng([seed, 0]))
+    legs = draw_reference(_leg_pose(plant), moves, LEG_MOVES, np.random.default_rng([seed, 1]))
+    return _hanging(plant, rocking, legs)
+
+
+def _tare(plant: Plant, moves: int, seed: int) -> Scenario:
+    # At rest from the start: what is not driven and not damped would go on swinging.
+    model, pose = plant.model, plant.data.qpos
+    pose[:] = plumb_pose(model, pose)
+    weight = gravity_torques(model, pose)[plant.driven]
+    return _hanging(plant, _rest(np.zeros(3), TARE), _rest(_leg_pose(plant), TARE), weight)
+
+
+def _hanging(
+    plant: Plant, hook: Reference, legs: Reference, weight: FloatArray | None = None
+) -> Scenario:
+    plant.data.qpos[2] += LIFT
+    controller = JointController(plant.model, plant.data.qpos.copy(), legs, weight)
+    return Scenario(controller, Hoist(plant, HOIST_FRAME, hook), hook.duration)
+
+
+def _leg_pose(plant: Plant) -> FloatArray:
     driven = plant.model.jnt_qposadr[plant.model.actuator_trnid[:, 0]]
-    legs = draw_reference(pose[driven], moves, LEG_MOVES, np.random.default_rng([seed, 1]))
-    return Scenario(
-        JointController(plant.model, pose, legs),
-        Hoist(plant, HOIST_FRAME, rocking),
-        rocking.duration,
-    )
+    return np.asarray(plant.data.qpos[driven])
+
+
+def _rest(point: FloatArray, duration: float) -> Reference:
+    return Reference(np.stack([point, point]), (0.0, duration), duration)
 
 
 SCENARIOS: dict[str, Callable[[Plant, int, int], Scenario]] = {
     "smooth": _smooth,
     "vibrating": _vibrating,
     "suspended": _suspended,
+    "tare": _tare,
 }

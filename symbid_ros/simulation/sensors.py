@@ -1,36 +1,50 @@
 """From true quantities to what the robot's sensors report."""
 
+from collections import deque
+
+import mujoco
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.simulation.errors import Resolution, SystematicErrors
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.noise import SensorNoise
 from symbid_ros.simulation.plant import SCALAR_LAST, Truth
 
 # Drawing normal numbers one instant at a time costs several times as much.
 BLOCK = 1024
+SCALAR_FIRST = np.array([3, 0, 1, 2])
+JOINTS, IMU, PLATES = 0, 1, 2  # places in SystematicErrors.delays
 
 
 class Sensors:
-    """Encoders, torque sensors, IMU and wrench sensors with additive white noise.
+    """Encoders, torque sensors, IMU and wrench sensors with systematic errors and white noise.
 
-    The noise has a random generator of its own and nothing flows back to the plant, so that
-    runs with other noise, or none, are runs of the same motion.
+    A reading is late, then wrong by its systematic error, then noisy, then rounded. The noise
+    has a random generator of its own and nothing flows back to the plant, so that runs with
+    other noise or errors, or none, are runs of the same motion.
 
     Parameters
     ----------
     driven : (J,) bool
         Which joints have a drive; the others have no torque sensor and report 0.
     wrench_count : int
-        Number of wrench sensors.
+        Number of wrench sensors, the plates first. Those that are no plate have noise alone.
     noise : SensorNoise or None
-        Standard deviations; None for ideal sensors.
+        Standard deviations; None for sensors without noise.
     seed : int
         Seed of the noise.
+    errors : SystematicErrors
+        Of J joints and the plates.
     """
 
     def __init__(
-        self, driven: BoolArray, wrench_count: int, noise: SensorNoise | None, seed: int
+        self,
+        driven: BoolArray,
+        wrench_count: int,
+        noise: SensorNoise | None,
+        seed: int,
+        errors: SystematicErrors,
     ) -> None:
         joints = len(driven)
         sizes = [joints, joints, joints, 3, 3, 6 * wrench_count]
@@ -50,24 +64,42 @@ class Sensors:
                 ]
             )
         self._random = np.random.default_rng(seed)
-        self._errors = np.zeros((0, ends[-1]))
+        self._noise = np.zeros((0, ends[-1]))
         self._next = 0
+        self._encoder_offset, self._torque_gain = errors.encoder_offset, 1.0 + errors.torque_gain
+        self._plate_offset = errors.plate_offset
+        self._plate_matrices = _plate_matrices(errors)
+        self._mounting = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion wxyz of its axes in its frame
+        mujoco.mju_quatIntegrate(self._mounting, errors.imu_mounting, 1.0)
+        mounting = np.zeros(9)
+        mujoco.mju_quat2Mat(mounting, self._mounting)
+        self._imu_axes = mounting.reshape(3, 3)
+        self._steps = _steps(errors.quantisation, joints, len(self._plate_offset))
+        self._delays = errors.delays.tolist()
+        self._past: deque[Truth] = deque(maxlen=1 + max(self._delays))
+
+    def watch(self, truth: Truth) -> None:
+        """Let an instant pass that late sensors will still report."""
+        self._past.append(truth)
 
     def measure(self, truth: Truth, stamp: int) -> Instant:
         """Return one instant: readings and truth, stamped in nanoseconds."""
+        self.watch(truth)
         state = truth.state
         velocity, acceleration = state.velocity, truth.acceleration
+        imu = self._seen(IMU)
         readings = np.concatenate(
             [
-                state.position[7:],
-                velocity[6:],
-                truth.effort,
-                truth.imu_motion,
-                truth.wrenches.ravel(),
+                *self._joint_readings(self._seen(JOINTS)),
+                (imu.imu_motion.reshape(2, 3) @ self._imu_axes).ravel(),
+                self._wrench_readings(truth).ravel(),
             ]
         )
         if self._sigma is not None:
-            readings += self._error(self._sigma)
+            readings += self._noise_of_one_instant(self._sigma)
+        if len(self._steps):
+            rounded = readings[: len(self._steps)]
+            rounded[:] = self._steps * np.rint(rounded / self._steps)
         position, rate, effort, gyroscope, accelerometer, wrenches = [
             readings[field] for field in self._fields
         ]
@@ -77,7 +109,7 @@ class Sensors:
             joint_position=position,
             joint_velocity=rate,
             joint_effort=effort,
-            imu_orientation=truth.imu_orientation,
+            imu_orientation=self._orientation(imu.imu_orientation),
             imu_angular_velocity=gyroscope,
             imu_linear_acceleration=accelerometer,
             wrenches=wrenches.reshape(-1, 6),
@@ -93,10 +125,59 @@ class Sensors:
             base_angular_acceleration=acceleration[3:6],
         )
 
-    def _error(self, sigma: FloatArray) -> FloatArray:
-        if self._next == len(self._errors):
-            self._errors = self._random.standard_normal((BLOCK, len(sigma))) * sigma
+    def _seen(self, sensor: int) -> Truth:
+        """Return the instant that a sensor reports now."""
+        return self._past[max(len(self._past) - 1 - self._delays[sensor], 0)]
+
+    def _joint_readings(self, truth: Truth) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return (
+            truth.state.position[7:] + self._encoder_offset,
+            truth.state.velocity[6:],
+            truth.effort * self._torque_gain,
+        )
+
+    def _wrench_readings(self, truth: Truth) -> FloatArray:
+        readings = truth.wrenches.copy()
+        for plate, matrix in enumerate(self._plate_matrices):
+            np.dot(matrix, self._seen(PLATES + plate).wrenches[plate], readings[plate])
+        readings[: len(self._plate_offset)] += self._plate_offset
+        return readings
+
+    def _orientation(self, quaternion: FloatArray) -> FloatArray:
+        """Return the orientation (xyzw) of the IMU's own axes from that of its frame."""
+        turned = np.zeros(4)
+        mujoco.mju_mulQuat(turned, quaternion.take(SCALAR_FIRST), self._mounting)
+        return turned.take(SCALAR_LAST)
+
+    def _noise_of_one_instant(self, sigma: FloatArray) -> FloatArray:
+        if self._next == len(self._noise):
+            self._noise = self._random.standard_normal((BLOCK, len(sigma))) * sigma
             self._next = 0
         self._next += 1
-        error: FloatArray = self._errors[self._next - 1]
-        return error
+        noise: FloatArray = self._noise[self._next - 1]
+        return noise
+
+
+def _plate_matrices(errors: SystematicErrors) -> FloatArray:
+    """Return (F, 6, 6) from true wrenches to readings but for their offset, (force; moment)."""
+    matrices = np.tile(np.eye(6), (len(errors.plate_gain), 1, 1))
+    # n' = n - d × f: moved from the frame's origin to the point that lies d from it.
+    matrices[:, 3:, :3] = -np.cross(errors.plate_pose[:, None], np.eye(3)).swapaxes(1, 2)
+    return np.asarray(errors.plate_gain[:, :, None] * matrices + matrices)
+
+
+def _steps(resolution: Resolution | None, joints: int, plates: int) -> FloatArray:
+    """Return the steps of the readings, as far as these are rounded at all."""
+    if resolution is None:
+        return np.zeros(0)
+    wrench = np.repeat([resolution.force, resolution.moment], 3)
+    return np.concatenate(
+        [
+            np.full(joints, resolution.joint_position),
+            np.full(joints, resolution.joint_velocity),
+            np.full(joints, resolution.joint_effort),
+            np.full(3, resolution.angular_velocity),
+            np.full(3, resolution.linear_acceleration),
+            np.tile(wrench, plates),
+        ]
+    )

@@ -1,6 +1,6 @@
 """The simulated robot as a source of instants: what bags and topics are made from."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,11 +8,15 @@ import numpy as np
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.share import config_file
+from symbid_ros.simulation.errors import draw_errors, parse_errors
+from symbid_ros.simulation.friction import JointFriction, load_friction
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.noise import load_noise
 from symbid_ros.simulation.plant import Plant, Truth
 from symbid_ros.simulation.scenario import HOIST_FRAME, SCENARIOS, SOLES
 from symbid_ros.simulation.sensors import Sensors
+from symbid_ros.simulation.stance import level_pose
+from symbid_ros.simulation.variant import variant_text
 
 # Long enough for feet and hoist to take the load; none of it is recorded.
 SETTLING = 1.0  # s
@@ -45,19 +49,28 @@ class Simulator:
     Parameters
     ----------
     scenario : str
-        ``smooth``, ``vibrating`` (both standing on two feet) or ``suspended`` (in a hoist).
+        ``smooth``, ``vibrating`` (both standing on two feet), ``suspended`` (rocked in a hoist)
+        or ``tare`` (still in the hoist, nothing touching the plates).
     moves : int
-        Number of moves.
+        Number of moves; a tare has none.
     motion_seed : int
-        Decides the moves and, in ``vibrating``, the noise of the feedback.
+        Decides the moves and, in ``vibrating``, the noise of the feedback; nothing in a tare.
     noise_seed : int
         Decides the sensors' noise.
     ideal : bool
         The same motion with noise-free sensors.
+    friction : bool
+        Whether the joints have friction and armature; a ``friction_path`` says so too.
+    errors : str
+        Systematic errors, a list with commas; see `parse_errors`.
+    error_seed : int
+        Decides them; equal seeds make one robot of a tare and a log.
     model_path : Path or None
         MJCF; None for config/symbitron.xml.
     noise_path : Path or None
         Standard deviations; None for config/noise.yaml.
+    friction_path : Path or None
+        Friction and armature; None for config/friction.yaml.
 
     Attributes
     ----------
@@ -71,6 +84,10 @@ class Simulator:
         Nanoseconds from one instant to the next.
     steps : int
         Number of instants of the whole motion.
+    errors : SystematicErrors
+        As drawn, zero where not asked for.
+    sample_rates : SampleRates
+        Of its topics, part of these errors.
     """
 
     def __init__(
@@ -81,20 +98,41 @@ class Simulator:
         motion_seed: int = 0,
         noise_seed: int = 0,
         ideal: bool = False,
+        friction: bool = False,
+        errors: str = "",
+        error_seed: int = 0,
         model_path: Path | None = None,
         noise_path: Path | None = None,
+        friction_path: Path | None = None,
     ) -> None:
         if scenario not in SCENARIOS:
             raise SimulationError(
                 f"no scenario {scenario!r}; choose one of {', '.join(sorted(SCENARIOS))}"
             )
-        for name, seed in (("motion seed", motion_seed), ("noise seed", noise_seed)):
+        for name, seed in (
+            ("motion seed", motion_seed),
+            ("noise seed", noise_seed),
+            ("error seed", error_seed),
+        ):
             if seed < 0:
                 raise SimulationError(f"{name} {seed} is negative; give 0 or more")
         noise = None if ideal else load_noise(noise_path or config_file("noise.yaml"))
-        plant = self._plant = Plant(model_path or config_file("symbitron.xml"), SOLES)
-        motion = self._motion = SCENARIOS[scenario](plant, moves, motion_seed)
+        plant = Plant(model_path or config_file("symbitron.xml"), SOLES)
         self.joint_names = plant.joint_names
+        self.errors = draw_errors(
+            parse_errors(errors), error_seed, joints=len(plant.joint_names), plates=len(SOLES)
+        )
+        self.sample_rates = self.errors.sample_rates
+        resistance = {}
+        if friction or friction_path is not None:
+            resistance = load_friction(friction_path or config_file("friction.yaml"))
+        lengths = {}
+        if self.errors.link_length.any():
+            lengths = dict(zip(plant.joint_names, self.errors.link_length.tolist(), strict=True))
+        if resistance or lengths:
+            plant = _variant(plant, resistance, lengths)
+        self._plant = plant
+        motion = self._motion = SCENARIOS[scenario](plant, moves, motion_seed)
         self.base_frame = plant.base_frame
         self.imu_frame = "imu_link"
         feet = [WrenchSensor(sole.replace("_sole", "_foot/wrench"), sole) for sole in SOLES]
@@ -103,11 +141,16 @@ class Simulator:
         self.period_ns = round(plant.period * 1e9)
         self.steps = round(motion.duration / plant.period)
         driven = np.isin(np.arange(6, plant.model.nv), plant.driven)
-        self._sensors = Sensors(driven, len(self.wrench_sensors), noise, noise_seed)
+        self._sensors = Sensors(driven, len(self.wrench_sensors), noise, noise_seed, self.errors)
         self._taken = 0
         self._lowest = FALLEN * float(plant.data.qpos[2])
         for step in range(-round(SETTLING / plant.period), 0):
-            self._advance(step)
+            self._sensors.watch(self._advance(step))
+
+    @property
+    def robot(self) -> str:
+        """MJCF of the robot as simulated, with its friction and lengths."""
+        return self._plant.text
 
     def step(self) -> Instant:
         """Advance one period and return the instant at its beginning.
@@ -146,3 +189,12 @@ class Simulator:
                 "force; widen its range or ask for smaller moves"
             )
         return truth
+
+
+def _variant(
+    original: Plant, friction: Mapping[str, JointFriction], lengths: Mapping[str, float]
+) -> Plant:
+    """Return the plant with other joints and lengths, standing where the original stands."""
+    plant = Plant(original.path, SOLES, variant_text(original.path, friction, lengths))
+    plant.data.qpos[:] = level_pose(plant.model, original.model, original.data.qpos, SOLES)
+    return plant

@@ -7,6 +7,7 @@ from symbid_ros.arrays import IntArray
 from symbid_ros.bags import messages
 from symbid_ros.bags.layout import Columns, Layout
 from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.scenario import HOIST_FRAME
 from symbid_ros.simulation.simulator import Simulator
 
 WORLD = "world"
@@ -28,24 +29,36 @@ class SimulatedTopic:
         ``fill(columns, stamp, instant)`` writes one instant into the columns of one
         record, or N of them into those of N records when stamp is (N,) and the
         instant's arrays carry a leading axis of N.
+    every : int
+        It speaks at one of so many instants, the first one included.
     """
 
     name: str
     layout: Layout
     fill: Fill
+    every: int = 1
 
 
 def sensor_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
     """Return joint states, IMU and wrenches as the robot's sensors report them."""
+    rates = robot.sample_rates
     wrenches = [
-        SimulatedTopic(sensor.topic, messages.wrench_layout(sensor.frame_id), _wrench_fill(index))
+        SimulatedTopic(
+            sensor.topic,
+            messages.wrench_layout(sensor.frame_id),
+            _wrench_fill(index),
+            1 if sensor.frame_id == HOIST_FRAME else rates.plates,
+        )
         for index, sensor in enumerate(robot.wrench_sensors)
     ]
     return (
         SimulatedTopic(
-            "joint_states", messages.joint_state_layout(robot.joint_names), _fill_joints
+            "joint_states",
+            messages.joint_state_layout(robot.joint_names),
+            _fill_joints,
+            rates.joints,
         ),
-        SimulatedTopic("imu/data", messages.imu_layout(robot.imu_frame), _fill_imu),
+        SimulatedTopic("imu/data", messages.imu_layout(robot.imu_frame), _fill_imu, rates.imu),
         *wrenches,
     )
 

@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from symbid_ros.simulation.errors import SampleRates
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.recording import record
 
@@ -25,6 +27,7 @@ class RandomRobot:
     joint_names: tuple[str, ...] = ("hip", "knee", "ankle")
     imu_frame: str = "imu_link"
     base_frame: str = "base_link"
+    sample_rates: ClassVar[SampleRates] = SampleRates()
     wrench_sensors: tuple[Plate, ...] = (
         Plate("left_foot/wrench", "left_sole"),
         Plate("right_foot/wrench", "right_sole"),

@@ -93,6 +93,33 @@ def test_recorder_gets_what_the_bridge_says_it_published(
     np.testing.assert_allclose(force, [0, 0, weight], atol=1e-3 * weight)
 
 
+def test_robot_with_friction_and_errors_is_the_same_over_topics(graph, tmp_path: Path) -> None:
+    topics = "[joint_states, imu/data, left_foot/wrench, right_foot/wrench, suspension/wrench]"
+    robot = {"friction": True, "errors": "typical,sample_rates", "error_seed": 3, "moves": 1}
+    recorder = graph.start("recorder", bag=tmp_path / "live", topics=topics)
+    bridge = graph.start("mujoco_bridge", scenario="tare", wait_for_subscribers=True, **robot)
+    told = bridge.ended()
+    recorder.send(signal.SIGINT)
+    heard = recorder.ended()
+    assert (told.status, told.err) == (0, "")
+    assert (heard.status, heard.err) == (0, "")
+
+    live = read_streams([tmp_path / "live"])
+    simulator = Simulator("tare", friction=True, errors=robot["errors"], error_seed=3)
+    first = [simulator.step() for _ in range(300)]
+    plates = live.wrenches[:2]
+    for read, field, every in (
+        (live.joints.position, "joint_position", 1),
+        (live.imus[0].angular_velocity, "imu_angular_velocity", 2),
+        (np.hstack([plates[0].force, plates[1].torque]), "wrenches", 3),
+    ):
+        expected = np.array([getattr(instant, field) for instant in first[::every]])
+        if field == "wrenches":
+            expected = np.hstack([expected[:, 0, :3], expected[:, 1, 3:]])
+        assert len(read) == -(-simulator.steps // every)
+        assert np.array_equal(read[: len(expected)], expected)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_the_bridge_cleanly(graph, number: signal.Signals) -> None:
     stamps: list[int] = []
@@ -153,6 +180,8 @@ def test_parameters_are_described_and_fixed(graph) -> None:
         ({"clock_rate": 300.0}, "parameter clock_rate: 300 does not divide the simulation's rate"),
         ({"ground_truth_rate": 4000.0}, "parameter ground_truth_rate: 4000 does not divide"),
         ({"model": "/nowhere.xml"}, "/nowhere.xml"),
+        ({"errors": "rust"}, "no systematic error 'rust'; give typical or any of plate_gain, "),
+        ({"friction_file": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read"),
     ],
 )
 def test_bad_parameters_end_with_one_line(graph, parameters: dict, line: str) -> None:

@@ -113,9 +113,10 @@ def test_a_fall_is_reported_with_its_time(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scenario": "dancing"}, "choose one of smooth, suspended, vibrating"),
+        ({"scenario": "dancing"}, "choose one of smooth, suspended, tare, vibrating"),
         ({"motion_seed": -1}, "motion seed -1"),
         ({"noise_seed": -1}, "noise seed -1"),
+        ({"error_seed": -1}, "error seed -1"),
         ({"moves": 0}, "0 moves"),
     ],
 )

@@ -7,6 +7,7 @@ import numpy as np
 
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
+from symbid_ros.simulation.errors import SampleRates
 from symbid_ros.simulation.measurement import Instant
 
 
@@ -24,6 +25,7 @@ class TreeSimulation:
 
     period_ns = 1_000_000
     imu_frame = "imu_link"
+    sample_rates = SampleRates()
 
     def __init__(self, model, seconds, seed):
         rng = np.random.default_rng(seed)

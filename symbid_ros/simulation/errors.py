@@ -1,0 +1,205 @@
+"""Systematic errors of the simulated robot: what calibration leaves behind."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.errors import SimulationError
+
+# Smallest and largest magnitude; in between all are equally likely. Every scalar takes either
+# sign, every vector any direction, so that no draw is harmless by luck.
+PLATE_GAIN = 0.0025, 0.0075  # per channel
+PLATE_FORCE_OFFSET = 1.0, 2.0  # N, per axis
+PLATE_MOMENT_OFFSET = 0.1, 0.2  # Nm, per axis
+PLATE_DISPLACEMENT = 1e-3, 3e-3  # m
+TORQUE_GAIN = 0.01, 0.02
+IMU_MOUNTING = np.radians(0.1), np.radians(0.3)
+ENCODER_OFFSET = np.radians(0.05), np.radians(0.15)
+LINK_LENGTH = 1e-3, 2e-3  # m
+LONGEST_DELAY = 5  # periods; the shortest is one, and no two sensors have the same
+
+
+@dataclass(frozen=True)
+class SampleRates:
+    """One sample every so many periods, the first of them at the first instant.
+
+    Attributes
+    ----------
+    joints, imu, plates : int
+        Periods from one sample to the next.
+    """
+
+    joints: int = 1
+    imu: int = 1
+    plates: int = 1
+
+
+@dataclass(frozen=True)
+class Resolution:
+    """Steps to whose nearest multiple each sensor rounds.
+
+    Attributes
+    ----------
+    joint_position : float
+        rad; an encoder of 18 bits a turn.
+    joint_velocity : float
+        rad/s; what the drives report it in.
+    joint_effort : float
+        Nm; 16 bits for ±100 Nm.
+    angular_velocity, linear_acceleration : float
+        rad/s and m/s²; 16 bits for ±250 degrees a second and ±4 g.
+    force, moment : float
+        N and Nm; 16 bits for ±2 kN and ±400 Nm.
+    """
+
+    joint_position: float = 2.0 * np.pi / 2**18
+    joint_velocity: float = 1e-3
+    joint_effort: float = 200.0 / 2**16
+    angular_velocity: float = np.radians(500.0) / 2**16
+    linear_acceleration: float = 8.0 * 9.81 / 2**16
+    force: float = 4e3 / 2**16
+    moment: float = 800.0 / 2**16
+
+
+@dataclass(frozen=True)
+class SystematicErrors:
+    """What is wrong with J joints, their sensors, the IMU and F force plates.
+
+    Attributes
+    ----------
+    plate_gain : (F, 6) float64
+        Relative error of each channel of each plate, (force; moment).
+    plate_offset : (F, 6) float64
+        What a plate reads when nothing touches it, N and Nm.
+    plate_pose : (F, 3) float64
+        From the named frame's origin to the point about which the plate reports its moment,
+        in the frame's axes, m.
+    torque_gain : (J,) float64
+        Relative error of the torque sensors.
+    imu_mounting : (3,) float64
+        Rotation vector from the named frame's axes to those in which the IMU reports, rad.
+    encoder_offset : (J,) float64
+        What the encoders read at true zero, rad (m for a slide).
+    link_length : (J,) float64
+        How much further than in the model file a joint's body lies from its parent, m. The
+        robot itself has this error, its sensors do not.
+    sample_rates : SampleRates
+        How often each kind of sensor speaks.
+    delays : (2 + F,) int64
+        Periods that joint states, IMU and plates take to report: a message stamped t shows the
+        robot as it was so much earlier.
+    quantisation : Resolution or None
+        Steps of the readings.
+    """
+
+    plate_gain: FloatArray
+    plate_offset: FloatArray
+    plate_pose: FloatArray
+    torque_gain: FloatArray
+    imu_mounting: FloatArray
+    encoder_offset: FloatArray
+    link_length: FloatArray
+    sample_rates: SampleRates
+    delays: IntArray
+    quantisation: Resolution | None
+
+    @classmethod
+    def none(cls, joints: int, plates: int) -> "SystematicErrors":
+        """Return the errors of a perfect robot."""
+        return cls(
+            plate_gain=np.zeros((plates, 6)),
+            plate_offset=np.zeros((plates, 6)),
+            plate_pose=np.zeros((plates, 3)),
+            torque_gain=np.zeros(joints),
+            imu_mounting=np.zeros(3),
+            encoder_offset=np.zeros(joints),
+            link_length=np.zeros(joints),
+            sample_rates=SampleRates(),
+            delays=np.zeros(2 + plates, dtype=np.int64),
+            quantisation=None,
+        )
+
+
+def draw_errors(names: tuple[str, ...], seed: int, *, joints: int, plates: int) -> SystematicErrors:
+    """Draw the named errors and no others.
+
+    Each depends on the seed and its own name alone: a robot keeps its plate offsets whatever
+    else is wrong with it, and whatever it does.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Keys of `ERRORS`.
+    seed : int
+        Of all draws.
+    joints, plates : int
+        How many there are.
+    """
+    drawn = {
+        name: ERRORS[name](np.random.default_rng([seed, *name.encode()]), joints, plates)
+        for name in names
+    }
+    return replace(SystematicErrors.none(joints, plates), **drawn)
+
+
+def parse_errors(text: str) -> tuple[str, ...]:
+    """Return the errors that a list with commas names; ``typical`` stands for `TYPICAL`.
+
+    Raises
+    ------
+    SimulationError
+        When a name is not known.
+    """
+    names = {name for part in text.split(",") if (name := part.strip())}
+    unknown = sorted(names - {"typical", *ERRORS})
+    if unknown:
+        raise SimulationError(
+            f"no systematic error {unknown[0]!r}; give typical or any of {', '.join(ERRORS)}"
+        )
+    if "typical" in names:
+        names |= set(TYPICAL)
+    return tuple(name for name in ERRORS if name in names)
+
+
+def _scalars(
+    random: np.random.Generator, size: tuple[float, float], shape: tuple[int, ...]
+) -> FloatArray:
+    return np.asarray(random.uniform(*size, shape) * random.choice([-1.0, 1.0], shape))
+
+
+def _vectors(random: np.random.Generator, size: tuple[float, float], count: int) -> FloatArray:
+    direction = random.standard_normal((count, 3))
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    return np.asarray(random.uniform(*size, (count, 1)) * direction / length)
+
+
+Draw = Callable[[np.random.Generator, int, int], Any]
+
+ERRORS: dict[str, Draw] = {
+    "plate_gain": lambda random, _, plates: _scalars(random, PLATE_GAIN, (plates, 6)),
+    "plate_offset": lambda random, _, plates: np.hstack(
+        [
+            _scalars(random, PLATE_FORCE_OFFSET, (plates, 3)),
+            _scalars(random, PLATE_MOMENT_OFFSET, (plates, 3)),
+        ]
+    ),
+    "plate_pose": lambda random, _, plates: _vectors(random, PLATE_DISPLACEMENT, plates),
+    "torque_gain": lambda random, joints, _: _scalars(random, TORQUE_GAIN, (joints,)),
+    "imu_mounting": lambda random, *_: _vectors(random, IMU_MOUNTING, 1)[0],
+    "encoder_offset": lambda random, joints, _: _scalars(random, ENCODER_OFFSET, (joints,)),
+    "link_length": lambda random, joints, _: _scalars(random, LINK_LENGTH, (joints,)),
+    "sample_rates": lambda *_: SampleRates(joints=1, imu=2, plates=3),
+    "delays": lambda random, _, plates: 1 + random.permutation(LONGEST_DELAY)[: 2 + plates],
+    "quantisation": lambda *_: Resolution(),
+}
+TYPICAL = (
+    "plate_gain",
+    "plate_offset",
+    "plate_pose",
+    "torque_gain",
+    "imu_mounting",
+    "encoder_offset",
+)

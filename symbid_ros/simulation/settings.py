@@ -1,0 +1,58 @@
+"""YAML files of numbers, checked entry by entry."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from symbid_ros.errors import SimulationError
+
+
+def read_mapping(path: Path) -> dict[str, Any]:
+    """Return a file's YAML mapping.
+
+    Raises
+    ------
+    SimulationError
+        When the file is missing or holds anything else.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise SimulationError(f"{path}: cannot be read ({error}); name an existing file") from error
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise SimulationError(f"{path}: not valid YAML ({reason}); mend that line") from error
+    if not isinstance(content, dict):
+        raise SimulationError(f"{path}: not a mapping; give one line 'name: value' for each entry")
+    return {str(name): value for name, value in content.items()}
+
+
+def numbers(content: object, names: Sequence[str], where: str) -> dict[str, float]:
+    """Return the named entries of a mapping, each checked to be a finite number, 0 or more.
+
+    Raises
+    ------
+    SimulationError
+        When an entry is missing, unknown or no such number; the message begins with ``where``.
+    """
+    if not isinstance(content, dict):
+        raise SimulationError(f"{where}: not a mapping; give {', '.join(names)}")
+    missing = [name for name in names if name not in content]
+    if missing:
+        raise SimulationError(f"{where}: {', '.join(missing)} missing; give 0 for none")
+    unknown = [str(name) for name in content if name not in names]
+    if unknown:
+        raise SimulationError(f"{where}: unknown entry {', '.join(unknown)}; remove it")
+    return {name: _number(content[name], name, where) for name in names}
+
+
+def _number(value: object, name: str, where: str) -> float:
+    # YAML reads "yes" as a boolean, which Python would take for the number 1.
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        number = float(value)
+        if math.isfinite(number) and number >= 0.0:
+            return number
+    raise SimulationError(f"{where}: {name} is {value!r}; give a finite number, 0 or more")

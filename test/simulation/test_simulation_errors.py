@@ -1,0 +1,323 @@
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from symbid_ros.bags.reader import read_streams
+from symbid_ros.errors import SimulationError
+from symbid_ros.share import config_file
+from symbid_ros.simulation.errors import (
+    ERRORS,
+    TYPICAL,
+    Resolution,
+    draw_errors,
+    parse_errors,
+)
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+STEPS = 60
+SENSOR_ERRORS = [name for name in ERRORS if name != "link_length"]
+
+
+def instants(errors="", *, scenario="vibrating", seed=3, steps=STEPS, **options):
+    """The errors drawn, and the first instants as arrays by name."""
+    simulator = Simulator(
+        scenario, moves=1, motion_seed=1, errors=errors, error_seed=seed, **options
+    )
+    steps = [simulator.step() for _ in range(steps)]
+    names = [field.name for field in dataclasses.fields(steps[0])]
+    arrays = {name: np.array([getattr(step, name) for step in steps]) for name in names}
+    return simulator.errors, arrays
+
+
+@pytest.fixture(scope="module")
+def perfect():
+    """A vibrating robot's first instants: every reading changes from one to the next."""
+    return instants(ideal=True)[1]
+
+
+@pytest.fixture(scope="module")
+def typical():
+    return instants("typical", ideal=True)
+
+
+def unchanged(readings, perfect, *names):
+    for name in names:
+        np.testing.assert_array_equal(readings[name], perfect[name], err_msg=name)
+
+
+def between(values, smallest, largest):
+    magnitude = np.abs(values)
+    return smallest <= magnitude.min() <= magnitude.max() <= largest
+
+
+READINGS = (
+    "joint_position",
+    "joint_velocity",
+    "joint_effort",
+    "imu_orientation",
+    "imu_angular_velocity",
+    "imu_linear_acceleration",
+    "wrenches",
+)
+
+
+def others(*changed):
+    return [name for name in READINGS if name not in changed]
+
+
+def test_encoders_read_off_zero(perfect):
+    errors, readings = instants("encoder_offset", ideal=True)
+    offset = readings["joint_position"] - perfect["joint_position"]
+    np.testing.assert_allclose(offset, np.tile(errors.encoder_offset, (STEPS, 1)), atol=1e-15)
+    assert between(np.degrees(errors.encoder_offset), 0.05, 0.15)
+    unchanged(readings, perfect, *others("joint_position"))
+
+
+def test_torque_sensors_have_gains(perfect):
+    errors, readings = instants("torque_gain", ideal=True)
+    driven = perfect["joint_effort"].any(axis=0)
+    assert driven.sum() == 8
+    ratio = readings["joint_effort"][:, driven] / perfect["joint_effort"][:, driven]
+    np.testing.assert_allclose(ratio - 1, np.tile(errors.torque_gain[driven], (STEPS, 1)))
+    assert not readings["joint_effort"][:, ~driven].any()
+    assert between(errors.torque_gain, 0.01, 0.02)
+    unchanged(readings, perfect, *others("joint_effort"))
+
+
+def test_imu_is_mounted_askew(perfect):
+    errors, readings = instants("imu_mounting", ideal=True)
+    # The sensor's own axes in those of its frame.
+    mounting = Rotation.from_rotvec(errors.imu_mounting)
+    assert between(np.degrees(mounting.magnitude()), 0.1, 0.3)
+    for name in ("imu_angular_velocity", "imu_linear_acceleration"):
+        np.testing.assert_allclose(readings[name], mounting.inv().apply(perfect[name]), atol=1e-13)
+    true, read = (
+        Rotation.from_quat(run["imu_orientation"]).as_matrix() for run in (perfect, readings)
+    )
+    np.testing.assert_allclose(read, true @ mounting.as_matrix(), atol=1e-13)
+    unchanged(readings, perfect, *others(*(name for name in READINGS if name.startswith("imu"))))
+
+
+def test_plates_have_gains_on_every_channel(perfect):
+    errors, readings = instants("plate_gain", ideal=True)
+    gain = readings["wrenches"] / perfect["wrenches"] - 1
+    np.testing.assert_allclose(gain, np.tile(errors.plate_gain, (STEPS, 1, 1)), atol=1e-12)
+    assert between(errors.plate_gain, 0.0025, 0.0075)
+    unchanged(readings, perfect, *others("wrenches"))
+
+
+def test_plates_have_offsets(perfect):
+    errors, readings = instants("plate_offset", ideal=True)
+    offset = readings["wrenches"] - perfect["wrenches"]
+    np.testing.assert_allclose(offset, np.tile(errors.plate_offset, (STEPS, 1, 1)), atol=1e-12)
+    assert between(errors.plate_offset[:, :3], 1.0, 2.0)
+    assert between(errors.plate_offset[:, 3:], 0.1, 0.2)
+    unchanged(readings, perfect, *others("wrenches"))
+
+
+def test_plates_report_about_another_point(perfect):
+    errors, readings = instants("plate_pose", ideal=True)
+    assert between(np.linalg.norm(errors.plate_pose, axis=1), 1e-3, 3e-3)
+    force, moment = np.split(readings["wrenches"], 2, axis=2)
+    np.testing.assert_array_equal(force, perfect["wrenches"][..., :3])
+    # Back about the named frame's origin: a force through the other point turns about this one.
+    restored = moment + np.cross(errors.plate_pose, force)
+    np.testing.assert_allclose(restored, perfect["wrenches"][..., 3:], atol=1e-12)
+    assert np.abs(moment - restored).max() > 0.05
+    unchanged(readings, perfect, *others("wrenches"))
+
+
+def test_late_sensors_show_what_was(perfect):
+    errors, readings = instants("delays", ideal=True)
+    joints, imu, *plates = errors.delays
+    assert len({joints, imu, *plates}) == 4
+    assert 1 <= errors.delays.min() <= errors.delays.max() <= 5
+    late = {name: joints for name in READINGS if name.startswith("joint")}
+    late |= {name: imu for name in READINGS if name.startswith("imu")}
+    for name, delay in late.items():
+        np.testing.assert_array_equal(readings[name][delay:], perfect[name][:-delay])
+    for plate, delay in enumerate(plates):
+        np.testing.assert_array_equal(
+            readings["wrenches"][delay:, plate], perfect["wrenches"][:-delay, plate]
+        )
+    # What they show at first is what was before the first instant, not that instant again.
+    assert np.all(readings["imu_linear_acceleration"][0] != perfect["imu_linear_acceleration"][0])
+    unchanged(readings, perfect, "stamp")
+
+
+def test_readings_are_rounded_to_steps(perfect):
+    _, readings = instants("quantisation", ideal=True)
+    steps = Resolution()
+    force, moment = (slice(None), slice(None), slice(0, 3)), (slice(None), slice(None), slice(3, 6))
+    for name, part, step in (
+        ("joint_position", ..., steps.joint_position),
+        ("joint_velocity", ..., steps.joint_velocity),
+        ("joint_effort", ..., steps.joint_effort),
+        ("imu_angular_velocity", ..., steps.angular_velocity),
+        ("imu_linear_acceleration", ..., steps.linear_acceleration),
+        ("wrenches", force, steps.force),
+        ("wrenches", moment, steps.moment),
+    ):
+        read, true = readings[name][part], perfect[name][part]
+        np.testing.assert_allclose(read / step, np.rint(read / step), atol=1e-9)
+        assert np.abs(read - true).max() <= 0.5 * step * (1 + 1e-9), name
+        assert np.abs(read - true).max() > 0.25 * step, name
+    unchanged(readings, perfect, "imu_orientation")
+
+
+def test_sensors_speak_at_rates_of_their_own(tmp_path):
+    record(Simulator("tare", noise_seed=2, errors="sample_rates"), tmp_path / "bag")
+    streams = read_streams([tmp_path / "bag"])
+    plates, hoist = streams.wrenches[:2], streams.wrenches[2]
+    for stream, every in (
+        (streams.joints, 1),
+        (streams.imus[0], 2),
+        (plates[0], 3),
+        (plates[1], 3),
+        (hoist, 1),
+    ):
+        np.testing.assert_array_equal(stream.stamp, np.arange(1, 5001, every) * 1_000_000)
+    # Beyond the blocks in which a bag is written.
+    _, full = instants(scenario="tare", noise_seed=2, steps=1500)
+    for read, expected, every in (
+        (streams.joints.position, full["joint_position"], 1),
+        (streams.imus[0].angular_velocity, full["imu_angular_velocity"], 2),
+        (plates[0].force, full["wrenches"][:, 0, :3], 3),
+        (plates[1].torque, full["wrenches"][:, 1, 3:], 3),
+    ):
+        np.testing.assert_array_equal(read[: len(expected[::every])], expected[::every])
+
+
+def test_links_are_longer_or_shorter_than_in_the_file():
+    simulator = Simulator("smooth", moves=1, errors="link_length", error_seed=3, ideal=True)
+    file = mujoco.MjModel.from_xml_path(str(config_file("symbitron.xml")))
+    robot = mujoco.MjModel.from_xml_string(simulator.robot)
+    moved = file.jnt_bodyid[1:]
+    length, offset = (np.linalg.norm(model.body_pos[moved], axis=1) for model in (robot, file))
+    np.testing.assert_allclose(length - offset, simulator.errors.link_length, atol=1e-12)
+    np.testing.assert_allclose(
+        robot.body_pos[moved] / length[:, None],
+        file.body_pos[moved] / offset[:, None],
+        atol=1e-12,
+    )
+    assert between(simulator.errors.link_length, 1e-3, 2e-3)
+    for name in ("body_mass", "body_ipos", "body_inertia", "body_iquat", "jnt_axis", "site_pos"):
+        np.testing.assert_array_equal(getattr(robot, name), getattr(file, name), err_msg=name)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_robot_of_other_lengths_stands_on_both_feet(seed):
+    _, run = instants("link_length", scenario="smooth", seed=seed, steps=400, ideal=True)
+    upward = run["wrenches"][:, :, 2]
+    assert upward.min() > 0.35 * 41.05 * 9.81
+    np.testing.assert_allclose(upward.sum(axis=1), 41.05 * 9.81, rtol=1e-3)
+    assert np.abs(run["true_acceleration"]).max() < 1.0
+
+
+def test_errors_leave_motion_and_truth_alone(perfect):
+    errors, readings = instants(",".join(SENSOR_ERRORS), ideal=True)
+    assert not errors.link_length.any()
+    unchanged(readings, perfect, *(name for name in perfect if name not in READINGS))
+    assert all(np.any(readings[name] != perfect[name]) for name in READINGS)
+
+
+def test_noise_comes_on_top_and_is_the_same(perfect, typical):
+    exact = typical[1]
+    _, noisy = instants(noise_seed=4)
+    _, both = instants("typical", noise_seed=4)
+    for name in READINGS:
+        noise = noisy[name] - perfect[name]
+        np.testing.assert_allclose(both[name] - exact[name], noise, atol=1e-12, err_msg=name)
+
+
+def test_gain_precedes_offset_on_a_displaced_plate(perfect, typical):
+    errors, readings = typical
+    force, moment = np.split(perfect["wrenches"], 2, axis=2)
+    about = np.concatenate([force, moment - np.cross(errors.plate_pose, force)], axis=2)
+    expected = about * (1 + errors.plate_gain) + errors.plate_offset
+    np.testing.assert_allclose(readings["wrenches"], expected, atol=1e-12)
+
+
+class TestTare:
+    def test_plates_read_their_offsets_alone(self):
+        errors, readings = instants("typical", scenario="tare", ideal=True)
+        for reading in readings["wrenches"][:, :2]:
+            np.testing.assert_array_equal(reading, errors.plate_offset)
+
+    def test_hoist_has_no_errors(self):
+        everything = ",".join(SENSOR_ERRORS)
+        (_, wrong), (_, right) = (
+            instants(names, scenario="tare", ideal=True) for names in (everything, "")
+        )
+        np.testing.assert_array_equal(wrong["wrenches"][:, 2], right["wrenches"][:, 2])
+        pull = np.linalg.norm(right["wrenches"][0, 2, :3])
+        assert pull == pytest.approx(41.05 * 9.81, rel=1e-3)
+
+    def test_is_of_the_same_robot_as_the_log(self, typical):
+        errors, _ = instants("typical", scenario="tare")
+        for field in dataclasses.fields(errors):
+            np.testing.assert_array_equal(
+                getattr(errors, field.name), getattr(typical[0], field.name)
+            )
+
+    def test_lasts_five_seconds_at_rest_whatever_the_moves(self):
+        short, long = (
+            Simulator("tare", moves=moves, motion_seed=moves, ideal=True) for moves in (1, 30)
+        )
+        assert short.steps == long.steps == 5000
+        run = [short.step() for _ in range(2500)]
+        velocity = np.array([instant.true_velocity for instant in run])
+        driven = [not name.endswith("_aie") for name in short.joint_names]
+        assert np.abs(velocity[:, driven]).max() < 0.02
+        # Nothing damps the ankles without a drive: they hang plumb, but for a third of a degree.
+        assert np.ptp([instant.true_position for instant in run], axis=0).max() < 0.02
+        spin = np.array([instant.base_angular_velocity for instant in run])
+        assert np.abs(spin).max() < 2e-3
+        np.testing.assert_array_equal(long.step().true_position, run[0].true_position)
+
+
+def draw(names, seed=0):
+    return draw_errors(names, seed, joints=10, plates=2)
+
+
+class TestDraws:
+    @pytest.mark.parametrize("name", ERRORS)
+    def test_depend_on_their_own_name_alone(self, name):
+        alone, among = draw((name,), 7), draw(tuple(ERRORS), 7)
+        np.testing.assert_array_equal(getattr(alone, name), getattr(among, name))
+        nothing = draw(())
+        for field in dataclasses.fields(nothing):
+            if field.name != name:
+                np.testing.assert_array_equal(
+                    getattr(alone, field.name), getattr(nothing, field.name)
+                )
+
+    @pytest.mark.parametrize("name", [*TYPICAL, "link_length"])
+    def test_differ_from_seed_to_seed_with_either_sign(self, name):
+        values = np.array([getattr(draw((name,), seed), name) for seed in range(40)])
+        assert len(np.unique(values.reshape(40, -1), axis=0)) == 40
+        assert np.all((values > 0).any(axis=0) & (values < 0).any(axis=0))
+
+    def test_of_different_errors_are_unrelated(self):
+        drawn = draw(tuple(ERRORS), 5)
+        gain, offset = drawn.torque_gain, drawn.encoder_offset
+        assert np.any(np.sign(gain) != np.sign(offset))
+
+
+def test_typical_is_the_six_calibration_errors():
+    assert parse_errors("typical") == parse_errors(",".join(TYPICAL)) == TYPICAL
+    assert set(parse_errors("delays, typical")) == {*TYPICAL, "delays"}
+    assert parse_errors("") == ()
+
+
+@pytest.mark.parametrize("text", ["plate_gian", "typical,plate_gian", "plate gain", "all", "none"])
+def test_unknown_error_is_named_with_the_choices(text):
+    with pytest.raises(SimulationError) as caught:
+        parse_errors(text)
+    assert repr(text.split(",")[-1]) in str(caught.value)
+    assert all(name in str(caught.value) for name in ("typical", *ERRORS))
+    assert "\n" not in str(caught.value)
