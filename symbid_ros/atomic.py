@@ -2,7 +2,9 @@
 
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO
 
 from symbid_ros.errors import SymbidError
 
@@ -15,12 +17,23 @@ def write_text(path: Path, text: str) -> None:
     SymbidError
         When the folder cannot be written to; the old file is then untouched.
     """
+    write_through(path, lambda stream: stream.write(text.encode()))
+
+
+def write_through(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Let ``write`` fill a file that then takes the place of ``path`` in one step.
+
+    Raises
+    ------
+    SymbidError
+        When the folder cannot be written to; the old file is then untouched.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
         try:
-            with os.fdopen(handle, "w", encoding="utf-8") as stream:
-                stream.write(text)
+            with os.fdopen(handle, "wb") as stream:
+                write(stream)
             umask = os.umask(0)
             os.umask(umask)
             # mkstemp makes private files; an output is as public as any other.

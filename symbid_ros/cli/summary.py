@@ -31,9 +31,9 @@ def print_estimate(estimate: Estimate, out: Path) -> None:
             "yes" if possible else "[red]no[/red]",
         )
     console.print(table)
+    cut = "" if estimate.rank is None else f", {estimate.rank} singular values"
     console.print(
-        f"{estimate.samples} samples, {estimate.rank} singular values, condition "
-        f"{estimate.condition:.3g}",
+        f"{estimate.samples} rows per coordinate{cut}, condition {estimate.condition:.3g}",
         highlight=False,
     )
     console.print(

@@ -69,7 +69,7 @@ class DeterminedDirections:
     def effective(self) -> float:
         """Effective number of parameters the data decide, Σ (1 - r²).
 
-        MacKay 1992, Neural Computation 4(3), p. 415.
+        MacKay 1992, Neural Computation 4(3).
         """
         return float(np.sum(1 - self.ratios**2))
 

@@ -1,14 +1,16 @@
 """An identified parameter vector with everything that is known about it."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.atomic import write_text
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.verdict import Quantity, Verdict
 
 
 @dataclass(frozen=True)
@@ -18,11 +20,11 @@ class Estimate:
     Attributes
     ----------
     method : str
-        ``ols``, ``wls_r``, ``wls_c`` or ``wls_rc``.
+        ``map_lmi``, ``map``, ``ols``, ``wls_r``, ``wls_c`` or ``wls_rc``.
     model : str
         Name of the robot model.
     names : tuple of str
-        Parameter names, ``<link>/<m|mc_x|...|Izz>`` or ``<joint>/<viscous|coulomb>``.
+        Parameter names, ``<link>/<m|mc_x|...|Izz>`` or ``<joint>/<viscous|...>``.
     units : tuple of str
         SI unit of each parameter.
     value, prior : (p,) float64
@@ -32,12 +34,13 @@ class Estimate:
     determined : (p,) bool or None
         Whether the data, not the prior, decide the value; None where the
         method cannot tell.
-    rank : int
-        Number of singular values used (the thesis's z).
+    rank : int or None
+        Number of singular values used (the thesis's z); None where none are cut off.
     condition : float
-        Ratio of the largest to the smallest singular value used.
+        Ratio of the largest to the smallest singular value used, of the columns as the
+        method scales them.
     samples : int
-        Samples folded into the information.
+        Rows per coordinate folded into the information.
     residual_rmse : dict of str to float
         Per coordinate (``base/moment_x`` ... ``base/force_z``, joint names), Nm or N.
     consistent : dict of str to bool
@@ -46,6 +49,8 @@ class Estimate:
         Bags, model and prior, as given.
     software : str
         Name and version of what computed it.
+    verdict : Verdict or None
+        What the log could tell; None for the truncated methods.
     """
 
     method: str
@@ -56,13 +61,14 @@ class Estimate:
     prior: FloatArray
     std: FloatArray | None
     determined: BoolArray | None
-    rank: int
+    rank: int | None
     condition: float
     samples: int
     residual_rmse: dict[str, float]
     consistent: dict[str, bool]
     inputs: tuple[str, ...]
     software: str
+    verdict: Verdict | None = None
 
     def document(self) -> dict[str, object]:
         """Return estimate.json's content; what the method cannot give is None."""
@@ -90,6 +96,7 @@ class Estimate:
             "consistent": self.consistent,
             "inputs": list(self.inputs),
             "software": self.software,
+            "verdict": None if self.verdict is None else asdict(self.verdict),
         }
 
     def write(self, path: Path) -> None:
@@ -131,9 +138,20 @@ def load_estimate(path: Path) -> Estimate:
             consistent=document["consistent"],
             inputs=tuple(document["inputs"]),
             software=document["software"],
+            verdict=_verdict(document["verdict"]),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise EstimateError(
             f"{path}: not an estimate.json ({type(error).__name__}: {error}); write one with "
             "`symbid identify`"
         ) from None
+
+
+def _verdict(document: dict[str, Any] | None) -> Verdict | None:
+    if document is None:
+        return None
+    lists = {name: tuple(document[name]) for name in ("alarms", "directions")}
+    quantities = {
+        name: tuple(Quantity(**entry) for entry in document[name]) for name in ("base", "sensors")
+    }
+    return Verdict(**(document | lists | quantities))

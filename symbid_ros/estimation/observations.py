@@ -53,6 +53,14 @@ class Observations:
         """What the flat rows hold."""
         return self.rows.layout
 
+    @classmethod
+    def unwindowed(cls, rows: Information, inflation: float) -> "Observations":
+        """Return rows taken at single instants, whose noise is taken as it comes."""
+        n = len(rows.layout.coordinates)
+        return cls(
+            rows, Information.empty(rows.layout), np.full((n, n), rows.samples), 0.0, inflation
+        )
+
     def fold(self, blocks: Iterable[WindowedRows]) -> "Observations":
         """Return the observations with more rows in them."""
         kept = list(blocks)

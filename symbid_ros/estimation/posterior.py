@@ -26,7 +26,7 @@ SETTLED = 1e-9  # of a posterior standard deviation
 NOISIEST = 0.75
 
 # Factor by which the evidence may say that a prior is too wide or too narrow.
-SCALES = (1e-3, 1e3)
+SCALES = (1e-2, 1e2)
 
 
 @dataclass(frozen=True)
@@ -141,12 +141,12 @@ class _Square:
             b = np.concatenate([b, known.targets - known.rows @ mean])
         return cls(A, b, N, c, covariance)
 
-    def minimum(self, scale: float = 1.0) -> tuple[FloatArray, FloatArray, float]:
+    def minimum(self, scale: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return x (p,), the precision's factor R (p, p) and the largest share of noise."""
         p = self.A.shape[1]
         square = stacked_factor(
             np.column_stack([self.A, self.b]),
-            np.column_stack([np.eye(p) / scale, np.zeros(p)]),
+            np.column_stack([np.diag(1 / scale), np.zeros(p)]),
         )
         R, target = square[:p, :p], square[:p, p]
         x = solve_triangular(R, target)
@@ -160,21 +160,29 @@ class _Square:
         step = pull @ C.T @ (self.N @ x - self.c)
         step = step + Vt.T @ ((kept / (1 - kept)) * (Vt @ step))
         x = x + solve_triangular(R, step)
-        factor = np.eye(p) + (Vt.T * (np.sqrt(1 - kept) - 1)) @ Vt
-        return x, factor @ R, float(share.max(initial=0.0))
+        factor = (np.eye(p) + (Vt.T * (np.sqrt(1 - kept) - 1)) @ Vt) @ R
+        # Noise is only estimated: where more of it than there is information would be taken off,
+        # the prior alone is left.
+        _, values, Vt = np.linalg.svd(factor * scale, full_matrices=False)
+        least = np.maximum(values, 1.0)
+        x = scale * (Vt.T @ ((values / least) ** 2 * (Vt @ (x / scale))))
+        return x, least[:, None] * Vt / scale, float(share.max(initial=0.0))
 
-    def evidence_scale(self) -> float:
-        """Return the factor λ on the prior's deviations that makes the data most probable."""
-        U, values, _ = np.linalg.svd(self.A, full_matrices=False)
-        values, turned = values**2, values * (U.T @ self.b)
+    def evidence_scale(self, count: int) -> float:
+        """Return the factor λ on the first ``count`` deviations that makes the data most probable.
+
+        Σ is kept as it is (MacKay 1992, Neural Computation 4(3)).
+        """
+        H, g = self.A.T @ self.A, self.A.T @ self.b
+        p = len(g)
 
         def cost(log_scale: float) -> float:
-            variance = np.exp(2 * log_scale)
-            fit = variance * turned**2 / (1 + variance * values)
-            return float(np.sum(np.log1p(variance * values)) - np.sum(fit))
+            scale = np.where(np.arange(p) < count, np.exp(log_scale), 1.0)
+            L = cholesky(np.eye(p) + scale[:, None] * H * scale, lower=True)
+            fit = solve_triangular(L, scale * g, lower=True)
+            return float(2 * np.sum(np.log(L.diagonal())) - fit @ fit)
 
-        low, high = np.log(SCALES)
-        grid = np.linspace(low, high, 60)
+        grid = np.linspace(np.log(SCALES[0]), np.log(SCALES[1]), 25)
         best = int(np.argmin([cost(point) for point in grid]))
         bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
         return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))
@@ -186,6 +194,7 @@ def posterior(
     known: SoftRows | None = None,
     *,
     empirical: bool = False,
+    count: int | None = None,
 ) -> Posterior:
     """Return the Gaussian posterior of the parameters.
 
@@ -199,15 +208,18 @@ def posterior(
         What else is known, such as a weighing.
     empirical : bool
         Let the evidence choose a common factor on the prior's deviations.
+    count : int, optional
+        How many parameters are the robot's, whose deviations the evidence judges; those after
+        them are the sensors'. All by default.
     """
     mean, L = prior.mean, prior.covariance_factor()
-    scale = 1.0
+    count = len(mean) if count is None else count
+    scale = np.ones(len(mean))
     x = np.zeros(len(mean))
     for _ in range(REWHITENINGS):
         square = _Square.of(observations, mean + L @ x, mean, L, known)
-        best = square.evidence_scale()
         if empirical:
-            scale = best
+            scale[:count] = square.evidence_scale(count)
         before = x
         x, factor, share = square.minimum(scale)
         if np.linalg.norm(factor @ (x - before)) < SETTLED * np.sqrt(len(x)):
@@ -219,6 +231,6 @@ def posterior(
         factor=precision,
         prior=prior.widened(scale),
         covariance=square.covariance,
-        prior_scale=best,
+        prior_scale=square.evidence_scale(count),
         noise_share=share,
     )

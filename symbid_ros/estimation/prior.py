@@ -79,9 +79,9 @@ class Prior:
         """Return L (p, p), lower triangular, with covariance L Lᵀ."""
         return np.diag(self.std) if self.factor is None else self.factor
 
-    def widened(self, scale: float) -> "Prior":
-        """Return the prior with all its deviations times ``scale``."""
-        factor = None if self.factor is None else scale * self.factor
+    def widened(self, scale: FloatArray) -> "Prior":
+        """Return the prior with its deviations times ``scale`` (p,)."""
+        factor = None if self.factor is None else scale[:, None] * self.factor
         return replace(self, std=scale * self.std, factor=factor)
 
     def extended(self, names: tuple[str, ...], mean: FloatArray, std: FloatArray) -> "Prior":

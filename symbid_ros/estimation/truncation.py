@@ -1,4 +1,4 @@
-"""The choice of z, the number of singular values, on data kept apart for it."""
+"""The choice of z, the number of singular values: on data kept apart for it, or without any."""
 
 from typing import Literal
 
@@ -7,6 +7,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.estimation.thesis import ScaledProblem
 
 Criterion = Literal["gen_force", "torque", "com"]
@@ -16,6 +17,24 @@ GRAVITY = 9.81
 # The error is flat over many z while noise in the regressor carries the parameters ever further
 # off: among z that predict about equally well, the one that leaves most to the prior is the safest.
 TOLERANCE = 1.5
+
+
+def informative_rank(posterior: Posterior, rank: int) -> int:
+    """Return the z for which no validation data are needed, at most ``rank``.
+
+    It is the number of directions of which the data say more than the prior: singular values
+    above one of rows whitened by their residuals and columns scaled by the prior's deviations.
+
+    Raises
+    ------
+    EstimateError
+        When the training data excite nothing.
+    """
+    if rank == 0:
+        raise EstimateError("the log excites no parameter at all; record a motion")
+    scaled = posterior.factor @ posterior.prior.covariance_factor()
+    told = np.linalg.svd(scaled, compute_uv=False) ** 2 - 1
+    return int(np.clip(np.sum(told > 1), 1, rank))
 
 
 def select_rank(

@@ -1,144 +1,274 @@
-"""The offline job: a record and a prior in, an estimate out."""
+"""The offline job: observations and a prior in, an estimate out."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import version
-from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.atomic import write_text
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.knowledge import Bounds
+from symbid_ros.estimation.observations import Observations, whiteness
+from symbid_ros.estimation.physical import consistent_minimum
+from symbid_ros.estimation.posterior import Posterior, SoftRows, posterior
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.thesis import Method, scaled_problem
-from symbid_ros.estimation.truncation import Criterion, select_rank
-from symbid_ros.model.export_mjcf import mjcf_text
-from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.estimation.thesis import Method as TruncatedMethod
+from symbid_ros.estimation.thesis import scaled_problem
+from symbid_ros.estimation.truncation import Criterion, informative_rank, select_rank
+from symbid_ros.estimation.verdict import DETERMINED, judge
 from symbid_ros.model.inertia import is_consistent
-from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.record import Record
 
-# A parameter is called determined when the data halve what was not known of it.
-DETERMINED = 0.5
+Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
+METHODS: tuple[Method, ...] = get_args(Method)
 
 
 @dataclass(frozen=True)
 class Truncation:
-    """How the number of singular values z is chosen: given, or on a validation record."""
+    """How the number of singular values z is chosen: given, on a validation log, or by itself.
+
+    Attributes
+    ----------
+    rank : int or None
+        z.
+    validation : tuple of Observations
+        Of a log kept apart; the one with the training rows' window is used.
+    criterion : {"gen_force", "torque", "com"}
+        What to choose it by there.
+    """
 
     rank: int | None = None
-    validation: Record | None = None
+    validation: tuple[Observations, ...] = ()
     criterion: Criterion = "gen_force"
 
 
-def identify(
-    record: Record,
-    parameters: ParameterSet,
-    prior: Prior,
-    method: Method,
-    truncation: Truncation,
-    *,
-    row_deviation: FloatArray | None = None,
-    inputs: tuple[str, ...] = (),
-) -> Estimate:
-    """Estimate the parameters with one of the thesis's methods.
+@dataclass(frozen=True)
+class Problem:
+    """Everything that is known before a method is chosen.
 
-    Parameters
+    Attributes
     ----------
-    record : Record
-        The training data.
+    observations : tuple of Observations
+        The data, for each length of window, shortest first.
     parameters : ParameterSet
-        The columns; kinematics only are used.
+        The robot's p columns.
     prior : Prior
-        Mean and deviation of the parameters.
-    method : {"ols", "wls_r", "wls_c", "wls_rc"}
-        Scaling of rows and columns.
-    truncation : Truncation
-        Choice of z.
-    row_deviation : (n,) float64, optional
-        σ of each coordinate instead of the OLS residual's.
+        Of them, and of the errors of sensors whose columns follow.
+    sensors : tuple of str
+        Units of those errors.
+    known : SoftRows or None
+        What else is known.
+    empirical : bool
+        Whether the evidence sets the scale of the prior.
+    longest : bool
+        Whether only the longest window will do.
     inputs : tuple of str
         What to write down as the estimate's origin.
-
-    Raises
-    ------
-    EstimateError
-        When z is neither given nor can be chosen, or is larger than the rank.
     """
-    problem = scaled_problem(record.information, prior, method, row_deviation)
-    if truncation.rank is not None:
-        z = truncation.rank
-        if not 1 <= z <= problem.rank:
-            raise EstimateError(
-                f"rank {z} is not between 1 and {problem.rank}, the rank of this log's equations; "
-                "choose another --rank"
-            )
-    elif truncation.validation is not None:
-        z = select_rank(problem, truncation.validation.information, truncation.criterion)
-    else:
-        raise EstimateError(
-            f"{method} needs a number of singular values; give --rank, or --validate with a bag to "
-            "choose it on"
+
+    observations: tuple[Observations, ...]
+    parameters: ParameterSet
+    prior: Prior
+    sensors: tuple[str, ...] = ()
+    known: SoftRows | None = None
+    empirical: bool = False
+    longest: bool = False
+    inputs: tuple[str, ...] = ()
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Names of the sensors' errors."""
+        return self.prior.names[len(self.parameters) :]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """An estimate with what it was made from.
+
+    Attributes
+    ----------
+    estimate : Estimate
+        The result.
+    observations : tuple of Observations
+        The data, for a run that goes on from here.
+    deviation_factor : (p, r) float64 or None
+        L of the robot's parameters' covariance L Lᵀ; None for truncated methods.
+    """
+
+    estimate: Estimate
+    observations: tuple[Observations, ...]
+    deviation_factor: FloatArray | None
+
+
+@dataclass(frozen=True)
+class Solver:
+    """A problem with its posterior, from which every method starts.
+
+    Attributes
+    ----------
+    problem : Problem
+    chosen : Observations
+        Over the window that tells most.
+    posterior : Posterior
+        Of those.
+    """
+
+    problem: Problem
+    chosen: Observations
+    posterior: Posterior
+
+    @classmethod
+    def of(cls, problem: Problem) -> "Solver":
+        """Find the window whose rows tell most of the robot, noise not counted."""
+        count = len(problem.parameters)
+        candidates = problem.observations[-1:] if problem.longest else problem.observations
+        found = [
+            posterior(one, problem.prior, problem.known, empirical=problem.empirical, count=count)
+            for one in candidates
+        ]
+        best = int(np.argmax([one.gain(count) for one in found]))
+        return cls(problem, candidates[best], found[best])
+
+    @property
+    def whiteness(self) -> float:
+        """How much longer residuals last than noise; 0 where there is one window only."""
+        observations = self.problem.observations
+        if len(observations) < 2:
+            return 0.0
+        return whiteness(observations[0], observations[-1], self.posterior.mean)
+
+    def map(self) -> Identification:
+        """Return the most probable parameters."""
+        return self._gaussian("map", self.posterior.mean)
+
+    def map_lmi(self) -> Identification:
+        """Return the most probable parameters of physically possible links."""
+        parameters, found = self.problem.parameters, self.posterior
+        target = found.factor @ found.mean
+        solution = consistent_minimum(
+            found.factor,
+            target,
+            found.prior.std,
+            len(parameters.links),
+            Bounds.nonnegative(parameters) if parameters.terms else None,
         )
-    value = problem.solution(z)
-    std = problem.std(z, prior.std)
-    return Estimate(
-        method=method,
-        model=parameters.model.name,
-        names=parameters.names,
-        units=parameters.units,
-        value=value,
-        prior=prior.mean,
-        std=std,
-        determined=np.asarray(std < DETERMINED * prior.std),
-        rank=z,
-        condition=float(problem.singular_values[0] / problem.singular_values[z - 1]),
-        samples=record.information.samples,
-        residual_rmse=record.information.residual_rmse(value),
-        consistent={
-            link: is_consistent(phi)
-            for link, phi in zip(parameters.link_names, parameters.link_phi(value), strict=True)
-        },
-        inputs=inputs,
-        software=f"symbid_ros {version('symbid_ros')}",
+        return self._gaussian("map_lmi", solution.value)
+
+    def _gaussian(self, method: Method, value: FloatArray) -> Identification:
+        found, problem = self.posterior, self.problem
+        p = len(problem.parameters)
+        singular = np.linalg.svd(found.factor * found.prior.std, compute_uv=False)
+        verdict = judge(
+            found,
+            value,
+            problem.parameters,
+            window=self.chosen.window,
+            whiteness=self.whiteness,
+            sensors=(problem.sensor_names, problem.sensors),
+        )
+        estimate = self._estimate(
+            method,
+            value[:p],
+            found.std[:p],
+            condition=float(singular[0] / singular[-1]),
+            residuals=self.chosen.rows.residual_rmse(value),
+        )
+        return Identification(
+            replace(estimate, verdict=verdict), problem.observations, found.deviation_factor[:p]
+        )
+
+    def truncated(
+        self,
+        method: TruncatedMethod,
+        truncation: Truncation,
+        row_deviation: FloatArray | None = None,
+    ) -> Identification:
+        """Return the estimate of one of the thesis's methods.
+
+        Parameters
+        ----------
+        method : {"ols", "wls_r", "wls_c", "wls_rc"}
+            Scaling of rows and columns.
+        truncation : Truncation
+            Choice of z.
+        row_deviation : (n,) float64, optional
+            σ of each coordinate instead of the OLS residual's.
+
+        Raises
+        ------
+        EstimateError
+            When z is larger than the rank, or sensor errors are unknowns too.
+        """
+        problem = self.problem
+        if problem.sensor_names or problem.known is not None:
+            raise EstimateError(
+                f"{method} takes neither sensor errors, a tare nor a total mass; use map or map_lmi"
+            )
+        scaled = scaled_problem(self.chosen.rows, problem.prior, method, row_deviation)
+        if truncation.rank is not None:
+            z = truncation.rank
+            if not 1 <= z <= scaled.rank:
+                raise EstimateError(
+                    f"rank {z} is not between 1 and {scaled.rank}, the rank of this log's "
+                    "equations; choose another --rank"
+                )
+        elif truncation.validation:
+            validation = _same_window(truncation.validation, self.chosen.window)
+            z = select_rank(scaled, validation.rows, truncation.criterion)
+        else:
+            z = informative_rank(self.posterior, scaled.rank)
+        value = scaled.solution(z)
+        estimate = self._estimate(
+            method,
+            value,
+            scaled.std(z, problem.prior.std),
+            condition=float(scaled.singular_values[0] / scaled.singular_values[z - 1]),
+            residuals=self.chosen.rows.residual_rmse(value),
+            rank=z,
+        )
+        return Identification(estimate, problem.observations, None)
+
+    def _estimate(
+        self,
+        method: Method,
+        value: FloatArray,
+        std: FloatArray,
+        *,
+        condition: float,
+        residuals: dict[str, float],
+        rank: int | None = None,
+    ) -> Estimate:
+        parameters, prior = self.problem.parameters, self.posterior.prior
+        p = len(parameters)
+        return Estimate(
+            method=method,
+            model=parameters.model.name,
+            names=parameters.names,
+            units=parameters.units,
+            value=value,
+            prior=prior.mean[:p],
+            std=std,
+            determined=np.asarray(std < DETERMINED * prior.std[:p]),
+            rank=rank,
+            condition=condition,
+            samples=self.chosen.rows.samples,
+            residual_rmse=residuals,
+            consistent={
+                link: is_consistent(phi)
+                for link, phi in zip(parameters.link_names, parameters.link_phi(value), strict=True)
+            },
+            inputs=self.problem.inputs,
+            software=f"symbid_ros {version('symbid_ros')}",
+        )
+
+
+def _same_window(candidates: Sequence[Observations], window: float) -> Observations:
+    for one in candidates:
+        if one.window == window:
+            return one
+    raise EstimateError(
+        f"the validation log is too short for windows of {1e3 * window:g} ms; give a longer one"
     )
-
-
-def write_identification(estimate: Estimate, parameters: ParameterSet, out: Path) -> None:
-    """Write estimate.json, model.urdf and model.xml into a folder.
-
-    The user's own file is carried over in its format; the other is a bare tree. A
-    comment in both names the links that no mass density can realise: programs that check,
-    such as MuJoCo, refuse to load those.
-    """
-    write_text(out / "model.urdf", export_urdf(estimate, parameters))
-    write_text(out / "model.xml", export_mjcf(estimate, parameters, out))
-    estimate.write(out / "estimate.json")
-
-
-def export_urdf(estimate: Estimate, parameters: ParameterSet) -> str:
-    """Return the identified robot as URDF text, the user's own file if it is one."""
-    source = Path(parameters.model.source)
-    return urdf_text(
-        parameters.apply(estimate.value),
-        None if is_mjcf(source) else source,
-        comment=_warning(estimate),
-    )
-
-
-def export_mjcf(estimate: Estimate, parameters: ParameterSet, folder: Path) -> str:
-    """Return the identified robot as MJCF text for ``folder``, the user's own file if it is one."""
-    source = Path(parameters.model.source)
-    return mjcf_text(
-        parameters.apply(estimate.value),
-        source if is_mjcf(source) else None,
-        folder,
-        comment=_warning(estimate),
-    )
-
-
-def _warning(estimate: Estimate) -> str:
-    impossible = [link for link, possible in estimate.consistent.items() if not possible]
-    return f"physically impossible: {', '.join(impossible)}" if impossible else ""

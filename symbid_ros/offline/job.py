@@ -1,19 +1,132 @@
 """One offline identification as a user asks for it; command and node both run this."""
 
-from dataclasses import dataclass, field
+import logging
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
+
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.estimation.prior import Prior, load_prior, model_prior
+from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.knowledge import mirror_rows, total_mass_row
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.posterior import SoftRows
+from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior, model_prior
 from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviation
-from symbid_ros.estimation.thesis import METHODS, Method
 from symbid_ros.estimation.truncation import Criterion
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet, Term
+from symbid_ros.model.parameters import ParameterSet, Term, neglected_terms
 from symbid_ros.model.urdf import Base
-from symbid_ros.offline.identification import Truncation, identify
+from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
+from symbid_ros.offline.identification import (
+    METHODS,
+    Identification,
+    Method,
+    Problem,
+    Solver,
+    Truncation,
+)
 from symbid_ros.offline.record import Processing, Record, check_weight, read_record
+from symbid_ros.signals.calibration import KINDS
+
+logger = logging.getLogger(__name__)
+
+# A weighing further from the prior's total mass than this many deviations contradicts it.
+CONTRADICTION = 6.0
+
+
+@dataclass(frozen=True)
+class PriorChoice:
+    """Where the prior comes from; with none of these, the model and the evidence.
+
+    Attributes
+    ----------
+    file : Path or None
+        prior.json.
+    percent, absolute : float or None
+        Half-width around the model file's values, in % or in SI units.
+    """
+
+    file: Path | None = None
+    percent: float | None = None
+    absolute: float | None = None
+
+    @property
+    def empirical(self) -> bool:
+        """Whether the evidence sets the prior's scale."""
+        return self.file is None and self.percent is None and self.absolute is None
+
+    def load(self, parameters: ParameterSet) -> Prior:
+        """Return the prior.
+
+        Raises
+        ------
+        PriorError, EstimateError
+            When the file does not serve, or more than one source is named.
+        """
+        if sum(source is not None for source in (self.file, self.percent, self.absolute)) > 1:
+            raise EstimateError("give one of --prior, --prior-percent and --prior-absolute")
+        if self.file is not None:
+            return load_prior(self.file, parameters)
+        if self.absolute is not None:
+            return absolute_model_prior(parameters, self.absolute)
+        if self.percent is not None:
+            return model_prior(parameters, self.percent)
+        return model_prior(parameters)
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What is known beside the log and the prior.
+
+    Attributes
+    ----------
+    total_mass : (float, float) or None
+        Of the whole robot and its standard deviation, kg.
+    mirror : float or None
+        How unlike left and right links may be, in standard deviations of the prior.
+    tare : tuple of Path
+        Bags recorded with nothing touching the wrench sensors.
+    sensor_errors : tuple of str
+        Which errors of the sensors are unknowns too.
+    """
+
+    total_mass: tuple[float, float] | None = None
+    mirror: float | None = None
+    tare: tuple[Path, ...] = ()
+    sensor_errors: tuple[str, ...] = ()
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The sensor errors to identify: all of them where there is a tare, unless named."""
+        return self.sensor_errors or (KINDS if self.tare else ())
+
+    def rows(self, parameters: ParameterSet, prior: Prior) -> SoftRows | None:
+        """Return what is known of the robot as rows.
+
+        Raises
+        ------
+        EstimateError
+            When a weighing is none, or contradicts the prior.
+        """
+        rows, targets = [], []
+        if self.total_mass is not None:
+            mass, std = self.total_mass
+            row, target = total_mass_row(parameters, mass, std)
+            expected = row @ prior.mean * std
+            spread = np.hypot(np.linalg.norm(row @ prior.covariance_factor()) * std, std)
+            if abs(mass - expected) > CONTRADICTION * spread:
+                raise EstimateError(
+                    f"a total mass of {mass:g} kg contradicts the prior, whose links weigh "
+                    f"{expected:.3g} ± {spread:.2g} kg together; check --total-mass and the model"
+                )
+            rows.append(row[None])
+            targets.append(np.array([target]))
+        if self.mirror is not None:
+            tied, zero = mirror_rows(parameters, prior.std, self.mirror)
+            rows.append(tied)
+            targets.append(zero)
+        return SoftRows(np.concatenate(rows), np.concatenate(targets)) if rows else None
 
 
 @dataclass(frozen=True)
@@ -28,31 +141,37 @@ class Job:
         URDF or MJCF; only its kinematics are used when there is a prior.
     base : {"auto", "floating", "fixed"}
         Whether a URDF's base may move.
-    prior : Path or None
-        prior.json; None takes the model file's inertias.
-    method : {"ols", "wls_r", "wls_c", "wls_rc"}
-        Which of the thesis's methods.
+    prior : PriorChoice
+        Where the prior comes from.
+    method : {"map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"}
+        Estimator.
     terms : tuple of {"viscous", "coulomb", "armature", "offset"}
-        What of the joints is identified too.
+        What is identified of every joint beside the links.
     processing : Processing
-        Topics and filter.
+        Topics, and how they become rows.
+    facts : Facts
+        What else is known.
+    information : Path or None
+        information.npz of a run to go on from.
     rank : int or None
-        Number of singular values.
+        Number of singular values, for the truncated methods.
     validation : Path or None
         Bag on which to choose the number of singular values.
     criterion : {"gen_force", "torque", "com"}
         What to choose it by.
     sensors : SensorDeviation or None
-        Weigh rows by sensor noise (Eq. 28) instead of residuals (Eq. 29).
+        Weigh rows of the truncated methods by sensor noise (Eq. 28), not residuals (Eq. 29).
     """
 
     bags: tuple[Path, ...]
     model: Path
     base: Base = "auto"
-    prior: Path | None = None
-    method: Method = "wls_rc"
+    prior: PriorChoice = field(default_factory=PriorChoice)
+    method: Method = "map_lmi"
     terms: tuple[Term, ...] = ()
     processing: Processing = field(default_factory=Processing)
+    facts: Facts = field(default_factory=Facts)
+    information: Path | None = None
     rank: int | None = None
     validation: Path | None = None
     criterion: Criterion = "gen_force"
@@ -61,7 +180,14 @@ class Job:
     @property
     def inputs(self) -> tuple[str, ...]:
         """The files that the estimate came from."""
-        files = [*self.bags, self.model, self.prior, self.validation]
+        files = [
+            *self.bags,
+            self.model,
+            self.prior.file,
+            *self.facts.tare,
+            self.information,
+            self.validation,
+        ]
         return tuple(str(file) for file in files if file is not None)
 
 
@@ -73,22 +199,22 @@ class Prepared:
     parameters: ParameterSet
     prior: Prior
     record: Record
+    solver: Solver
     validation: Record | None
 
-    def solve(self, method: Method) -> Estimate:
+    def solve(self, method: Method) -> Identification:
         """Identify with one method."""
+        if method == "map_lmi":
+            return self.solver.map_lmi()
+        if method == "map":
+            return self.solver.map()
         deviation = None
         if self.job.sensors is not None:
             model, samples = self.parameters.model, self.record.samples
             deviation = sensor_row_deviation(model, samples, self.job.sensors)
-        return identify(
-            self.record,
-            self.parameters,
-            self.prior,
-            method,
-            Truncation(self.job.rank, self.validation, self.job.criterion),
-            row_deviation=deviation,
-            inputs=self.job.inputs,
+        validation = () if self.validation is None else self.validation.observations
+        return self.solver.truncated(
+            method, Truncation(self.job.rank, validation, self.job.criterion), deviation
         )
 
 
@@ -102,13 +228,20 @@ def prepare(job: Job) -> Prepared:
     """
     if job.method not in METHODS:
         raise EstimateError(f"no method {job.method!r}; choose one of {', '.join(METHODS)}")
-    if (job.rank is None) == (job.validation is None):
-        raise EstimateError(
-            f"{job.method} needs either a rank (--rank N) or a validation bag (--validate BAG) to "
-            "choose it on"
-        )
+    if job.rank is not None and job.validation is not None:
+        raise EstimateError("--rank and --validate both choose the singular values; give one")
+    if job.facts.kinds and job.processing.smoothing is not None:
+        raise EstimateError("sensor errors need rows averaged over windows; leave --filter out")
     parameters = ParameterSet(load_model(job.model, job.base), job.terms)
-    prior = model_prior(parameters) if job.prior is None else load_prior(job.prior, parameters)
+    for term, joints in neglected_terms(parameters).items():
+        logger.warning(
+            "%s states %s of %s, which is not identified and taken as zero",
+            job.model,
+            term,
+            ", ".join(joints),
+        )
+    prior = job.prior.load(parameters)
+    known = job.facts.rows(parameters, prior)
     record = read_record(job.bags, parameters, job.processing)
     validation = None
     if job.validation is not None:
@@ -116,4 +249,57 @@ def prepare(job: Job) -> Prepared:
     if job.processing.topics.wrenches is None:
         for one in filter(None, (record, validation)):
             check_weight(one, parameters, prior)
-    return Prepared(job, parameters, prior, record, validation)
+    return Prepared(
+        job,
+        parameters,
+        prior,
+        record,
+        Solver.of(_problem(job, parameters, prior, record, known)),
+        validation,
+    )
+
+
+def _problem(
+    job: Job, parameters: ParameterSet, prior: Prior, record: Record, known: SoftRows | None
+) -> Problem:
+    problem = Problem(
+        record.observations,
+        parameters,
+        prior,
+        known=known,
+        empirical=job.prior.empirical,
+        inputs=job.inputs,
+    )
+    if job.facts.kinds:
+        problem = _calibrated(job, problem, record)
+    return replace(problem, observations=_with_earlier(job.information, problem.observations))
+
+
+def _calibrated(job: Job, problem: Problem, record: Record) -> Problem:
+    tares = read_tare(job.facts.tare, job.processing.topics) if job.facts.tare else {}
+    wanted = Wanted(job.facts.kinds, tares)
+    found = calibrate(record, problem.parameters, problem.prior, wanted, problem.known)
+    return replace(
+        problem,
+        observations=found.observations,
+        prior=found.prior,
+        sensors=found.errors.units,
+        known=found.known,
+        longest=True,
+    )
+
+
+def _with_earlier(
+    information: Path | None, observations: tuple[Observations, ...]
+) -> tuple[Observations, ...]:
+    """Return observations with those of an earlier run added, window by window."""
+    if information is None:
+        return observations
+    earlier = {one.window: one for one in load_archive(information)}
+    both = tuple(earlier[one.window].merge(one) for one in observations if one.window in earlier)
+    if not both:
+        raise EstimateError(
+            f"{information}: its rows are averaged over other windows than this run's; identify "
+            "both with the same filter and sensor errors"
+        )
+    return both

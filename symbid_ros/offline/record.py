@@ -3,22 +3,36 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from symbid_ros.bags.reader import read_streams
 from symbid_ros.bags.selection import TopicSelection
-from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.samples import build_samples
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.alignment import Segment
+from symbid_ros.signals.filters import (
+    Channels,
+    LowPass,
+    SavitzkyGolay,
+    Smoothing,
+    row_inflation,
+)
+from symbid_ros.signals.readings import at_base, smoothed
+from symbid_ros.signals.samples import build_samples, joined, moving_segments
+from symbid_ros.signals.weak_form import WINDOWS, RowBuilder, equation_rows, windowed_rows
 
 # Share of the expected weight by which forces may miss it before a plate is thought missing.
 WEIGHT_TOLERANCE = 0.35
+# Instants at which that is looked at, and sensor noise carried over to the rows.
+PROBES = 1000
 
 
 @dataclass(frozen=True)
@@ -27,14 +41,48 @@ class Processing:
 
     Attributes
     ----------
-    low_pass : LowPass
-        Filter of the measured channels.
+    smoothing : Smoothing or None
+        Filter and differentiator for rows at single instants; None averages rows over
+        windows instead.
+    windows : tuple of float
+        Lengths of those windows to try, s.
     topics : TopicSelection
         Which topics are the robot's sensors.
     """
 
-    low_pass: LowPass = field(default_factory=LowPass)
+    smoothing: Smoothing | None = None
+    windows: tuple[float, ...] = WINDOWS
     topics: TopicSelection = field(default_factory=TopicSelection)
+
+    def __str__(self) -> str:
+        """Return what a report says of it."""
+        if self.smoothing is not None:
+            return str(self.smoothing)
+        lengths = " or ".join(f"{1e3 * window:g}" for window in self.windows)
+        return f"rows averaged over Hann windows of {lengths} ms"
+
+
+def processing(
+    name: Literal["weak", "butterworth", "savitzky_golay"],
+    window: float | None,
+    cutoff: float,
+    channels: Channels,
+    topics: TopicSelection,
+) -> Processing:
+    """Return the processing that options ask for.
+
+    Raises
+    ------
+    DataError
+        When a window or cutoff is none.
+    """
+    if window is not None and not 0 < window < np.inf:
+        raise DataError(f"a window of {window:g} s is none; give a positive length")
+    if name == "butterworth":
+        return Processing(LowPass(cutoff, channels), topics=topics)
+    if name == "savitzky_golay":
+        return Processing(SavitzkyGolay(window or SavitzkyGolay.window), topics=topics)
+    return Processing(windows=WINDOWS if window is None else (window,), topics=topics)
 
 
 @dataclass(frozen=True)
@@ -45,15 +93,18 @@ class Record:
     ----------
     bags : tuple of Path
         Where it came from.
+    segments : tuple of Segment
+        Aligned sensor channels, as they were recorded.
     samples : Samples
-        Motion and forces after filtering.
-    information : Information
-        The rows of those samples, folded.
+        Motion and forces after filtering, at instants far enough apart to be few.
+    observations : tuple of Observations
+        The rows, folded, for each length of window.
     """
 
     bags: tuple[Path, ...]
+    segments: tuple[Segment, ...]
     samples: Samples
-    information: Information
+    observations: tuple[Observations, ...]
 
 
 def read_record(
@@ -68,8 +119,43 @@ def read_record(
     """
     processing = processing or Processing()
     streams = read_streams(bags, processing.topics)
-    samples = build_samples(streams, parameters.model, processing.low_pass)
-    return Record(tuple(bags), samples, Information.of(parameters, samples))
+    model, smoothing = parameters.model, processing.smoothing
+    segments = moving_segments(streams, model)
+    if smoothing is None:
+        layout = RowLayout.of(parameters)
+        observations = observe(segments, equation_rows(parameters), layout, processing.windows)
+        samples = _probes(segments, model)
+        observations = tuple(one for one in observations if one.rows.samples > 0)
+        if not observations:
+            raise DataError(
+                f"{streams.source}: the log is too short, not even a window of "
+                f"{1e3 * min(processing.windows):g} ms fits into it; record longer"
+            )
+    else:
+        samples = build_samples(streams, model, smoothing)
+        inflation = row_inflation(smoothing, segments[0].rate)
+        rows = Information.of(parameters, samples)
+        observations = (Observations.unwindowed(rows, inflation),)
+    return Record(tuple(bags), segments, samples, observations)
+
+
+def observe(
+    segments: Sequence[Segment], build: RowBuilder, layout: RowLayout, windows: Sequence[float]
+) -> tuple[Observations, ...]:
+    """Fold the windowed rows of aligned segments, for each length of window."""
+    observations = [Observations.empty(layout, window) for window in windows]
+    for segment in segments:
+        for blocks in windowed_rows(segment, build, windows):
+            observations = [
+                one.fold([block]) for one, block in zip(observations, blocks, strict=True)
+            ]
+    return tuple(observations)
+
+
+def _probes(segments: Sequence[Segment], model: RobotModel) -> Samples:
+    """Return unfiltered samples at few instants."""
+    stride = max(1, sum(map(len, segments)) // PROBES)
+    return joined([at_base(smoothed(s, LowPass(0))[::stride], model) for s in segments])
 
 
 def check_weight(record: Record, parameters: ParameterSet, prior: Prior) -> None:
@@ -88,11 +174,10 @@ def check_weight(record: Record, parameters: ParameterSet, prior: Prior) -> None
     model = parameters.model
     if not model.floating:
         return
-    probe = record.samples[:: max(1, len(record.samples) // 1000)]
-    rows = equation_of_motion(parameters, probe)
-    residual = rows.y[:, 3:6] - rows.K[:, 3:6] @ prior.mean
+    rows = record.observations[0].rows
+    moment = rows.residual_moment(prior.mean).diagonal() / max(rows.samples, 1)
     weight = np.linalg.norm(model.gravity) * parameters.link_phi(prior.mean)[:, 0].sum()
-    missing = np.sqrt(np.mean(np.sum(residual**2, axis=1))) / weight
+    missing = np.sqrt(moment[3:6].sum()) / weight
     if missing > WEIGHT_TOLERANCE:
         bags = ", ".join(map(str, record.bags))
         frames = ", ".join(record.samples.wrench_frames) or "none"

@@ -16,14 +16,15 @@ from threadpoolctl import threadpool_limits
 from symbid_ros.bags.selection import TopicSelection
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.parameters import joint_terms
-from symbid_ros.offline.identification import export_urdf, write_identification
-from symbid_ros.offline.job import Job, prepare
-from symbid_ros.offline.record import Processing
+from symbid_ros.offline.export import export_urdf, write_identification
+from symbid_ros.offline.identification import METHODS
+from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+from symbid_ros.offline.record import processing
 from symbid_ros.ros import estimate_messages as messages
 from symbid_ros.ros.messages import latched, reliable
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.process import run_node
-from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.calibration import parse_kinds
 
 PARAMETERS = (
     Parameter("bag", [""], "Bags to identify from, in sequence."),
@@ -35,20 +36,37 @@ PARAMETERS = (
         choices=("auto", "floating", "fixed"),
     ),
     Parameter("prior", "", "prior.json; empty for the model's own inertias."),
+    Parameter("prior_percent", 0.0, "Believe the model's values to this share, %; 0: no."),
+    Parameter("prior_absolute", 0.0, "Believe the model's values to this, SI units; 0: no."),
     Parameter(
         "method",
-        "wls_rc",
-        "Which of the four scalings of the least squares.",
-        choices=("ols", "wls_r", "wls_c", "wls_rc"),
+        "map_lmi",
+        "Most probable and physically possible, most probable, or truncated least squares.",
+        choices=METHODS,
     ),
-    Parameter("cutoff", 30.0, "Low-pass cutoff in Hz; 0 filters nothing.", minimum=0.0),
+    Parameter("total_mass", 0.0, "The whole robot, weighed, kg; 0: unknown.", minimum=0.0),
+    Parameter("total_mass_std", 0.05, "Standard deviation of that, kg.", minimum=0.0),
+    Parameter("mirror", 0.0, "How unlike left and right links may be; 0: untied.", minimum=0.0),
+    Parameter("tare", [""], "Bags with nothing touching the wrench sensors."),
+    Parameter("sensor_errors", "", "Sensor errors to identify: typical, or names with commas."),
+    Parameter("information", "", "information.npz of an earlier run to go on from."),
+    Parameter(
+        "filter",
+        "weak",
+        "Rows averaged over windows, or at instants of filtered channels.",
+        choices=("weak", "butterworth", "savitzky_golay"),
+    ),
+    Parameter("window", 0.0, "Length of the windows, s; 0: chosen by the data.", minimum=0.0),
+    Parameter("cutoff", 30.0, "Of the Butterworth filter, Hz; 0 filters nothing.", minimum=0.0),
     Parameter(
         "channels",
         "all",
-        "Filter all channels, or the thesis's choice of them.",
+        "Butterworth-filter all channels, or the thesis's choice of them.",
         choices=("all", "thesis"),
     ),
-    Parameter("rank", 0, "Number of singular values; 0 to choose it on a bag.", minimum=0),
+    Parameter(
+        "rank", 0, "Number of singular values; 0: chosen by the data, or on a bag.", minimum=0
+    ),
     Parameter("validate", "", "Bag on which to choose the number of singular values."),
     Parameter(
         "select_by",
@@ -83,14 +101,28 @@ def job_from(values: dict[str, Any]) -> Job:
         imus=_given(values["imu_topics"]) or None,
         wrenches=_given(values["wrench_topics"]) or None,
     )
+    window, mass, mirror = values["window"], values["total_mass"], values["mirror"]
     return Job(
         bags=tuple(map(Path, bags)),
         model=Path(values["model"]),
         base=values["base"],
-        prior=_path(values["prior"]),
+        prior=PriorChoice(
+            _path(values["prior"]),
+            values["prior_percent"] or None,
+            values["prior_absolute"] or None,
+        ),
         method=values["method"],
         terms=joint_terms(values["friction"], values["armature"], values["offset"]),
-        processing=Processing(LowPass(values["cutoff"], values["channels"]), topics),
+        processing=processing(
+            values["filter"], window or None, values["cutoff"], values["channels"], topics
+        ),
+        facts=Facts(
+            total_mass=(mass, values["total_mass_std"]) if mass else None,
+            mirror=mirror or None,
+            tare=tuple(map(Path, _given(values["tare"]))),
+            sensor_errors=parse_kinds(values["sensor_errors"]),
+        ),
+        information=_path(values["information"]),
         rank=values["rank"] or None,
         validation=_path(values["validate"]),
         criterion=values["select_by"],
@@ -110,14 +142,15 @@ class Identifier:
     def run(self, stop: Event) -> None:
         """Identify, publish, and say once a second that the estimate stands."""
         prepared = prepare(self._job)
-        estimate = prepared.solve(self._job.method)
+        found = prepared.solve(self._job.method)
+        estimate = found.estimate
         if self._out is not None:
-            write_identification(estimate, prepared.parameters, self._out)
+            write_identification(found, prepared.parameters, self._out)
         base = prepared.parameters.model.links[0].name
         self._publish(estimate, base, export_urdf(estimate, prepared.parameters))
         self._node.get_logger().info(
-            f"estimate of {estimate.model} by {estimate.method}: {estimate.samples} samples, "
-            f"{estimate.rank} singular values"
+            f"estimate of {estimate.model} by {estimate.method}: {estimate.samples} rows per "
+            "coordinate"
         )
         diagnostics = self._node.create_publisher(DiagnosticArray, "/diagnostics", reliable(10))
         while not stop.is_set():

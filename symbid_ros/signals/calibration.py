@@ -60,6 +60,23 @@ CHUNK = 4096
 STEP = 1e-4  # of a finite difference, rad, rad/s or m/s²
 
 
+def parse_kinds(text: str) -> tuple[str, ...]:
+    """Return the kinds that a list with commas names; ``typical`` stands for all.
+
+    Raises
+    ------
+    DataError
+        When a name is not known.
+    """
+    names = {name for part in text.split(",") if (name := part.strip())}
+    unknown = sorted(names - {"typical", *KINDS})
+    if unknown:
+        raise DataError(
+            f"no sensor error {unknown[0]!r}; give typical or any of {', '.join(KINDS)}"
+        )
+    return tuple(kind for kind in KINDS if kind in names or "typical" in names)
+
+
 @dataclass(frozen=True)
 class SensorErrors:
     """Which errors of which sensors are unknowns.
@@ -83,21 +100,18 @@ class SensorErrors:
     driven: BoolArray
 
     @classmethod
-    def of(cls, kinds: Sequence[str], model: RobotModel, readings: Readings) -> "SensorErrors":
-        """Return the unknowns of the sensors that a log has.
-
-        Raises
-        ------
-        DataError
-            When a kind is not known.
-        """
-        for kind in kinds:
-            if kind not in KINDS:
-                raise DataError(f"no sensor error {kind!r}; choose from {', '.join(KINDS)}")
+    def of(
+        cls,
+        kinds: Sequence[str],
+        model: RobotModel,
+        wrench_frames: tuple[str, ...],
+        imu_frames: tuple[str, ...],
+    ) -> "SensorErrors":
+        """Return the unknowns of the sensors that a log has."""
         return cls(
             tuple(kind for kind in KINDS if kind in kinds),
-            readings.wrench_frames,
-            readings.imu_frames if model.floating else (),
+            wrench_frames,
+            imu_frames if model.floating else (),
             model.joint_names,
             np.array([joint.effort > 0 for joint in model.joints], dtype=bool),
         )
@@ -291,14 +305,18 @@ def calibrating_rows(parameters: ParameterSet, errors: SensorErrors, pilot: Pilo
 def _interpolated_columns(
     parameters: ParameterSet, errors: SensorErrors, pilot: Pilot, readings: Readings
 ) -> FloatArray:
-    span = readings.stamp[-1] - readings.stamp[0]
-    count = min(len(readings), 2 + int(span // COLUMN_PERIOD_NS))
-    nodes = np.unique(np.linspace(0, len(readings) - 1, count).round().astype(int))
-    at_nodes = errors.columns(parameters, pilot.phi, readings[nodes], pilot.theta)
-    if len(nodes) == 1:
-        return np.broadcast_to(at_nodes, (len(readings), *at_nodes.shape[1:]))
-    place = np.interp(readings.stamp, readings.stamp[nodes], np.arange(len(nodes)))
-    before = np.minimum(place.astype(int), len(nodes) - 2)
+    starts = np.flatnonzero(
+        np.diff(
+            readings.stamp // COLUMN_PERIOD_NS, prepend=readings.stamp[0] // COLUMN_PERIOD_NS - 1
+        )
+    )
+    # Single readings would bring noise into the columns, where it looks like information.
+    means = readings.averaged(starts)
+    at_means = errors.columns(parameters, pilot.phi, means, pilot.theta)
+    if len(means) == 1:
+        return np.broadcast_to(at_means, (len(readings), *at_means.shape[1:]))
+    place = np.interp(readings.stamp, means.stamp, np.arange(len(means)))
+    before = np.minimum(place.astype(int), len(means) - 2)
     share = (place - before)[:, None, None]
-    columns: FloatArray = at_nodes[before] * (1 - share) + at_nodes[before + 1] * share
+    columns: FloatArray = at_means[before] * (1 - share) + at_means[before + 1] * share
     return columns

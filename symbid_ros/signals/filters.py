@@ -188,3 +188,19 @@ def differentiate(signal: FloatArray, rate: float) -> FloatArray:
     """Return the central difference along the first axis, second order at the ends too."""
     slope: FloatArray = np.gradient(signal, 1.0 / rate, axis=0, edge_order=2)
     return slope
+
+
+def row_inflation(smoothing: Smoothing, rate: float) -> float:
+    """Return by how much rows one stride apart look more than they are.
+
+    White noise let through is alike in neighbouring rows: the sum of its autocorrelation over
+    the rows, which is that of the filter's response to an impulse.
+    """
+    half = 4 * max(smoothing.settling(rate), 1) + 8
+    impulse = np.zeros((2 * half + 1, 1))
+    impulse[half] = 1.0
+    response = smoothing.force(impulse, rate)[:, 0]
+    correlation = np.correlate(response, response, mode="full")
+    middle = len(response) - 1
+    lagged = correlation[middle % smoothing.stride(rate) :: smoothing.stride(rate)]
+    return float(max(lagged.sum() / correlation[middle], 1.0))

@@ -59,6 +59,30 @@ class Readings:
             wrenches=self.wrenches[index],
         )
 
+    def averaged(self, starts: IntArray) -> "Readings":
+        """Return the means of the stretches that begin at ``starts``."""
+        counts = np.diff(starts, append=len(self))
+
+        def mean(values: FloatArray) -> FloatArray:
+            shape = (-1,) + (1,) * (values.ndim - 1)
+            average: FloatArray = np.add.reduceat(values, starts) / counts.reshape(shape)
+            return average
+
+        offset = (self.stamp - self.stamp[0]).astype(np.float64)
+        return replace(
+            self,
+            stamp=self.stamp[0] + mean(offset).astype(np.int64),
+            position=mean(self.position),
+            velocity=mean(self.velocity),
+            acceleration=mean(self.acceleration),
+            effort=mean(self.effort),
+            imus=tuple(
+                BaseMotion(*(mean(getattr(imu, field.name)) for field in fields(BaseMotion)))
+                for imu in self.imus
+            ),
+            wrenches=mean(self.wrenches),
+        )
+
 
 def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) -> Readings:
     """Return a stretch's readings, less ``edge`` of them at its ends, which feel the edge."""

@@ -1,0 +1,173 @@
+"""Sensor errors identified along with the robot, and the tare that makes that possible."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.bags.reader import read_streams
+from symbid_ros.bags.selection import TopicSelection
+from symbid_ros.errors import DataError
+from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.posterior import SoftRows, posterior
+from symbid_ros.estimation.prior import Prior
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.record import Record, observe
+from symbid_ros.signals.calibration import Pilot, SensorErrors, calibrating_rows
+from symbid_ros.signals.weak_form import WINDOWS
+
+logger = logging.getLogger(__name__)
+
+# A sensor that reads more than this in a tare carries something.
+UNLOADED = 20.0  # N
+
+# Sensor errors and slow motion are told apart over long windows only.
+CALIBRATION_WINDOW = max(WINDOWS)
+# One pass with the pilot at the prior, then Gauss-Newton.
+PASSES = 3
+
+
+@dataclass(frozen=True)
+class Tare:
+    """What an unloaded wrench sensor reads.
+
+    Attributes
+    ----------
+    mean, std : (6,) float64
+        Moment and force, and how well their means are known, Nm and N.
+    """
+
+    mean: FloatArray
+    std: FloatArray
+
+
+def read_tare(bags: Sequence[Path], topics: TopicSelection) -> dict[str, Tare]:
+    """Return, by frame, what the unloaded wrench sensors of a bag read.
+
+    Raises
+    ------
+    DataError
+        When every one of them carries something, or a reading is not finite.
+    """
+    streams = read_streams(bags, topics)
+    tares = {}
+    for wrench in streams.wrenches:
+        readings = np.concatenate([wrench.torque, wrench.force], axis=1)
+        if not np.all(np.isfinite(readings)):
+            raise DataError(f"{streams.source}: {wrench.topic} has a reading that is not finite")
+        mean = readings.mean(axis=0)
+        if np.linalg.norm(mean[3:]) > UNLOADED:
+            logger.warning(
+                "%s: %s reads %.0f N and is not unloaded: not tared",
+                streams.source,
+                wrench.topic,
+                np.linalg.norm(mean[3:]),
+            )
+            continue
+        std = readings.std(axis=0) / np.sqrt(len(readings))
+        # Rounding to a sensor's step can hide all noise; the step is not known.
+        tares[wrench.frame_id] = Tare(mean, np.maximum(std, 1e-4))
+    if not tares:
+        raise DataError(
+            f"{streams.source}: no wrench sensor is unloaded, so none can be tared; record them "
+            "with nothing touching them"
+        )
+    return tares
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which sensor errors are to be unknowns.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Of :data:`symbid_ros.signals.calibration.KINDS`.
+    tares : dict of str to Tare
+        What is known of wrench sensors, by frame.
+    """
+
+    kinds: tuple[str, ...]
+    tares: dict[str, Tare]
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A log's rows with its sensors' errors as unknowns.
+
+    Attributes
+    ----------
+    errors : SensorErrors
+        What the columns after the robot's are.
+    prior : Prior
+        Of the robot's parameters and the sensors' errors.
+    observations : tuple of Observations
+        About the last pilot.
+    known : SoftRows or None
+        What else is known, of all these unknowns.
+    """
+
+    errors: SensorErrors
+    prior: Prior
+    observations: tuple[Observations, ...]
+    known: SoftRows | None
+
+
+def calibrate(
+    record: Record,
+    parameters: ParameterSet,
+    prior: Prior,
+    wanted: "Wanted",
+    known: SoftRows | None,
+) -> Calibrated:
+    """Make the errors of a log's sensors unknowns, linearised about the best estimate.
+
+    Parameters
+    ----------
+    record : Record
+        The log.
+    parameters : ParameterSet
+        The robot's p parameters.
+    prior : Prior
+        Of these.
+    wanted : Wanted
+        Which errors, and what is known of them.
+    known : SoftRows, optional
+        What else is known of the robot.
+    """
+    segment = record.segments[0]
+    errors = SensorErrors.of(
+        wanted.kinds, parameters.model, segment.wrench_frames, segment.imu_frames
+    )
+    mean, std = np.zeros(len(errors)), errors.std.copy()
+    if "plate_offset" in errors.kinds:
+        place = errors.places["plate_offset"]
+        for index, frame in enumerate(errors.wrench_frames):
+            if frame in wanted.tares:
+                part = slice(place.start + 6 * index, place.start + 6 * index + 6)
+                mean[part], std[part] = wanted.tares[frame].mean, wanted.tares[frame].std
+    extended = prior.extended(errors.names, mean, std)
+    layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
+    p = len(parameters)
+    pilot = Pilot(prior.mean, mean)
+    rows = _padded(known, len(errors))
+    for _ in range(PASSES - 1):
+        build = calibrating_rows(parameters, errors, pilot)
+        (observations,) = observe(record.segments, build, layout, (CALIBRATION_WINDOW,))
+        found = posterior(observations, extended, rows, count=p)
+        pilot = Pilot(found.mean[:p], found.mean[p:])
+    build = calibrating_rows(parameters, errors, pilot)
+    windows = (min(WINDOWS), CALIBRATION_WINDOW)
+    observed = observe(record.segments, build, layout, windows)
+    return Calibrated(errors, extended, observed, rows)
+
+
+def _padded(known: SoftRows | None, more: int) -> SoftRows | None:
+    """Return rows that say nothing of ``more`` further unknowns."""
+    if known is None or more == 0:
+        return known
+    return SoftRows(np.pad(known.rows, ((0, 0), (0, more))), known.targets)
