@@ -8,6 +8,7 @@ scaling, prior or truncation, and the residual of any parameter vector.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack, qr
@@ -110,16 +111,48 @@ class Information:
         stacked = []
         for row in whitening:
             used = np.flatnonzero(row)
-            stop = layout.slices[used[-1]].stop if len(used) else 0
-            weighted = np.zeros((stop, p + 1))
+            weighted = np.zeros((p + 1, self._parts[used[-1]].shape[1] if len(used) else 0))
             for coordinate in used:
-                place, columns = layout.slices[coordinate], layout.columns[coordinate]
-                part = row[coordinate] * self.factor[:stop, place]
+                part = row[coordinate] * self._parts[coordinate]
                 # Below its last column a stretch of a triangle is zero; columns never repeat.
-                weighted[:, columns] += part[:, :-1]
-                weighted[:, p] += part[:, -1]
-            stacked.append(_triangle(weighted))
+                weighted[layout.columns[coordinate], : part.shape[1]] += part[:-1]
+                weighted[p, : part.shape[1]] += part[-1]
+            stacked.append(_triangle(weighted.T))
         return _triangle(np.concatenate([np.zeros((p + 1, p + 1)), *stacked]))
+
+    def whitened_moment(self, precision: FloatArray) -> FloatArray:
+        """Return Σ [K y]ᵀ P [K y] (p + 1, p + 1) for a precision P (n, n) across coordinates.
+
+        Half the digits of :meth:`whitened` and a twentieth of its time, for what is itself
+        only estimated.
+        """
+        layout = self.layout
+        p = len(layout.parameters)
+        moment = np.zeros((p + 1, p + 1))
+        places = [np.append(columns, p) for columns in layout.columns]
+        for i, (row, rows) in enumerate(zip(layout.slices, places, strict=True)):
+            for j, (column, columns) in enumerate(zip(layout.slices, places, strict=True)):
+                if precision[i, j] != 0.0:
+                    moment[np.ix_(rows, columns)] += precision[i, j] * self._gram[row, column]
+        return moment
+
+    @cached_property
+    def _parts(self) -> tuple[FloatArray, ...]:
+        """Each coordinate's stretch of the factor, transposed, its rows without content left out.
+
+        Few samples fill few rows of a wide factor.
+        """
+        size = np.abs(self.factor).max(axis=1, initial=0.0)
+        filled = size > 1e-15 * size.max(initial=0.0)
+        return tuple(
+            np.ascontiguousarray(self.factor[: place.stop, place][filled[: place.stop]].T)
+            for place in self.layout.slices
+        )
+
+    @cached_property
+    def _gram(self) -> FloatArray:
+        gram: FloatArray = self.factor.T @ self.factor
+        return gram
 
     def residual_moment(self, phi: FloatArray) -> FloatArray:
         """Return Σ e eᵀ (n, n) over all samples, e = y - K φ, for φ (p,)."""

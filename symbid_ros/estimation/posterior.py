@@ -100,22 +100,26 @@ class Posterior:
 
 @dataclass(frozen=True)
 class _Square:
-    """‖A x - b‖² less the noise's ‖N x - c‖² as ‖R x‖² - 2 gᵀx + ..., x in prior deviations.
+    """‖A x - b‖² less the noise's xᵀT x - 2 tᵀx, with x in prior deviations.
 
     Attributes
     ----------
-    A, N : (k, p) float64
-        Triangular factors.
-    b, c : (k,) float64
-        Their right-hand sides.
+    A : (k, p) float64
+        Factor of the rows.
+    b : (k,) float64
+        Its right-hand side.
+    T : (p, p) float64
+        Moments NᵀN of the noise in the rows.
+    t : (p,) float64
+        Nᵀc of the noise in both their sides.
     covariance : (n, n) float64
         What whitened the rows.
     """
 
     A: FloatArray
     b: FloatArray
-    N: FloatArray
-    c: FloatArray
+    T: FloatArray
+    t: FloatArray
     covariance: FloatArray
 
     @classmethod
@@ -129,17 +133,16 @@ class _Square:
     ) -> "_Square":
         covariance = observations.residual_covariance(phi)
         whitening = np.asarray(np.linalg.inv(cholesky(covariance, lower=True)), dtype=np.float64)
-        believed = np.sqrt(observations.plausible_noise(phi, covariance))
-        parts: list[FloatArray] = []
-        for information, weight in ((observations.rows, 1.0), (observations.noise, believed)):
-            factor = weight * information.whitened(whitening)
-            W, target = factor[:, :-1], factor[:, -1]
-            parts += [W @ L, target - W @ mean]
-        A, b, N, c = parts
+        factor = observations.rows.whitened(whitening)
+        A, b = factor[:, :-1] @ L, factor[:, -1] - factor[:, :-1] @ mean
+        moment = observations.noise.whitened_moment(whitening.T @ whitening)
+        moment *= observations.plausible_noise(phi, covariance)
+        noise = L.T @ moment[:-1, :-1] @ L
+        target = L.T @ (moment[:-1, -1] - moment[:-1, :-1] @ mean)
         if known is not None:
             A = np.concatenate([A, known.rows @ L])
             b = np.concatenate([b, known.targets - known.rows @ mean])
-        return cls(A, b, N, c, covariance)
+        return cls(A, b, noise, target, covariance)
 
     def minimum(self, scale: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return x (p,), the precision's factor R (p, p) and the largest share of noise."""
@@ -151,16 +154,13 @@ class _Square:
         R, target = square[:p, :p], square[:p, p]
         x = solve_triangular(R, target)
         # What noise added is taken off in the directions in which it is a share of the whole.
-        C = solve_triangular(R, self.N.T, trans="T").T
-        _, values, Vt = np.linalg.svd(C, full_matrices=False)
-        share = values**2
-        kept = np.minimum(share, NOISIEST)
-        shrink = np.sqrt(np.where(share > 0, kept / np.maximum(share, 1e-300), 1.0))
-        pull = (Vt.T * shrink) @ Vt
-        step = pull @ C.T @ (self.N @ x - self.c)
-        step = step + Vt.T @ ((kept / (1 - kept)) * (Vt @ step))
-        x = x + solve_triangular(R, step)
-        factor = (np.eye(p) + (Vt.T * (np.sqrt(1 - kept) - 1)) @ Vt) @ R
+        inverse = solve_triangular(R, np.eye(p))
+        share, V = np.linalg.eigh(inverse.T @ self.T @ inverse)
+        kept = np.clip(share, 0.0, NOISIEST)
+        pull = kept / np.where(share > 0, share, 1.0)
+        step = V.T @ (inverse.T @ (self.T @ x - self.t))
+        x = x + inverse @ (V @ (pull / (1 - kept) * step))
+        factor = (V * np.sqrt(1 - kept)) @ V.T @ R
         # Noise is only estimated: where more of it than there is information would be taken off,
         # the prior alone is left.
         _, values, Vt = np.linalg.svd(factor * scale, full_matrices=False)
@@ -195,6 +195,7 @@ def posterior(
     *,
     empirical: bool = False,
     count: int | None = None,
+    settled: float = SETTLED,
 ) -> Posterior:
     """Return the Gaussian posterior of the parameters.
 
@@ -211,6 +212,8 @@ def posterior(
     count : int, optional
         How many parameters are the robot's, whose deviations the evidence judges; those after
         them are the sensors'. All by default.
+    settled : float
+        Change, in posterior standard deviations, at which weights and solution have settled.
     """
     mean, L = prior.mean, prior.covariance_factor()
     count = len(mean) if count is None else count
@@ -222,7 +225,7 @@ def posterior(
             scale[:count] = square.evidence_scale(count)
         before = x
         x, factor, share = square.minimum(scale)
-        if np.linalg.norm(factor @ (x - before)) < SETTLED * np.sqrt(len(x)):
+        if np.linalg.norm(factor @ (x - before)) < settled * np.sqrt(len(x)):
             break
     phi = mean + L @ x
     precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
