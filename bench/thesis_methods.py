@@ -16,7 +16,7 @@ from symbid_ros.estimation.thesis import METHODS
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import evaluate, read_true_motion
-from symbid_ros.offline.identification import Truncation, identify
+from symbid_ros.offline.identification import Problem, Solver, Truncation
 from symbid_ros.offline.record import Processing, read_record
 from symbid_ros.report.compose import TITLES
 from symbid_ros.share import config_file
@@ -49,8 +49,9 @@ def main() -> None:
     for seed in range(given.seed, given.seed + given.priors):
         prior = draw_prior(parameters, "percent", given.percent, seed)
         vectors, ranks = {"prior": prior.mean}, {"prior": np.nan}
+        solver = Solver.of(Problem(log.observations, parameters, prior))
         for method in METHODS:
-            found = identify(log, parameters, prior, method, Truncation(validation=ideal))
+            found = solver.truncated(method, Truncation(validation=ideal.observations)).estimate
             vectors[method], ranks[method] = found.value, found.rank
         for name, metrics in evaluate(parameters, vectors, parameters.values, truth).items():
             rows[name].append((*astuple(metrics), ranks[name]))

@@ -1,6 +1,6 @@
 """Identify a robot from a bag and keep the estimate on latched topics.
 
-ros2 launch symbid_ros identify.launch.py bag:=log model:=robot.urdf validate:=validation
+ros2 launch symbid_ros identify.launch.py bag:=log model:=robot.urdf out:=result
 """
 
 import yaml
@@ -14,15 +14,20 @@ from symbid_ros.share import PACKAGE, config_file
 
 # What a robot or a bag decides; the other defaults stand in identifier.yaml alone.
 PATH_ARGUMENTS = {
-    "prior": "prior.json; default: the model's own inertias",
-    "validate": "bag on which to choose the number of singular values",
-    "out": "folder for estimate.json, model.urdf and model.xml",
+    "prior": "prior.json; default: the model's own values",
+    "information": "information.npz of an earlier run, to add its data",
+    "validate": "bag on which truncated methods choose the number of singular values",
+    "out": "folder for the estimate and the models",
 }
 CHOICE_ARGUMENTS = {
-    "method": "ols, wls_r, wls_c or wls_rc",
-    "cutoff": "low-pass cutoff in Hz; 0 filters nothing",
+    "method": "map_lmi, map, ols, wls_r, wls_c or wls_rc",
+    "total_mass": "what the whole robot weighs, kg; 0: unknown",
+    "sensor_errors": "sensor errors to identify: typical, or names with commas between",
     "friction": "identify joint friction as well",
-    "rank": "number of singular values; 0: choose it on the validation bag",
+    "armature": "identify the drives' inertias as well",
+    "filter": "weak, butterworth or savitzky_golay",
+    "cutoff": "of the Butterworth filter, Hz; 0: no filter",
+    "rank": "number of singular values of truncated methods; 0: chosen by the data",
 }
 
 
@@ -32,6 +37,9 @@ def generate_launch_description() -> LaunchDescription:
     arguments = [
         DeclareLaunchArgument("bag", description="bag to identify from"),
         DeclareLaunchArgument("model", description="robot model, URDF or MJCF"),
+        DeclareLaunchArgument(
+            "tare", default_value="", description="bag with nothing touching the wrench sensors"
+        ),
     ]
     arguments += [
         DeclareLaunchArgument(name, default_value="", description=description)
@@ -45,8 +53,9 @@ def generate_launch_description() -> LaunchDescription:
         name: ParameterValue(LaunchConfiguration(name), value_type=type(defaults.get(name, "")))
         for name in ("model", *PATH_ARGUMENTS, *CHOICE_ARGUMENTS)
     }
-    # The node takes a list of bags; launch reads a parameter without a type as YAML.
-    given["bag"] = ParameterValue(["['", LaunchConfiguration("bag"), "']"])
+    # The node takes lists of bags; launch reads a parameter without a type as YAML.
+    for name in ("bag", "tare"):
+        given[name] = ParameterValue(["['", LaunchConfiguration(name), "']"])
     identifier = Node(
         package=PACKAGE, executable="identifier", parameters=[str(file), given], output="screen"
     )

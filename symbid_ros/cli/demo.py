@@ -1,14 +1,20 @@
 """``symbid demo``: the whole loop on one machine, from a standing robot to a report."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from symbid_ros.errors import SymbidError
+
+if TYPE_CHECKING:
+    from symbid_ros.estimation.estimate import Estimate
+    from symbid_ros.offline.identification import Identification
+    from symbid_ros.offline.job import Prepared
 
 MOTION_SEED, VALIDATION_SEED = 1, 2
 
@@ -114,48 +120,83 @@ def _simulate_validation(bag: Path, moves: int, progress: Progress) -> None:
 
 
 def _identify(
-    out: Path,
-    model: Path,
-    facts: dict[str, str],
-    progress: Progress,
-    console: Console,
+    out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
+    """Identify with every method, write what each found, and report on all of them."""
     from symbid_ros.estimation.thesis import METHODS
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
     from symbid_ros.offline.evaluation import read_true_motion
-    from symbid_ros.offline.identification import write_identification
-    from symbid_ros.offline.job import Job, prepare
-    from symbid_ros.report.compose import TITLES, Reference, compose
+    from symbid_ros.offline.export import write_identification
+    from symbid_ros.offline.job import Job, PriorChoice, prepare
+    from symbid_ros.offline.prediction import read_realistic_motion
+    from symbid_ros.offline.record import Processing
+    from symbid_ros.report.compose import OWN_Z, TITLES, Reference, compose
     from symbid_ros.report.facts import bag_facts
     from symbid_ros.report.page import write_report
     from symbid_ros.report.table import metrics_table
+    from symbid_ros.signals.filters import LowPass
 
-    task = progress.add_task("four methods and a report", total=len(METHODS) + 3)
-    robot = load_model(model)
-    truth = ParameterSet(robot)
-    job = Job((out / "bag",), model, prior=out / "prior.json", validation=out / "validation")
-    prepared = prepare(job)
+    task = progress.add_task("identification and a report", total=6)
+    validation = out / "validation"
+    job = Job((out / "bag",), model, prior=PriorChoice(out / "prior.json"))
+    by_thesis = prepare(replace(job, processing=Processing(LowPass()), validation=validation))
     progress.advance(task)
-    estimates = {}
-    for method in METHODS:
-        estimate = prepared.solve(method)
-        write_identification(estimate, prepared.parameters, out / method)
-        estimates[TITLES[method]] = estimate
-        progress.advance(task)
-    reference = Reference(read_true_motion([out / "validation"], robot), truth.values)
+    by_windows = prepare(job)
+    progress.advance(task)
+    chosen = by_windows.solve("map_lmi")
+    found: dict[str, tuple[str, Identification]] = {
+        TITLES[method]: (method, by_thesis.solve(method)) for method in METHODS
+    }
+    found[OWN_Z] = ("wls_rc_own_z", by_windows.solve("wls_rc"))
+    found[TITLES["map"]] = ("map", by_windows.solve("map"))
+    found[TITLES["map_lmi"]] = ("map_lmi", chosen)
+    for name, identified in found.values():
+        write_identification(identified, by_windows.parameters, out / name)
+    progress.advance(task)
+    truncations = _truncations(by_windows, validation)
+    progress.advance(task)
+    robot = load_model(model)
+    reference = Reference(
+        read_true_motion([validation], robot),
+        ParameterSet(robot).values,
+        read_realistic_motion([out / "bag"], robot),
+    )
     progress.advance(task)
     described = bag_facts([out / "bag"]) | facts
-    described["Prior"] = f"{prepared.prior.kind}, seed {prepared.prior.seed}"
-    described["Filter"] = str(job.processing.low_pass)
-    described["Judged on"] = f"{out / 'validation'}, ideal, other moves"
+    described |= {
+        "Prior": f"{by_windows.prior.kind}, seed {by_windows.prior.seed}",
+        "MAP, MAP-LMI": f"{by_windows.job.processing}, no validation data",
+        OWN_Z: "the same rows, no validation data",
+        "OLS to WLS-RC": f"{by_thesis.job.processing}; z chosen on {validation}",
+        "Judged on": f"{validation}, ideal, other moves",
+        "Software": chosen.estimate.software,
+    }
     content = compose(
-        estimates,
-        prepared.parameters,
-        chosen=TITLES["wls_rc"],
+        {title: identified.estimate for title, (_, identified) in found.items()},
+        by_windows.parameters,
+        chosen=TITLES["map_lmi"],
         facts=described,
         reference=reference,
+        deviation_factor=chosen.deviation_factor,
+        truncations=truncations,
     )
     write_report(content, out / "report.html")
     progress.advance(task)
     console.print(metrics_table(content.methods))
+
+
+def _truncations(prepared: "Prepared", validation: Path) -> "dict[tuple[str, str], Estimate]":
+    """Return the thesis's methods on the prepared rows, z chosen without and with validation."""
+    from symbid_ros.estimation.thesis import METHODS
+    from symbid_ros.offline.record import Processing, read_record
+    from symbid_ros.report.compose import TITLES
+
+    # The other windows' rows of an ideal bag would be built for nothing.
+    only = Processing(windows=(prepared.solver.chosen.window,))
+    judge = replace(prepared, validation=read_record([validation], prepared.parameters, only))
+    return {
+        (TITLES[method], chosen_by): source.solve(method).estimate
+        for method in METHODS
+        for chosen_by, source in (("the log itself", prepared), ("the ideal bag", judge))
+    }

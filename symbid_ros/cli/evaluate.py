@@ -37,12 +37,14 @@ def evaluate(
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.evaluation import evaluate as judge
     from symbid_ros.offline.evaluation import read_true_motion
+    from symbid_ros.offline.interval import LEVEL, summarise_intervals
     from symbid_ros.offline.prediction import evaluate_realistic, read_realistic_motion
     from symbid_ros.offline.subject import load_subject
     from symbid_ros.signals.causal import CausalLowPass
 
     robot = load_model(model, base)
-    parameters, values = load_subject(subject, robot)
+    found = load_subject(subject, robot)
+    parameters, values, factor = found.parameters, found.values, found.deviation_factor
     motion = read_true_motion(bag, robot)
     low_pass = CausalLowPass(velocity_cutoff)
     noisy = read_realistic_motion(realistic, robot, low_pass) if realistic else None
@@ -50,6 +52,10 @@ def evaluate(
     ideal = asdict(judge(parameters, candidates, parameters.values, motion)["it"])
     figures: dict[str, object] = dict(ideal)
     tables = [_table("", ideal)]
+    if factor is not None:
+        summary = summarise_intervals(parameters, values, factor, parameters.values, motion)
+        figures["intervals"] = asdict(summary)
+        tables.append(_table(f"{100 * LEVEL:g} % intervals", asdict(summary)))
     if noisy is not None:
         judged = evaluate_realistic(parameters, candidates, parameters.values, noisy)["it"]
         figures["realistic"] = asdict(judged)

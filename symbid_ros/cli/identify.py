@@ -15,86 +15,93 @@ Channels = Literal["all", "thesis"]
 ROWS = "Rows of the equation of motion"
 KNOWN = "What is known beforehand"
 UNKNOWN = "What is identified beside the links"
-TRUNCATED = "The truncated methods: ols, wls_r, wls_c, wls_rc"
-TOPICS = "Topics"
+TRUNCATED = "For ols, wls_r, wls_c and wls_rc only"
 
 
 def identify(
-    bags: Annotated[list[Path], typer.Argument(help="Bags, in sequence.", show_default=False)],
+    bags: Annotated[list[Path], typer.Argument(help="Bags of one robot.", show_default=False)],
     model: Model,
     out: Annotated[Path, typer.Option(help="Folder for the estimate and the identified models.")],
     method: Annotated[
         Method,
         typer.Option(
-            help="map_lmi: most probable and physically possible; map: most probable; else "
-            "truncated least squares with rows (r) and columns (c) scaled."
+            metavar="METHOD",
+            help="map_lmi: the most probable of all physically possible robots; map: the most "
+            "probable, possible or not; ols, wls_r, wls_c, wls_rc: least squares by the largest "
+            "singular values, rows (r) or columns (c) scaled.",
         ),
     ] = "map_lmi",
     prior: Annotated[
         Path | None,
         typer.Option(
-            help="prior.json; default: the model's own inertias, how sure being left to the data.",
+            help="prior.json. Default: the model's own values; the data say how far to trust them.",
             rich_help_panel=KNOWN,
         ),
     ] = None,
     prior_percent: Annotated[
         float | None,
-        typer.Option(help="Believe the model's values to ± this share, %.", rich_help_panel=KNOWN),
+        typer.Option(help="Trust the model's values to ± this many %.", rich_help_panel=KNOWN),
     ] = None,
     prior_absolute: Annotated[
         float | None,
-        typer.Option(help="Believe the model's values to ± this, SI units.", rich_help_panel=KNOWN),
+        typer.Option(help="Trust the model's values to ± this, SI units.", rich_help_panel=KNOWN),
     ] = None,
     total_mass: Annotated[
         float | None,
-        typer.Option(help="The whole robot, weighed, kg.", rich_help_panel=KNOWN),
+        typer.Option(help="What the whole robot weighs, kg.", rich_help_panel=KNOWN),
     ] = None,
     total_mass_std: Annotated[
         float,
-        typer.Option(help="Standard deviation of that, kg.", rich_help_panel=KNOWN),
+        typer.Option(help="Standard deviation of --total-mass, kg.", rich_help_panel=KNOWN),
     ] = 0.05,
     mirror: Annotated[
         float | None,
         typer.Option(
-            help="Tie left and right links: their difference in deviations of the prior, such as "
-            "0.1.",
+            help="How far left and right links may differ, in standard deviations of the prior; "
+            "such as 0.1. Default: as they like.",
             rich_help_panel=KNOWN,
         ),
     ] = None,
     tare: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Bag with nothing touching the wrench sensors; identifies sensor errors too.",
+            help="Bag recorded with nothing touching the wrench sensors, repeatable; sensor "
+            "errors are then identified too.",
             rich_help_panel=KNOWN,
         ),
     ] = None,
     information: Annotated[
         Path | None,
         typer.Option(
-            help="information.npz of an earlier run to go on from.", rich_help_panel=KNOWN
+            help="information.npz of an earlier run, to add its data.", rich_help_panel=KNOWN
         ),
     ] = None,
     friction: Annotated[
         bool,
-        typer.Option("--friction", help="Viscous and Coulomb friction.", rich_help_panel=UNKNOWN),
+        typer.Option(
+            "--friction",
+            help="Friction of every joint, viscous and Coulomb.",
+            rich_help_panel=UNKNOWN,
+        ),
     ] = False,
     armature: Annotated[
         bool,
         typer.Option(
-            "--armature", help="Reflected inertia of every drive.", rich_help_panel=UNKNOWN
+            "--armature",
+            help="Inertia of every drive, as the joint feels it.",
+            rich_help_panel=UNKNOWN,
         ),
     ] = False,
     offset: Annotated[
         bool,
-        typer.Option(
-            "--offset", help="Constant torque offset of every joint.", rich_help_panel=UNKNOWN
-        ),
+        typer.Option("--offset", help="Constant torque of every joint.", rich_help_panel=UNKNOWN),
     ] = False,
     sensor_errors: Annotated[
         str | None,
         typer.Option(
-            help="typical, or some of plate_offset, plate_gain, plate_pose, torque_gain, "
-            "imu_mounting, imu_bias, encoder_offset with commas between them.",
+            help="Errors of the sensors: typical (all of these) or some, with commas between: "
+            "plate_offset, plate_gain, plate_pose, torque_gain, imu_mounting, imu_bias, "
+            "encoder_offset.",
             rich_help_panel=UNKNOWN,
         ),
     ] = None,
@@ -102,47 +109,57 @@ def identify(
         Filter,
         typer.Option(
             "--filter",
-            help="weak: rows averaged over windows; else rows at instants, filtered before.",
+            metavar="FILTER",
+            help="weak: average the equation over short windows; butterworth, savitzky_golay: "
+            "filter the signals and take single instants.",
             rich_help_panel=ROWS,
         ),
     ] = "weak",
     window: Annotated[
         float | None,
         typer.Option(
-            help="Length of the windows, s; default: what the data tell most by (weak), 0.081.",
+            help="Length of the windows, s. Default: 0.081, 0.161 or 0.321, whichever tells most "
+            "(weak); 0.081 (savitzky_golay).",
             rich_help_panel=ROWS,
         ),
     ] = None,
     cutoff: Annotated[
         float,
-        typer.Option(min=0, help="Of the Butterworth filter, Hz; 0: none.", rich_help_panel=ROWS),
+        typer.Option(min=0, help="Of butterworth, Hz; 0: no filter.", rich_help_panel=ROWS),
     ] = 30.0,
     channels: Annotated[
         Channels,
         typer.Option(
-            help="Butterworth-filter all channels, or the thesis's choice.", rich_help_panel=ROWS
+            help="Signals that butterworth filters: all, or the thesis's choice.",
+            rich_help_panel=ROWS,
         ),
     ] = "all",
     rank: Annotated[
         int | None,
-        typer.Option(min=1, help="Number of singular values to use.", rich_help_panel=TRUNCATED),
+        typer.Option(
+            min=1,
+            help="Number of singular values to use. Default: as many as the data know better "
+            "than the prior.",
+            rich_help_panel=TRUNCATED,
+        ),
     ] = None,
     validate: Annotated[
         Path | None,
         typer.Option(
-            help="Bag to choose it on; default: those of which the data say more than the prior.",
+            help="Bag on which to choose that number instead.",
             rich_help_panel=TRUNCATED,
         ),
     ] = None,
     select_by: Annotated[
         Criterion,
-        typer.Option(help="Prediction error that chooses it there.", rich_help_panel=TRUNCATED),
+        typer.Option(help="Prediction error that decides there.", rich_help_panel=TRUNCATED),
     ] = "gen_force",
     sensor_std: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
             metavar="EFFORT FORCE MOMENT",
-            help="Weigh rows by these sensor deviations instead of by residuals.",
+            help="Standard deviations of the sensors (Nm, N, Nm) to weigh rows by. Default: the "
+            "residuals'.",
             rich_help_panel=TRUNCATED,
         ),
     ] = None,
@@ -153,9 +170,9 @@ def identify(
 ) -> None:
     """Identify a robot's parameters from bags.
 
-    Without options beyond the required ones the links are identified, all of them physically
-    possible, with an uncertainty for every parameter and a verdict on whether the data or the
-    model's own values decide it.
+    All links come out physically possible, each number with a standard deviation.
+
+    A verdict says what the data decided and what looks wrong.
     """
     from symbid_ros.bags.selection import TopicSelection
     from symbid_ros.cli.summary import print_estimate

@@ -18,32 +18,50 @@ def report(
     truth: Annotated[
         Path | None, typer.Option(help="True model, to judge by a bag with ground truth.")
     ] = None,
+    realistic: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Noisy bag with ground truth, to predict from its sensors; needs --truth."
+        ),
+    ] = None,
     base: BaseKind = "auto",
 ) -> None:
     """Render identifications as one self-contained page."""
-    from symbid_ros.estimation.estimate import load_estimate
+    from symbid_ros.errors import EstimateError
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
     from symbid_ros.offline.evaluation import read_true_motion
+    from symbid_ros.offline.prediction import read_realistic_motion
     from symbid_ros.offline.subject import load_subject
     from symbid_ros.report.compose import TITLES, Reference, compose
     from symbid_ros.report.facts import bag_facts, estimate_facts
     from symbid_ros.report.page import write_report
 
+    if realistic and truth is None:
+        raise EstimateError("--realistic predictions are judged by the true model; add --truth")
     robot = load_model(model, base)
+    subjects = {folder: load_subject(folder, robot) for folder in folders}
     estimates = {}
-    for folder in folders:
-        estimate = load_estimate(folder / "estimate.json" if folder.is_dir() else folder)
-        estimates[TITLES.get(estimate.method, estimate.method)] = estimate
-        parameters, _ = load_subject(folder, robot)
-    chosen = list(estimates)[-1]
+    for folder, subject in subjects.items():
+        if subject.estimate is None:
+            raise EstimateError(f"{folder}: a prior is no identification; name a folder of one")
+        title = TITLES.get(subject.estimate.method, subject.estimate.method)
+        label = title if title not in estimates else f"{title}, {folder}"
+        estimates[label] = subject.estimate
+    chosen, subject = list(estimates)[-1], list(subjects.values())[-1]
     reference = None
     if truth is not None:
         true_robot = load_model(truth, base)
-        values = ParameterSet(true_robot, parameters.terms).values
-        reference = Reference(read_true_motion(bag, true_robot), values)
-    facts = bag_facts(bag) | estimate_facts(estimates[chosen])
-    write_report(
-        compose(estimates, parameters, chosen=chosen, facts=facts, reference=reference), out
+        noisy = read_realistic_motion(realistic, true_robot) if realistic else None
+        values = ParameterSet(true_robot, subject.parameters.terms).values
+        reference = Reference(read_true_motion(bag, true_robot), values, noisy)
+    content = compose(
+        estimates,
+        subject.parameters,
+        chosen=chosen,
+        facts=bag_facts(bag) | estimate_facts(estimates[chosen]),
+        reference=reference,
+        deviation_factor=subject.deviation_factor,
     )
+    write_report(content, out)
     typer.echo(f"wrote {out}")

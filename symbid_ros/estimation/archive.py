@@ -118,5 +118,8 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     except OSError as error:
         reason = error.strerror or "not a zip of arrays"
         raise EstimateError(f"{path}: cannot read it ({reason}); check the path") from None
-    except (ValueError, zipfile.BadZipFile, EOFError, AttributeError) as error:
-        raise EstimateError(f"{path}: no information.npz of symbid identify ({error})") from None
+    except (ValueError, zipfile.BadZipFile, EOFError, AttributeError):
+        # NumPy's own words advise to load it as a pickle.
+        raise EstimateError(
+            f"{path}: no information.npz of symbid identify; give the file that a run wrote"
+        ) from None

@@ -169,7 +169,8 @@ class Information:
 def _updated(factor: FloatArray, rows: FloatArray) -> FloatArray:
     """Return the triangle with rows folded in; LAPACK's tpqrt leaves its zeros alone."""
     width = len(factor)
-    block = np.asfortranarray(rows)
+    # LAPACK works in the block it is given; a record's own factor may be the rows.
+    block = np.array(rows, order="F")
     updated, _, _, info = lapack.dtpqrt(
         0, min(32, width), factor, block, overwrite_a=True, overwrite_b=True
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import eigh
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.layout import RowLayout
@@ -14,6 +14,9 @@ from symbid_ros.signals.weak_form import INFLATION, WindowedRows
 
 # Fewer samples than this per coordinate give no covariance between coordinates worth having.
 SAMPLES_PER_COORDINATE = 3
+# Independent rows that a coordinate must have, and more for each parameter that it alone feels.
+FEWEST_ROWS = 5
+ROWS_PER_OWN_PARAMETER = 3
 
 
 @dataclass(frozen=True)
@@ -108,13 +111,18 @@ class Observations:
         rows of n coordinates by (N + n)/(N - n) in variance. That is made up for.
         """
         moment = self.rows.residual_moment(phi) / np.maximum(self.counts, 1)
-        coupled = self._decouple(moment)
-        # A coordinate without any residual is an ideal one; its weight must stay finite.
-        diagonal = moment.diagonal()
+        moment[~self._coupled] = 0.0
+        # A coordinate without any residual is an ideal one; its weight must stay finite. One with
+        # too few rows fits whatever they say, and has no say.
         square = self.rows.residual_moment(np.zeros_like(phi)).diagonal()
         scale = square / np.maximum(self.counts.diagonal(), 1)
-        floor = 1e-14 * scale + 1e-18 * max(float(scale.max()), 1e-200)
-        moment[np.diag_indices(len(moment))] = np.maximum(diagonal, floor) + floor
+        largest = float(scale.max()) or 1.0
+        floor = 1e-14 * scale + 1e-18 * largest
+        floor[self._scarce] = 1e6 * largest
+        moment[np.diag_indices(len(moment))] = np.maximum(moment.diagonal(), floor) + floor
+        coupled = int(np.sum(self._coupled.sum(axis=0) > 1))
+        if coupled == 0:
+            return self.inflation * moment
         independent = self.rows.samples / self.inflation
         return self.inflation * (independent + coupled) / (independent - coupled) * moment
 
@@ -125,22 +133,25 @@ class Observations:
         there, motion has been taken for noise.
         """
         moment = self.noise.residual_moment(phi) / np.maximum(self.counts, 1)
-        self._decouple(moment)
+        moment[~self._coupled] = 0.0
         largest = eigh(self.inflation * moment, covariance, eigvals_only=True)[-1]
         return float(1 / max(largest, 1.0))
 
-    def _decouple(self, moment: FloatArray) -> int:
-        """Clear the elements (n, n) between coordinates that are not always seen together.
-
-        Returns how many are left coupled.
-        """
-        n = len(moment)
+    @property
+    def _coupled(self) -> BoolArray:
+        """(n, n) pairs of coordinates seen together often enough to tell their covariance."""
+        n = len(self.counts)
         full = np.diag(self.counts) == self.rows.samples
         full &= self.rows.samples > SAMPLES_PER_COORDINATE * n * self.inflation
-        alone = ~np.outer(full, full)
-        alone[np.diag_indices(n)] = False
-        moment[alone] = 0.0
-        return int(full.sum())
+        return np.asarray(np.outer(full, full) | np.eye(n, dtype=bool))
+
+    @property
+    def _scarce(self) -> BoolArray:
+        """(n,) coordinates with too few rows for the parameters that only they feel."""
+        structure = self.layout.structure
+        own = structure[:, structure.sum(axis=0) == 1].sum(axis=1)
+        needed = ROWS_PER_OWN_PARAMETER * own + FEWEST_ROWS
+        return np.asarray(self.counts.diagonal() < needed * self.inflation)
 
 
 def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float:
@@ -149,6 +160,15 @@ def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float
     White noise loses variance as windows gain length: 1. What lasts, as an error of the model or
     of a sensor's calibration does, loses none: the ratio of the windows' lengths.
     """
-    before, after = short.residual_covariance(phi), long.residual_covariance(phi)
-    kept = np.trace(np.linalg.solve(before, after)) / len(before)
+    together = short._coupled & long._coupled
+    before, after = (
+        np.where(together, one.inflation * one.rows.residual_moment(phi), 0.0)
+        / np.maximum(one.counts, 1)
+        for one in (short, long)
+    )
+    used = np.flatnonzero(~(short._scarce | long._scarce) & (before.diagonal() > 0))
+    if len(used) == 0:
+        return 1.0
+    some = np.ix_(used, used)
+    kept = np.trace(np.linalg.solve(before[some], after[some])) / len(used)
     return float(kept * long.window / short.window)

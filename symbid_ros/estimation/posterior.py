@@ -58,7 +58,8 @@ class Posterior:
     covariance : (n, n) float64
         Σ of a row's residual.
     prior_scale : float
-        The factor on the prior's deviations under which the data are most probable.
+        The factor on the deviations of ``prior`` under which the data are most probable; 1 where
+        the evidence has set them.
     noise_share : float
         Largest share of a direction's apparent information that was noise in the regressor.
     """
@@ -210,8 +211,8 @@ def posterior(
     empirical : bool
         Let the evidence choose a common factor on the prior's deviations.
     count : int, optional
-        How many parameters are the robot's, whose deviations the evidence judges; those after
-        them are the sensors'. All by default.
+        How many parameters, the first ones, the evidence judges the deviations of: those of
+        the links. All by default.
     settled : float
         Change, in posterior standard deviations, at which weights and solution have settled.
     """
@@ -234,6 +235,6 @@ def posterior(
         factor=precision,
         prior=prior.widened(scale),
         covariance=square.covariance,
-        prior_scale=square.evidence_scale(count),
+        prior_scale=square.evidence_scale(count) / float(scale[0]),
         noise_share=share,
     )

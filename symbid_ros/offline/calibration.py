@@ -75,8 +75,8 @@ def read_tare(bags: Sequence[Path], topics: TopicSelection) -> dict[str, Tare]:
         tares[wrench.frame_id] = Tare(mean, np.maximum(std, 1e-4))
     if not tares:
         raise DataError(
-            f"{streams.source}: no wrench sensor is unloaded, so none can be tared; record them "
-            "with nothing touching them"
+            f"{streams.source}: no wrench sensor here is unloaded, so none can be tared; record "
+            "their topics with nothing touching them"
         )
     return tares
 
@@ -160,7 +160,9 @@ def calibrate(
     for _ in range(PASSES - 1):
         build = calibrating_rows(parameters, errors, pilot)
         (observations,) = observe(record.segments, build, layout, (CALIBRATION_WINDOW,))
-        found = posterior(observations, extended, rows, count=p, settled=PILOT_SETTLED)
+        found = posterior(
+            observations, extended, rows, count=parameters.inertial, settled=PILOT_SETTLED
+        )
         pilot = Pilot(found.mean[:p], found.mean[p:])
     build = calibrating_rows(parameters, errors, pilot)
     windows = (min(WINDOWS), CALIBRATION_WINDOW)

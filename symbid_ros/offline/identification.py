@@ -24,6 +24,8 @@ from symbid_ros.model.parameters import ParameterSet
 
 Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
 METHODS: tuple[Method, ...] = get_args(Method)
+# Those that weigh data against a prior, and take whatever else is known.
+GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")
 
 
 @dataclass(frozen=True)
@@ -123,13 +125,19 @@ class Solver:
     @classmethod
     def of(cls, problem: Problem) -> "Solver":
         """Find the window whose rows tell most of the robot, noise not counted."""
-        count = len(problem.parameters)
+        parameters = problem.parameters
         candidates = problem.observations[-1:] if problem.longest else problem.observations
         found = [
-            posterior(one, problem.prior, problem.known, empirical=problem.empirical, count=count)
+            posterior(
+                one,
+                problem.prior,
+                problem.known,
+                empirical=problem.empirical,
+                count=parameters.inertial,
+            )
             for one in candidates
         ]
-        best = int(np.argmax([one.gain(count) for one in found]))
+        best = int(np.argmax([one.gain(len(parameters)) for one in found]))
         return cls(problem, candidates[best], found[best])
 
     @property

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.errors import EstimateError
+from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.knowledge import mirror_rows, total_mass_row
 from symbid_ros.estimation.observations import Observations
@@ -19,6 +19,7 @@ from symbid_ros.model.parameters import ParameterSet, Term, neglected_terms
 from symbid_ros.model.urdf import Base
 from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
 from symbid_ros.offline.identification import (
+    GAUSSIAN,
     METHODS,
     Identification,
     Method,
@@ -100,6 +101,11 @@ class Facts:
     def kinds(self) -> tuple[str, ...]:
         """The sensor errors to identify: all of them where there is a tare, unless named."""
         return self.sensor_errors or (KINDS if self.tare else ())
+
+    @property
+    def rows_wanted(self) -> bool:
+        """Whether anything is known that is a row of its own."""
+        return self.total_mass is not None or self.mirror is not None
 
     def rows(self, parameters: ParameterSet, prior: Prior) -> SoftRows | None:
         """Return what is known of the robot as rows.
@@ -230,6 +236,10 @@ def prepare(job: Job) -> Prepared:
         raise EstimateError(f"no method {job.method!r}; choose one of {', '.join(METHODS)}")
     if job.rank is not None and job.validation is not None:
         raise EstimateError("--rank and --validate both choose the singular values; give one")
+    if (job.facts.kinds or job.facts.rows_wanted) and job.method not in GAUSSIAN:
+        raise EstimateError(
+            f"{job.method} takes neither sensor errors, a tare nor a total mass; use map or map_lmi"
+        )
     if job.facts.kinds and job.processing.smoothing is not None:
         raise EstimateError("sensor errors need rows averaged over windows; leave --filter out")
     parameters = ParameterSet(load_model(job.model, job.base), job.terms)
@@ -296,7 +306,15 @@ def _with_earlier(
     if information is None:
         return observations
     earlier = {one.window: one for one in load_archive(information)}
-    both = tuple(earlier[one.window].merge(one) for one in observations if one.window in earlier)
+    try:
+        both = tuple(
+            earlier[one.window].merge(one) for one in observations if one.window in earlier
+        )
+    except DataError as error:
+        raise EstimateError(
+            f"{information}: {error}; identify both with the same model, joint terms and sensor "
+            "errors"
+        ) from None
     if not both:
         raise EstimateError(
             f"{information}: its rows are averaged over other windows than this run's; identify "

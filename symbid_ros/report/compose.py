@@ -1,9 +1,10 @@
 """From estimates and, where there is one, a true motion to a report's content."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import (
@@ -13,6 +14,8 @@ from symbid_ros.offline.evaluation import (
     link_errors,
     predict,
 )
+from symbid_ros.offline.interval import IntervalSummary, summarise_intervals
+from symbid_ros.offline.prediction import RealisticMotion, evaluate_realistic
 from symbid_ros.report.content import (
     PRIOR,
     TRUTH,
@@ -20,9 +23,19 @@ from symbid_ros.report.content import (
     MethodResult,
     PredictionSeries,
     ReportContent,
+    TruncationChoice,
 )
 
-TITLES = {"ols": "OLS", "wls_r": "WLS-R", "wls_c": "WLS-C", "wls_rc": "WLS-RC"}
+TITLES = {
+    "ols": "OLS",
+    "wls_r": "WLS-R",
+    "wls_c": "WLS-C",
+    "wls_rc": "WLS-RC",
+    "map": "MAP",
+    "map_lmi": "MAP-LMI",
+}
+# WLS-RC that found its own z, beside one that was given the best there is.
+OWN_Z = "WLS-RC, own z"
 
 
 @dataclass(frozen=True)
@@ -35,10 +48,13 @@ class Reference:
         The true motion of a validation record.
     values : (p,) float64
         The true parameters.
+    realistic : RealisticMotion or None
+        A noisy record with ground truth, to predict as the robot itself could.
     """
 
     motion: TrueMotion
     values: FloatArray
+    realistic: RealisticMotion | None = None
 
 
 def compose(
@@ -48,6 +64,8 @@ def compose(
     chosen: str,
     facts: Mapping[str, str],
     reference: Reference | None = None,
+    deviation_factor: FloatArray | None = None,
+    truncations: Mapping[tuple[str, str], Estimate] | None = None,
 ) -> ReportContent:
     """Return the content of a page about several estimates of one robot.
 
@@ -63,43 +81,108 @@ def compose(
         What was done to which data.
     reference : Reference, optional
         The truth; without it nothing is judged and no prediction drawn.
+    deviation_factor : (p, r) float64, optional
+        L of the chosen estimate's covariance L Lᵀ.
+    truncations : mapping of (str, str) to Estimate, optional
+        Truncated estimates from the same rows, by method and by what chose z; shown where
+        there is a reference.
+
+    Raises
+    ------
+    EstimateError
+        When the estimates are not all of these parameters.
     """
     model = parameters.model
+    for label, estimate in estimates.items():
+        if estimate.names != parameters.names:
+            raise EstimateError(
+                f"{label}: {len(estimate.names)} parameters are not the {len(parameters)} of "
+                f"{chosen}; report on estimates of one robot with the same joint terms"
+            )
     vectors = {PRIOR: estimates[chosen].prior}
     vectors |= {label: estimate.value for label, estimate in estimates.items()}
     if reference is not None:
         vectors[TRUTH] = reference.values
-    metrics: dict[str, dict[str, float]] = {}
-    if reference is not None:
-        judged = evaluate(parameters, vectors, reference.values, reference.motion)
-        metrics = {label: asdict(figures) for label, figures in judged.items()}
-    methods = tuple(
-        MethodResult(label, estimates.get(label), metrics.get(label)) for label in vectors
-    )
-    predictions, errors = None, None
-    if reference is not None:
-        shown = {label: vectors[label] for label in (TRUTH, PRIOR, chosen)}
-        predictions = tuple(
-            _series(label, parameters, values, reference.motion) for label, values in shown.items()
-        )
-        errors = LinkErrors(
-            parameters.link_names,
-            {
-                label: link_errors(parameters, values, reference.values)
-                for label, values in vectors.items()
-                if label != TRUTH
-            },
-        )
-    return ReportContent(
+    content = ReportContent(
         title=f"Identification of {model.name}",
         model=model.name,
-        methods=methods,
+        methods=tuple(MethodResult(label, estimates.get(label), None) for label in vectors),
         chosen=chosen,
         joint_names=model.joint_names,
         facts=dict(facts),
-        predictions=predictions,
-        link_errors=errors,
     )
+    if reference is None:
+        return content
+    return _judged(
+        content,
+        parameters,
+        vectors,
+        reference,
+        truncations=truncations or {},
+        deviation_factor=deviation_factor,
+    )
+
+
+def _judged(
+    content: ReportContent,
+    parameters: ParameterSet,
+    vectors: Mapping[str, FloatArray],
+    reference: Reference,
+    *,
+    truncations: Mapping[tuple[str, str], Estimate],
+    deviation_factor: FloatArray | None,
+) -> ReportContent:
+    """Return the content with all that follows from the truth."""
+    truth, motion = reference.values, reference.motion
+    candidates = dict(vectors)
+    candidates |= {" ".join(key): found.value for key, found in truncations.items()}
+    judged = evaluate(parameters, candidates, truth, motion)
+    shown = {label: vectors[label] for label in (TRUTH, PRIOR, content.chosen)}
+    return replace(
+        content,
+        methods=tuple(
+            replace(method, metrics=asdict(judged[method.label])) for method in content.methods
+        ),
+        predictions=tuple(
+            _series(label, parameters, values, motion) for label, values in shown.items()
+        ),
+        link_errors=LinkErrors(
+            parameters.link_names,
+            {
+                label: link_errors(parameters, values, truth)
+                for label, values in vectors.items()
+                if label != TRUTH
+            },
+        ),
+        intervals=_intervals(parameters, vectors[content.chosen], reference, deviation_factor),
+        realistic=_realistic(
+            parameters,
+            {label: vectors[label] for label in (PRIOR, content.chosen, TRUTH)},
+            reference,
+        ),
+        truncations=tuple(
+            TruncationChoice(*key, found.rank, asdict(judged[" ".join(key)]))
+            for key, found in truncations.items()
+            if found.rank is not None
+        ),
+    )
+
+
+def _intervals(
+    parameters: ParameterSet, values: FloatArray, reference: Reference, factor: FloatArray | None
+) -> IntervalSummary | None:
+    if factor is None:
+        return None
+    return summarise_intervals(parameters, values, factor, reference.values, reference.motion)
+
+
+def _realistic(
+    parameters: ParameterSet, vectors: Mapping[str, FloatArray], reference: Reference
+) -> dict[str, dict[str, float]]:
+    if reference.realistic is None:
+        return {}
+    judged = evaluate_realistic(parameters, vectors, reference.values, reference.realistic)
+    return {label: asdict(figures) for label, figures in judged.items()}
 
 
 def _series(

@@ -7,6 +7,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.offline.interval import IntervalSummary
 
 PRIOR = "prior"
 TRUTH = "truth"
@@ -14,12 +15,12 @@ TRUTH = "truth"
 
 @dataclass(frozen=True)
 class Metric:
-    """One of the five figures by which an estimate is judged.
+    """One of the figures by which an estimate is judged.
 
     Attributes
     ----------
     key : str
-        Its name in ``MethodResult.metrics``.
+        Its name among the figures of a row.
     title, unit : str
         Column header, short enough for 80 characters and for a phone, and the unit.
     """
@@ -35,6 +36,14 @@ METRICS = (
     Metric("com_position_rmse_mm", "CoM", "mm"),
     Metric("com_momentum_rmse", "Momentum", "Ns, Nms"),
     Metric("parameter_error_pct", "Parameters", "%"),
+)
+REALISTIC_METRICS = (
+    Metric("torque_rmse", "Torque", "Nm"),
+    Metric("torque_from_wrenches_rmse", "By wrenches", "Nm"),
+    Metric("contact_force_rmse", "Contact force", "N"),
+    Metric("contact_moment_rmse", "Moment", "Nm"),
+    Metric("com_position_rmse_mm", "CoM", "mm"),
+    Metric("com_momentum_rmse", "Momentum", "Ns, Nms"),
 )
 
 
@@ -55,6 +64,28 @@ class MethodResult:
     label: str
     estimate: Estimate | None
     metrics: dict[str, float] | None
+
+
+@dataclass(frozen=True)
+class TruncationChoice:
+    """One truncated method with z chosen in one of two ways.
+
+    Attributes
+    ----------
+    label : str
+        The method, as people write it.
+    chosen_by : str
+        What chose z.
+    rank : int
+        z.
+    metrics : dict of str to float
+        By ``Metric.key``.
+    """
+
+    label: str
+    chosen_by: str
+    rank: int
+    metrics: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -139,6 +170,12 @@ class ReportContent:
         None without ground truth.
     link_errors : LinkErrors or None
         None without ground truth.
+    intervals : IntervalSummary or None
+        Of the chosen method's predictions; None without ground truth or covariance.
+    realistic : dict of str to dict of str to float
+        By label, then by key of ``REALISTIC_METRICS``; empty without a noisy record.
+    truncations : tuple of TruncationChoice
+        z without validation data beside the best there could be, on the same rows.
     """
 
     title: str
@@ -149,6 +186,9 @@ class ReportContent:
     facts: dict[str, str] = field(default_factory=dict)
     predictions: tuple[PredictionSeries, ...] | None = None
     link_errors: LinkErrors | None = None
+    intervals: IntervalSummary | None = None
+    realistic: dict[str, dict[str, float]] = field(default_factory=dict)
+    truncations: tuple[TruncationChoice, ...] = ()
 
     def __post_init__(self) -> None:
         labels = [method.label for method in self.methods]

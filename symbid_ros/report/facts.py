@@ -23,9 +23,9 @@ def bag_facts(bags: Sequence[Path]) -> dict[str, str]:
 
 def estimate_facts(estimate: Estimate) -> dict[str, str]:
     """Return what an identification used."""
+    cut = "" if estimate.rank is None else f"{estimate.rank} singular values, "
     return {
-        "Samples": f"{estimate.samples} used",
-        "Singular values": f"{estimate.rank}, condition {estimate.condition:.3g}",
+        "Rows": f"{estimate.samples} of each coordinate, {cut}condition {estimate.condition:.3g}",
         "Inputs": ", ".join(estimate.inputs),
         "Software": estimate.software,
     }

@@ -121,9 +121,11 @@ def link_error_panel(errors: LinkErrors, styles: dict[str, Style]) -> Panel:
     rows = np.arange(len(errors.links), dtype=np.float64)
     labels = list(errors.percent)
     with rc_context(_RC):  # type: ignore[arg-type]
-        figure = Figure(figsize=(6.2, 0.9 + 0.27 * len(rows)), layout="constrained")
+        # Room for the dots of many methods, one below the other.
+        height = max(0.27, 0.045 * len(labels))
+        figure = Figure(figsize=(6.2, 0.9 + height * len(rows)), layout="constrained")
         axes = figure.add_subplot()
-        shift = np.linspace(-0.24, 0.24, len(labels)) if len(labels) > 1 else np.zeros(1)
+        shift = np.linspace(-0.3, 0.3, len(labels)) if len(labels) > 1 else np.zeros(1)
         for label, offset in zip(labels, shift, strict=True):
             style = styles[label]
             axes.plot(
@@ -147,7 +149,7 @@ def link_error_panel(errors: LinkErrors, styles: dict[str, Style]) -> Panel:
         else:
             axes.set_xlim(left=0)
         figure.legend(
-            loc="outside upper left", ncols=min(6, len(labels)), frameon=False, handletextpad=0.2
+            loc="outside upper left", ncols=min(4, len(labels)), frameon=False, handletextpad=0.2
         )
         note = f"mean over the links: {_link_means(errors)}"
         title = "Error per link"

@@ -40,3 +40,14 @@ def fixed(value: float | None, decimals: int) -> str:
     # A true minus sign is as wide as the digits, and -0.000 is no number.
     text = f"{value:.{decimals}f}"
     return text.replace("-", "−") if float(text) else text.lstrip("-")
+
+
+def measured(value: float, std: float) -> str:
+    """Return ``value ± std``, the deviation with two significant figures, the value with as many.
+
+    Where there is no finite positive deviation, the value alone.
+    """
+    if not (math.isfinite(std) and std > 0):
+        return significant(value)
+    decimals = shared_decimals([std], 2)
+    return f"{fixed(value, decimals)} ± {fixed(std, decimals)}"

@@ -6,7 +6,7 @@ from pathlib import Path
 import jinja2
 
 from symbid_ros.atomic import write_text
-from symbid_ros.report.content import METRICS, ReportContent
+from symbid_ros.report.content import METRICS, REALISTIC_METRICS, ReportContent
 from symbid_ros.report.figures import (
     Panel,
     com_panels,
@@ -17,6 +17,7 @@ from symbid_ros.report.figures import (
 from symbid_ros.report.numerals import significant
 from symbid_ros.report.parameters import parameter_groups
 from symbid_ros.report.style import Style, styles
+from symbid_ros.report.told import told_by
 from symbid_ros.report.verdict import best_labels, headline, impossible_links
 
 
@@ -56,13 +57,17 @@ def render(content: ReportContent) -> str:
         lstrip_blocks=True,
     )
     environment.filters["significant"] = significant
-    measured = any(method.metrics for method in content.methods)
+    measured = {method.label: method.metrics or {} for method in content.methods}
     return environment.get_template("report.html").render(
         content=content,
         css=(Path(__file__).with_name("report.css")).read_text(encoding="utf-8"),
         headline=headline(content),
-        metrics=METRICS if measured else (),
-        best=best_labels(content.methods),
+        told=told_by(content.estimate, content.intervals),
+        metrics=METRICS if any(measured.values()) else (),
+        measured=measured,
+        best=best_labels(measured, METRICS),
+        realistic=REALISTIC_METRICS if content.realistic else (),
+        best_realistic=best_labels(content.realistic, REALISTIC_METRICS),
         figures=_figures(content),
         impossible={
             method.label: impossible_links(method.estimate.consistent)

@@ -34,7 +34,7 @@ def metrics_table(methods: Sequence[MethodResult]) -> Table:
     table.add_column("", no_wrap=True)
     for metric in METRICS:
         table.add_column(f"{metric.title}\n[dim]{metric.unit}[/dim]", justify="right", no_wrap=True)
-    best = best_labels(methods)
+    best = best_labels({method.label: method.metrics or {} for method in methods}, METRICS)
     for method in methods:
         metrics = method.metrics or {}
         cells = [

@@ -1,21 +1,26 @@
 """What the numbers say, in one sentence."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-from symbid_ros.report.content import METRICS, PRIOR, TRUTH, MethodResult, ReportContent
+from symbid_ros.report.content import PRIOR, TRUTH, Metric, ReportContent
 from symbid_ros.report.numerals import significant
 
 
-def best_labels(methods: Iterable[MethodResult]) -> dict[str, frozenset[str]]:
+def best_labels(
+    rows: Mapping[str, Mapping[str, float]], metrics: Iterable[Metric]
+) -> dict[str, frozenset[str]]:
     """Return, by metric key, the labels with the smallest value.
 
     The truth competes with nobody; the prior does, so that a method which made
     things worse is seen to have done so.
     """
-    rows = {m.label: m.metrics for m in methods if m.metrics and m.label != TRUTH}
     best = {}
-    for metric in METRICS:
-        values = {label: row[metric.key] for label, row in rows.items() if metric.key in row}
+    for metric in metrics:
+        values = {
+            label: row[metric.key]
+            for label, row in rows.items()
+            if metric.key in row and label != TRUTH
+        }
         smallest = min(values.values(), default=0.0)
         best[metric.key] = frozenset(label for label, v in values.items() if v == smallest)
     return best

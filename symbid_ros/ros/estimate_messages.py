@@ -97,11 +97,12 @@ def _status(estimate: Estimate, group: str, indices: Sequence[int]) -> Diagnosti
 def health_message(estimate: Estimate, node: str, stamp: Time) -> DiagnosticArray:
     """Return the identifier's own state for /diagnostics."""
     impossible = [link for link, possible in estimate.consistent.items() if not possible]
+    faults = [f"physically impossible: {', '.join(impossible)}"] if impossible else []
+    if estimate.verdict is not None:
+        faults += estimate.verdict.alarms
     status = DiagnosticStatus(name=f"{node}: estimate", hardware_id=estimate.model)
-    status.level = DiagnosticStatus.WARN if impossible else DiagnosticStatus.OK
-    status.message = (
-        f"physically impossible: {', '.join(impossible)}" if impossible else "estimate published"
-    )
+    status.level = DiagnosticStatus.WARN if faults else DiagnosticStatus.OK
+    status.message = "; ".join(faults) or "estimate published"
     facts = {
         "method": estimate.method,
         "samples": str(estimate.samples),

@@ -35,29 +35,34 @@ PARAMETERS = (
         "Whether a URDF's base may move.",
         choices=("auto", "floating", "fixed"),
     ),
-    Parameter("prior", "", "prior.json; empty for the model's own inertias."),
-    Parameter("prior_percent", 0.0, "Believe the model's values to this share, %; 0: no."),
-    Parameter("prior_absolute", 0.0, "Believe the model's values to this, SI units; 0: no."),
+    Parameter("prior", "", "prior.json; empty for the model's own values."),
+    Parameter("prior_percent", 0.0, "Trust the model's values to ± this many %; 0: not given."),
+    Parameter("prior_absolute", 0.0, "Trust the model's values to ± this, SI units; 0: not given."),
     Parameter(
         "method",
         "map_lmi",
-        "Most probable and physically possible, most probable, or truncated least squares.",
+        "Most probable of all possible robots, most probable, or truncated least squares.",
         choices=METHODS,
     ),
-    Parameter("total_mass", 0.0, "The whole robot, weighed, kg; 0: unknown.", minimum=0.0),
-    Parameter("total_mass_std", 0.05, "Standard deviation of that, kg.", minimum=0.0),
-    Parameter("mirror", 0.0, "How unlike left and right links may be; 0: untied.", minimum=0.0),
-    Parameter("tare", [""], "Bags with nothing touching the wrench sensors."),
+    Parameter("total_mass", 0.0, "What the whole robot weighs, kg; 0: unknown.", minimum=0.0),
+    Parameter("total_mass_std", 0.05, "Standard deviation of total_mass, kg.", minimum=0.0),
+    Parameter(
+        "mirror",
+        0.0,
+        "How far left and right may differ, in standard deviations of the prior; 0: freely.",
+        minimum=0.0,
+    ),
+    Parameter("tare", [""], "Bags recorded with nothing touching the wrench sensors."),
     Parameter("sensor_errors", "", "Sensor errors to identify: typical, or names with commas."),
-    Parameter("information", "", "information.npz of an earlier run to go on from."),
+    Parameter("information", "", "information.npz of an earlier run, to add its data."),
     Parameter(
         "filter",
         "weak",
-        "Rows averaged over windows, or at instants of filtered channels.",
+        "Average the equation over windows, or filter the signals and take single instants.",
         choices=("weak", "butterworth", "savitzky_golay"),
     ),
     Parameter("window", 0.0, "Length of the windows, s; 0: chosen by the data.", minimum=0.0),
-    Parameter("cutoff", 30.0, "Of the Butterworth filter, Hz; 0 filters nothing.", minimum=0.0),
+    Parameter("cutoff", 30.0, "Of the Butterworth filter, Hz; 0: no filter.", minimum=0.0),
     Parameter(
         "channels",
         "all",
@@ -65,7 +70,10 @@ PARAMETERS = (
         choices=("all", "thesis"),
     ),
     Parameter(
-        "rank", 0, "Number of singular values; 0: chosen by the data, or on a bag.", minimum=0
+        "rank",
+        0,
+        "Number of singular values to use; 0: chosen by the data, or on a bag.",
+        minimum=0,
     ),
     Parameter("validate", "", "Bag on which to choose the number of singular values."),
     Parameter(
@@ -75,12 +83,14 @@ PARAMETERS = (
         choices=("gen_force", "torque", "com"),
     ),
     Parameter("friction", False, "Identify viscous and Coulomb friction as well."),
-    Parameter("armature", False, "Identify the drives' reflected inertias as well."),
-    Parameter("offset", False, "Identify a constant effort per joint as well."),
+    Parameter(
+        "armature", False, "Identify the drives' inertias, as the joints feel them, as well."
+    ),
+    Parameter("offset", False, "Identify a constant torque of every joint as well."),
     Parameter("joint_topic", "", "JointState topic of the bag; empty for joint_states."),
     Parameter("imu_topics", [""], "Imu topics of the bag; empty for all."),
     Parameter("wrench_topics", [""], "WrenchStamped topics of the bag; empty for all."),
-    Parameter("out", "", "Folder for estimate.json, model.urdf and model.xml; empty for none."),
+    Parameter("out", "", "Folder for the estimate and the models; empty for none."),
 )
 
 

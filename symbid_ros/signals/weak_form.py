@@ -50,8 +50,6 @@ SETTLING = 4
 SLIPPING = 0.95
 
 CHUNK = 512
-# Low-passed noise is followed well enough by every fourth sample.
-NOISE_STRIDE = 4
 
 
 @dataclass(frozen=True)
@@ -143,17 +141,10 @@ def windowed_rows(
             continue
         block = segment.cut(start, stop)
         readings = smoothed(block, low_pass, edge)
-        sparse = readings[::NOISE_STRIDE]
-        noisy = smoothed(with_more_noise(block), low_pass, edge)[::NOISE_STRIDE]
+        noisy = smoothed(with_more_noise(block), low_pass, edge)
         centres = _centres(readings, windows)
-        weights, coarse = (
-            [_hann(one, *window) for window in zip(centres, windows, strict=True)]
-            for one in (readings, sparse)
-        )
-        averages = [
-            _averages(build(one), weight)
-            for one, weight in ((readings, weights), (sparse, coarse), (noisy, coarse))
-        ]
+        weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
+        averages = [_averages(build(one), weights) for one in (readings, noisy)]
         yield tuple(_combined(*parts) for parts in zip(*averages, strict=True))
 
 
@@ -207,7 +198,7 @@ def _added(a: _Average, b: _Average) -> _Average:
     return _Average(a.flat + b.flat, a.valid + b.valid, a.shape)
 
 
-def _combined(mean: _Average, without: _Average, more: _Average) -> WindowedRows:
+def _combined(mean: _Average, noisy: _Average) -> WindowedRows:
     n, p = mean.shape
     valid = mean.valid > SLIPPING
 
@@ -215,4 +206,4 @@ def _combined(mean: _Average, without: _Average, more: _Average) -> WindowedRows
         K, y = flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]
         return Rows(K * valid[:, :, None], y * valid)
 
-    return WindowedRows(rows(mean.flat), rows(more.flat - without.flat), valid)
+    return WindowedRows(rows(mean.flat), rows(noisy.flat - mean.flat), valid)

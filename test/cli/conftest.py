@@ -66,6 +66,14 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a log just long enough to be identified."""
+    bag = tmp_path_factory.mktemp("bags") / "short"
+    record(Simulator("smooth", moves=1, motion_seed=21, noise_seed=5), bag)
+    return bag
+
+
+@pytest.fixture(scope="session")
 def ideal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     bag = tmp_path_factory.mktemp("bags") / "ideal"
     record(Simulator("smooth", moves=3, motion_seed=22, ideal=True), bag)

@@ -2,29 +2,58 @@
 
 import json
 
+from report_pages import Page
+
 from symbid_ros.bags.reader import topic_counts
 from symbid_ros.estimation.thesis import METHODS
+from symbid_ros.report.numerals import measured
 
-TITLES = ("prior", "OLS", "WLS-R", "WLS-C", "WLS-RC", "truth")
+TITLES = ("prior", "OLS", "WLS-R", "WLS-C", "WLS-RC", "WLS-RC, own z", "MAP", "MAP-LMI", "truth")
+FOLDERS = {method: method for method in (*METHODS, "map", "map_lmi")} | {"wls_rc_own_z": "wls_rc"}
 
 
 def test_the_demo_leaves_its_artefacts(symbid, tmp_path) -> None:
     out = tmp_path / "demo"
     ended = symbid("demo", "--moves", 1, "--out", out, columns=120)
     assert ended.returncode == 0, ended.stderr
-    assert all(title in ended.stdout for title in TITLES)
+    assert all(f" {title} " in ended.stdout for title in TITLES)
     counts = topic_counts(out / "bag")
     sensors = ("/joint_states", "/imu/data", "/left_foot/wrench", "/right_foot/wrench")
     assert len({counts[topic] for topic in sensors}) == 1
-    for method in METHODS:
-        (folder,) = out.rglob(f"{method}/estimate.json")
-        assert json.loads(folder.read_text())["method"] == method
-        assert (folder.parent / "model.urdf").is_file()
-        assert (folder.parent / "model.xml").is_file()
-    report = (out / "report.html").read_text()
-    assert all(title in report for title in TITLES)
-    assert "http://" not in report.replace("http://www.w3.org", "")
-    assert "src=" not in report.replace('src="data:', "")
+    found = {}
+    for folder, method in FOLDERS.items():
+        found[folder] = json.loads((out / folder / "estimate.json").read_text())
+        assert found[folder]["method"] == method
+        for name in ("model.urdf", "model.xml", "information.npz"):
+            assert (out / folder / name).is_file()
+    # What the filtered rows' z was chosen on, the windows' own z and the others never saw.
+    for folder, estimate in found.items():
+        assert any("validation" in name for name in estimate["inputs"]) == (folder in METHODS)
+
+    page = Page((out / "report.html").read_text())
+    assert {row[0] for row in page.rows} >= set(TITLES)
+    assert "http://" not in page.source.replace("http://www.w3.org", "")
+    assert "src=" not in page.source.replace('src="data:', "")
+    own_z = found["wls_rc_own_z"]["rank"]
+    choices = [row for row in page.rows if row[1:2] in (["the log itself"], ["the ideal bag"])]
+    assert [row[0] for row in choices] == [t for t in TITLES[1:5] for _ in range(2)]
+    assert ["WLS-RC", "the log itself", str(own_z)] in [row[:3] for row in choices]
+
+    chosen = found["map_lmi"]
+    assert all(chosen["consistent"].values())
+    alarms = chosen["verdict"]["alarms"]
+    assert ("No alarm" in page.source) == (not alarms)
+    for link, gain in chosen["verdict"]["link_gain"].items():
+        mass = chosen["parameters"][f"{link}/m"]
+        (row,) = [row for row in page.rows if row[0] == link and len(row) == 5]
+        assert row[2:4] == [measured(mass["value"], mass["std"]), f"{gain:.1f}"]
+    start = page.rows.index(["Combination, SI units", "Value ± std", "Unit", "Determined"]) + 1
+    base = page.rows[start : start + len(chosen["verdict"]["base"])]
+    assert [row[1] for row in base] == [
+        measured(one["value"], one["std"]) for one in chosen["verdict"]["base"]
+    ]
+    sections = page.attributes("id")
+    assert {"told", "realistic", "truncation"} <= set(sections)
 
     again = symbid("demo", "--out", out)
     assert again.returncode == 2

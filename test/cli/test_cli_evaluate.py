@@ -1,11 +1,17 @@
-"""`symbid evaluate` with and without a noisy bag."""
+"""`symbid evaluate` and `symbid report`, with and without what they can do without."""
 
 import json
-from dataclasses import fields
+from dataclasses import asdict, fields
 
+import numpy as np
 import pytest
+from report_pages import Page
 
-from symbid_ros.offline.evaluation import Metrics
+from symbid_ros.estimation.archive import load_deviation_factor
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.evaluation import Metrics, read_true_motion
+from symbid_ros.offline.interval import summarise_intervals
 from symbid_ros.offline.prediction import RealisticMetrics
 
 
@@ -15,6 +21,79 @@ def prior(symbid, model, tmp_path_factory):
     ended = symbid("prior", "--model", model, "--percent", 25, "--seed", 3, "--out", path)
     assert (ended.returncode, ended.stderr) == (0, "")
     return path
+
+
+@pytest.fixture(scope="module")
+def found(symbid, model, short, prior, tmp_path_factory):
+    """What two methods found in one log, side by side."""
+    out = tmp_path_factory.mktemp("found")
+    for method in ("map_lmi", "wls_rc"):
+        ended = symbid(
+            *("identify", short, "--model", model, "--prior", prior),
+            *("--method", method, "--window", 0.081, "--out", out / method),
+        )
+        assert (ended.returncode, ended.stderr) == (0, "")
+    return out
+
+
+def test_an_estimate_with_covariance_has_intervals(symbid, model, ideal, found, tmp_path) -> None:
+    file = tmp_path / "figures.json"
+    ended = symbid("evaluate", found / "map_lmi", "--model", model, "--bag", ideal, "--json", file)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "90 % intervals" in ended.stdout
+    intervals = json.loads(file.read_text())["intervals"]
+    parameters = ParameterSet(load_model(model))
+    estimate = json.loads((found / "map_lmi" / "estimate.json").read_text())["parameters"]
+    expected = summarise_intervals(
+        parameters,
+        np.array([estimate[name]["value"] for name in parameters.names]),
+        load_deviation_factor(found / "map_lmi" / "information.npz"),
+        parameters.values,
+        read_true_motion([ideal], parameters.model),
+    )
+    assert intervals == pytest.approx(asdict(expected))
+    assert all(f"{value:.4g}" in ended.stdout for value in intervals.values())
+
+
+def test_an_estimate_without_covariance_has_none(symbid, model, ideal, found, tmp_path) -> None:
+    file = tmp_path / "figures.json"
+    ended = symbid("evaluate", found / "wls_rc", "--model", model, "--bag", ideal, "--json", file)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "intervals" not in ended.stdout
+    assert "intervals" not in json.loads(file.read_text())
+
+
+def test_a_page_without_truth_shows_what_was_found(symbid, model, short, found, tmp_path) -> None:
+    file = tmp_path / "report.html"
+    ended = symbid(
+        *("report", found / "wls_rc", found / "map_lmi"),
+        *("--model", model, "--bag", short, "--out", file),
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, f"wrote {file}\n", "")
+    page = Page(file.read_text())
+    assert page.row("Coordinate") == ["Coordinate", "WLS-RC", "MAP-LMI"]
+    document = json.loads((found / "map_lmi" / "estimate.json").read_text())
+    masses = [row for row in page.rows if row[0] == "m"]
+    for row, link in zip(masses, document["consistent"], strict=True):
+        mass = document["parameters"][f"{link}/m"]["value"]
+        assert float(row[1]) == pytest.approx(mass, rel=1e-4)
+    assert "methods" not in page.attributes("id")
+
+
+def test_what_no_page_can_show_is_refused_in_one_line(
+    symbid, model, short, prior, found, tmp_path
+) -> None:
+    file = tmp_path / "report.html"
+    for subject, options, says in (
+        (prior, (), "a prior is no identification"),
+        (found / "map_lmi", ("--realistic", short), "add --truth"),
+    ):
+        command = ("report", subject, "--model", model, "--bag", short, "--out", file)
+        ended = symbid(*command, *options)
+        assert ended.returncode == 2
+        assert says in ended.stderr
+        assert ended.stderr.count("\n") == 1
+        assert not file.exists()
 
 
 def test_realistic_predictions_come_beside_the_ideal_ones(

@@ -1,82 +1,187 @@
 """What a user gets wrong ends with one line that helps, and costs nothing."""
 
 import json
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from symbid_ros.cli.main import main
+from symbid_ros.estimation.archive import write_archive
+from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.prior import model_prior
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.weak_form import WINDOWS
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
+Refusal = Callable[..., str]
+
+PENDULUM = """
+<robot name="pendulum">
+  <link name="world"/>
+  <link name="rod">
+    <inertial>
+      <origin xyz="0 0 -0.5"/> <mass value="2"/>
+      <inertia ixx="0.2" iyy="0.2" izz="0.01" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name="hinge" type="continuous">
+    <parent link="world"/> <child link="rod"/> <axis xyz="0 1 0"/>
+  </joint>
+</robot>
+"""
+
 
 @pytest.fixture
-def good(model, log, tmp_path) -> dict[str, object]:
-    return {"bag": log, "model": model, "rank": 10, "out": tmp_path / "out"}
+def good(model, short, tmp_path) -> dict[str, object]:
+    return {"bag": short, "model": model, "out": tmp_path / "out"}
 
 
-def fails(symbid, *words: str, **given: object) -> str:
-    arguments = [given.pop("bag")] if "bag" in given else []
-    for name, value in given.items():
-        arguments += [f"--{name.replace('_', '-')}", value]
-    ended = symbid("identify", *arguments)
-    assert ended.returncode == 2, ended.stderr
-    assert ended.stdout == ""
-    assert ended.stderr.startswith("symbid: ")
-    assert ended.stderr.count("\n") == 1, ended.stderr
-    for word in words:
-        assert word in ended.stderr
-    assert not Path(str(given.get("out"))).exists()
-    return ended.stderr
+@pytest.fixture
+def fails(monkeypatch, capfd, caplog) -> Refusal:
+    """Run the command in this process; return its one line on stderr."""
+
+    def run(*words: str, **given: object) -> str:
+        arguments = [given.pop("bag")] if "bag" in given else []
+        for name, value in given.items():
+            values = value if isinstance(value, tuple) else (value,)
+            arguments += [f"--{name.replace('_', '-')}", *values]
+        monkeypatch.setattr(sys, "argv", ["symbid", "identify", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capfd.readouterr()
+        assert ended.value.code == 2, err
+        assert (out, caplog.messages) == ("", [])
+        assert err.startswith("symbid: ")
+        assert err.count("\n") == 1, err
+        for word in words:
+            assert word in err
+        assert not Path(str(given.get("out"))).exists()
+        return err
+
+    return run
 
 
-def test_a_missing_bag(symbid, good) -> None:
-    fails(symbid, "nowhere", **good | {"bag": "nowhere"})
+def test_a_missing_bag(fails, good) -> None:
+    fails("nowhere", **good | {"bag": "nowhere"})
 
 
-def test_a_file_that_is_no_bag(symbid, good, tmp_path) -> None:
+def test_a_file_that_is_no_bag(fails, good, tmp_path) -> None:
     (tmp_path / "notes.mcap").write_text("not a bag")
-    fails(symbid, "notes.mcap", **good | {"bag": tmp_path / "notes.mcap"})
+    fails("notes.mcap", **good | {"bag": tmp_path / "notes.mcap"})
 
 
-def test_a_missing_model(symbid, good) -> None:
-    fails(symbid, "nowhere.urdf", **good | {"model": "nowhere.urdf"})
+def test_a_missing_model(fails, good) -> None:
+    fails("nowhere.urdf", **good | {"model": "nowhere.urdf"})
 
 
-def test_a_model_with_other_joints(symbid, good, model, tmp_path) -> None:
+def test_a_model_with_other_joints(fails, good, model, tmp_path) -> None:
     other = tmp_path / "other.xml"
     other.write_text(model.read_text().replace("R_kfe", "R_knee"))
-    fails(symbid, "R_knee", **good | {"model": other})
+    fails("R_knee", **good | {"model": other})
 
 
-def test_a_prior_of_another_model(symbid, good, tmp_path) -> None:
+def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
     prior = {"model": "other", "kind": "percent", "seed": 0, "parameters": {}}
     prior["parameters"]["trunk/m"] = {"value": 1.0, "std": 0.1}
     (tmp_path / "prior.json").write_text(json.dumps(prior))
-    fails(symbid, "prior.json", "other", **good | {"prior": tmp_path / "prior.json"})
+    fails("prior.json", "other", **good | {"prior": tmp_path / "prior.json"})
 
 
-def test_neither_rank_nor_validation(symbid, good) -> None:
-    good.pop("rank")
-    fails(symbid, "--rank", "--validate", **good)
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"prior_percent": -3}, "give a positive half-width"),
+        ({"prior_absolute": "nan"}, "give a positive half-width"),
+        ({"prior_percent": 5, "prior_absolute": 0.1}, "give one of --prior, --prior-percent"),
+        ({"total_mass": -41}, "a total mass of -41 ± 0.05 kg is no weighing"),
+        ({"total_mass": 41, "total_mass_std": 0}, "a total mass of 41 ± 0 kg is no weighing"),
+        ({"total_mass": 60, "prior_percent": 5}, "60 kg contradicts the prior, whose links weigh"),
+        ({"mirror": 0}, "left/right tying of 0 prior deviations"),
+        ({"sensor_errors": "plate_offse"}, "no sensor error 'plate_offse'; give typical or any of"),
+        ({"sensor_errors": "typical", "filter": "butterworth"}, "leave --filter out"),
+        ({"rank": 5, "validate": "log"}, "--rank and --validate both choose"),
+        ({"rank": 0}, "--rank"),
+        ({"window": 0}, "give a positive length"),
+        ({"window": "nan"}, "give a positive length"),
+        ({"window": 60}, "log is too short, not even a window of 60000 ms"),
+        ({"filter": "savitzky_golay", "window": 60}, "shorten it or record longer"),
+        ({"filter": "butterworth", "cutoff": 500}, "not below half the rate of 1000 Hz"),
+        ({"filter": "butterworth", "cutoff": 0.05}, "too short for this filter"),
+        ({"method": "wls_r", "sensor_std": (0.1, 0, 0.1)}, "must all be positive"),
+        ({"method": "guess"}, "--method"),
+    ],
+    ids=lambda value: " ".join(map(str, value.items())) if isinstance(value, dict) else "",
+)
+def test_an_option_that_makes_no_sense(fails, good, given, says) -> None:
+    fails(says, **good | given)
 
 
-def test_a_log_too_short(symbid, good) -> None:
-    fails(symbid, "too short", **good | {"cutoff": 0.05})
+@pytest.mark.parametrize("std", [0, -0.1, float("nan")])
+def test_a_prior_that_is_no_distribution(fails, good, model, tmp_path, std) -> None:
+    path = tmp_path / "prior.json"
+    parameters = ParameterSet(load_model(model))
+    model_prior(parameters).write(path)
+    prior = json.loads(path.read_text())
+    name = parameters.names[7]
+    prior["parameters"][name]["std"] = std
+    path.write_text(json.dumps(prior))
+    fails("prior.json", name, "standard deviation positive", **good | {"prior": path})
 
 
-def test_a_topic_that_is_not_there(symbid, good) -> None:
-    fails(symbid, "/absent", **good | {"imu_topic": "/absent"})
+def test_information_that_is_not_there(fails, good, tmp_path) -> None:
+    path = tmp_path / "information.npz"
+    fails("information.npz", "cannot read it", **good | {"information": path})
 
 
-def test_a_topic_that_was_not_recorded(symbid, good, copied_without, tmp_path) -> None:
+def test_information_that_is_no_archive(fails, good, model) -> None:
+    said = fails("no information.npz of symbid identify", **good | {"information": model})
+    assert "pickle" not in said, "advice to load what nobody should load"
+
+
+def test_information_about_another_robot(fails, good, tmp_path) -> None:
+    (tmp_path / "pendulum.urdf").write_text(PENDULUM)
+    layout = RowLayout.of(ParameterSet(load_model(tmp_path / "pendulum.urdf")))
+    path = tmp_path / "information.npz"
+    write_archive(path, [Observations.empty(layout, window) for window in WINDOWS])
+    fails("information.npz", "different robots", **good | {"information": path})
+
+
+def test_a_tare_without_wrenches(fails, good, copied_without, tmp_path) -> None:
+    bag = copied_without(good["bag"], tmp_path / "blank", "foot")
+    fails("blank", "no wrench sensor", **good | {"tare": bag})
+
+
+def test_a_log_without_wrenches_that_is_to_be_tared(fails, good, copied_without, tmp_path) -> None:
+    bag = copied_without(good["bag"], tmp_path / "afloat", "foot")
+    fails("afloat", "% of the prior's weight", **good | {"bag": bag, "tare": good["bag"]})
+
+
+def test_a_weighing_that_truncated_methods_cannot_use(fails, good) -> None:
+    fails("use map or map_lmi", **good | {"method": "wls_rc", "total_mass": 41})
+
+
+def test_a_rank_beyond_what_the_log_has(fails, good) -> None:
+    fails("rank 1000", "choose another --rank", **good | {"method": "ols", "rank": 1000})
+
+
+def test_a_topic_that_is_not_there(fails, good) -> None:
+    fails("/absent", **good | {"imu_topic": "/absent"})
+
+
+def test_a_topic_that_was_not_recorded(fails, good, copied_without, tmp_path) -> None:
     bag = copied_without(good["bag"], tmp_path / "blind", "imu")
-    fails(symbid, "blind", "Imu", **good | {"bag": bag})
+    fails("blind", "Imu", **good | {"bag": bag})
 
 
-def test_a_forgotten_force_plate(symbid, good, copied_without, tmp_path) -> None:
+def test_a_forgotten_force_plate(fails, good, copied_without, tmp_path) -> None:
     """Its bag reads well, but the forces in it do not carry the robot."""
     bag = copied_without(good["bag"], tmp_path / "limping", "left_foot")
-    fails(symbid, "limping", "right_sole", "% of the prior's weight", **good | {"bag": bag})
+    fails("limping", "right_sole", "% of the prior's weight", **good | {"bag": bag})
 
 
 def test_what_was_there_stays(symbid, good) -> None:
@@ -84,10 +189,12 @@ def test_what_was_there_stays(symbid, good) -> None:
     out.mkdir()
     (out / "estimate.json").write_text("of yesterday")
     (out / "thesis.txt").write_text("years of work")
-    bad = symbid("identify", "nowhere", "--model", good["model"], "--rank", 5, "--out", out)
+    bad = symbid("identify", "nowhere", "--model", good["model"], "--out", out)
     assert bad.returncode == 2
+    assert bad.stderr.startswith("symbid: nowhere")
+    assert bad.stderr.count("\n") == 1
     assert (out / "estimate.json").read_text() == "of yesterday"
-    written = symbid("identify", good["bag"], "--model", good["model"], "--rank", 5, "--out", out)
+    written = symbid("identify", good["bag"], "--model", good["model"], "--out", out)
     assert written.returncode == 0
     assert (out / "thesis.txt").read_text() == "years of work"
     again = symbid("simulate", "--out", good["bag"])
@@ -95,7 +202,7 @@ def test_what_was_there_stays(symbid, good) -> None:
     assert again.stderr.count("\n") == 1
 
 
-def test_a_value_that_is_no_number(symbid, good, tmp_path) -> None:
+def test_a_value_that_is_no_number(fails, good, tmp_path) -> None:
     class Faulty(Simulator):
         def step(self):
             instant = super().step()
@@ -104,7 +211,7 @@ def test_a_value_that_is_no_number(symbid, good, tmp_path) -> None:
             return instant
 
     record(Faulty("smooth", moves=1, motion_seed=3), tmp_path / "faulty")
-    fails(symbid, "joint_states", "R_kfe", **good | {"bag": tmp_path / "faulty"})
+    fails("joint_states", "R_kfe", **good | {"bag": tmp_path / "faulty"})
 
 
 @pytest.mark.parametrize("columns", [40, 200])

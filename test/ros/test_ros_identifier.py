@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from symbid_ros.share import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
+FILES = {"estimate.json", "information.npz", "model.urdf", "model.xml"}
 SENSORS = "[joint_states, imu/data, left_foot/wrench, right_foot/wrench]"
 LATCHED = QoSProfile(
     depth=1,
@@ -43,18 +45,35 @@ def recorded(graph, bag: Path) -> Path:
     return bag
 
 
+def command(bag: Path, out: Path, *options: object) -> dict[str, Any]:
+    """Identify with the command, return estimate.json."""
+    subprocess.run(
+        [
+            Path(sys.executable).parent / "symbid",
+            *("identify", bag, *map(str, options), "--out", out),
+        ],
+        check=True,
+        capture_output=True,
+        timeout=120,
+    )
+    return json.loads((out / "estimate.json").read_text())
+
+
+def same_files(one: Path, other: Path) -> bool:
+    """Compare all that an identification writes, the arrays bit by bit."""
+    assert {file.name for file in one.iterdir()} == FILES == {f.name for f in other.iterdir()}
+    with np.load(one / "information.npz") as a, np.load(other / "information.npz") as b:
+        arrays = set(a) == set(b) and all(np.array_equal(a[key], b[key]) for key in a)
+    texts = FILES - {"information.npz"}
+    return arrays and all((one / f).read_text() == (other / f).read_text() for f in texts)
+
+
 def test_the_loop_over_topics_gives_what_the_command_gives(graph, tmp_path: Path) -> None:
     bag = recorded(graph, tmp_path / "bag")
-    record(Simulator("smooth", moves=1, motion_seed=8, ideal=True), tmp_path / "validation")
     model = config_file("symbitron.xml")
     parameters = ParameterSet(load_model(model))
     draw_prior(parameters, "percent", 25, 4).write(tmp_path / "prior.json")
-    given = {
-        "model": model,
-        "prior": tmp_path / "prior.json",
-        "validate": tmp_path / "validation",
-        "method": "wls_rc",
-    }
+    given = {"model": model, "prior": tmp_path / "prior.json"}
 
     heard: dict[str, object] = {}
     links = [link.name for link in parameters.model.links]
@@ -78,23 +97,10 @@ def test_the_loop_over_topics_gives_what_the_command_gives(graph, tmp_path: Path
     identifier.send(signal.SIGINT)
     assert identifier.ended().status == 0
 
-    options = [word for name, value in given.items() for word in (f"--{name}", str(value))]
-    subprocess.run(
-        [
-            Path(sys.executable).parent / "symbid",
-            *("identify", bag, *options, "--out", tmp_path / "command"),
-        ],
-        check=True,
-        capture_output=True,
-        timeout=120,
-    )
-    node, command = (
-        json.loads((tmp_path / name / "estimate.json").read_text()) for name in ("node", "command")
-    )
-    assert node == command
-    for name in ("model.urdf", "model.xml"):
-        text = (tmp_path / "node" / name).read_text()
-        assert text == (tmp_path / "command" / name).read_text()
+    options = [word for name, value in given.items() for word in (f"--{name}", value)]
+    document = command(bag, tmp_path / "command", *options)
+    assert same_files(tmp_path / "node", tmp_path / "command")
+    assert document["method"] == "map_lmi"
     assert heard["robot_description"].data == (tmp_path / "node" / "model.urdf").read_text()
 
     told = {
@@ -102,10 +108,10 @@ def test_the_loop_over_topics_gives_what_the_command_gives(graph, tmp_path: Path
         for status in heard["estimate"].status
         for entry in status.values
     }
-    for name, entry in command["parameters"].items():
+    for name, entry in document["parameters"].items():
         assert told[name] == entry["value"]
         assert told[f"{name}/std"] == entry["std"]
-    values = {name: entry["value"] for name, entry in command["parameters"].items()}
+    values = {name: entry["value"] for name, entry in document["parameters"].items()}
     for link in links:
         inertia = heard[f"inertia/{link}"].inertia
         assert inertia.m == values[f"{link}/m"]
@@ -115,7 +121,101 @@ def test_the_loop_over_topics_gives_what_the_command_gives(graph, tmp_path: Path
         # Steiner: about the link's origin again.
         at_origin = inertia.izz + inertia.m * (com[0] ** 2 + com[1] ** 2)
         assert at_origin == pytest.approx(values[f"{link}/Izz"], rel=1e-9, abs=1e-12)
-    residual = command["residual_rmse"]
+    residual = document["residual_rmse"]
     efforts = dict(zip(heard["effort_residual"].name, heard["effort_residual"].effort, strict=True))
     assert efforts == {name: residual[name] for name in efforts}
     assert heard["wrench_residual"].wrench.force.z == residual["base/force_z"]
+
+
+def node_and_command(graph, tmp_path: Path, bag: Path, **given: object) -> dict[str, Any]:
+    """Identify with both, whose answers must not differ; a flag is true, a list repeats."""
+    model = config_file("symbitron.xml")
+    parameters = {
+        name: f"[{', '.join(map(repr, map(str, value)))}]" if isinstance(value, list) else value
+        for name, value in given.items()
+    }
+    identifier = graph.start(
+        "identifier", bag=f"['{bag}']", model=model, out=tmp_path / "node", **parameters
+    )
+    # Files come before topics, estimate.json last.
+    heard: list[DiagnosticArray] = []
+    graph.node.create_subscription(DiagnosticArray, "/identifier/estimate", heard.append, LATCHED)
+    graph.wait_until(lambda: heard)
+    identifier.send(signal.SIGINT)
+    assert identifier.ended().status == 0
+    options: list[object] = ["--model", model]
+    for name, value in given.items():
+        option = f"--{name.replace('_', '-')}"
+        for each in value if isinstance(value, list) else [value]:
+            options += [option] if each is True else [option, each]
+    document = command(bag, tmp_path / "command", *options)
+    assert same_files(tmp_path / "node", tmp_path / "command")
+    return document
+
+
+def test_every_fact_reaches_the_job_from_both(graph, tmp_path: Path) -> None:
+    errors = {"errors": "typical", "error_seed": 3}
+    record(Simulator("smooth", moves=1, motion_seed=7, **errors), tmp_path / "bag")
+    record(Simulator("tare", **errors), tmp_path / "tare")
+    document = node_and_command(
+        graph,
+        tmp_path,
+        tmp_path / "bag",
+        tare=[tmp_path / "tare"],
+        sensor_errors="plate_offset, torque_gain",
+        total_mass=41.05,
+        total_mass_std=0.02,
+        prior_percent=20.0,
+        mirror=0.5,
+        offset=True,
+    )
+    assert str(tmp_path / "tare") in document["inputs"]
+    kinds = {sensor["name"].split("/")[1] for sensor in document["verdict"]["sensors"]}
+    assert {kind.split("_")[0] for kind in kinds} == {"plate", "torque"}
+    assert document["parameters"]["L_kfe/offset"]["determined"]
+
+
+def test_a_truncated_method_on_filtered_rows_is_the_same_from_both(graph, tmp_path: Path) -> None:
+    record(Simulator("smooth", moves=1, motion_seed=7), tmp_path / "bag")
+    record(Simulator("smooth", moves=1, motion_seed=8, ideal=True), tmp_path / "validation")
+    document = node_and_command(
+        graph,
+        tmp_path,
+        tmp_path / "bag",
+        method="wls_rc",
+        validate=tmp_path / "validation",
+        select_by="torque",
+        filter="butterworth",
+        cutoff=25.0,
+        channels="thesis",
+        friction=True,
+        armature=True,
+    )
+    assert document["method"] == "wls_rc"
+    assert document["rank"] >= 1
+    assert {"L_kfe/viscous", "L_kfe/coulomb", "L_kfe/armature"} <= set(document["parameters"])
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        ({"total_mass": -41.0}, "parameter total_mass: not a valid value"),
+        ({"sensor_errors": "plate_offse"}, "no sensor error 'plate_offse'"),
+        ({"rank": 5, "validate": "log"}, "both choose the singular values"),
+        ({"filter": "weak", "window": -1.0}, "parameter window"),
+    ],
+    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
+)
+def test_a_parameter_that_makes_no_sense(graph, tmp_path: Path, parameters, says) -> None:
+    identifier = graph.start(
+        "identifier",
+        bag=f"['{tmp_path / 'bag'}']",
+        model=config_file("symbitron.xml"),
+        out=tmp_path / "out",
+        **parameters,
+    )
+    ended = identifier.ended()
+    assert ended.status == 2
+    assert ended.err.count("\n") == 1, ended.err
+    assert says in ended.err
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,239 @@
+"""Accuracy and honesty of an estimator over several logs and priors, as a Markdown table.
+
+Usage: .venv/bin/python bench/estimators.py [--seed 100] [--draws 9] [--cases smooth vibrating]
+[--method map_lmi] [--percent 25]
+
+One draw is a prior and a log with its noise. Logs are simulated into a temporary folder, one at a
+time; the estimates are judged on ideal smooth logs with other moves. Cases: smooth, vibrating,
+each without errors; errors, a smooth log of a robot with typical systematic errors, identified
+with a tare and a weighing; uncured, the same without. A draw takes about a minute.
+"""
+
+import argparse
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from symbid_ros.estimation.directions import determined_directions
+from symbid_ros.estimation.prior import Prior, draw_prior
+from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
+from symbid_ros.offline.evaluation import TrueMotion, evaluate, read_true_motion
+from symbid_ros.offline.identification import METHODS, Identification, Problem, Solver
+from symbid_ros.offline.interval import HALF_WIDTH, summarise_intervals
+from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+from symbid_ros.offline.record import Record
+from symbid_ros.share import config_file
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+MODEL = config_file("symbitron.xml")
+# case: scenario, systematic errors, whether they are cured
+CASES = {
+    "smooth": ("smooth", "", False),
+    "vibrating": ("vibrating", "", False),
+    "errors": ("smooth", "typical", True),
+    "uncured": ("smooth", "typical", False),
+}
+WEIGHING_STD = 0.02  # kg
+# Every so many samples of the ideal log are judged: its motion is slow.
+STRIDE = 5
+# Between the seeds of cases: with the same noise, windows that average a vibration away would
+# show one draw twice.
+APART = 10_000
+
+
+@dataclass(frozen=True)
+class Score:
+    """What one draw gave.
+
+    Attributes
+    ----------
+    gen_force, torque, com, parameters : float
+        Errors, N and Nm, Nm, mm, %.
+    impossible : int
+        Links that no body can have.
+    covered, com_covered : float
+        Share of the truth inside 90 % intervals: of determined parameters, of the centre of mass.
+    squares : (d,) float64
+        Squares of normalised errors in the determined directions.
+    alarms : int
+    window : float
+        s.
+    """
+
+    gen_force: float
+    torque: float
+    com: float
+    parameters: float
+    impossible: int
+    covered: float
+    com_covered: float
+    squares: np.ndarray
+    alarms: int
+    window: float
+
+
+def main() -> None:
+    """Simulate, identify, judge, print."""
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--seed", type=int, default=100, help="first seed of motion and noise")
+    options.add_argument("--draws", type=int, default=9, help="priors times logs of each case")
+    options.add_argument("--priors", type=int, default=3, help="of each log")
+    options.add_argument("--moves", type=int, default=20, help="of each log")
+    options.add_argument("--percent", type=float, default=25.0)
+    options.add_argument("--method", choices=METHODS, default="map_lmi")
+    options.add_argument("--cases", nargs="+", choices=CASES, default=["smooth", "vibrating"])
+    given = options.parse_args()
+    parameters = ParameterSet(load_model(MODEL))
+    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+        ideal = Path(folder) / "ideal"
+        record(Simulator("smooth", moves=10, motion_seed=given.seed + 5000, ideal=True), ideal)
+        motion = read_true_motion([ideal], parameters.model)[::STRIDE]
+        print(
+            "| case | gen. force | torque | CoM mm (worst) | parameters % | impossible links | "
+            "covered | CoM covered | normalised ms (directions) | alarms |"
+        )
+        print("|---|---|---|---|---|---|---|---|---|---|", flush=True)
+        for case in given.cases:
+            scores = []
+            for score in draws(case, given, parameters, motion, Path(folder)):
+                scores.append(score)
+                print(
+                    f"{case} {len(scores)}/{given.draws}: CoM {score.com:.3f} mm, gen. force "
+                    f"{score.gen_force:.3f}, windows of {1e3 * score.window:g} ms",
+                    file=sys.stderr,
+                    flush=True,
+                )
+            print(table_row(case, scores), flush=True)
+
+
+def draws(
+    case: str,
+    given: argparse.Namespace,
+    parameters: ParameterSet,
+    motion: TrueMotion,
+    folder: Path,
+) -> Iterator[Score]:
+    """Yield the scores of one case, several priors for each log."""
+    scenario, errors, cured = CASES[case]
+    start = given.seed + APART * list(CASES).index(case)
+    for seed in range(start, start + given.draws, given.priors):
+        robot = {"errors": errors, "error_seed": seed, "noise_seed": seed}
+        log, tare = folder / "log", folder / "tare"
+        record(Simulator(scenario, moves=given.moves, motion_seed=seed + 1000, **robot), log)
+        if cured:
+            record(Simulator("tare", **robot | {"noise_seed": seed + 2000}), tare)
+        priors = [
+            draw_prior(parameters, "percent", given.percent, number)
+            for number in range(seed, min(seed + given.priors, start + given.draws))
+        ]
+        for found, prior in identified(log, tare if cured else None, parameters, priors, given):
+            yield score(found, prior, parameters, motion)
+        shutil.rmtree(log)
+        shutil.rmtree(tare, ignore_errors=True)
+
+
+def identified(
+    log: Path,
+    tare: Path | None,
+    parameters: ParameterSet,
+    priors: list[Prior],
+    given: argparse.Namespace,
+) -> Iterator[tuple[Identification, Prior]]:
+    """Yield the log's estimate under each prior; the log is read once."""
+    first = log.parent / "prior.json"
+    priors[0].write(first)
+    prepared = prepare(Job((log,), MODEL, prior=PriorChoice(first)))
+    for prior in priors:
+        problem = replace(prepared.solver.problem, prior=prior)
+        if tare is not None:
+            rng = np.random.default_rng(prior.seed)
+            mass = parameters.values[: parameters.inertial : 10].sum()
+            weighed = mass + WEIGHING_STD * rng.normal()
+            problem = calibrated(problem, prepared.record, tare, (weighed, WEIGHING_STD))
+        solved = replace(prepared, prior=prior, solver=Solver.of(problem))
+        yield solved.solve(given.method), prior
+
+
+def calibrated(problem: Problem, log: Record, tare: Path, weighing: tuple[float, float]) -> Problem:
+    """Return the problem with the errors of the log's sensors among the unknowns."""
+    facts = Facts(total_mass=weighing, tare=(tare,))
+    known = facts.rows(problem.parameters, problem.prior)
+    wanted = Wanted(facts.kinds, read_tare(facts.tare, Job((), MODEL).processing.topics))
+    found = calibrate(log, problem.parameters, problem.prior, wanted, known)
+    return replace(
+        problem,
+        observations=found.observations,
+        prior=found.prior,
+        sensors=found.errors.units,
+        known=found.known,
+        longest=True,
+    )
+
+
+def score(
+    found: Identification, prior: Prior, parameters: ParameterSet, motion: TrueMotion
+) -> Score:
+    """Judge one estimate."""
+    estimate, factor, truth = found.estimate, found.deviation_factor, parameters.values
+    metrics = evaluate(parameters, {"": estimate.value}, truth, motion)[""]
+    covered = com_covered = np.nan
+    squares = np.zeros(0)
+    error = estimate.value - truth
+    if estimate.determined.any():
+        inside = np.abs(error) < HALF_WIDTH * estimate.std
+        covered = float(np.mean(inside[estimate.determined]))
+    if factor is not None:
+        com_covered = summarise_intervals(
+            parameters, estimate.value, factor, truth, motion
+        ).com_coverage
+        square = np.linalg.qr(factor.T, mode="r").T
+        known = determined_directions(
+            prior.covariance_factor(), square, parameters.names, DETERMINED
+        )
+        squares = (known.coordinates @ error / known.ratios)[known.determined] ** 2
+    verdict = estimate.verdict
+    return Score(
+        metrics.gen_force_rmse,
+        metrics.torque_rmse,
+        metrics.com_position_rmse_mm,
+        metrics.parameter_error_pct,
+        sum(not possible for possible in estimate.consistent.values()),
+        covered,
+        com_covered,
+        squares,
+        0 if verdict is None else len(verdict.alarms),
+        0.0 if verdict is None else verdict.window,
+    )
+
+
+def table_row(case: str, scores: list[Score]) -> str:
+    """Return the means over the draws."""
+
+    def mean(name: str) -> float:
+        return float(np.mean([getattr(each, name) for each in scores]))
+
+    squares = np.concatenate([each.squares for each in scores])
+    directions = len(squares) / len(scores)
+    normalised = squares.mean() if len(squares) else np.nan
+    worst = max(each.com for each in scores)
+    alarmed = sum(each.alarms > 0 for each in scores)
+    return (
+        f"| {case} | {mean('gen_force'):.3f} | {mean('torque'):.3f} | {mean('com'):.3f} "
+        f"({worst:.2f}) | {mean('parameters'):.1f} | {sum(each.impossible for each in scores)} | "
+        f"{mean('covered'):.2f} | {mean('com_covered'):.2f} | {normalised:.2f} ({directions:.0f}) "
+        f"| {alarmed} of {len(scores)} |"
+    )
+
+
+if __name__ == "__main__":
+    main()

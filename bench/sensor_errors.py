@@ -1,0 +1,95 @@
+"""What each error of the sensors costs, and what tare, weighing and sensor columns give back.
+
+Every row is one simulated log of the Symbitron with that error alone: identified as it is, then
+with `--tare`, `--total-mass` and thereby the sensors' errors as unknowns. The last rows show what
+is left without a tare. Errors are those of the predictions along an ideal log with other moves;
+in brackets what the estimate itself says of its centre of mass (one standard deviation).
+
+    .venv/bin/python bench/sensor_errors.py [--seed N] [--only NAME ...]
+
+Takes about two minutes a row.
+"""
+
+import argparse
+import logging
+import tempfile
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.evaluation import evaluate, read_true_motion
+from symbid_ros.offline.interval import summarise_intervals
+from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+from symbid_ros.share import config_file
+from symbid_ros.signals.calibration import KINDS
+from symbid_ros.simulation.errors import ERRORS, TYPICAL
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+MODEL = config_file("symbitron.xml")
+MASS = (41.05, 0.02)
+NAMES = ("", *TYPICAL, "typical", *(name for name in ERRORS if name not in TYPICAL))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=500)
+    parser.add_argument("--only", nargs="*", default=NAMES, help="errors to try")
+    arguments = parser.parse_args()
+    logging.disable(logging.WARNING)  # the hoist's load cell is loaded in a tare, as it must be
+    print(f"{'error':16} {'as it is':>28} {'cured':>28}  alarms as it is, cured")
+    print(f"{'':16} " + f"{'gen. force  torque  CoM mm':>28} " * 2)
+    with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
+        bench = Bench(Path(folder), arguments.seed)
+        for name in arguments.only:
+            log, tare = bench.simulate(name, "smooth"), bench.simulate(name, "tare")
+            plain = bench.identify(log, Facts())
+            cured = bench.identify(log, Facts(total_mass=MASS, tare=(tare,)))
+            print(f"{name or 'none':16} {plain[0]} {cured[0]}  {plain[1]}, {cured[1]}", flush=True)
+            if name == "typical":
+                without = bench.identify(log, Facts(total_mass=MASS, sensor_errors=KINDS))
+                print(f"{'  without a tare':16} {'':28} {without[0]}  -, {without[1]}", flush=True)
+
+
+class Bench:
+    """One robot, one prior and one ideal log to be judged on."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        self.folder, self.seed = folder, seed
+        model = load_model(MODEL)
+        self.parameters = ParameterSet(model)
+        self.prior = folder / "prior.json"
+        draw_prior(self.parameters, "percent", 25.0, seed).write(self.prior)
+        ideal = folder / "ideal"
+        record(Simulator("smooth", motion_seed=seed + 1, ideal=True), ideal)
+        self.motion = read_true_motion([ideal], model)[::10]
+
+    def simulate(self, errors: str, scenario: str) -> Path:
+        """Return a bag of the scenario with these errors."""
+        bag = self.folder / f"{errors}-{scenario}"
+        seeds = {"motion_seed": self.seed, "noise_seed": self.seed + (scenario == "tare")}
+        record(Simulator(scenario, errors=errors, error_seed=self.seed, **seeds), bag)
+        return bag
+
+    def identify(self, log: Path, facts: Facts) -> tuple[str, int]:
+        """Return the errors as text, and the number of alarms."""
+        prepared = prepare(Job((log,), MODEL, prior=PriorChoice(self.prior), facts=facts))
+        found = prepared.solve("map_lmi")
+        value, truth = found.estimate.value, self.parameters.values
+        metrics = evaluate(self.parameters, {"it": value}, truth, self.motion)["it"]
+        known = summarise_intervals(
+            self.parameters, value, found.deviation_factor, truth, self.motion
+        )
+        text = (
+            f"{metrics.gen_force_rmse:8.3f} {metrics.torque_rmse:8.3f} "
+            f"{metrics.com_position_rmse_mm:6.2f} ({known.com_std_mm:.2f})"
+        )
+        return f"{text:>28}", len(found.estimate.verdict.alarms)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,208 @@
+"""What the data could and could not tell of the chosen estimate, ready to print."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.verdict import (
+    SUSPICIOUS_NOISE,
+    SUSPICIOUS_SCALE,
+    SUSPICIOUS_WHITENESS,
+    Quantity,
+    Verdict,
+)
+from symbid_ros.model.inertia import PARAMETERS
+from symbid_ros.offline.interval import IntervalSummary
+from symbid_ros.report.numerals import ABSENT, measured, significant
+
+_COEFFICIENT = re.compile(r"([+-])(\d\S*) ")
+
+
+@dataclass(frozen=True)
+class Fact:
+    """One figure of the verdict: what it is called, its value and what to make of it."""
+
+    name: str
+    value: str
+    meaning: str
+    alarming: bool = False
+
+
+@dataclass(frozen=True)
+class LinkRow:
+    """What was learnt of one link; ``share`` is its gain in % of the largest one."""
+
+    name: str
+    determined: str
+    mass: str
+    gain: str
+    share: float
+
+
+@dataclass(frozen=True)
+class QuantityRow:
+    """One number with its standard deviation."""
+
+    name: str
+    value: str
+    unit: str
+    determined: str
+
+
+@dataclass(frozen=True)
+class IntervalRow:
+    """How far a prediction may be off, and how much of the truth its interval holds."""
+
+    name: str
+    std: str
+    coverage: str
+
+
+@dataclass(frozen=True)
+class Told:
+    """Everything the page says of what the data tell.
+
+    Attributes
+    ----------
+    alarms : tuple of str
+        What is wrong, one line each.
+    facts : tuple of Fact
+        Figures of the whole estimate.
+    links : tuple of LinkRow
+        In the model's order.
+    intervals : tuple of IntervalRow
+        Empty without ground truth.
+    sensors, base : tuple of QuantityRow
+        Errors of the sensors, and base parameters.
+    sensors_determined, base_determined : int
+        How many of these the data decide.
+    directions : tuple of str
+        Determined directions of parameter space, best first.
+    parameters : int
+        How many directions there are.
+    """
+
+    alarms: tuple[str, ...]
+    facts: tuple[Fact, ...]
+    links: tuple[LinkRow, ...]
+    intervals: tuple[IntervalRow, ...]
+    sensors: tuple[QuantityRow, ...]
+    sensors_determined: int
+    base: tuple[QuantityRow, ...]
+    base_determined: int
+    directions: tuple[str, ...]
+    parameters: int
+
+
+def told_by(estimate: Estimate, intervals: IntervalSummary | None = None) -> Told | None:
+    """Return what the data told, None where the method gives no verdict."""
+    verdict = estimate.verdict
+    if verdict is None:
+        return None
+    return Told(
+        alarms=verdict.alarms,
+        facts=_facts(estimate, verdict),
+        links=_links(estimate, verdict),
+        intervals=_intervals(intervals),
+        sensors=_quantities(verdict.sensors),
+        sensors_determined=sum(error.determined for error in verdict.sensors),
+        base=_quantities(verdict.base),
+        base_determined=sum(combination.determined for combination in verdict.base),
+        directions=tuple(_COEFFICIENT.sub(_unbroken, one) for one in verdict.directions),
+        parameters=len(estimate.names),
+    )
+
+
+def window_in_words(verdict: Verdict, samples: int) -> str:
+    """Return how many rows of each coordinate there were and over what they were averaged."""
+    if verdict.window == 0:
+        return f"{samples} rows of each coordinate, at single instants"
+    return (
+        f"{samples} rows of each coordinate, averaged over windows of {1e3 * verdict.window:g} ms"
+    )
+
+
+def _unbroken(coefficient: re.Match[str]) -> str:
+    """Return a coefficient that stays on the line of its parameter, with a true minus sign."""
+    sign = coefficient[1].replace("-", "−")
+    return f"{sign}{coefficient[2]}\N{NO-BREAK SPACE}"
+
+
+def _facts(estimate: Estimate, verdict: Verdict) -> tuple[Fact, ...]:
+    scale, white, noise = verdict.prior_scale, verdict.whiteness, verdict.noise_share
+    return (
+        Fact("Rows", window_in_words(verdict, estimate.samples), ""),
+        Fact(
+            "Effective parameters",
+            f"{significant(verdict.effective)} of {len(estimate.names)}",
+            f"{significant(verdict.gain)} bit gained in all",
+        ),
+        Fact(
+            "Prior’s scale",
+            significant(scale),
+            "factor on the prior’s deviations that the data would have; alarm above "
+            f"{SUSPICIOUS_SCALE:g}",
+            alarming=scale > SUSPICIOUS_SCALE,
+        ),
+        Fact(
+            "Whiteness",
+            significant(white) if white > 0 else ABSENT,
+            f"of the residual, 1 for noise; alarm above {SUSPICIOUS_WHITENESS:g}",
+            alarming=white > SUSPICIOUS_WHITENESS,
+        ),
+        Fact(
+            "Noise in the motion",
+            f"{significant(100 * noise)} %",
+            "of what the worst direction seems to be told; alarm above "
+            f"{100 * SUSPICIOUS_NOISE:g} %",
+            alarming=noise > SUSPICIOUS_NOISE,
+        ),
+    )
+
+
+def _links(estimate: Estimate, verdict: Verdict) -> tuple[LinkRow, ...]:
+    largest = max(verdict.link_gain.values(), default=0.0)
+    position = {name: index for index, name in enumerate(estimate.names)}
+    rows = []
+    for link, gain in verdict.link_gain.items():
+        own = [position[f"{link}/{kind}"] for kind in PARAMETERS]
+        count = ABSENT
+        if estimate.determined is not None:
+            count = f"{int(np.count_nonzero(estimate.determined[own]))} of {len(own)}"
+        std = 0.0 if estimate.std is None else float(estimate.std[own[0]])
+        share = round(100 * gain / largest, 1) if largest > 0 else 0.0
+        mass = measured(float(estimate.value[own[0]]), std)
+        rows.append(LinkRow(link, count, mass, f"{gain:.1f}", share))
+    return tuple(rows)
+
+
+def _quantities(quantities: Sequence[Quantity]) -> tuple[QuantityRow, ...]:
+    return tuple(
+        QuantityRow(
+            quantity.name.replace(" - ", " − "),
+            measured(quantity.value, quantity.std),
+            "relative" if quantity.unit == "1" else quantity.unit,
+            "yes" if quantity.determined else "no",
+        )
+        for quantity in quantities
+    )
+
+
+def _intervals(summary: IntervalSummary | None) -> tuple[IntervalRow, ...]:
+    if summary is None:
+        return ()
+    return (
+        IntervalRow(
+            "Centre of mass",
+            f"{significant(summary.com_std_mm)} mm",
+            f"{100 * summary.com_coverage:.0f} %",
+        ),
+        IntervalRow(
+            "Joint torques",
+            f"{significant(summary.torque_std)} Nm",
+            f"{100 * summary.torque_coverage:.0f} %",
+        ),
+    )

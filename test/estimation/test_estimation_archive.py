@@ -1,0 +1,218 @@
+"""information.npz: written and read bit for bit, and refused in one line when it is none."""
+
+import pickle
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gaussian_logs import gaussian_log, prior_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from symbid_ros.errors import EstimateError, SymbidError
+from symbid_ros.estimation.archive import (
+    FORMAT,
+    load_archive,
+    load_deviation_factor,
+    write_archive,
+)
+from symbid_ros.estimation.posterior import posterior
+
+
+def observed(seed=0):
+    """Return observations over two windows, with a mask and noise in the motion."""
+    log = gaussian_log(seed).with_noisy_regressor(np.random.default_rng(seed), 0.1)
+    valid = log.valid.copy()
+    valid[::3, -1] = False
+    log = replace(log, valid=valid, inflation=4 / 3)
+    return log.observations(), replace(log[::4], window=0.321).observations()
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """Return where a good archive lies."""
+    path = tmp_path_factory.mktemp("archive") / "information.npz"
+    write_archive(path, observed(), np.eye(30))
+    return path
+
+
+def test_what_is_written_is_read_bit_for_bit(tmp_path):
+    path = tmp_path / "information.npz"
+    written = observed()
+    factor = np.random.default_rng(0).normal(size=(30, 32))
+    write_archive(path, written, factor)
+    read = load_archive(path)
+    assert len(read) == 2
+    for one, other in zip(written, read, strict=True):
+        for a, b in ((one.rows, other.rows), (one.noise, other.noise)):
+            np.testing.assert_array_equal(a.factor, b.factor)
+            assert a.samples == b.samples
+            assert (a.layout.coordinates, a.layout.parameters) == (
+                b.layout.coordinates,
+                b.layout.parameters,
+            )
+            np.testing.assert_array_equal(a.layout.structure, b.layout.structure)
+        np.testing.assert_array_equal(one.counts, other.counts)
+        assert (one.window, one.inflation) == (other.window, other.inflation)
+    np.testing.assert_array_equal(load_deviation_factor(path), factor)
+    prior = prior_of(gaussian_log(0), 0)
+    np.testing.assert_array_equal(posterior(read[0], prior).mean, posterior(written[0], prior).mean)
+    assert path.stat().st_size < 2**20
+
+
+def test_what_was_read_can_be_written_and_gone_on_from(tmp_path):
+    path = tmp_path / "information.npz"
+    one, two = observed(0)[0], observed(0)[0]
+    write_archive(path, [one])
+    (read,) = load_archive(path)
+    both = read.merge(two)
+    expected = one.merge(observed(0)[0])
+    np.testing.assert_array_equal(both.rows.factor, expected.rows.factor)
+    write_archive(path, [both])
+    assert load_archive(path)[0].rows.samples == 2 * one.rows.samples
+    assert load_deviation_factor(path) is None
+
+
+def refusal(read, path):
+    """Return what a reader says against a file, None where it reads it."""
+    try:
+        read(path)
+    except EstimateError as error:
+        return str(error)
+    return None
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data())
+def test_a_damaged_file_is_refused_in_one_line_or_read(stored, data, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "damaged.npz"
+    content = bytearray(stored.read_bytes())
+    for place in data.draw(st.lists(st.integers(0, len(content) - 1), max_size=4)):
+        content[place] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(content[: data.draw(st.integers(0, len(content)))])
+    for read in (load_archive, load_deviation_factor):
+        said = refusal(read, path) or str(path)
+        assert str(path) in said
+        assert "\n" not in said
+
+
+@settings(max_examples=40, deadline=None)
+@given(place=st.integers(0, 10**6), change=st.integers(1, 255))
+def test_a_single_wrong_byte_never_changes_what_is_read(stored, place, change, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "flipped.npz"
+    content = bytearray(stored.read_bytes())
+    content[place % len(content)] ^= change
+    path.write_bytes(content)
+    try:
+        read = load_archive(path)
+    except EstimateError:
+        return
+    for one, other in zip(read, observed(), strict=True):
+        np.testing.assert_array_equal(one.rows.factor, other.rows.factor)
+        np.testing.assert_array_equal(one.counts, other.counts)
+
+
+@settings(max_examples=40, deadline=None)
+@given(content=st.binary(max_size=300))
+def test_anything_else_is_refused(content, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "anything.npz"
+    path.write_bytes(content)
+    with pytest.raises(EstimateError, match=r"anything\.npz"):
+        load_archive(path)
+
+
+def rewritten(stored, path, **changes):
+    """Write the archive with some arrays replaced, or left out where None."""
+    with np.load(stored) as archive:
+        content = dict(archive)
+    content |= changes
+    np.savez_compressed(path, **{k: v for k, v in content.items() if v is not None})
+
+
+WRONG = {
+    "an array missing": {"structure": None},
+    "its rows missing": {"rows_1": None},
+    "no format": {"format": None},
+    "a format of another kind": {"format": np.array("one")},
+    "too few numbers": {"rows_0": np.zeros(3)},
+    "a number that is none": {"rows_0": np.array(np.nan)},
+    "text for numbers": {"window": np.array(["short", "long"])},
+    "more windows than rows": {"window": np.zeros(3), "inflation": np.ones(3)},
+    "windows without inflation": {"inflation": np.ones(1)},
+    "a flat structure": {"structure": np.ones(8, dtype=bool)},
+    "a structure of other coordinates": {"coordinates": np.array(["one"])},
+    "a structure of other parameters": {"parameters": np.array(["one"])},
+    "counts of other coordinates": {"counts_0": np.ones((2, 2))},
+    "counts that are no numbers": {"counts_0": np.full((8, 8), np.nan)},
+    "samples that are no numbers": {"samples_0": np.array([np.nan, np.nan])},
+    "one name for all": {"coordinates": np.array("one")},
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_content_is_refused(name, stored, tmp_path):
+    path = tmp_path / "wrong.npz"
+    rewritten(stored, path, **WRONG[name])
+    with pytest.raises(EstimateError, match=r"wrong\.npz: no information\.npz") as caught:
+        load_archive(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_another_format_is_named_with_its_cure(stored, tmp_path):
+    path = tmp_path / "later.npz"
+    rewritten(stored, path, format=np.array(FORMAT + 1))
+    with pytest.raises(EstimateError, match=f"format {FORMAT + 1}, this is {FORMAT}; identify"):
+        load_archive(path)
+
+
+class Told:
+    """What a pickle would run."""
+
+    ran = False
+
+    def __reduce__(self):
+        return setattr, (Told, "ran", True)
+
+
+def test_no_pickle_is_ever_run(stored, tmp_path):
+    path = tmp_path / "pickled.npz"
+    path.write_bytes(pickle.dumps(Told()))
+    with pytest.raises(EstimateError):
+        load_archive(path)
+    rewritten(stored, path, counts_0=np.array([Told()], dtype=object))
+    with pytest.raises(EstimateError):
+        load_archive(path)
+    assert not Told.ran
+
+
+def test_a_file_that_is_not_there_or_not_a_file(tmp_path):
+    with pytest.raises(EstimateError, match=r"No such file.*check the path"):
+        load_archive(tmp_path / "none.npz")
+    with pytest.raises(EstimateError, match="check the path"):
+        load_archive(tmp_path)
+    single = tmp_path / "array.npz"
+    with single.open("wb") as stream:
+        np.save(stream, np.zeros(3))
+    with pytest.raises(EstimateError, match=r"array\.npz"):
+        load_archive(single)
+    hollow = tmp_path / "hollow.npz"
+    with zipfile.ZipFile(hollow, "w") as archive:
+        archive.writestr("format.npy", "text")
+    with pytest.raises(EstimateError, match=r"hollow\.npz"):
+        load_archive(hollow)
+
+
+def test_a_failed_write_leaves_what_was_there(stored, tmp_path, monkeypatch):
+    path = tmp_path / "information.npz"
+    path.write_bytes(stored.read_bytes())
+
+    def full(stream, **content):
+        stream.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(SymbidError, match="No space left"):
+        write_archive(path, observed())
+    assert path.read_bytes() == stored.read_bytes()
+    assert list(tmp_path.iterdir()) == [path]

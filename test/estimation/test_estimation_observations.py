@@ -1,0 +1,160 @@
+"""Observations: moments of what is seen together, merging, and whether residuals are noise."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from gaussian_logs import gaussian_log, noise_root
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from symbid_ros.errors import DataError, EstimateError
+from symbid_ros.estimation.observations import whiteness
+
+
+def masked(log, seed, columns=2):
+    valid = log.valid.copy()
+    valid[:, -columns:] = np.random.default_rng(seed).random((len(log), columns)) < 0.5
+    return replace(log, valid=valid)
+
+
+def test_counts_say_how_often_coordinates_are_seen_together():
+    log = masked(gaussian_log(0), 0)
+    n = log.K.shape[1]
+    expected = [[np.sum(log.valid[:, i] & log.valid[:, j]) for j in range(n)] for i in range(n)]
+    np.testing.assert_array_equal(log.observations().counts, expected)
+
+
+def test_covariance_of_noise_is_found_and_masked_rows_do_not_dilute_it():
+    log = gaussian_log(1, count=4000)
+    rng = np.random.default_rng(1)
+    deviation = rng.uniform(0.1, 5.0, log.K.shape[1])
+    for one in (log, masked(log, 1)):
+        drawn = one.measured(rng, np.diag(deviation))
+        found = drawn.observations().residual_covariance(log.truth)
+        np.testing.assert_allclose(np.sqrt(np.diag(found)), deviation, rtol=0.06)
+        correlation = found / np.outer(deviation, deviation) - np.eye(len(found))
+        assert np.abs(correlation).max() < 0.13
+
+
+def test_what_is_not_always_seen_together_is_independent():
+    log = masked(gaussian_log(2, count=200), 2)
+    found = log.observations().residual_covariance(log.truth)
+    alone = np.ones(found.shape, dtype=bool)
+    alone[:-2, :-2] = False
+    alone[np.diag_indices(len(found))] = False
+    assert np.all(found[alone] == 0)
+    assert np.all(found[:-2, :-2] != 0)
+
+
+def test_a_log_too_short_to_tell_has_no_correlations():
+    log = gaussian_log(3, count=8)
+    found = log.observations().residual_covariance(log.truth)
+    np.testing.assert_array_equal(found, np.diag(np.diag(found)))
+
+
+@pytest.mark.parametrize("count", [8, 200])
+def test_ideal_rows_keep_a_finite_weight(count):
+    log = gaussian_log(4, count=count)
+    exact = replace(log, y=log.K @ log.truth)
+    found = exact.observations().residual_covariance(log.truth)
+    assert np.all(np.linalg.eigvalsh(found) > 0)
+    assert np.all(np.isfinite(np.linalg.inv(np.linalg.cholesky(found))))
+    assert np.sqrt(np.diag(found)).max() < 1e-5 * np.abs(exact.y).max()
+
+
+def test_overlap_counts_against_the_rows():
+    log = gaussian_log(5, count=6000)
+    plain, overlapping = (
+        replace(log, inflation=inflation).observations().residual_covariance(log.truth)
+        for inflation in (1.0, 4 / 3)
+    )
+    np.testing.assert_allclose(overlapping / plain, 4 / 3, rtol=5e-3)
+
+
+def test_noise_is_believed_as_far_as_residuals_leave_room():
+    log = gaussian_log(6, count=300).with_noisy_regressor(np.random.default_rng(6), 1e-4)
+    observations = log.observations()
+    covariance = observations.residual_covariance(log.truth)
+    assert observations.plausible_noise(log.truth, covariance) == 1
+    louder = replace(log, noise_rows=1e3 * log.noise_rows).observations()
+    share = louder.plausible_noise(log.truth, covariance)
+    assert 0 < share < 1
+    moment = share * louder.inflation * louder.noise.residual_moment(log.truth) / len(log)
+    largest = np.linalg.eigvals(np.linalg.solve(covariance, moment)).real.max()
+    assert largest == pytest.approx(1, rel=1e-6)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 1000), st.lists(st.integers(1, 59), max_size=4))
+def test_merging_is_the_same_as_folding(seed, cuts):
+    log = masked(gaussian_log(seed % 3), seed).with_noisy_regressor(
+        np.random.default_rng(seed), 0.1
+    )
+    edges = [0, *sorted(set(cuts)), len(log)]
+    parts = [log[a:b].observations() for a, b in pairwise(edges)]
+    merged = parts[-1]
+    for part in parts[:-1]:
+        merged = merged.merge(part)
+    whole = log.observations()
+    np.testing.assert_array_equal(merged.counts, whole.counts)
+    for one, other in ((merged.rows, whole.rows), (merged.noise, whole.noise)):
+        assert one.samples == other.samples == len(log)
+        expected = other.residual_moment(log.truth)
+        found = one.residual_moment(log.truth)
+        np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_merging_leaves_both_parts_as_they_were():
+    one, other = gaussian_log(1)[:30].observations(), gaussian_log(1)[30:].observations()
+    factors = [part.factor for part in (one.rows, one.noise, other.rows, other.noise)]
+    before = [factor.copy() for factor in factors]
+    one.merge(other)
+    for factor, expected in zip(factors, before, strict=True):
+        np.testing.assert_array_equal(factor, expected)
+
+
+def test_other_windows_and_other_robots_are_not_merged():
+    log = gaussian_log(7)
+    with pytest.raises(EstimateError, match=r"windows of 0\.321 s cannot be added .* 0\.081 s"):
+        log.observations().merge(replace(log, window=0.321).observations())
+    with pytest.raises(DataError, match="different robots"):
+        log.observations().merge(gaussian_log(8, links=4).observations())
+
+
+def windows(seed, drift, count=3200):
+    """Return the same residuals averaged over windows of one and of four lengths."""
+    log = gaussian_log(9, count=count)
+    root = noise_root(np.random.default_rng(9), log.K.shape[1])
+    log = log.measured(np.random.default_rng(seed), root)
+    e = log.y - log.K @ log.truth + drift * np.ones(log.K.shape[1])
+    K = log.K.reshape(-1, 4, *log.K.shape[1:]).mean(axis=1)
+    short = replace(log, y=log.K @ log.truth + e, window=0.1)
+    long = replace(
+        log[: len(K)], K=K, y=K @ log.truth + e.reshape(-1, 4, e.shape[1]).mean(axis=1), window=0.4
+    )
+    return short.observations(), long.observations(), log.truth
+
+
+def test_white_noise_is_white():
+    for seed in range(5):
+        assert whiteness(*windows(seed, 0.0)) == pytest.approx(1, abs=0.1)
+
+
+def test_constant_residuals_outlast_noise_by_the_ratio_of_windows():
+    short, long, truth = windows(0, 0.0)
+    n = len(short.counts)
+    # Alone, a constant keeps all of its variance.
+    assert whiteness(*windows(1, 1e3)) == pytest.approx((n - 1 + 4) / n, rel=0.1)
+    drifting = [whiteness(*windows(1, drift)) for drift in (0.0, 0.5, 1.0, 4.0)]
+    assert drifting == sorted(drifting)
+    # Wrong parameters are as lasting as a wrong sensor where the motion is slow.
+    assert whiteness(short, long, 1.5 * truth) > 1.5
+
+
+@pytest.mark.parametrize("count", [40, 80, 100, 400])
+def test_white_noise_is_white_in_short_logs_too(count):
+    """Long windows may be too few for correlations where short ones are not."""
+    found = [whiteness(*windows(seed, 0.0, count)) for seed in range(20)]
+    assert np.mean(found) == pytest.approx(1, abs=0.3)

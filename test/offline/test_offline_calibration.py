@@ -1,0 +1,224 @@
+"""Sensors that are off: the tare, what is cured by it, and what is noticed without."""
+
+import logging
+
+import numpy as np
+import pytest
+import yaml
+from analytic_log import analytic_segment, noisy, spoilt
+from foreign_bags import imu, joint_state, wrench, write_rosbags
+from random_robots import CONFIG, random_robot
+
+from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
+from symbid_ros.bags.selection import TopicSelection
+from symbid_ros.errors import DataError, EstimateError, SymbidError
+from symbid_ros.estimation.posterior import posterior
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.calibration import CALIBRATION_WINDOW, Tare, Wanted, calibrate, read_tare
+from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+from symbid_ros.offline.record import Processing, Record
+from symbid_ros.signals.calibration import DEVIATIONS, KINDS, SensorErrors
+from symbid_ros.signals.filters import LowPass
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.scenario import SOLES
+from symbid_ros.simulation.simulator import Simulator
+
+MODEL = CONFIG / "symbitron.xml"
+# Without Coulomb friction no joint sticks: even a short log has rows of every joint.
+DRIVES = {"damping": 0.3, "frictionloss": 0.0, "armature": 0.01}
+
+
+def written(folder, name, seconds=None, **options):
+    """Record a simulation, its beginning alone where ``seconds`` are given."""
+    simulator = Simulator(**options)
+    if seconds is not None:
+        simulator.steps = round(1e9 * seconds / simulator.period_ns)
+    record(simulator, folder / name)
+    return simulator
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("logs")
+
+
+@pytest.fixture(scope="module")
+def wrong(folder):
+    """One robot's tare and log: all its sensors are off. Returns what they are off by."""
+    parameters = ParameterSet(load_model(MODEL))
+    draw_prior(parameters, "percent", 25, 3).write(folder / "prior.json")
+    drives = folder / "friction.yaml"
+    drives.write_text(yaml.safe_dump(dict.fromkeys(parameters.model.joint_names, DRIVES)))
+    robot = {"errors": "typical", "error_seed": 11, "friction_path": drives}
+    written(folder, "tare", 1.0, scenario="tare", noise_seed=8, **robot)
+    simulator = written(folder, "log", moves=2, motion_seed=33, noise_seed=7, **robot)
+    return simulator.errors
+
+
+def identified(folder, **facts):
+    job = Job(
+        bags=(folder / "log",),
+        model=MODEL,
+        prior=PriorChoice(folder / "prior.json"),
+        terms=("viscous", "armature", "offset"),
+        facts=Facts(**facts),
+    )
+    return prepare(job)
+
+
+class TestTare:
+    def test_an_unloaded_plate_shows_its_offset(self, folder, wrong, caplog):
+        with caplog.at_level(logging.WARNING):
+            tares = read_tare([folder / "tare"], TopicSelection())
+        assert set(tares) == set(SOLES)
+        for index, sole in enumerate(SOLES):
+            tare = tares[sole]
+            offset = wrong.plate_offset[index, [3, 4, 5, 0, 1, 2]]
+            # A second of white noise: 0.1 Nm and 1 N over a thousand readings.
+            np.testing.assert_allclose(tare.std, np.repeat([0.1, 1.0], 3) / 1000**0.5, rtol=0.1)
+            assert np.all(np.abs(tare.mean - offset) < 5 * tare.std)
+        # The hoist's load cell carries the robot.
+        (warning,) = caplog.messages
+        assert "/suspension/wrench reads 403 N and is not unloaded: not tared" in warning
+
+    def test_nothing_unloaded_is_no_tare(self, folder, wrong):
+        assert wrong.plate_offset.any()
+        with pytest.raises(DataError, match="no wrench sensor is unloaded, so none can be tared"):
+            read_tare([folder / "log"], TopicSelection())
+
+    def test_a_reading_that_is_no_number_is_refused(self, tmp_path):
+        messages = [
+            ("/joint_states", JOINT_STATE, joint_state(1, ["a"], [0.0])),
+            ("/imu/data", IMU, imu(1)),
+            ("/left_foot/wrench", WRENCH, wrench(1, (0.0, np.nan, 0.0))),
+        ]
+        bag = write_rosbags(tmp_path / "bag", messages)
+        with pytest.raises(SymbidError, match=r"/left_foot/wrench: wrench\.force\.y is nan"):
+            read_tare([bag], TopicSelection())
+
+
+def normalised(quantities, truth):
+    values = np.array([(quantity.value, quantity.std) for quantity in quantities])
+    return (values[:, 0] - truth) / values[:, 1]
+
+
+def drawn(errors, wrong):
+    """Return θ (r,) of the simulator's errors."""
+    moment_first = [3, 4, 5, 0, 1, 2]
+    content = {
+        "plate_offset": wrong.plate_offset[:, moment_first],
+        "plate_gain": wrong.plate_gain[:, moment_first],
+        "plate_pose": wrong.plate_pose,
+        "torque_gain": wrong.torque_gain[errors.driven],
+        "imu_mounting": wrong.imu_mounting,
+        "imu_bias": np.zeros(6),
+        "encoder_offset": wrong.encoder_offset,
+    }
+    return np.concatenate([content[kind].ravel() for kind in errors.kinds])
+
+
+def true_parameters(parameters):
+    """Return the parameters of the simulated robot; its drives have no torque offset."""
+    truth = parameters.values.copy()
+    truth[parameters.term_columns["viscous"]] = DRIVES["damping"]
+    truth[parameters.term_columns["armature"]] = DRIVES["armature"]
+    return truth
+
+
+class TestCure:
+    @pytest.fixture(scope="class")
+    @classmethod
+    def cured(cls, folder, wrong):
+        assert wrong.encoder_offset.any()
+        return identified(folder, tare=(folder / "tare",), total_mass=(41.05, 0.02))
+
+    @pytest.fixture(scope="class")
+    @classmethod
+    def uncured(cls, folder, wrong):
+        assert wrong.encoder_offset.any()
+        return identified(folder)
+
+    def test_the_sensors_errors_are_found_within_their_uncertainty(self, cured, wrong):
+        verdict = cured.solve("map_lmi").estimate.verdict
+        segment = cured.record.segments[0]
+        errors = SensorErrors.of(
+            KINDS, cured.parameters.model, segment.wrench_frames, segment.imu_frames
+        )
+        assert tuple(quantity.name for quantity in verdict.sensors) == errors.names
+        assert tuple(quantity.unit for quantity in verdict.sensors) == errors.units
+        z = normalised(verdict.sensors, drawn(errors, wrong))
+        assert np.sqrt(np.mean(z**2)) < 1.5
+        assert np.abs(z).max() < 4.5
+        # Of drives and of what tilts the robot a log says more than a data sheet does.
+        for kind in ("torque_gain", "encoder_offset", "imu_mounting"):
+            known = [one.determined for one in verdict.sensors[errors.places[kind]]]
+            assert np.mean(known) > 0.5
+
+    @pytest.mark.parametrize("method", ["map", "map_lmi"])
+    def test_links_and_drives_are_found_within_their_uncertainty(self, cured, method):
+        estimate = cured.solve(method).estimate
+        parameters = cured.parameters
+        z = (estimate.value - true_parameters(parameters)) / estimate.std
+        assert np.sqrt(np.mean(z[estimate.determined] ** 2)) < 1.5
+        for term, columns in parameters.term_columns.items():
+            assert np.sqrt(np.mean(z[columns] ** 2)) < 1.8, term
+            assert np.abs(z[columns]).max() < 4, term
+        if method == "map_lmi":
+            assert all(estimate.consistent.values())
+
+    def test_errors_that_are_not_cured_raise_an_alarm(self, cured, uncured):
+        assert cured.solve("map").estimate.verdict.alarms == ()
+        assert uncured.solve("map").estimate.verdict.alarms != ()
+
+    def test_the_cure_is_worth_it(self, cured, uncured):
+        truth = true_parameters(cured.parameters)
+        with_cure, without = (
+            np.abs((p.solve("map").estimate.value - truth) / p.solve("map").estimate.std)
+            for p in (cured, uncured)
+        )
+        assert without.max() > 4 * with_cure.max()
+
+
+def test_truncated_methods_and_filtered_rows_know_no_sensor_errors(folder, wrong):
+    assert wrong.plate_gain.any()
+    job = Job(
+        bags=(folder / "log",),
+        model=MODEL,
+        facts=Facts(sensor_errors=("torque_gain",)),
+        processing=Processing(LowPass()),
+    )
+    with pytest.raises(EstimateError, match="sensor errors need rows averaged over windows"):
+        prepare(job)
+
+
+@pytest.mark.parametrize(("seed", "floating"), [(1, True), (6, True), (2, False)])
+def test_any_trees_sensors_are_calibrated(seed, floating):
+    rng = np.random.default_rng(seed)
+    parameters = ParameterSet(random_robot(seed, links=4, floating=floating))
+    perfect = analytic_segment(parameters, 3.9, seed, start=0.05)
+    errors = SensorErrors.of(KINDS, parameters.model, perfect.wrench_frames, perfect.imu_frames)
+    theta = errors.std * rng.standard_normal(len(errors))
+    levels = {"position": 1e-5, "rate": 2e-3, "acceleration": 0.02, "effort": 0.05, "wrench": 0.3}
+    segment = noisy(spoilt(perfect, errors, theta), rng, **levels)
+    log = Record(bags=(), segments=(segment,), samples=None, observations=())
+    offset = errors.of_kind("plate_offset", theta)[0]
+    tare = {errors.wrench_frames[0]: Tare(offset, np.repeat([1e-3, 1e-2], 3))}
+    prior = draw_prior(parameters, "percent", 25, seed)
+    found = calibrate(log, parameters, prior, Wanted(KINDS, tare), None)
+
+    p = len(parameters)
+    assert found.errors.names == errors.names == found.prior.names[p:]
+    # A tared sensor is known to the tare's deviation, one that was not to a data sheet's.
+    place = errors.places["plate_offset"]
+    np.testing.assert_array_equal(found.prior.std[p:][place][:6], tare[errors.wrench_frames[0]].std)
+    np.testing.assert_array_equal(found.prior.mean[p:][place][:6], offset)
+    np.testing.assert_array_equal(found.prior.std[p:][place][6:12], DEVIATIONS["plate_offset"])
+    assert [one.window for one in found.observations][-1] == CALIBRATION_WINDOW
+    after = posterior(found.observations[-1], found.prior, count=p)
+    z = (after.mean - np.concatenate([parameters.values, theta])) / after.std
+    assert np.sqrt(np.mean(z**2)) < 1.6
+    told = after.std < 0.7 * found.prior.std
+    assert told.sum() > 10
+    assert np.sqrt(np.mean(z[told] ** 2)) < 1.8

@@ -1,0 +1,328 @@
+"""Whole jobs on short logs of the Symbitron: every method, chains, and what is known beside."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_robots import CONFIG
+
+from symbid_ros.dynamics.regressor import Rows
+from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.knowledge import total_mass_row
+from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.observations import Observations, whiteness
+from symbid_ros.estimation.posterior import posterior
+from symbid_ros.estimation.prior import Prior, draw_prior
+from symbid_ros.model.inertia import is_consistent
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.offline.export import write_identification
+from symbid_ros.offline.identification import Problem, Solver
+from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+from symbid_ros.offline.record import Processing
+from symbid_ros.signals.weak_form import BLOCK, WindowedRows
+from symbid_ros.simulation.friction import load_friction
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+MODEL = CONFIG / "symbitron.xml"
+TRUNCATED = ["ols", "wls_r", "wls_c", "wls_rc"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A log in two bags, cut at a multiple of the block, one at rest, and a prior."""
+    folder = tmp_path_factory.mktemp("logs")
+    moving = Simulator("smooth", moves=2, motion_seed=31, noise_seed=5)
+    steps, first = moving.steps, BLOCK // moving.period_ns - 1
+    moving.steps = first
+    record(moving, folder / "first")
+    moving.steps = steps - first
+    record(moving, folder / "second")
+    resting = Simulator("tare", noise_seed=6)
+    resting.steps = 2000
+    record(resting, folder / "rest")
+    draw_prior(ParameterSet(load_model(MODEL)), "percent", 25, 3).write(folder / "prior.json")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def symbitron():
+    return ParameterSet(load_model(MODEL))
+
+
+def job(folder, *bags, **options):
+    return Job(
+        bags=tuple(folder / bag for bag in bags),
+        model=MODEL,
+        prior=PriorChoice(folder / "prior.json"),
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def whole(folder):
+    return prepare(job(folder, "first", "second"))
+
+
+def square_of_normalised_errors(found, truth):
+    """Return (φ̂ - φ)ᵀ Σ⁻¹ (φ̂ - φ), whose expectation is the number of parameters."""
+    L = found.deviation_factor
+    scale = found.estimate.std
+    covariance = (L / scale[:, None]) @ (L / scale[:, None]).T
+    error = (found.estimate.value - truth) / scale
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+def test_the_posterior_knows_how_far_off_it_is(whole, symbitron):
+    found = whole.solve("map")
+    count = len(symbitron)
+    # Chi-square of 110 degrees of freedom; the prior's part of it is drawn uniformly.
+    assert 70 < square_of_normalised_errors(found, symbitron.values) < 160
+    estimate = found.estimate
+    z = (estimate.value - symbitron.values) / estimate.std
+    assert np.sqrt(np.mean(z[estimate.determined] ** 2)) < 1.5
+    prior = whole.prior
+    off = np.linalg.norm((prior.mean - symbitron.values) / prior.std)
+    assert np.linalg.norm((estimate.value - symbitron.values) / prior.std) < off
+    assert 10 < estimate.determined.sum() < 0.5 * count
+
+
+def test_a_clean_log_raises_no_alarm(whole):
+    verdict = whole.solve("map_lmi").estimate.verdict
+    assert verdict.alarms == ()
+    assert verdict.prior_scale == pytest.approx(1.0, abs=0.4)
+    assert verdict.window in Processing().windows
+    assert 15 < verdict.effective < 50
+    assert len(verdict.base) == 80
+
+
+def test_map_lmi_leaves_every_link_possible_and_moves_no_further_than_it_must(whole, symbitron):
+    free, possible = whole.solve("map"), whole.solve("map_lmi")
+    assert not all(free.estimate.consistent.values())
+    assert all(possible.estimate.consistent.values())
+    for phi in symbitron.link_phi(possible.estimate.value):
+        assert is_consistent(phi)
+    np.testing.assert_array_equal(possible.estimate.std, free.estimate.std)
+    # The truth is possible too, so the projection brings the estimate nearer to it.
+    factor = whole.solver.posterior.factor
+    errors = [
+        np.linalg.norm(factor @ (found.estimate.value - symbitron.values))
+        for found in (free, possible)
+    ]
+    assert errors[1] < errors[0]
+
+
+@pytest.mark.parametrize("method", TRUNCATED)
+def test_truncated_methods_choose_z_for_themselves(whole, symbitron, method):
+    estimate = whole.solve(method).estimate
+    # As many as the directions of which the data say more than the prior.
+    told = len(whole.solve("map").estimate.verdict.directions)
+    assert abs(estimate.rank - told) <= 3
+    first_force = whole.solver.chosen.rows.residual_rmse(estimate.value)
+    before = whole.solver.chosen.rows.residual_rmse(whole.prior.mean)
+    assert sum(first_force.values()) < 0.2 * sum(before.values())
+    assert estimate.verdict is None
+    if method == "wls_rc":
+        error = (estimate.value - symbitron.values) / whole.prior.std
+        off = (whole.prior.mean - symbitron.values) / whole.prior.std
+        assert np.linalg.norm(error) < 1.2 * np.linalg.norm(off)
+
+
+def test_truncated_methods_take_what_they_are_given(whole):
+    given = replace(whole, job=replace(whole.job, rank=12))
+    assert given.solve("wls_rc").estimate.rank == 12
+    validated = replace(whole, validation=whole.record)
+    chosen = validated.solve("wls_rc").estimate
+    rows = whole.solver.chosen.rows
+
+    def error(estimate):
+        return np.linalg.norm(list(rows.residual_rmse(estimate.value).values()))
+
+    # Not the best on those rows, but the simplest that is about as good.
+    assert chosen.rank < whole.solve("wls_rc").estimate.rank
+    assert error(chosen) < 1.5 * error(whole.solve("wls_rc").estimate)
+    excessive = replace(whole, job=replace(whole.job, rank=500))
+    with pytest.raises(EstimateError, match="rank 500 is not between 1 and"):
+        excessive.solve("ols")
+
+
+def test_truncated_methods_refuse_what_they_cannot_use(folder):
+    weighed = prepare(job(folder, "second", facts=Facts(total_mass=(41.05, 0.02))))
+    for method in TRUNCATED:
+        with pytest.raises(EstimateError, match=f"{method} takes neither sensor errors"):
+            weighed.solve(method)
+    row, target = total_mass_row(weighed.parameters, 41.05, 0.02)
+    found = weighed.solve("map")
+    assert np.linalg.norm(row @ found.deviation_factor) < 1.0
+    assert row @ found.estimate.value == pytest.approx(target, abs=2.0)
+
+
+@pytest.fixture(scope="module")
+def begun(folder):
+    return prepare(job(folder, "first"))
+
+
+@pytest.fixture(scope="module")
+def chained(folder, begun):
+    write_identification(begun.solve("map_lmi"), begun.parameters, folder / "begun")
+    return prepare(job(folder, "second", information=folder / "begun/information.npz"))
+
+
+def test_two_chained_halves_give_the_estimate_of_the_whole(whole, chained):
+    one, two = (prepared.solve("map").estimate for prepared in (whole, chained))
+    assert one.verdict.window == two.verdict.window
+    assert one.samples == two.samples
+    assert np.abs((one.value - two.value) / one.std).max() < 1e-7
+    np.testing.assert_allclose(two.std, one.std, rtol=1e-7)
+
+
+def test_possible_links_are_chained_by_information_not_by_their_projection(whole, chained):
+    one, two = (prepared.solve("map_lmi").estimate for prepared in (whole, chained))
+    assert np.abs((one.value - two.value) / one.std).max() < 1e-4
+
+
+def test_half_a_log_knows_less_than_all_of_it(begun, chained):
+    half, all_of_it = (prepared.solve("map").estimate for prepared in (begun, chained))
+    assert half.verdict.gain < all_of_it.verdict.gain
+    assert half.verdict.effective < all_of_it.verdict.effective
+
+
+def test_rows_over_other_windows_are_not_added(chained):
+    other = replace(chained.job, processing=Processing(windows=(0.1,)))
+    with pytest.raises(EstimateError, match="averaged over other windows"):
+        prepare(other)
+
+
+def test_a_weighing_that_contradicts_the_prior_is_refused_in_one_line(folder):
+    for mass in (20.0, 80.0):
+        with pytest.raises(EstimateError) as caught:
+            prepare(job(folder, "first", facts=Facts(total_mass=(mass, 0.02))))
+        message = str(caught.value)
+        assert f"a total mass of {mass:g} kg contradicts the prior" in message
+        assert "check --total-mass" in message
+        assert "\n" not in message
+
+
+def test_one_source_of_a_prior_at_a_time(folder):
+    twice = replace(job(folder, "first"), prior=PriorChoice(folder / "prior.json", percent=25))
+    with pytest.raises(EstimateError, match="give one of --prior, --prior-percent"):
+        prepare(twice)
+
+
+def test_a_log_at_rest_tells_of_weight_and_balance_alone(folder, symbitron):
+    """What nothing moves, no force tells of: second moments stay the prior's, and say so."""
+    prepared = prepare(job(folder, "rest"))
+    for method in ("map", "map_lmi"):
+        estimate = prepared.solve(method).estimate
+        inertia = np.array([name.partition("/")[2].startswith("I") for name in estimate.names])
+        assert not estimate.determined[inertia].any()
+        assert np.all(estimate.std[inertia] > 0.95 * prepared.prior.std[inertia])
+        # A hanging robot at rest has one equation per coordinate.
+        assert len(estimate.verdict.directions) <= symbitron.model.dof
+        assert estimate.determined.sum() <= symbitron.model.dof
+    moved = np.abs(prepared.solve("map").estimate.value - prepared.prior.mean) / prepared.prior.std
+    assert moved[inertia].max() < 0.2
+    errors = (prepared.solve("map").estimate.value - symbitron.values) / prepared.prior.std
+    off = (prepared.prior.mean - symbitron.values) / prepared.prior.std
+    assert np.linalg.norm(errors) < np.linalg.norm(off)
+
+
+@pytest.mark.parametrize("scale", [1 / 3, 1.0, 3.0])
+def test_the_evidence_recovers_the_scale_of_the_prior(whole, scale):
+    """A prior stated too narrow or too wide is found out by the data."""
+    count = len(whole.parameters)
+    stated = whole.prior.widened(np.full(count, 1 / scale))
+    problem = Problem((whole.solver.chosen,), whole.parameters, stated, empirical=True)
+    found = Solver.of(problem).posterior
+    np.testing.assert_allclose(found.prior.std, scale * stated.std, rtol=0.3)
+    # The widened prior is content with its width; the stated one is not.
+    assert found.prior_scale == pytest.approx(1.0, rel=0.02)
+    as_stated = Solver.of(replace(problem, empirical=False)).posterior
+    assert as_stated.prior_scale == pytest.approx(scale, rel=0.4)
+
+
+def test_a_model_that_is_right_is_found_to_need_no_width(folder, symbitron):
+    prepared = prepare(replace(job(folder, "second"), prior=PriorChoice()))
+    estimate = prepared.solve("map").estimate
+    believed = PriorChoice(percent=25).load(symbitron)
+    assert np.all(prepared.solver.posterior.prior.std < 0.5 * believed.std)
+    assert np.abs((estimate.value - symbitron.values) / believed.std).max() < 0.5
+
+
+@pytest.mark.parametrize("samples", [40, 400])
+def test_white_residuals_are_white_however_short_the_log(samples):
+    """Coordinates share noise, as base and joints share that of a plate."""
+    rng = np.random.default_rng(1)
+    n = 6
+    layout = RowLayout(tuple("uvwxyz"), ("m",), np.ones((n, 1), dtype=bool))
+    shared = np.eye(n) * 0.05 + 1.0
+    ratios = []
+    for _ in range(30):
+        data = []
+        for window, count in ((0.1, samples), (0.4, samples // 4)):
+            y = rng.standard_normal((count, n)) @ shared / np.sqrt(window)
+            rows = Rows(np.zeros((count, n, 1)), y)
+            nothing = Rows(0 * rows.K, 0 * y)
+            block = WindowedRows(rows, nothing, np.ones((count, n), dtype=bool))
+            data.append(Observations.empty(layout, window).fold([block]))
+        ratios.append(whiteness(*data, np.zeros(1)))
+    assert np.median(ratios) == pytest.approx(1.0, abs=0.4)
+
+
+def test_few_rows_of_a_joint_are_not_taken_for_exact():
+    """Coordinate 1 has as many rows as unknowns of its own: the fit leaves no residual there."""
+    rng = np.random.default_rng(0)
+    structure = np.array([[True] * 3 + [False] * 3, [False] * 3 + [True] * 3])
+    layout = RowLayout(("busy", "seldom"), tuple("abcdef"), structure)
+    prior = Prior("none", "test", None, layout.parameters, np.zeros(6), np.ones(6))
+    squares = []
+    for _ in range(50):
+        phi = rng.standard_normal(6)
+        K = rng.standard_normal((200, 2, 6)) * structure
+        y = K @ phi + 0.1 * rng.standard_normal((200, 2))
+        valid = np.ones((200, 2), dtype=bool)
+        valid[3:, 1] = False
+        mean = Rows(K * valid[:, :, None], y * valid)
+        noise = Rows(0 * K, 0 * y)
+        data = Observations.empty(layout, 0.081).fold([WindowedRows(mean, noise, valid)])
+        found = posterior(data, prior)
+        squares.append(((found.mean - phi) / found.std) ** 2)
+    busy, seldom = np.mean(np.median(squares, axis=0).reshape(2, 3), axis=1)
+    # The median of a squared standard normal number is .45.
+    assert 0.2 < busy < 0.9
+    assert 0.05 < seldom < 1.5
+
+
+def test_friction_armature_and_offsets_are_found_within_their_uncertainty(folder):
+    rubbing = Simulator("smooth", moves=2, motion_seed=32, noise_seed=6, friction=True)
+    record(rubbing, folder / "rubbing")
+    prepared = prepare(job(folder, "rubbing", terms=TERMS))
+    parameters = prepared.parameters
+    truth = with_friction(parameters)
+    for method in ("map", "map_lmi"):
+        estimate = prepared.solve(method).estimate
+        z = (estimate.value - truth) / estimate.std
+        for term, columns in parameters.term_columns.items():
+            assert np.sqrt(np.mean(z[columns] ** 2)) < 1.8, term
+            assert np.abs(z[columns]).max() < 4, term
+            assert estimate.determined[columns].mean() > 0.5, term
+        if method == "map_lmi":
+            columns = slice(parameters.inertial, parameters.term_columns["offset"].start)
+            assert estimate.value[columns].min() >= -1e-9
+    assert 95 < square_of_normalised_errors(prepared.solve("map"), truth) < 215
+
+
+def with_friction(parameters):
+    """Return the parameters of the robot that rubs as config/friction.yaml says."""
+    friction = load_friction(CONFIG / "friction.yaml")
+    truth = parameters.values.copy()
+    for term, field in (
+        ("viscous", "damping"),
+        ("coulomb", "frictionloss"),
+        ("armature", "armature"),
+    ):
+        truth[parameters.term_columns[term]] = [
+            getattr(friction[joint], field) for joint in parameters.model.joint_names
+        ]
+    return truth

@@ -1,0 +1,126 @@
+"""A page's content is worked out from estimates and the truth, number by number."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_robots import random_robot, random_samples
+
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.evaluation import TrueMotion
+from symbid_ros.offline.prediction import RealisticMotion
+from symbid_ros.report.compose import Reference, compose
+from symbid_ros.report.content import METRICS, PRIOR, REALISTIC_METRICS, TRUTH
+
+COUNT = 6
+FACTS = {"Bag": "log"}
+
+
+@pytest.fixture(scope="module")
+def parameters() -> ParameterSet:
+    return ParameterSet(random_robot(1, links=3))
+
+
+@pytest.fixture(scope="module")
+def reference(parameters: ParameterSet) -> Reference:
+    """Random states whose efforts and base forces are the true parameters' to the last digit."""
+    rng = np.random.default_rng(0)
+    samples = random_samples(parameters.model, COUNT, rng)
+    rows = equation_of_motion(parameters, samples)
+    owed = (rows.K @ parameters.values - rows.y)[:, 6:]
+    samples = replace(samples, effort=samples.effort + owed)
+    rotation = np.tile(np.eye(3), (COUNT, 1, 1))
+    motion = TrueMotion(samples, rng.normal(size=(COUNT, 3)), rotation)
+    return Reference(motion, parameters.values, RealisticMotion(samples, motion))
+
+
+def estimated(parameters: ParameterSet, factor: float, rank: int | None = None) -> Estimate:
+    truth = parameters.values
+    return Estimate(
+        method="map",
+        model=parameters.model.name,
+        names=parameters.names,
+        units=parameters.units,
+        value=factor * truth,
+        prior=1.5 * truth,
+        std=None,
+        determined=None,
+        rank=rank,
+        condition=1.0,
+        samples=COUNT,
+        residual_rmse={},
+        consistent=dict.fromkeys(parameters.link_names, True),
+        inputs=(),
+        software="test",
+    )
+
+
+def test_everything_is_judged_by_the_truth(parameters: ParameterSet, reference: Reference) -> None:
+    deviation = 0.1 * np.diag(parameters.values)
+    content = compose(
+        {"A": estimated(parameters, 1.2), "B": estimated(parameters, 0.9)},
+        parameters,
+        chosen="B",
+        facts=FACTS,
+        reference=reference,
+        deviation_factor=deviation,
+        truncations={("A", "itself"): estimated(parameters, 1.2, rank=3)},
+    )
+    assert [method.label for method in content.methods] == [PRIOR, "A", "B", TRUTH]
+    errors = {}
+    for method in content.methods:
+        assert method.metrics is not None
+        assert set(method.metrics) == {metric.key for metric in METRICS}
+        errors[method.label] = method.metrics
+    percent = {label: row["parameter_error_pct"] for label, row in errors.items()}
+    assert percent == pytest.approx({PRIOR: 50, "A": 20, "B": 10, TRUTH: 0})
+    # All parameters scaled alike: torques err in proportion, the centre of mass does not err.
+    K = equation_of_motion(parameters, reference.motion.samples).K[:, 6:]
+    load = np.sqrt(np.mean(np.sum((K @ parameters.values) ** 2, axis=1)))
+    assert errors["A"]["torque_rmse"] == pytest.approx(0.2 * load)
+    assert errors["A"]["com_position_rmse_mm"] == pytest.approx(0, abs=1e-9)
+
+    assert content.link_errors is not None
+    np.testing.assert_allclose(content.link_errors.percent["B"], 10)
+    assert [series.label for series in content.predictions or ()] == [TRUTH, PRIOR, "B"]
+
+    assert content.intervals is not None
+    std = np.linalg.norm(K @ deviation, axis=2)
+    expected = np.sqrt(np.mean(np.sum(std**2, axis=1)))
+    assert content.intervals.torque_std == pytest.approx(expected)
+
+    assert list(content.realistic) == [PRIOR, "B", TRUTH]
+    assert set(content.realistic["B"]) == {metric.key for metric in REALISTIC_METRICS}
+    assert content.realistic["B"]["torque_from_wrenches_rmse"] == pytest.approx(0.1 * load)
+
+    (choice,) = content.truncations
+    assert (choice.label, choice.chosen_by, choice.rank) == ("A", "itself", 3)
+    assert choice.metrics == errors["A"]
+
+
+def test_without_the_truth_nothing_is_judged(parameters: ParameterSet) -> None:
+    content = compose(
+        {"A": estimated(parameters, 1.1)},
+        parameters,
+        chosen="A",
+        facts=FACTS,
+        deviation_factor=np.eye(len(parameters)),
+    )
+    assert [(m.label, m.metrics) for m in content.methods] == [(PRIOR, None), ("A", None)]
+    judged = (content.predictions, content.link_errors, content.intervals)
+    assert judged == (None, None, None)
+    assert (content.realistic, content.truncations) == ({}, ())
+
+
+def test_estimates_of_other_parameters_do_not_share_a_page(parameters: ParameterSet) -> None:
+    more = ParameterSet(parameters.model, ("viscous",))
+    with pytest.raises(EstimateError, match="B: 32 parameters are not the 30 of A"):
+        compose(
+            {"A": estimated(parameters, 1.0), "B": estimated(more, 1.0)},
+            parameters,
+            chosen="A",
+            facts=FACTS,
+        )

@@ -1,0 +1,239 @@
+"""Sensor errors as unknowns: undone exactly, linearised rightly, named consistently."""
+
+import numpy as np
+import pytest
+from analytic_log import analytic_samples, readings_of, segment_of, spoilt
+from random_robots import CONFIG, random_robot
+
+from symbid_ros.dynamics.imu import BaseMotion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.errors import DataError
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.calibration import (
+    DEVIATIONS,
+    KINDS,
+    UNITS,
+    Pilot,
+    SensorErrors,
+    calibrating_rows,
+    parse_kinds,
+)
+from symbid_ros.signals.readings import Readings, at_base
+from symbid_ros.signals.weak_form import equation_rows, windowed_rows
+from symbid_ros.simulation.simulator import Simulator
+
+PERIOD_NS = 1_000_000
+
+
+def parameters_of(robot):
+    if robot == "symbitron":
+        return ParameterSet(load_model(CONFIG / "symbitron.xml"))
+    seed, floating = robot
+    return ParameterSet(random_robot(seed, links=6, floating=floating))
+
+
+ROBOTS = [(1, True), (4, True), (2, False), "symbitron"]
+
+
+def exact_readings(parameters, count, seed, step=PERIOD_NS):
+    stamp = step * np.arange(1, count + 1, dtype=np.int64)
+    model = parameters.model
+    samples = analytic_samples(parameters, stamp, seed)
+    return readings_of(model, samples, ("imu_link",) if model.floating else ())
+
+
+def all_errors(parameters, readings, kinds=KINDS):
+    return SensorErrors.of(kinds, parameters.model, readings.wrench_frames, readings.imu_frames)
+
+
+def residual(parameters, errors, phi, readings, theta):
+    samples = at_base(errors.corrected(readings, theta), parameters.model)
+    rows = equation_of_motion(parameters, samples)
+    return rows.y - rows.K @ phi
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=str)
+@pytest.mark.parametrize("kinds", [KINDS, KINDS[1:2], KINDS[2:5], KINDS[4:]], ids=",".join)
+def test_columns_are_the_slopes_of_the_residual(robot, kinds):
+    parameters = parameters_of(robot)
+    readings = exact_readings(parameters, 5, 3, step=170_000_000)
+    errors = all_errors(parameters, readings, kinds)
+    rng = np.random.default_rng(0)
+    theta = errors.std * rng.standard_normal(len(errors))
+    phi = parameters.values * rng.uniform(0.8, 1.2, len(parameters))
+    C = errors.columns(parameters, phi, readings, theta)
+    assert C.shape == (5, parameters.model.dof, len(errors))
+    for column, name in enumerate(errors.names):
+        step = np.zeros(len(errors))
+        step[column] = 1e-5
+        ahead, behind = (
+            residual(parameters, errors, phi, readings, theta + sign * step) for sign in (1, -1)
+        )
+        slope = (ahead - behind) / 2e-5
+        # One-sided differences of 1e-4 are taken inside.
+        scale = np.abs(slope).max()
+        np.testing.assert_allclose(C[:, :, column], slope, atol=5e-4 * scale + 1e-6, err_msg=name)
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=str)
+def test_the_structure_covers_all_that_an_error_reaches(robot):
+    parameters = parameters_of(robot)
+    readings = exact_readings(parameters, 6, 5, step=150_000_000)
+    errors = all_errors(parameters, readings)
+    theta = errors.std * np.random.default_rng(1).standard_normal(len(errors))
+    C = np.abs(errors.columns(parameters, parameters.values, readings, theta)).max(axis=0)
+    reach = errors.structure(parameters.model)
+    assert reach.shape == C.shape
+    assert not np.any(C[~reach] > 1e-9 * C.max())
+    gains = errors.places["torque_gain"]
+    np.testing.assert_array_equal(reach[:, gains].sum(axis=0), 1)
+    # Plates are felt by the joints between them and the base alone.
+    model = parameters.model
+    for frame in errors.wrench_frames:
+        columns = [i for i, name in enumerate(errors.names) if name.startswith(f"{frame}/plate")]
+        carried = model.ancestors[:, model.frame(frame).link]
+        first = 6 * model.floating
+        np.testing.assert_array_equal(reach[first:, columns].any(axis=1), carried)
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=str)
+def test_names_units_deviations_and_places_tell_of_the_same_unknowns(robot):
+    parameters = parameters_of(robot)
+    readings = exact_readings(parameters, 1, 0)
+    model = parameters.model
+    errors = all_errors(parameters, readings)
+    assert len(errors) == len(errors.names) == len(errors.units) == len(errors.std)
+    assert len(set(errors.names)) == len(errors)
+    driven = [joint.name for joint in model.joints if joint.effort > 0]
+    owners = {"torque_gain": driven, "encoder_offset": list(model.joint_names)}
+    end = 0
+    for kind in KINDS:
+        place = errors.places[kind]
+        assert place.start == end
+        end = place.stop
+        sensors = readings.wrench_frames if kind.startswith("plate") else readings.imu_frames
+        owned = owners.get(kind, list(sensors))
+        names = errors.names[place]
+        size = len(DEVIATIONS[kind])
+        assert [name.partition("/")[0] for name in names] == list(np.repeat(owned, size))
+        assert all(name.partition("/")[2].startswith(kind) for name in names)
+        assert errors.units[place] == UNITS[kind] * len(owned)
+        np.testing.assert_array_equal(errors.std[place], np.tile(DEVIATIONS[kind], len(owned)))
+        theta = np.arange(len(errors)) + 1.0
+        np.testing.assert_array_equal(errors.of_kind(kind, theta).ravel(), theta[place])
+        assert errors.of_kind(kind, theta).shape == (len(owned), size)
+    assert end == len(errors)
+
+
+def test_moments_come_before_forces_and_gyroscopes_before_accelerometers():
+    parameters = parameters_of((1, True))
+    errors = all_errors(parameters, exact_readings(parameters, 1, 0))
+    frame = errors.wrench_frames[0]
+    assert errors.names[:6] == tuple(
+        f"{frame}/plate_offset_{part}_{axis}" for part in ("moment", "force") for axis in "xyz"
+    )
+    start = errors.places["imu_bias"].start
+    assert errors.names[start] == "imu_link/imu_bias_gyroscope_x"
+    assert errors.names[start + 3] == "imu_link/imu_bias_accelerometer_x"
+    assert errors.units[start : start + 6] == ("rad/s",) * 3 + ("m/s^2",) * 3
+
+
+def test_kinds_are_parsed_in_their_own_order():
+    assert parse_kinds("") == ()
+    assert parse_kinds("typical") == KINDS
+    assert parse_kinds(" torque_gain, plate_offset,") == ("plate_offset", "torque_gain")
+    with pytest.raises(DataError, match="no sensor error 'encoder'; give typical or any of plate_"):
+        parse_kinds("plate_gain,encoder")
+
+
+def simulated_readings(errors):
+    """Return the errors drawn, and what ideal sensors with them say of one same motion."""
+    simulator = Simulator("vibrating", moves=1, ideal=True, errors=errors, error_seed=4)
+    instants = [simulator.step() for _ in range(60)]
+
+    def column(name):
+        return np.array([getattr(instant, name) for instant in instants])
+
+    wrenches, gyroscope = column("wrenches"), column("imu_angular_velocity")
+    alpha = np.gradient(gyroscope, 1e-3, axis=0)
+    return simulator.errors, Readings(
+        stamp=column("stamp"),
+        position=column("joint_position"),
+        velocity=column("joint_velocity"),
+        acceleration=column("true_acceleration"),
+        effort=column("joint_effort"),
+        imus=(BaseMotion(gyroscope, alpha, column("imu_linear_acceleration")),),
+        wrenches=np.concatenate([wrenches[..., 3:], wrenches[..., :3]], axis=2),
+        imu_frames=(simulator.imu_frame,),
+        wrench_frames=tuple(sensor.frame_id for sensor in simulator.wrench_sensors),
+    )
+
+
+@pytest.fixture(scope="module")
+def perfect():
+    return simulated_readings("")[1]
+
+
+@pytest.mark.parametrize("kind", ["typical", *(k for k in KINDS if k != "imu_bias")])
+def test_the_simulators_errors_are_undone_to_the_last_digit(kind, perfect):
+    drawn, wrong = simulated_readings(kind)
+    parameters = parameters_of("symbitron")
+    errors = all_errors(parameters, perfect)
+    # The simulator writes wrenches as messages do, force first.
+    moment_first = [3, 4, 5, 0, 1, 2]
+    theta = np.zeros(len(errors))
+    theta[errors.places["plate_offset"]] = drawn.plate_offset[:, moment_first].ravel()
+    theta[errors.places["plate_gain"]] = drawn.plate_gain[:, moment_first].ravel()
+    theta[errors.places["plate_pose"]] = drawn.plate_pose.ravel()
+    theta[errors.places["torque_gain"]] = drawn.torque_gain[errors.driven]
+    theta[errors.places["imu_mounting"]] = drawn.imu_mounting
+    theta[errors.places["encoder_offset"]] = drawn.encoder_offset
+    assert np.any(theta)
+    mended = errors.corrected(wrong, theta)
+    assert_same(mended, perfect)
+    assert np.any(np.abs(mended.wrenches - wrong.wrenches) > 1e-3) == (
+        kind == "typical" or kind.startswith("plate")
+    )
+    assert_same(errors.corrected(perfect, np.zeros(len(errors))), perfect)
+
+
+def assert_same(one, other):
+    for name in ("position", "effort", "wrenches"):
+        np.testing.assert_allclose(getattr(one, name), getattr(other, name), atol=1e-9)
+    for ours, theirs in zip(one.imus, other.imus, strict=True):
+        for name in ("angular_velocity", "angular_acceleration", "specific_force"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=1e-9)
+
+
+@pytest.mark.parametrize("robot", ROBOTS, ids=str)
+def test_rows_close_at_the_true_parameters_and_errors(robot):
+    parameters = parameters_of(robot)
+    readings = exact_readings(parameters, 1300, 7)
+    segment = segment_of(readings, 1e9 / PERIOD_NS)
+    errors = all_errors(parameters, readings)
+    phi = parameters.values
+    draw = errors.std * np.random.default_rng(2).standard_normal(len(errors))
+
+    def closure(theta, pilot):
+        build = calibrating_rows(parameters, errors, pilot)
+        ((rows,),) = windowed_rows(spoilt(segment, errors, theta), build, [0.321])
+        left = rows.mean.K @ np.concatenate([phi, theta]) - rows.mean.y
+        return np.linalg.norm(left) / np.linalg.norm(rows.mean.y)
+
+    none = np.zeros(len(errors))
+    exact = closure(none, Pilot(phi, none))
+    assert exact < 1e-4
+    # About the truth, whatever the errors; about no errors, to second order in them.
+    assert closure(draw, Pilot(phi, draw)) < exact + 1e-5
+    ignored = np.linalg.norm(uncorrected(spoilt(segment, errors, draw), parameters))
+    linearised = closure(draw, Pilot(phi, none))
+    assert linearised < 0.1 * ignored
+    assert closure(draw / 4, Pilot(phi, none)) < linearised / 10 + exact
+
+
+def uncorrected(segment, parameters):
+    """Return the residual of rows that know nothing of errors, relative to their forces."""
+    ((rows,),) = windowed_rows(segment, equation_rows(parameters), [0.321])
+    left = rows.mean.K @ parameters.values - rows.mean.y
+    return left / np.linalg.norm(rows.mean.y)

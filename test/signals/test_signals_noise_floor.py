@@ -1,0 +1,75 @@
+"""The level of white noise, found beside motion and vibration."""
+
+import numpy as np
+import pytest
+from analytic_log import analytic_segment, noisy
+from random_robots import random_robot
+
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.noise_floor import noise_deviation, with_more_noise
+
+RATE = 1000.0
+TIME = np.arange(4000) / RATE
+
+
+def slow_motion(rng, size, channels=6):
+    frequency, phase = rng.uniform(0.2, 8, (3, channels)), rng.uniform(0, 6, (3, channels))
+    wave = np.sin(2 * np.pi * np.multiply.outer(TIME, frequency) + phase)
+    return 5.0 + size * wave.sum(axis=1)
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0, 1e4])
+def test_white_noise_is_found_under_motion_of_any_size(size):
+    rng = np.random.default_rng(1)
+    truth = np.array([1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0])
+    found = noise_deviation(slow_motion(rng, size) + truth * rng.standard_normal((4000, 6)), RATE)
+    # 200 bins in each of eight bands, the quietest of them.
+    np.testing.assert_allclose(found, truth, rtol=0.08)
+
+
+def test_it_is_unbiased_for_blocks_of_any_rate():
+    rng = np.random.default_rng(2)
+    for count in (800, 2000, 4000):
+        found = noise_deviation(rng.standard_normal((count, 200)), RATE)
+        assert np.sqrt(np.mean(found**2)) == pytest.approx(1.0, abs=0.05)
+
+
+def test_vibration_in_some_bands_is_no_noise():
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((4000, 4))
+    spectrum = np.fft.rfft(rng.standard_normal((4000, 4)), axis=0)
+    frequency = np.fft.rfftfreq(4000, 1 / RATE)
+    spectrum[(frequency < 250) | (frequency > 390)] = 0
+    lines = np.sin(2 * np.pi * TIME * 131.0) + np.sin(2 * np.pi * TIME * 222.2)
+    shaken = noise + 50 * np.fft.irfft(spectrum, axis=0) + 100 * lines[:, None]
+    np.testing.assert_allclose(noise_deviation(shaken, RATE), 1.0, rtol=0.1)
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_an_exact_channel_has_none(size):
+    channel = slow_motion(np.random.default_rng(4), size)
+    assert np.all(noise_deviation(channel, RATE) < 1e-8)
+
+
+def test_too_short_a_record_shows_none():
+    noise = np.random.default_rng(6).standard_normal((12, 3))
+    np.testing.assert_array_equal(noise_deviation(noise, RATE), 0)
+
+
+def test_only_what_is_differentiated_gets_more_noise_and_always_the_same():
+    parameters = ParameterSet(random_robot(1, links=4))
+    exact = analytic_segment(parameters, 3.0, 1)
+    levels = {"position": 1e-4, "rate": 0.02, "acceleration": 0.1, "effort": 0.5, "wrench": 2.0}
+    segment = noisy(exact, np.random.default_rng(5), **levels)
+    more, again = with_more_noise(segment), with_more_noise(segment)
+    for field in ("position", "angular_velocity"):
+        np.testing.assert_array_equal(getattr(more, field), getattr(again, field))
+    for field in ("effort", "linear_acceleration", "wrenches"):
+        np.testing.assert_array_equal(getattr(more, field), getattr(segment, field))
+    for field, level in (("position", 1e-4), ("angular_velocity", 0.02)):
+        added = getattr(more, field) - getattr(segment, field)
+        np.testing.assert_allclose(added.std(axis=0), level, rtol=0.1)
+        # As independent of the noise that is there as noise of another day.
+        there = getattr(segment, field) - getattr(exact, field)
+        correlation = np.mean(added * there, axis=0) / level**2
+        assert np.all(np.abs(correlation) < 5 / np.sqrt(len(segment)))

@@ -1,0 +1,243 @@
+"""Windowed rows against sums written out, on exact motions of random trees."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from analytic_log import analytic_segment, noisy
+from random_robots import random_robot, with_drives
+
+from symbid_ros.dynamics.friction import COULOMB_SPEED
+from symbid_ros.dynamics.imu import BaseMotion
+from symbid_ros.dynamics.regressor import Rows
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.readings import smoothed
+from symbid_ros.signals.weak_form import (
+    BLOCK,
+    INFLATION,
+    PREFILTER,
+    SETTLING,
+    WINDOWS,
+    SampledRows,
+    equation_rows,
+    windowed_rows,
+)
+
+NOISE = {"position": 1e-5, "rate": 5e-3, "acceleration": 0.03, "effort": 0.1, "wrench": 1.0}
+
+
+def trees(*seeds, **options):
+    return [
+        pytest.param(ParameterSet(random_robot(seed, links=4 + seed, **options)), id=f"tree {seed}")
+        for seed in seeds
+    ]
+
+
+def rows_of(segment, parameters, windows=WINDOWS):
+    """Return the rows of a whole segment for each window: mean, noise, valid."""
+    blocks = list(windowed_rows(segment, equation_rows(parameters), windows))
+    return [
+        (
+            Rows(*(np.concatenate([getattr(b.mean, x) for b in parts]) for x in ("K", "y"))),
+            Rows(*(np.concatenate([getattr(b.noise, x) for b in parts]) for x in ("K", "y"))),
+            np.concatenate([b.valid for b in parts]),
+        )
+        for parts in zip(*blocks, strict=True)
+    ]
+
+
+def assert_closes(parameters, mean, tolerance):
+    error = mean.K @ parameters.values - mean.y
+    assert np.all(np.linalg.norm(error, axis=0) <= tolerance * np.linalg.norm(mean.y))
+
+
+@pytest.mark.parametrize("parameters", [*trees(0, 3, 5), *trees(2, floating=False)])
+@pytest.mark.parametrize("window", [0.081, 0.32])
+def test_averages_are_the_strict_weak_form_in_which_no_acceleration_is_formed(parameters, window):
+    rng = np.random.default_rng(1)
+    segment = noisy(analytic_segment(parameters, 0.1 + 2.6 * window, 1), rng, **NOISE)
+    ((mean, _, _),) = rows_of(segment, parameters, [window])
+    edge = int(SETTLING * segment.rate / PREFILTER)
+    readings = smoothed(segment, LowPass(PREFILTER, passes=1), edge)
+    strict = strict_weak_form(readings, parameters, window)
+    assert len(strict) == len(mean.K) == 4
+    np.testing.assert_allclose(mean.K, strict, atol=1e-10 * np.abs(strict).max())
+
+
+def strict_weak_form(readings, parameters, window):
+    """Return Σ w K (W, n, p) from positions and rates alone, Σ w A q̈ = -Σ Δ(w A)/Δt q̇."""
+
+    def K(acceleration, alphas):
+        imus = zip(readings.imus, alphas, strict=True)
+        turned = tuple(BaseMotion(i.angular_velocity, a, i.specific_force) for i, a in imus)
+        changed = replace(readings, acceleration=acceleration, imus=turned)
+        return np.concatenate([part.rows.K for part in equation_rows(parameters)(changed)])
+
+    still = np.zeros_like(readings.acceleration)
+    rest = [np.zeros((len(readings), 3)) for _ in readings.imus]
+    uniform = K(still, rest)
+    rates, coefficients = [], []
+    for joint in range(still.shape[1]):
+        unit = still.copy()
+        unit[:, joint] = 1.0
+        rates.append(readings.velocity[:, joint])
+        coefficients.append(K(unit, rest) - uniform)
+    for imu, motion in enumerate(readings.imus):
+        for axis in range(3):
+            unit = [alpha.copy() for alpha in rest]
+            unit[imu][:, axis] = 1.0
+            rates.append(motion.angular_velocity[:, axis])
+            coefficients.append(K(still, unit) - uniform)
+    time = (readings.stamp - readings.stamp[0]) * 1e-9
+    averages = []
+    for centre in np.arange(window / 2, time[-1] - window / 2 + 1e-9, window / 2):
+        apart = np.abs(time - centre) / window
+        w = np.where(apart < 0.5, np.cos(np.pi * apart) ** 2, 0.0)[:, None, None]
+        w /= w.sum()
+        average = np.sum(w * uniform, axis=0)
+        for rate, A in zip(rates, coefficients, strict=True):
+            weighted = np.pad(w * A, [(1, 1), (0, 0), (0, 0)])
+            slope = (weighted[2:] - weighted[:-2]) / (2 * time[1])
+            average -= np.sum(slope * rate[:, None, None], axis=0)
+        averages.append(average)
+    return np.array(averages)
+
+
+@pytest.mark.parametrize(
+    "parameters", [*trees(0, 1, 4, 6), *trees(2, 5, floating=False, wrench_frames=1)]
+)
+def test_rows_of_exact_motion_close_the_equation_of_motion(parameters):
+    for mean, _, valid in rows_of(analytic_segment(parameters, 3.0, 7), parameters):
+        assert valid.all()
+        # What is left is the central difference of a 1.5 Hz sine sampled at 1 kHz.
+        assert_closes(parameters, mean, 1e-4)
+
+
+def test_several_imus_tell_of_the_same_base():
+    parameters = ParameterSet(random_robot(8, links=6, wrench_frames=1))
+    frames = ("imu_link", "link_5", "link_0")
+    segment = analytic_segment(parameters, 1.5, 3, imu_frames=frames)
+    for mean, _, _ in rows_of(segment, parameters):
+        assert_closes(parameters, mean, 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("rate", "tolerance"), [(200.0, 3e-3), (1e9 / 3e6, 2e-3), (700.0, 1e-3), (2500.0, 1e-4)]
+)
+def test_any_sampling_rate_will_do(rate, tolerance):
+    parameters = ParameterSet(random_robot(3, links=4))
+    segment = analytic_segment(parameters, 2.4, 5, rate=rate)
+    settled = 2 * SETTLING / min(PREFILTER, 0.1 * rate)
+    for window, (mean, _, _) in zip(WINDOWS, rows_of(segment, parameters), strict=True):
+        assert_closes(parameters, mean, tolerance)
+        expected = 2 * (2.4 - settled - window) / window
+        assert expected - 2 < len(mean.y) < expected + 2
+
+
+@pytest.mark.parametrize("rate", [1000.0, 400.0])
+def test_a_log_cut_at_a_block_boundary_has_the_same_rows(rate):
+    parameters = ParameterSet(random_robot(1, links=4))
+    segment = noisy(
+        analytic_segment(parameters, 6.5, 2, rate=rate, start=3.1),
+        np.random.default_rng(0),
+        **NOISE,
+    )
+    cuts = np.flatnonzero(np.diff(segment.stamp // BLOCK)) + 1
+    assert len(cuts) == 2
+    edges = [0, *cuts.tolist(), len(segment)]
+    pieces = [rows_of(segment.cut(a, b), parameters) for a, b in pairwise(edges)]
+    for index, (mean, noise, valid) in enumerate(rows_of(segment, parameters)):
+        for whole, name in ((mean, 0), (noise, 1)):
+            for field in ("K", "y"):
+                parts = [getattr(piece[index][name], field) for piece in pieces]
+                np.testing.assert_array_equal(np.concatenate(parts), getattr(whole, field))
+        np.testing.assert_array_equal(np.concatenate([p[index][2] for p in pieces]), valid)
+
+
+def averaging(segment, window):
+    """Return the weight (W, N) of each instant in each row: rows that are unit impulses."""
+    stamps = segment.stamp
+
+    def build(readings):
+        y = (readings.stamp[:, None] == stamps).astype(float)
+        yield SampledRows(
+            readings.stamp, Rows(np.zeros((*y.shape, 1)), y), np.ones(y.shape, dtype=bool)
+        )
+
+    ((rows,),) = windowed_rows(segment, build, [window])
+    return rows.mean.y
+
+
+@pytest.mark.parametrize("window", [0.081, 0.161, 0.32])
+def test_overlapping_windows_look_more_than_they_are_by_a_third(window):
+    parameters = ParameterSet(random_robot(2, links=2, floating=False))
+    segment = analytic_segment(parameters, 2.0, 0, rate=500.0)
+    weights = averaging(segment, window)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0, rtol=1e-12)
+    # The covariance of the averages of white noise.
+    covariance = weights @ weights.T
+    middle = len(covariance) // 2
+    correlation = covariance[middle] / covariance[middle, middle]
+    assert correlation[middle - 1] == pytest.approx(1 / 6, rel=0.05)
+    assert correlation.sum() == pytest.approx(INFLATION, rel=0.02)
+    assert np.abs(np.delete(correlation, [middle - 1, middle, middle + 1])).max() == 0
+
+
+@pytest.mark.parametrize("terms", [("viscous", "coulomb"), ("viscous", "armature")])
+def test_a_joint_that_sticks_leaves_its_row_out_where_coulomb_friction_is_an_unknown(terms):
+    robot = with_drives(random_robot(4, links=4), np.random.default_rng(2))
+    parameters = ParameterSet(robot, terms)
+    segment = analytic_segment(parameters, 4.0, 8)
+    windows = (0.081,)
+    ((mean, noise, valid),) = rows_of(segment, parameters, windows)
+    assert valid[:, :6].all()
+    assert_closes(parameters, mean, 1e-4)
+    edge = int(SETTLING * segment.rate / PREFILTER)
+    readings = smoothed(segment, LowPass(PREFILTER, passes=1), edge)
+    time = (readings.stamp - readings.stamp[0]) * 1e-9
+    sticks = np.abs(readings.velocity) < COULOMB_SPEED
+    centres = 0.5 * windows[0] * (1 + np.arange(len(valid)))
+    inside = np.abs(time - centres[:, None]) < 0.5 * windows[0]
+    if "coulomb" not in terms:
+        assert valid.all()
+        return
+    never = ~(inside[:, :, None] & sticks).any(axis=1)
+    always = (~inside[:, :, None] | sticks).all(axis=1)
+    assert valid[:, 6:][never].all()
+    assert not valid[:, 6:][always].any()
+    assert 0 < (~valid).sum() < 0.5 * valid[:, 6:].size
+    for rows in (mean, noise):
+        assert not rows.K[~valid].any()
+        assert not rows.y[~valid].any()
+
+
+@pytest.mark.parametrize("seconds", [0.07, 0.1, 0.14])
+def test_a_log_shorter_than_a_window_has_no_rows(seconds):
+    parameters = ParameterSet(random_robot(1, links=3))
+    segment = analytic_segment(parameters, seconds, 1)
+    blocks = list(windowed_rows(segment, equation_rows(parameters), WINDOWS))
+    assert sum(len(rows.mean.y) for block in blocks for rows in block) == 0
+
+
+@pytest.mark.parametrize("levels", [{"position": 2e-5}, {"rate": 5e-3}])
+def test_noise_rows_have_the_moments_of_what_noise_does_to_the_regressor(levels):
+    parameters = ParameterSet(random_robot(6, links=5))
+    exact = analytic_segment(parameters, 11.9, 4, start=0.05)
+    without = rows_of(exact, parameters)
+    noise = rows_of(noisy(exact, np.random.default_rng(3), **levels), parameters)
+    for (clean, none, _), (mean, more, _) in zip(without, noise, strict=True):
+        # 70 long windows of a few joints tell a variance to some 20 %.
+        replayed, done = np.sum(more.K**2), np.sum((mean.K - clean.K) ** 2)
+        assert 0.6 < replayed / done < 1.6
+        # Perfect sensors have no noise to replay, and forces are none of the regressor's.
+        assert np.linalg.norm(none.K) < 1e-3 * np.linalg.norm(more.K)
+        assert np.abs(more.y).max() < 1e-3 * np.abs(mean.y).max()
+
+
+def test_the_replayed_noise_is_the_same_every_time():
+    parameters = ParameterSet(random_robot(6, links=3))
+    segment = noisy(analytic_segment(parameters, 1.0, 4), np.random.default_rng(3), **NOISE)
+    (_, first, _), (_, again, _) = (rows_of(segment, parameters, [0.081])[0] for _ in range(2))
+    np.testing.assert_array_equal(first.K, again.K)
