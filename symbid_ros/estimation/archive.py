@@ -1,6 +1,7 @@
 """information.npz: what a run knows, so that the next can go on from it."""
 
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -68,16 +69,12 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
                 f"{path}: written in format {int(content['format'])}, this is {FORMAT}; identify "
                 "the log again"
             )
-        layout = RowLayout(
-            tuple(content["coordinates"].tolist()),
-            tuple(content["parameters"].tolist()),
-            content["structure"].astype(bool),
-        )
+        layout = _layout(content)
         return tuple(
             Observations(
                 rows=_information(layout, content[f"rows_{i}"], content[f"samples_{i}"][0]),
                 noise=_information(layout, content[f"noise_{i}"], content[f"samples_{i}"][1]),
-                counts=content[f"counts_{i}"],
+                counts=_counts(content[f"counts_{i}"], layout),
                 window=float(window),
                 inflation=float(inflation),
             )
@@ -111,14 +108,31 @@ def _information(layout: RowLayout, triangle: FloatArray, samples: int) -> Infor
     return Information(layout, factor, int(samples))
 
 
+def _layout(content: dict[str, np.ndarray]) -> RowLayout:
+    coordinates = tuple(content["coordinates"].tolist())
+    parameters = tuple(content["parameters"].tolist())
+    structure = content["structure"].astype(bool)
+    if structure.shape != (len(coordinates), len(parameters)):
+        raise ValueError("its structure is not that of its parameters")
+    return RowLayout(coordinates, parameters, structure)
+
+
+def _counts(counts: np.ndarray, layout: RowLayout) -> FloatArray:
+    n = len(layout.coordinates)
+    if counts.shape != (n, n) or not np.all(np.isfinite(counts)):
+        raise ValueError("its counts are none")
+    return counts.astype(np.float64)
+
+
 def _read(path: Path) -> dict[str, np.ndarray]:
     try:
+        # A lone array is no context: that is the TypeError below.
         with np.load(path, allow_pickle=False) as stored:
             return dict(stored)
     except OSError as error:
         reason = error.strerror or "not a zip of arrays"
         raise EstimateError(f"{path}: cannot read it ({reason}); check the path") from None
-    except (ValueError, zipfile.BadZipFile, EOFError, AttributeError):
+    except (ValueError, TypeError, zipfile.BadZipFile, zlib.error, EOFError, AttributeError):
         # NumPy's own words advise to load it as a pickle.
         raise EstimateError(
             f"{path}: no information.npz of symbid identify; give the file that a run wrote"

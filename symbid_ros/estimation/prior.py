@@ -80,9 +80,11 @@ class Prior:
         return np.diag(self.std) if self.factor is None else self.factor
 
     def widened(self, scale: FloatArray) -> "Prior":
-        """Return the prior with its deviations times ``scale`` (p,)."""
-        factor = None if self.factor is None else scale[:, None] * self.factor
-        return replace(self, std=scale * self.std, factor=factor)
+        """Return the prior with each column of its covariance's factor times ``scale`` (p,)."""
+        if self.factor is None:
+            return replace(self, std=scale * self.std)
+        factor = self.factor * scale
+        return replace(self, std=np.linalg.norm(factor, axis=1), factor=factor)
 
     def extended(self, names: tuple[str, ...], mean: FloatArray, std: FloatArray) -> "Prior":
         """Return the prior with more parameters, independent of those that are there."""

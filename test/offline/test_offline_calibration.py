@@ -85,7 +85,9 @@ class TestTare:
 
     def test_nothing_unloaded_is_no_tare(self, folder, wrong):
         assert wrong.plate_offset.any()
-        with pytest.raises(DataError, match="no wrench sensor is unloaded, so none can be tared"):
+        with pytest.raises(
+            DataError, match="no wrench sensor here is unloaded, so none can be tared"
+        ):
             read_tare([folder / "log"], TopicSelection())
 
     def test_a_reading_that_is_no_number_is_refused(self, tmp_path):
