@@ -256,7 +256,8 @@ def test_units_of_parameters_and_forces_do_not_matter(seed, related):
         noise_rows=force * log.noise_rows / unit,
         noise_targets=force * log.noise_targets,
     )
-    scaled = replace(prior.widened(unit), mean=prior.mean * unit)
+    factor = None if prior.factor is None else unit[:, None] * prior.factor
+    scaled = replace(prior, mean=prior.mean * unit, std=prior.std * unit, factor=factor)
     here = posterior(log.observations(), prior)
     found = posterior(there.observations(), scaled)
     covariance = here.deviation_factor @ here.deviation_factor.T
