@@ -170,14 +170,7 @@ def calibrated(problem: Problem, log: Record, tare: Path, weighing: tuple[float,
     known = facts.rows(problem.parameters, problem.prior)
     wanted = Wanted(facts.kinds, read_tare(facts.tare, Job((), MODEL).processing.topics))
     found = calibrate(log, problem.parameters, problem.prior, wanted, known)
-    return replace(
-        problem,
-        observations=found.observations,
-        prior=found.prior,
-        sensors=found.errors.units,
-        known=found.known,
-        longest=True,
-    )
+    return problem.calibrated(found)
 
 
 def score(

@@ -21,6 +21,7 @@ from symbid_ros.estimation.truncation import Criterion, informative_rank, select
 from symbid_ros.estimation.verdict import DETERMINED, judge
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.calibration import Calibrated
 
 Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -84,6 +85,17 @@ class Problem:
     def sensor_names(self) -> tuple[str, ...]:
         """Names of the sensors' errors."""
         return self.prior.names[len(self.parameters) :]
+
+    def calibrated(self, found: Calibrated) -> "Problem":
+        """Return the problem with errors of the log's sensors among the unknowns."""
+        return replace(
+            self,
+            observations=found.observations,
+            prior=found.prior,
+            sensors=found.errors.units,
+            known=found.known,
+            longest=True,
+        )
 
 
 @dataclass(frozen=True)

@@ -289,14 +289,7 @@ def _calibrated(job: Job, problem: Problem, record: Record) -> Problem:
     tares = read_tare(job.facts.tare, job.processing.topics) if job.facts.tare else {}
     wanted = Wanted(job.facts.kinds, tares)
     found = calibrate(record, problem.parameters, problem.prior, wanted, problem.known)
-    return replace(
-        problem,
-        observations=found.observations,
-        prior=found.prior,
-        sensors=found.errors.units,
-        known=found.known,
-        longest=True,
-    )
+    return problem.calibrated(found)
 
 
 def _with_earlier(

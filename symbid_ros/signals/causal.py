@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, sosfilt, sosfilt_zi
+from scipy.signal import sosfilt, sosfilt_zi
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.errors import DataError
+from symbid_ros.signals.filters import butterworth, check_cutoff
 
 # Periods of the cutoff after which the second-order filter has forgotten its start to 2e-4.
 SETTLED = 2.0
@@ -28,8 +28,7 @@ class CausalLowPass:
 
     def __post_init__(self) -> None:
         """Refuse a cutoff that is no frequency."""
-        if not (np.isfinite(self.cutoff) and self.cutoff >= 0):
-            raise DataError(f"cutoff {self.cutoff} Hz is no frequency; give 0 (no filter) or more")
+        check_cutoff(self.cutoff)
 
     def __call__(self, signal: FloatArray, rate: float) -> FloatArray:
         """Return the signal (N, ...) filtered along time, starting from its first value at rest.
@@ -41,11 +40,7 @@ class CausalLowPass:
         """
         if self.cutoff == 0 or signal.size == 0:
             return signal
-        if self.cutoff >= rate / 2:
-            raise DataError(
-                f"cutoff {self.cutoff:g} Hz is not below half the rate of {rate:g} Hz; lower it"
-            )
-        sections = butter(2, self.cutoff, fs=rate, output="sos")
+        sections = butterworth(self.cutoff, rate)
         flat = signal.reshape(len(signal), -1)
         start = sosfilt_zi(sections)[:, :, None] * flat[0]
         filtered: FloatArray = sosfilt(sections, flat, axis=0, zi=start)[0].reshape(signal.shape)

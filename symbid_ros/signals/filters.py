@@ -17,6 +17,25 @@ Channels = Literal["all", "thesis"]
 PASSES = 3
 
 
+def check_cutoff(cutoff: float) -> None:
+    """Refuse a cutoff that is no frequency."""
+    if not (np.isfinite(cutoff) and cutoff >= 0):
+        raise DataError(f"cutoff {cutoff} Hz is no frequency; give 0 (no filter) or more")
+
+
+def butterworth(cutoff: float, rate: float) -> FloatArray:
+    """Return the sections (1, 6) of the second-order low-pass, cutoff and rate in Hz.
+
+    Raises
+    ------
+    DataError
+        When the cutoff is not below half the sampling rate.
+    """
+    if cutoff >= rate / 2:
+        raise DataError(f"cutoff {cutoff:g} Hz is not below half the rate of {rate:g} Hz; lower it")
+    return np.asarray(butter(2, cutoff, fs=rate, output="sos"), dtype=np.float64)
+
+
 class Smoothing(Protocol):
     """What turns noisy, uniformly sampled channels into motion and forces."""
 
@@ -57,8 +76,7 @@ class LowPass:
 
     def __post_init__(self) -> None:
         """Refuse a cutoff that is no frequency."""
-        if not (np.isfinite(self.cutoff) and self.cutoff >= 0):
-            raise DataError(f"cutoff {self.cutoff} Hz is no frequency; give 0 (no filter) or more")
+        check_cutoff(self.cutoff)
 
     def __str__(self) -> str:
         """Return what a report says of it."""
@@ -77,11 +95,7 @@ class LowPass:
         """
         if self.cutoff == 0 or signal.size == 0:
             return signal
-        if self.cutoff >= rate / 2:
-            raise DataError(
-                f"cutoff {self.cutoff:g} Hz is not below half the rate of {rate:g} Hz; lower it"
-            )
-        sections = np.tile(butter(2, self.cutoff, fs=rate, output="sos"), (passes, 1))
+        sections = np.tile(butterworth(self.cutoff, rate), (passes, 1))
         padding = min(len(signal) - 1, int(3 * passes * rate / self.cutoff))
         filtered: FloatArray = sosfiltfilt(sections, signal, axis=0, padlen=padding)
         return filtered
