@@ -123,18 +123,15 @@ class Information:
     def whitened_moment(self, precision: FloatArray) -> FloatArray:
         """Return Σ [K y]ᵀ P [K y] (p + 1, p + 1) for a precision P (n, n) across coordinates.
 
-        Half the digits of :meth:`whitened` and a twentieth of its time, for what is itself
-        only estimated.
+        Half the digits of :meth:`whitened` and a twentieth of its time, for what is only
+        estimated, or on the way to what is not.
         """
         layout = self.layout
-        p = len(layout.parameters)
-        moment = np.zeros((p + 1, p + 1))
-        places = [np.append(columns, p) for columns in layout.columns]
-        for i, (row, rows) in enumerate(zip(layout.slices, places, strict=True)):
-            for j, (column, columns) in enumerate(zip(layout.slices, places, strict=True)):
-                if precision[i, j] != 0.0:
-                    moment[np.ix_(rows, columns)] += precision[i, j] * self._gram[row, column]
-        return moment
+        width = len(layout.parameters) + 1
+        coordinate = layout.coordinate_of
+        weighted = self._gram * precision[np.ix_(coordinate, coordinate)]
+        moment = np.bincount(layout.moment_places, weighted.ravel(), minlength=width**2)
+        return moment.astype(np.float64).reshape(width, width)
 
     @cached_property
     def _parts(self) -> tuple[FloatArray, ...]:
@@ -153,6 +150,12 @@ class Information:
     def _gram(self) -> FloatArray:
         gram: FloatArray = self.factor.T @ self.factor
         return gram
+
+    @cached_property
+    def target_squares(self) -> FloatArray:
+        """Σ y² (n,) over all samples."""
+        ends = [place.stop - 1 for place in self.layout.slices]
+        return np.asarray(np.sum(self.factor[:, ends] ** 2, axis=0))
 
     def residual_moment(self, phi: FloatArray) -> FloatArray:
         """Return Σ e eᵀ (n, n) over all samples, e = y - K φ, for φ (p,)."""

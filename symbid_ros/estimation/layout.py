@@ -73,6 +73,18 @@ class RowLayout:
             for end, columns in zip(ends, self.columns, strict=True)
         )
 
+    @cached_property
+    def coordinate_of(self) -> IntArray:
+        """(w,) the coordinate that each entry of the flat row belongs to."""
+        return np.repeat(np.arange(len(self.columns)), [len(each) + 1 for each in self.columns])
+
+    @cached_property
+    def moment_places(self) -> IntArray:
+        """(w w,) where the product of two entries stands in a flat moment of [K y], (p+1, p+1)."""
+        p = len(self.parameters)
+        column = np.concatenate([np.append(each, p) for each in self.columns])
+        return np.asarray((column[:, None] * (p + 1) + column).ravel())
+
     def flatten(self, rows: Rows) -> FloatArray:
         """Return the flat rows (N, w) of N samples."""
         flat = np.empty((len(rows.K), self.width))

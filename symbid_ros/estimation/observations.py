@@ -114,8 +114,7 @@ class Observations:
         moment[~self._coupled] = 0.0
         # A coordinate without any residual is an ideal one; its weight must stay finite. One with
         # too few rows fits whatever they say, and has no say.
-        square = self.rows.residual_moment(np.zeros_like(phi)).diagonal()
-        scale = square / np.maximum(self.counts.diagonal(), 1)
+        scale = self.rows.target_squares / np.maximum(self.counts.diagonal(), 1)
         largest = float(scale.max()) or 1.0
         floor = 1e-14 * scale + 1e-18 * largest
         floor[self._scarce] = 1e6 * largest

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.information import stacked_factor
@@ -21,6 +21,7 @@ from symbid_ros.estimation.prior import Prior
 
 REWHITENINGS = 20
 SETTLED = 1e-9  # of a posterior standard deviation
+ROUGHLY_SETTLED = 1e-6  # from here on digits count
 
 # More of a direction's information than this is never called noise: its noise is only estimated.
 NOISIEST = 0.75
@@ -131,19 +132,26 @@ class _Square:
         mean: FloatArray,
         L: FloatArray,
         known: "SoftRows | None",
+        *,
+        rough: bool,
     ) -> "_Square":
         covariance = observations.residual_covariance(phi)
         whitening = np.asarray(np.linalg.inv(cholesky(covariance, lower=True)), dtype=np.float64)
-        factor = observations.rows.whitened(whitening)
-        A, b = factor[:, :-1] @ L, factor[:, -1] - factor[:, :-1] @ mean
-        moment = observations.noise.whitened_moment(whitening.T @ whitening)
-        moment *= observations.plausible_noise(phi, covariance)
-        noise = L.T @ moment[:-1, :-1] @ L
-        target = L.T @ (moment[:-1, -1] - moment[:-1, :-1] @ mean)
+        precision = whitening.T @ whitening
+        # From [K y] to rows in prior deviations: [K y] to_prior = [K L, y - K mean].
+        to_prior = np.block([[L, -mean[:, None]], [np.zeros(len(mean)), 1.0]])
+        if rough:
+            moment = observations.rows.whitened_moment(precision)
+            rows = _root(to_prior.T @ moment @ to_prior)
+        else:
+            rows = observations.rows.whitened(whitening) @ to_prior
+        A, b = rows[:, :-1], rows[:, -1]
+        noise = to_prior.T @ observations.noise.whitened_moment(precision) @ to_prior
+        noise *= observations.plausible_noise(phi, covariance)
         if known is not None:
             A = np.concatenate([A, known.rows @ L])
             b = np.concatenate([b, known.targets - known.rows @ mean])
-        return cls(A, b, noise, target, covariance)
+        return cls(A, b, noise[:-1, :-1], noise[:-1, -1], covariance)
 
     def minimum(self, scale: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return x (p,), the precision's factor R (p, p) and the largest share of noise."""
@@ -174,19 +182,35 @@ class _Square:
 
         Σ is kept as it is (MacKay 1992, Neural Computation 4(3)).
         """
-        H, g = self.A.T @ self.A, self.A.T @ self.b
-        p = len(g)
+        others = self.A.shape[1] - count
+        # What is left of the rows when the other unknowns have taken up what they can.
+        rows = np.column_stack([self.A[:, count:], self.A[:, :count], self.b])
+        of_prior = np.eye(others, rows.shape[1])
+        left = stacked_factor(rows, of_prior)[others:, others:]
+        U, told, _ = np.linalg.svd(left[:, :-1], full_matrices=False)
+        square, fit = told**2, (U.T @ left[:, -1]) ** 2
+
+        def slope(log_scale: float) -> float:
+            ratio = np.exp(2 * log_scale) * square
+            return float(np.sum(ratio / (1 + ratio) * (1 - fit / (1 + ratio))))
 
         def cost(log_scale: float) -> float:
-            scale = np.where(np.arange(p) < count, np.exp(log_scale), 1.0)
-            L = cholesky(np.eye(p) + scale[:, None] * H * scale, lower=True)
-            fit = solve_triangular(L, scale * g, lower=True)
-            return float(2 * np.sum(np.log(L.diagonal())) - fit @ fit)
+            ratio = np.exp(2 * log_scale) * square
+            return float(np.sum(np.log1p(ratio) - ratio / (1 + ratio) * fit))
 
         grid = np.linspace(np.log(SCALES[0]), np.log(SCALES[1]), 25)
         best = int(np.argmin([cost(point) for point in grid]))
-        bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
-        return float(np.exp(minimize_scalar(cost, bounds=bounds, method="bounded").x))
+        low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+        if slope(low) * slope(high) >= 0:
+            return float(np.exp(grid[best]))
+        return float(np.exp(brentq(slope, low, high)))
+
+
+def _root(moment: FloatArray) -> FloatArray:
+    """Return A with AᵀA the moment, as far as its digits tell."""
+    values, V = np.linalg.eigh(moment)
+    root: FloatArray = np.sqrt(np.maximum(values, 0.0))[:, None] * V.T
+    return root
 
 
 def posterior(
@@ -220,14 +244,18 @@ def posterior(
     count = len(mean) if count is None else count
     scale = np.ones(len(mean))
     x = np.zeros(len(mean))
+    # Weights and solution are found in turn: roughly at first, as that takes most of the turns.
+    rough = True
     for _ in range(REWHITENINGS):
-        square = _Square.of(observations, mean + L @ x, mean, L, known)
+        square = _Square.of(observations, mean + L @ x, mean, L, known, rough=rough)
         if empirical:
             scale[:count] = square.evidence_scale(count)
         before = x
         x, factor, share = square.minimum(scale)
-        if np.linalg.norm(factor @ (x - before)) < settled * np.sqrt(len(x)):
+        change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
+        if change < settled and not rough:
             break
+        rough = rough and change > max(settled, ROUGHLY_SETTLED)
     phi = mean + L @ x
     precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
     return Posterior(
