@@ -14,6 +14,8 @@ from symbid_ros.signals.weak_form import INFLATION, WindowedRows
 
 # Fewer samples than this per coordinate give no covariance between coordinates worth having.
 SAMPLES_PER_COORDINATE = 3
+# Largest ratio of two estimates of one covariance that is taken for chance.
+CHANCE = 2.0
 # Independent rows that a coordinate must have, and more for each parameter that it alone feels.
 FEWEST_ROWS = 5
 ROWS_PER_OWN_PARAMETER = 3
@@ -129,12 +131,13 @@ class Observations:
         """Return the share of the noise's moments that the residuals Σ (n, n) leave room for.
 
         Noise in K is in the residual at φ (p,) as well. Where it were more than all that is
-        there, motion has been taken for noise.
+        there, and than chance lets two estimates of one covariance differ, motion has been taken
+        for noise.
         """
         moment = self.noise.residual_moment(phi) / np.maximum(self.counts, 1)
         moment[~self._coupled] = 0.0
         largest = eigh(self.inflation * moment, covariance, eigvals_only=True)[-1]
-        return float(1 / max(largest, 1.0))
+        return float(1 / max(largest / CHANCE, 1.0))
 
     @property
     def _coupled(self) -> BoolArray:

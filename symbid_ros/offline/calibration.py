@@ -18,6 +18,7 @@ from symbid_ros.estimation.prior import Prior
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.record import Record, observe
 from symbid_ros.signals.calibration import Pilot, SensorErrors, calibrating_rows
+from symbid_ros.signals.noise_floor import FORCES, MOTION
 from symbid_ros.signals.weak_form import WINDOWS
 
 logger = logging.getLogger(__name__)
@@ -156,17 +157,18 @@ def calibrate(
     layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
     p = len(parameters)
     pilot = Pilot(prior.mean, mean)
+    noisy = MOTION + FORCES
     rows = _padded(known, len(errors))
     for _ in range(PASSES - 1):
         build = calibrating_rows(parameters, errors, pilot)
-        (observations,) = observe(record.segments, build, layout, (CALIBRATION_WINDOW,))
+        (observations,) = observe(record.segments, build, layout, (CALIBRATION_WINDOW,), noisy)
         found = posterior(
             observations, extended, rows, count=parameters.inertial, settled=PILOT_SETTLED
         )
         pilot = Pilot(found.mean[:p], found.mean[p:])
     build = calibrating_rows(parameters, errors, pilot)
     windows = (min(WINDOWS), CALIBRATION_WINDOW)
-    observed = observe(record.segments, build, layout, windows)
+    observed = observe(record.segments, build, layout, windows, noisy)
     return Calibrated(errors, extended, observed, rows)
 
 

@@ -25,6 +25,7 @@ from symbid_ros.signals.filters import (
     Smoothing,
     row_inflation,
 )
+from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.readings import at_base, smoothed
 from symbid_ros.signals.samples import build_samples, joined, moving_segments
 from symbid_ros.signals.weak_form import WINDOWS, RowBuilder, equation_rows, windowed_rows
@@ -140,12 +141,16 @@ def read_record(
 
 
 def observe(
-    segments: Sequence[Segment], build: RowBuilder, layout: RowLayout, windows: Sequence[float]
+    segments: Sequence[Segment],
+    build: RowBuilder,
+    layout: RowLayout,
+    windows: Sequence[float],
+    noisy_channels: Sequence[Channel] = MOTION,
 ) -> tuple[Observations, ...]:
     """Fold the windowed rows of aligned segments, for each length of window."""
     observations = [Observations.empty(layout, window) for window in windows]
     for segment in segments:
-        for blocks in windowed_rows(segment, build, windows):
+        for blocks in windowed_rows(segment, build, windows, noisy_channels):
             observations = [
                 one.fold([block]) for one, block in zip(observations, blocks, strict=True)
             ]

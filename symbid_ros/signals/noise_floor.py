@@ -1,12 +1,22 @@
 """How noisy each channel is, from the channel alone."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.signals.alignment import Segment
+
+Channel = Literal["position", "angular_velocity", "effort", "wrenches"]
+# What is differentiated, and thereby brings noise into the regressor. The accelerometer is left
+# alone: its averaged noise is nothing beside gravity, while a vibrating base shakes it in every
+# band.
+MOTION: tuple[Channel, ...] = ("position", "angular_velocity")
+# What brings noise into the columns of sensors' gains as well.
+FORCES: tuple[Channel, ...] = ("effort", "wrenches")
 
 # The quietest of these equal bands, from this share of the rate up to half of it, is taken to hold
 # noise alone: a vibrating robot fills some of them, hardly ever all.
@@ -37,23 +47,16 @@ def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
     return deviation
 
 
-def with_more_noise(segment: Segment) -> Segment:
-    """Return the stretch with as much noise again on every channel that is differentiated.
+def with_more_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:
+    """Return the stretch with as much noise again on the channels that are named.
 
-    The draw is the same every time. Forces are left alone, as their noise is no part of the
-    regressor; so is the accelerometer, whose averaged noise is nothing beside gravity while
-    a vibrating base shakes it in every band.
+    The draw is the same every time.
     """
     rng = np.random.default_rng([0, int(segment.stamp[0]), len(segment)])
-
-    def noisier(signal: FloatArray) -> FloatArray:
-        channel = signal.reshape(len(signal), -1)
-        noise = rng.standard_normal(channel.shape) * noise_deviation(channel, segment.rate)
-        noisy: FloatArray = signal + noise.reshape(signal.shape)
-        return noisy
-
-    return replace(
-        segment,
-        position=noisier(segment.position),
-        angular_velocity=noisier(segment.angular_velocity),
-    )
+    noisy = {}
+    for name in channels:
+        signal = getattr(segment, name)
+        flat = signal.reshape(len(signal), -1)
+        noise = rng.standard_normal(flat.shape) * noise_deviation(flat, segment.rate)
+        noisy[name] = signal + noise.reshape(signal.shape)
+    return replace(segment, **noisy)

@@ -22,7 +22,7 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.noise_floor import with_more_noise
+from symbid_ros.signals.noise_floor import MOTION, Channel, with_more_noise
 from symbid_ros.signals.readings import Readings, at_base, smoothed
 
 # Seconds. Short windows follow brisk motion, long ones leave less noise in the regressor of calm
@@ -83,7 +83,7 @@ class WindowedRows:
     mean : Rows
         The equation of motion, averaged. Coordinates that must not be used are zero.
     noise : Rows
-        By how much they differ when encoders and gyroscopes have their noise twice.
+        By how much they differ when the channels whose noise enters the regressor have it twice.
     valid : (N, n) bool
         Which coordinates are used.
     """
@@ -119,7 +119,10 @@ def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
 
 
 def windowed_rows(
-    segment: Segment, build: RowBuilder, windows: Sequence[float]
+    segment: Segment,
+    build: RowBuilder,
+    windows: Sequence[float],
+    noisy_channels: Sequence[Channel] = MOTION,
 ) -> Iterator[tuple[WindowedRows, ...]]:
     """Yield a stretch's rows block by block, for each length of window.
 
@@ -131,6 +134,8 @@ def windowed_rows(
         Makes rows of readings, such as :func:`equation_rows`.
     windows : sequence of float
         Lengths in s.
+    noisy_channels : sequence of str
+        Whose noise enters the regressor.
     """
     low_pass = LowPass(min(PREFILTER, PREFILTER_SHARE * segment.rate), passes=1)
     edge = int(np.ceil(SETTLING * segment.rate / low_pass.cutoff))
@@ -141,7 +146,7 @@ def windowed_rows(
             continue
         block = segment.cut(start, stop)
         readings = smoothed(block, low_pass, edge)
-        noisy = smoothed(with_more_noise(block), low_pass, edge)
+        noisy = smoothed(with_more_noise(block, noisy_channels), low_pass, edge)
         centres = _centres(readings, windows)
         weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
         averages = [_averages(build(one), weights) for one in (readings, noisy)]

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from symbid_ros.errors import DataError, EstimateError
-from symbid_ros.estimation.observations import whiteness
+from symbid_ros.estimation.observations import CHANCE, whiteness
 
 
 def masked(log, seed, columns=2):
@@ -83,7 +83,7 @@ def test_noise_is_believed_as_far_as_residuals_leave_room():
     assert 0 < share < 1
     moment = share * louder.inflation * louder.noise.residual_moment(log.truth) / len(log)
     largest = np.linalg.eigvals(np.linalg.solve(covariance, moment)).real.max()
-    assert largest == pytest.approx(1, rel=1e-6)
+    assert largest == pytest.approx(CHANCE, rel=1e-6)
 
 
 @settings(max_examples=10, deadline=None)

@@ -224,3 +224,14 @@ def test_any_trees_sensors_are_calibrated(seed, floating):
     told = after.std < 0.7 * found.prior.std
     assert told.sum() > 10
     assert np.sqrt(np.mean(z[told] ** 2)) < 1.8
+
+
+def test_sensors_without_noise_are_calibrated():
+    parameters = ParameterSet(random_robot(1, links=4))
+    segment = analytic_segment(parameters, 3.9, 1, start=0.05)
+    log = Record(bags=(), segments=(segment,), samples=None, observations=())
+    prior = draw_prior(parameters, "percent", 25, 1)
+    found = calibrate(log, parameters, prior, Wanted(KINDS, {}), None)
+    after = posterior(found.observations[-1], found.prior, count=len(parameters))
+    assert np.all(np.isfinite(after.mean))
+    assert np.all(after.std <= found.prior.std * (1 + 1e-9))

@@ -1,8 +1,10 @@
 """Sensor errors as unknowns: undone exactly, linearised rightly, named consistently."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from analytic_log import analytic_samples, readings_of, segment_of, spoilt
+from analytic_log import analytic_samples, noisy, readings_of, segment_of, spoilt
 from random_robots import CONFIG, random_robot
 
 from symbid_ros.dynamics.imu import BaseMotion
@@ -19,8 +21,9 @@ from symbid_ros.signals.calibration import (
     calibrating_rows,
     parse_kinds,
 )
+from symbid_ros.signals.noise_floor import FORCES, MOTION
 from symbid_ros.signals.readings import Readings, at_base
-from symbid_ros.signals.weak_form import equation_rows, windowed_rows
+from symbid_ros.signals.weak_form import BLOCK, equation_rows, windowed_rows
 from symbid_ros.simulation.simulator import Simulator
 
 PERIOD_NS = 1_000_000
@@ -230,6 +233,39 @@ def test_rows_close_at_the_true_parameters_and_errors(robot):
     linearised = closure(draw, Pilot(phi, none))
     assert linearised < 0.1 * ignored
     assert closure(draw / 4, Pilot(phi, none)) < linearised / 10 + exact
+
+
+def test_noise_in_the_columns_of_gains_is_known():
+    """A gain scales the very reading whose noise is in y: what the two share is no information."""
+    parameters = ParameterSet(random_robot(2, links=3))
+    readings = exact_readings(parameters, 1300, 7)
+    segment = segment_of(readings, 1e9 / PERIOD_NS)
+    kinds = ("plate_gain", "torque_gain")
+    errors = SensorErrors.of(kinds, parameters.model, segment.wrench_frames, segment.imu_frames)
+    p, truth = len(parameters), np.append(parameters.values, np.zeros(len(errors)))
+    build = calibrating_rows(parameters, errors, Pilot(parameters.values, np.zeros(len(errors))))
+
+    def gradient(rows):
+        """How a least-squares fit would leave the truth, per gain (r,)."""
+        return np.einsum("tij,ti->j", rows.K, rows.y - rows.K @ truth)[p:]
+
+    def pulls(seed, sign):
+        drawn = noisy(segment, np.random.default_rng(seed), effort=2.0, wrench=20.0)
+        # Another time brings another draw of the noise that is replayed.
+        change = {"stamp": segment.stamp + seed * BLOCK}
+        for name in FORCES:
+            exact = getattr(segment, name)
+            change[name] = exact + sign * (getattr(drawn, name) - exact)
+        ((rows,),) = windowed_rows(replace(segment, **change), build, [0.161], MOTION + FORCES)
+        return gradient(rows.mean), gradient(rows.noise)
+
+    # Noise and its mirror image: what is of first order in it cancels.
+    found = np.array([[pulls(seed, sign) for sign in (1, -1)] for seed in range(10)]).mean(axis=1)
+    left = found[:, 0] - found[:, 1]
+    seen, known = found.mean(axis=0)
+    chance = left.std(axis=0) / np.sqrt(len(found))
+    assert np.sqrt(np.mean((seen / chance) ** 2)) > 3
+    assert np.sqrt(np.mean(((seen - known) / chance) ** 2)) < 1.6
 
 
 def uncorrected(segment, parameters):

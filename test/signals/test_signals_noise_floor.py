@@ -6,7 +6,7 @@ from analytic_log import analytic_segment, noisy
 from random_robots import random_robot
 
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.noise_floor import noise_deviation, with_more_noise
+from symbid_ros.signals.noise_floor import FORCES, MOTION, noise_deviation, with_more_noise
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE
@@ -56,12 +56,12 @@ def test_too_short_a_record_shows_none():
     np.testing.assert_array_equal(noise_deviation(noise, RATE), 0)
 
 
-def test_only_what_is_differentiated_gets_more_noise_and_always_the_same():
+def test_only_what_is_named_gets_more_noise_and_always_the_same():
     parameters = ParameterSet(random_robot(1, links=4))
     exact = analytic_segment(parameters, 3.0, 1)
     levels = {"position": 1e-4, "rate": 0.02, "acceleration": 0.1, "effort": 0.5, "wrench": 2.0}
     segment = noisy(exact, np.random.default_rng(5), **levels)
-    more, again = with_more_noise(segment), with_more_noise(segment)
+    more, again = with_more_noise(segment, MOTION), with_more_noise(segment, MOTION)
     for field in ("position", "angular_velocity"):
         np.testing.assert_array_equal(getattr(more, field), getattr(again, field))
     for field in ("effort", "linear_acceleration", "wrenches"):
@@ -73,3 +73,5 @@ def test_only_what_is_differentiated_gets_more_noise_and_always_the_same():
         there = getattr(segment, field) - getattr(exact, field)
         correlation = np.mean(added * there, axis=0) / level**2
         assert np.all(np.abs(correlation) < 5 / np.sqrt(len(segment)))
+    added = with_more_noise(segment, FORCES).wrenches - segment.wrenches
+    np.testing.assert_allclose(added.std(axis=0)[:, 3:], 2.0, rtol=0.1)
