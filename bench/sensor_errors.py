@@ -21,8 +21,9 @@ from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import evaluate, read_true_motion
+from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.interval import summarise_intervals
-from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+from symbid_ros.offline.job import Job, prepare
 from symbid_ros.share import config_file
 from symbid_ros.signals.calibration import KINDS
 from symbid_ros.simulation.errors import ERRORS, TYPICAL

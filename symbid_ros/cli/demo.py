@@ -128,7 +128,8 @@ def _identify(
     from symbid_ros.model.parameters import ParameterSet
     from symbid_ros.offline.evaluation import read_true_motion
     from symbid_ros.offline.export import write_identification
-    from symbid_ros.offline.job import Job, PriorChoice, prepare
+    from symbid_ros.offline.facts import PriorChoice
+    from symbid_ros.offline.job import Job, prepare
     from symbid_ros.offline.prediction import read_realistic_motion
     from symbid_ros.offline.record import Processing
     from symbid_ros.report.compose import OWN_Z, TITLES, Reference, compose
@@ -140,7 +141,9 @@ def _identify(
     task = progress.add_task("identification and a report", total=6)
     validation = out / "validation"
     job = Job((out / "bag",), model, prior=PriorChoice(out / "prior.json"))
-    by_thesis = prepare(replace(job, processing=Processing(LowPass()), validation=validation))
+    by_thesis = prepare(
+        replace(job, method="wls_rc", processing=Processing(LowPass()), validation=validation)
+    )
     progress.advance(task)
     by_windows = prepare(job)
     progress.advance(task)

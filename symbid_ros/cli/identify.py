@@ -51,9 +51,12 @@ def identify(
         typer.Option(help="What the whole robot weighs, kg.", rich_help_panel=KNOWN),
     ] = None,
     total_mass_std: Annotated[
-        float,
-        typer.Option(help="Standard deviation of --total-mass, kg.", rich_help_panel=KNOWN),
-    ] = 0.05,
+        float | None,
+        typer.Option(
+            help="Standard deviation of --total-mass, kg. Default: 0.05.",
+            rich_help_panel=KNOWN,
+        ),
+    ] = None,
     mirror: Annotated[
         float | None,
         typer.Option(
@@ -124,16 +127,18 @@ def identify(
         ),
     ] = None,
     cutoff: Annotated[
-        float,
-        typer.Option(min=0, help="Of butterworth, Hz; 0: no filter.", rich_help_panel=ROWS),
-    ] = 30.0,
-    channels: Annotated[
-        Channels,
+        float | None,
         typer.Option(
-            help="Signals that butterworth filters: all, or the thesis's choice.",
+            min=0, help="Of butterworth, Hz; 0: no filter. Default: 30.", rich_help_panel=ROWS
+        ),
+    ] = None,
+    channels: Annotated[
+        Channels | None,
+        typer.Option(
+            help="Signals that butterworth filters: all (default), or the thesis's choice.",
             rich_help_panel=ROWS,
         ),
-    ] = "all",
+    ] = None,
     rank: Annotated[
         int | None,
         typer.Option(
@@ -179,7 +184,8 @@ def identify(
     from symbid_ros.estimation.row_weights import SensorDeviation
     from symbid_ros.model.parameters import joint_terms
     from symbid_ros.offline.export import write_identification
-    from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+    from symbid_ros.offline.facts import Facts, PriorChoice, weighing
+    from symbid_ros.offline.job import Job, prepare
     from symbid_ros.offline.record import processing
     from symbid_ros.signals.calibration import parse_kinds
 
@@ -197,10 +203,10 @@ def identify(
         terms=joint_terms(friction, armature, offset),
         processing=processing(row_filter, window, cutoff, channels, topics),
         facts=Facts(
-            total_mass=None if total_mass is None else (total_mass, total_mass_std),
+            total_mass=weighing(total_mass, total_mass_std),
             mirror=mirror,
             tare=tuple(tare or ()),
-            sensor_errors=parse_kinds(sensor_errors or ""),
+            sensor_errors=() if sensor_errors is None else parse_kinds(sensor_errors),
         ),
         information=information,
         rank=rank,

@@ -157,18 +157,17 @@ def calibrate(
     layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
     p = len(parameters)
     pilot = Pilot(prior.mean, mean)
-    noisy = MOTION + FORCES
     rows = _padded(known, len(errors))
     for _ in range(PASSES - 1):
         build = calibrating_rows(parameters, errors, pilot)
-        (observations,) = observe(record.segments, build, layout, (CALIBRATION_WINDOW,), noisy)
+        (observations,) = observe(record.segments, build, layout, (CALIBRATION_WINDOW,), ())
         found = posterior(
             observations, extended, rows, count=parameters.inertial, settled=PILOT_SETTLED
         )
         pilot = Pilot(found.mean[:p], found.mean[p:])
     build = calibrating_rows(parameters, errors, pilot)
     windows = (min(WINDOWS), CALIBRATION_WINDOW)
-    observed = observe(record.segments, build, layout, windows, noisy)
+    observed = observe(record.segments, build, layout, windows, MOTION + FORCES)
     return Calibrated(errors, extended, observed, rows)
 
 

@@ -4,20 +4,18 @@ import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.estimation.knowledge import mirror_rows, total_mass_row
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import SoftRows
-from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior, model_prior
+from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviation
 from symbid_ros.estimation.truncation import Criterion
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet, Term, neglected_terms
 from symbid_ros.model.urdf import Base
 from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
+from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.identification import (
     GAUSSIAN,
     METHODS,
@@ -28,111 +26,8 @@ from symbid_ros.offline.identification import (
     Truncation,
 )
 from symbid_ros.offline.record import Processing, Record, check_weight, read_record
-from symbid_ros.signals.calibration import KINDS
 
 logger = logging.getLogger(__name__)
-
-# A weighing further from the prior's total mass than this many deviations contradicts it.
-CONTRADICTION = 6.0
-
-
-@dataclass(frozen=True)
-class PriorChoice:
-    """Where the prior comes from; with none of these, the model and the evidence.
-
-    Attributes
-    ----------
-    file : Path or None
-        prior.json.
-    percent, absolute : float or None
-        Half-width around the model file's values, in % or in SI units.
-    """
-
-    file: Path | None = None
-    percent: float | None = None
-    absolute: float | None = None
-
-    @property
-    def empirical(self) -> bool:
-        """Whether the evidence sets the prior's scale."""
-        return self.file is None and self.percent is None and self.absolute is None
-
-    def load(self, parameters: ParameterSet) -> Prior:
-        """Return the prior.
-
-        Raises
-        ------
-        PriorError, EstimateError
-            When the file does not serve, or more than one source is named.
-        """
-        if sum(source is not None for source in (self.file, self.percent, self.absolute)) > 1:
-            raise EstimateError("give one of --prior, --prior-percent and --prior-absolute")
-        if self.file is not None:
-            return load_prior(self.file, parameters)
-        if self.absolute is not None:
-            return absolute_model_prior(parameters, self.absolute)
-        if self.percent is not None:
-            return model_prior(parameters, self.percent)
-        return model_prior(parameters)
-
-
-@dataclass(frozen=True)
-class Facts:
-    """What is known beside the log and the prior.
-
-    Attributes
-    ----------
-    total_mass : (float, float) or None
-        Of the whole robot and its standard deviation, kg.
-    mirror : float or None
-        How unlike left and right links may be, in standard deviations of the prior.
-    tare : tuple of Path
-        Bags recorded with nothing touching the wrench sensors.
-    sensor_errors : tuple of str
-        Which errors of the sensors are unknowns too.
-    """
-
-    total_mass: tuple[float, float] | None = None
-    mirror: float | None = None
-    tare: tuple[Path, ...] = ()
-    sensor_errors: tuple[str, ...] = ()
-
-    @property
-    def kinds(self) -> tuple[str, ...]:
-        """The sensor errors to identify: all of them where there is a tare, unless named."""
-        return self.sensor_errors or (KINDS if self.tare else ())
-
-    @property
-    def rows_wanted(self) -> bool:
-        """Whether anything is known that is a row of its own."""
-        return self.total_mass is not None or self.mirror is not None
-
-    def rows(self, parameters: ParameterSet, prior: Prior) -> SoftRows | None:
-        """Return what is known of the robot as rows.
-
-        Raises
-        ------
-        EstimateError
-            When a weighing is none, or contradicts the prior.
-        """
-        rows, targets = [], []
-        if self.total_mass is not None:
-            mass, std = self.total_mass
-            row, target = total_mass_row(parameters, mass, std)
-            expected = row @ prior.mean * std
-            spread = np.hypot(np.linalg.norm(row @ prior.covariance_factor()) * std, std)
-            if abs(mass - expected) > CONTRADICTION * spread:
-                raise EstimateError(
-                    f"a total mass of {mass:g} kg contradicts the prior, whose links weigh "
-                    f"{expected:.3g} ± {spread:.2g} kg together; check --total-mass and the model"
-                )
-            rows.append(row[None])
-            targets.append(np.array([target]))
-        if self.mirror is not None:
-            tied, zero = mirror_rows(parameters, prior.std, self.mirror)
-            rows.append(tied)
-            targets.append(zero)
-        return SoftRows(np.concatenate(rows), np.concatenate(targets)) if rows else None
 
 
 @dataclass(frozen=True)
@@ -232,16 +127,7 @@ def prepare(job: Job) -> Prepared:
     SymbidError
         When a file, its data or the job itself does not serve.
     """
-    if job.method not in METHODS:
-        raise EstimateError(f"no method {job.method!r}; choose one of {', '.join(METHODS)}")
-    if job.rank is not None and job.validation is not None:
-        raise EstimateError("--rank and --validate both choose the singular values; give one")
-    if (job.facts.kinds or job.facts.rows_wanted) and job.method not in GAUSSIAN:
-        raise EstimateError(
-            f"{job.method} takes neither sensor errors, a tare nor a total mass; use map or map_lmi"
-        )
-    if job.facts.kinds and job.processing.smoothing is not None:
-        raise EstimateError("sensor errors need rows averaged over windows; leave --filter out")
+    _check(job)
     parameters = ParameterSet(load_model(job.model, job.base), job.terms)
     for term, joints in neglected_terms(parameters).items():
         logger.warning(
@@ -267,6 +153,27 @@ def prepare(job: Job) -> Prepared:
         Solver.of(_problem(job, parameters, prior, record, known)),
         validation,
     )
+
+
+def _check(job: Job) -> None:
+    """Refuse what the method cannot take: an option without effect is a misunderstanding."""
+    if job.method not in METHODS:
+        raise EstimateError(f"no method {job.method!r}; choose one of {', '.join(METHODS)}")
+    if job.rank is not None and job.validation is not None:
+        raise EstimateError("--rank and --validate both choose the singular values; give one")
+    facts = job.facts
+    if job.method in GAUSSIAN:
+        if job.rank is not None or job.validation is not None or job.sensors is not None:
+            raise EstimateError(
+                f"{job.method} cuts off no singular values and weighs rows by their residuals; "
+                "leave --rank, --validate and --sensor-std out, or use wls_rc"
+            )
+    elif facts.kinds or facts.rows_wanted:
+        raise EstimateError(
+            f"{job.method} takes neither sensor errors, a tare nor a total mass; use map or map_lmi"
+        )
+    if facts.kinds and job.processing.smoothing is not None:
+        raise EstimateError("sensor errors need rows averaged over windows; leave --filter out")
 
 
 def _problem(

@@ -1,7 +1,7 @@
 """From bags to information: everything that happens before a method is chosen."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -66,21 +66,26 @@ class Processing:
 def processing(
     name: Literal["weak", "butterworth", "savitzky_golay"],
     window: float | None,
-    cutoff: float,
-    channels: Channels,
+    cutoff: float | None,
+    channels: Channels | None,
     topics: TopicSelection,
 ) -> Processing:
-    """Return the processing that options ask for.
+    """Return the processing that options ask for; None leaves them as they are by default.
 
     Raises
     ------
     DataError
-        When a window or cutoff is none.
+        When a window or cutoff is none, or an option has no meaning for this processing.
     """
     if window is not None and not 0 < window < np.inf:
         raise DataError(f"a window of {window:g} s is none; give a positive length")
+    if name != "butterworth" and (cutoff is not None or channels is not None):
+        raise DataError(f"{name} has neither cutoff nor channels; ask for butterworth with these")
     if name == "butterworth":
-        return Processing(LowPass(cutoff, channels), topics=topics)
+        if window is not None:
+            raise DataError("butterworth has no window; give a cutoff, or another filter")
+        filtered = LowPass() if cutoff is None else LowPass(cutoff)
+        return Processing(replace(filtered, channels=channels or filtered.channels), topics=topics)
     if name == "savitzky_golay":
         return Processing(SavitzkyGolay(window or SavitzkyGolay.window), topics=topics)
     return Processing(windows=WINDOWS if window is None else (window,), topics=topics)

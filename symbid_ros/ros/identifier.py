@@ -17,14 +17,18 @@ from symbid_ros.bags.selection import TopicSelection
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.parameters import joint_terms
 from symbid_ros.offline.export import export_urdf, write_identification
+from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.identification import METHODS
-from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+from symbid_ros.offline.job import Job, prepare
 from symbid_ros.offline.record import processing
 from symbid_ros.ros import estimate_messages as messages
 from symbid_ros.ros.messages import latched, reliable
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.process import run_node
 from symbid_ros.signals.calibration import parse_kinds
+from symbid_ros.signals.filters import LowPass
+
+CUTOFF = LowPass().cutoff
 
 PARAMETERS = (
     Parameter("bag", [""], "Bags to identify from, in sequence."),
@@ -62,7 +66,7 @@ PARAMETERS = (
         choices=("weak", "butterworth", "savitzky_golay"),
     ),
     Parameter("window", 0.0, "Length of the windows, s; 0: chosen by the data.", minimum=0.0),
-    Parameter("cutoff", 30.0, "Of the Butterworth filter, Hz; 0: no filter.", minimum=0.0),
+    Parameter("cutoff", CUTOFF, "Of the Butterworth filter, Hz; 0: no filter.", minimum=0.0),
     Parameter(
         "channels",
         "all",
@@ -112,6 +116,9 @@ def job_from(values: dict[str, Any]) -> Job:
         wrenches=_given(values["wrench_topics"]) or None,
     )
     window, mass, mirror = values["window"], values["total_mass"], values["mirror"]
+    # A parameter always has a value: its default counts as not given.
+    cutoff = None if values["cutoff"] == CUTOFF else values["cutoff"]
+    channels = None if values["channels"] == "all" else values["channels"]
     return Job(
         bags=tuple(map(Path, bags)),
         model=Path(values["model"]),
@@ -123,14 +130,12 @@ def job_from(values: dict[str, Any]) -> Job:
         ),
         method=values["method"],
         terms=joint_terms(values["friction"], values["armature"], values["offset"]),
-        processing=processing(
-            values["filter"], window or None, values["cutoff"], values["channels"], topics
-        ),
+        processing=processing(values["filter"], window or None, cutoff, channels, topics),
         facts=Facts(
             total_mass=(mass, values["total_mass_std"]) if mass else None,
             mirror=mirror or None,
             tare=tuple(map(Path, _given(values["tare"]))),
-            sensor_errors=parse_kinds(values["sensor_errors"]),
+            sensor_errors=parse_kinds(errors) if (errors := values["sensor_errors"]) else (),
         ),
         information=_path(values["information"]),
         rank=values["rank"] or None,

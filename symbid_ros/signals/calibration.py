@@ -66,7 +66,7 @@ def parse_kinds(text: str) -> tuple[str, ...]:
     Raises
     ------
     DataError
-        When a name is not known.
+        When a name is not known, or there is none.
     """
     names = {name for part in text.split(",") if (name := part.strip())}
     unknown = sorted(names - {"typical", *KINDS})
@@ -74,6 +74,8 @@ def parse_kinds(text: str) -> tuple[str, ...]:
         raise DataError(
             f"no sensor error {unknown[0]!r}; give typical or any of {', '.join(KINDS)}"
         )
+    if not names:
+        raise DataError(f"no sensor error is named; give typical or any of {', '.join(KINDS)}")
     return tuple(kind for kind in KINDS if kind in names or "typical" in names)
 
 

@@ -135,7 +135,7 @@ def windowed_rows(
     windows : sequence of float
         Lengths in s.
     noisy_channels : sequence of str
-        Whose noise enters the regressor.
+        Whose noise enters the regressor; none for half the time and its bias.
     """
     low_pass = LowPass(min(PREFILTER, PREFILTER_SHARE * segment.rate), passes=1)
     edge = int(np.ceil(SETTLING * segment.rate / low_pass.cutoff))
@@ -146,11 +146,13 @@ def windowed_rows(
             continue
         block = segment.cut(start, stop)
         readings = smoothed(block, low_pass, edge)
-        noisy = smoothed(with_more_noise(block, noisy_channels), low_pass, edge)
         centres = _centres(readings, windows)
         weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
-        averages = [_averages(build(one), weights) for one in (readings, noisy)]
-        yield tuple(_combined(*parts) for parts in zip(*averages, strict=True))
+        mean = noisy = _averages(build(readings), weights)
+        if noisy_channels:
+            more = smoothed(with_more_noise(block, noisy_channels), low_pass, edge)
+            noisy = _averages(build(more), weights)
+        yield tuple(_combined(*parts) for parts in zip(mean, noisy, strict=True))
 
 
 def _centres(readings: Readings, windows: Sequence[float]) -> list[FloatArray]:

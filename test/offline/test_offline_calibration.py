@@ -17,7 +17,8 @@ from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.calibration import CALIBRATION_WINDOW, Tare, Wanted, calibrate, read_tare
-from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+from symbid_ros.offline.facts import Facts, PriorChoice
+from symbid_ros.offline.job import Job, prepare
 from symbid_ros.offline.record import Processing, Record
 from symbid_ros.signals.calibration import DEVIATIONS, KINDS, SensorErrors
 from symbid_ros.signals.filters import LowPass

@@ -17,8 +17,9 @@ from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
 from symbid_ros.offline.export import write_identification
+from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.identification import Problem, Solver
-from symbid_ros.offline.job import Facts, Job, PriorChoice, prepare
+from symbid_ros.offline.job import Job, prepare
 from symbid_ros.offline.record import Processing
 from symbid_ros.signals.weak_form import BLOCK, WindowedRows
 from symbid_ros.simulation.friction import load_friction

@@ -23,17 +23,11 @@ from symbid_ros.offline.prediction import (
 )
 from symbid_ros.signals.causal import CausalLowPass
 from symbid_ros.simulation.recording import record
-from symbid_ros.simulation.simulator import Simulator
 
 
 @pytest.fixture(scope="module")
-def bags(tmp_path_factory):
-    """The same motion of the Symbitron with ideal and with noisy sensors."""
-    folder = tmp_path_factory.mktemp("bags")
-    for name, ideal in (("ideal", True), ("noisy", False)):
-        simulator = Simulator("smooth", moves=1, motion_seed=2, noise_seed=4, ideal=ideal)
-        record(simulator, folder / name)
-    return folder
+def ideal(simulated):
+    return simulated("smooth", moves=1, motion_seed=22, ideal=True)
 
 
 @pytest.fixture(scope="module")
@@ -42,12 +36,13 @@ def symbitron():
 
 
 @pytest.fixture(scope="module")
-def noisy(bags, symbitron):
-    return read_realistic_motion([bags / "noisy"], symbitron.model)
+def noisy(simulated, symbitron):
+    bag = simulated("smooth", moves=1, motion_seed=21, noise_seed=5)
+    return read_realistic_motion([bag], symbitron.model)
 
 
-def test_eq_4_1_finds_the_measured_wrenches_of_an_ideal_bag(bags, symbitron):
-    samples = read_true_motion([bags / "ideal"], symbitron.model).samples
+def test_eq_4_1_finds_the_measured_wrenches_of_an_ideal_bag(ideal, symbitron):
+    samples = read_true_motion([ideal], symbitron.model).samples
     poses = link_poses(symbitron.model, samples.position)
     jacobian = contact_jacobian(symbitron.model, samples.wrench_frames, poses)
     force = equation_of_motion(symbitron, samples).K @ symbitron.values
@@ -83,9 +78,9 @@ def test_eq_4_1_explains_any_trees_bag(seed, floating, frames, tmp_path):
     np.testing.assert_allclose(error, 0, atol=1e-8 * scale)
 
 
-def test_a_controller_knows_the_last_torques_and_late_velocities(bags, symbitron):
+def test_a_controller_knows_the_last_torques_and_late_velocities(ideal, symbitron):
     cutoff = 40.0
-    motion = read_realistic_motion([bags / "ideal"], symbitron.model, CausalLowPass(cutoff))
+    motion = read_realistic_motion([ideal], symbitron.model, CausalLowPass(cutoff))
     known, truth = motion.known, motion.truth.samples
     np.testing.assert_array_equal(known.stamp, truth.stamp)
     np.testing.assert_array_equal(known.position, truth.position)

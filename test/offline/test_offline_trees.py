@@ -11,7 +11,8 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import evaluate, read_true_motion
 from symbid_ros.offline.export import write_identification
-from symbid_ros.offline.job import Job, PriorChoice, prepare
+from symbid_ros.offline.facts import PriorChoice
+from symbid_ros.offline.job import Job, prepare
 from symbid_ros.offline.record import Processing
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay
 from symbid_ros.simulation.recording import record

@@ -143,7 +143,8 @@ def test_moments_come_before_forces_and_gyroscopes_before_accelerometers():
 
 
 def test_kinds_are_parsed_in_their_own_order():
-    assert parse_kinds("") == ()
+    with pytest.raises(DataError, match="no sensor error is named"):
+        parse_kinds(" ,")
     assert parse_kinds("typical") == KINDS
     assert parse_kinds(" torque_gain, plate_offset,") == ("plate_offset", "torque_gain")
     with pytest.raises(DataError, match="no sensor error 'encoder'; give typical or any of plate_"):
