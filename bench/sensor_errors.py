@@ -25,7 +25,7 @@ from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.interval import summarise_intervals
 from symbid_ros.offline.job import Job, prepare
 from symbid_ros.share import config_file
-from symbid_ros.signals.calibration import KINDS
+from symbid_ros.signals.sensor_errors import KINDS
 from symbid_ros.simulation.errors import ERRORS, TYPICAL
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator

@@ -187,7 +187,7 @@ def identify(
     from symbid_ros.offline.facts import Facts, PriorChoice, weighing
     from symbid_ros.offline.job import Job, prepare
     from symbid_ros.offline.record import processing
-    from symbid_ros.signals.calibration import parse_kinds
+    from symbid_ros.signals.sensor_errors import parse_kinds
 
     topics = TopicSelection(
         joints=joint_topic,

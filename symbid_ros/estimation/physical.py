@@ -16,18 +16,14 @@ from dataclasses import dataclass, replace
 
 import clarabel  # type: ignore[import-untyped]
 import numpy as np
-from scipy.linalg import block_diag, qr, solve_triangular
 from scipy.sparse import csc_array, eye_array
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.cones import MARGIN, Constraints
 from symbid_ros.estimation.knowledge import Bounds
-from symbid_ros.model.inertia import pseudo_inertia
+from symbid_ros.estimation.quadratic import Quadratic
 
-# Least eigenvalue of a link's pseudo-inertia in units of the link's own size. It keeps links
-# strictly inside, where the rounding of a written model cannot make them impossible and
-# MuJoCo accepts them, yet lies far below what any data can tell.
-MARGIN = 1e-7
 # Largest certified distance from the optimum: in posterior standard deviations, or relative
 # to the way from the free minimum where the constraints move the answer by more than one.
 ACCURACY = 1e-3
@@ -40,11 +36,6 @@ _ATTEMPTS: tuple[dict[str, object], ...] = (
     {"equilibrate_enable": False, "max_step_fraction": 0.9, "iterative_refinement_max_iter": 50},
 )
 _INFEASIBLE = {"PrimalInfeasible", "AlmostPrimalInfeasible"}
-
-# A symmetric 4 by 4 matrix as Clarabel's vector: the upper triangle column by column, with
-# off-diagonal elements times √2 so that scalar products are kept.
-_COLUMN, _ROW = np.tril_indices(4)
-_SVEC = np.where(_COLUMN == _ROW, 1.0, np.sqrt(2.0))
 
 
 @dataclass(frozen=True)
@@ -113,8 +104,8 @@ def consistent_minimum(
         When the rows do not determine the parameters, no possible links meet the
         bounds, or the solver does not come within :data:`ACCURACY` of the optimum.
     """
-    quadratic = _Quadratic.of(factor, target, scale)
-    constraints = _Constraints.about(quadratic, links, bounds)
+    quadratic = Quadratic.of(factor, target, scale)
+    constraints = Constraints.about(quadratic, links, bounds)
     if np.all(constraints.outside(quadratic.minimum) <= 0.0):
         return _solution(quadratic, constraints, quadratic.minimum, 0.0)
     statuses: list[str] = []
@@ -137,161 +128,8 @@ def consistent_minimum(
     )
 
 
-@dataclass(frozen=True)
-class _Quadratic:
-    """‖factor φ - target‖² as ‖R (x - x₀)‖² + c, with x = φ / scale."""
-
-    scale: FloatArray
-    triangle: FloatArray
-    minimum: FloatArray
-
-    @classmethod
-    def of(cls, factor: FloatArray, target: FloatArray, scale: FloatArray) -> "_Quadratic":
-        if not (np.all(np.isfinite(factor)) and np.all(np.isfinite(target))):
-            raise EstimateError(
-                "a row of data or prior is not finite; mask the sample it came from"
-            )
-        if not np.all((scale > 0) & np.isfinite(scale)):
-            raise EstimateError(
-                "a prior standard deviation is not a positive number; mend the prior"
-            )
-        count = len(scale)
-        rows = np.column_stack([factor * scale, target])
-        triangle = np.asarray(qr(rows, mode="r", overwrite_a=True)[0], dtype=np.float64)
-        R, projected = triangle[:count, :count], triangle[:count, count]
-        pivots = np.abs(np.diag(R))
-        if len(R) < count or pivots.min() <= count * np.finfo(float).eps * pivots.max():
-            raise EstimateError(
-                "data and prior together do not determine all parameters; give each a prior "
-                "standard deviation in proportion to the others"
-            )
-        return cls(scale, R, np.asarray(solve_triangular(R, projected)))
-
-    def in_deviations(self, matrix: FloatArray) -> FloatArray:
-        """Return matrix R⁻¹ (m, p): rows on x as rows on u, in posterior deviations."""
-        return np.asarray(solve_triangular(self.triangle, matrix.T, trans="T").T)
-
-    def point(self, u: FloatArray) -> FloatArray:
-        """Return x (p,) at u (p,) posterior deviations from the minimum."""
-        return np.asarray(self.minimum + solve_triangular(self.triangle, u))
-
-    def deviations(self, x: FloatArray) -> FloatArray:
-        """Return u (p,), the posterior deviations of x (p,) from the minimum."""
-        return np.asarray(self.triangle @ (x - self.minimum))
-
-
-@dataclass(frozen=True)
-class _Constraints:
-    """The cone program's rows: matrix x - offset in {0}ᵉ × ℝ₊ᵏ × (4 by 4 semidefinite)ᴸ.
-
-    Pseudo-inertias are scaled from both sides by the link's extent and mass, and every
-    bound and link by its own size about the free minimum.
-    """
-
-    matrix: FloatArray
-    offset: FloatArray
-    equations: int
-    linear: int
-    links: int
-
-    @classmethod
-    def about(cls, quadratic: _Quadratic, links: int, bounds: Bounds | None) -> "_Constraints":
-        scale = quadratic.scale
-        count = len(scale)
-        cones = np.zeros((10 * links, count))
-        inertial = scale[: 10 * links].reshape(-1, 10)
-        cones[:, : 10 * links] = block_diag(*map(_scaled_pseudo_inertia, inertial))
-        matrix, offset, equations = np.zeros((0, count)), np.zeros(0), 0
-        if bounds is not None:
-            matrix, offset, equations = bounds.one_sided(count)
-        linear = len(matrix)
-        matrix = np.concatenate([matrix * scale, cones])
-        offset = np.concatenate([offset, np.zeros(10 * links)])
-        # A tight or loose prior must neither swamp the solver's tolerances, which are those
-        # of the largest row, nor make the margin large beside the link itself.
-        deviation = np.linalg.norm(quadratic.in_deviations(matrix), axis=1)
-        size = np.maximum(np.abs(matrix @ quadratic.minimum - offset), deviation)
-        per_link = size[linear:].reshape(-1, 10).max(axis=1)
-        size = np.concatenate([size[:linear], np.repeat(per_link, 10)])
-        offset = offset / size
-        offset[linear:] += MARGIN * np.tile(_svec(np.eye(4)), links)
-        return cls(matrix / size[:, None], offset, equations, linear, links)
-
-    @property
-    def cones(self) -> list[object]:
-        """The same as Clarabel calls them."""
-        return [
-            clarabel.ZeroConeT(self.equations),
-            clarabel.NonnegativeConeT(self.linear - self.equations),
-            *[clarabel.PSDTriangleConeT(4)] * self.links,
-        ]
-
-    def slack(self, x: FloatArray) -> FloatArray:
-        """Return the vector (m,) that should lie in the cone."""
-        return np.asarray(self.matrix @ x - self.offset)
-
-    def outside(self, x: FloatArray) -> FloatArray:
-        """Return per bound and link (linear + L,) how far x is outside; inside it is ≤ 0."""
-        slack = self.slack(x)
-        equations, inequalities = np.split(slack[: self.linear], [self.equations])
-        smallest = np.linalg.eigvalsh(_smat(slack[self.linear :]))[:, 0]
-        return np.concatenate([np.abs(equations), -inequalities, -smallest])
-
-    def restored(self, x: FloatArray) -> FloatArray:
-        """Return x moved just so far that links and one-sided bounds on a parameter hold.
-
-        A link moves along the isotropic body of its scale, the direction that raises all
-        eigenvalues of its pseudo-inertia alike.
-        """
-        x = x.copy()
-        for row, offset in zip(
-            self.matrix[self.equations : self.linear],
-            self.offset[self.equations : self.linear],
-            strict=True,
-        ):
-            at = np.flatnonzero(row)
-            if len(at) == 1 and row @ x < offset:
-                x[at] = offset / row[at]
-        outside = self.outside(x)[self.linear :]
-        for link in np.flatnonzero(outside > 0.0):
-            own = slice(10 * link, 10 * link + 10)
-            raising = np.linalg.solve(self.matrix[self.linear :][own, own], _svec(np.eye(4)))
-            x[own] += outside[link] * raising
-        return x
-
-    def multipliers(self, z: FloatArray) -> FloatArray:
-        """Return the multipliers (m,) of the right sign nearest to z (m,)."""
-        values, vectors = np.linalg.eigh(_smat(z[self.linear :]))
-        nearest = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
-        equations, inequalities = np.split(z[: self.linear], [self.equations])
-        return np.concatenate([equations, np.maximum(inequalities, 0.0), _svec(nearest).ravel()])
-
-
-def _scaled_pseudo_inertia(std: FloatArray) -> FloatArray:
-    """Return the (10, 10) map from a link's φ / std to its scaled pseudo-inertia's vector.
-
-    The scale is the deviation of the mass, and that of a second moment: half the root of
-    the sum of the three moments of inertia's variances, which is the same for each axis.
-    """
-    moment = 0.5 * np.sqrt(np.sum(std[[4, 7, 9]] ** 2))
-    size = 1.0 / np.sqrt([moment, moment, moment, std[0]])
-    basis = pseudo_inertia(np.eye(10)) * np.outer(size, size)
-    return np.asarray(_svec(basis).T * std)
-
-
-def _svec(matrix: FloatArray) -> FloatArray:
-    return np.asarray(matrix[..., _COLUMN, _ROW] * _SVEC)
-
-
-def _smat(vector: FloatArray) -> FloatArray:
-    vector = vector.reshape(-1, 10) / _SVEC
-    matrix = np.empty((len(vector), 4, 4))
-    matrix[:, _COLUMN, _ROW] = matrix[:, _ROW, _COLUMN] = vector
-    return matrix
-
-
 def _attempt(
-    quadratic: _Quadratic, constraints: _Constraints, options: dict[str, object]
+    quadratic: Quadratic, constraints: Constraints, options: dict[str, object]
 ) -> ConsistentSolution:
     """Run Clarabel, put its answer inside the constraints and bound its error."""
     settings = clarabel.DefaultSettings()
@@ -327,8 +165,8 @@ def _attempt(
 
 
 def _solution(
-    quadratic: _Quadratic,
-    constraints: _Constraints,
+    quadratic: Quadratic,
+    constraints: Constraints,
     x: FloatArray,
     accuracy: float,
     *,

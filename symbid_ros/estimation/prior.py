@@ -19,7 +19,7 @@ from symbid_ros.estimation.deviation import (
     percent_std,
 )
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia
-from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.model.parameters import ParameterSet
 
 Kind = Literal["percent", "absolute", "consistent"]
 
@@ -192,88 +192,6 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
         std[:count] = np.maximum(links, percent_floor(parameters, amount)[:count])
     name = parameters.model.name
     return Prior(name, f"{kind} {amount:g}", seed, parameters.names, mean, std)
-
-
-def load_prior(path: Path, parameters: ParameterSet) -> Prior:
-    """Read prior.json and check that it belongs to the model.
-
-    Of the joints' terms it may hold more or fewer than ``parameters``: those not in use are
-    marginalised out, those that it lacks are as the model file has them, as in
-    :func:`model_prior`.
-
-    Raises
-    ------
-    PriorError
-        When the file is missing, malformed, for another model, or no distribution.
-    """
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PriorError(f"{path}: cannot read it ({error.strerror}); check the path") from None
-    except ValueError as error:
-        raise PriorError(
-            f"{path}: not a prior.json ({error}); write one with `symbid prior`"
-        ) from None
-    try:
-        model, entries = document["model"], document["parameters"]
-        values = {name: (float(e["value"]), float(e["std"])) for name, e in entries.items()}
-        kind, seed = str(document["kind"]), document["seed"]
-        rows = document.get("covariance_factor")
-        factor = None if rows is None else np.array(rows, dtype=float)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise PriorError(
-            f"{path}: not a prior.json ({type(error).__name__}: {error}); write one with "
-            "`symbid prior`"
-        ) from None
-    _check_belongs(path, model, values, parameters)
-    mean, std = np.array(list(values.values())).T
-    try:
-        read = Prior(model, kind, seed, tuple(values), mean, std, factor)
-        return _for_columns(read, parameters)
-    except PriorError as error:
-        raise PriorError(f"{path}: {error}") from None
-
-
-def _for_columns(prior: Prior, parameters: ParameterSet) -> Prior:
-    """Return the beliefs about ``parameters``, in their order."""
-    names = parameters.names
-    if prior.names == names:
-        return prior
-    own = model_prior(parameters)
-    place = {name: index for index, name in enumerate(prior.names)}
-    held = np.array([name in place for name in names])
-    index = [place[name] for name in names if name in place]
-    mean, std, factor = own.mean.copy(), own.std.copy(), None
-    mean[held], std[held] = prior.mean[index], prior.std[index]
-    if prior.factor is not None:
-        # A Gaussian's marginal keeps the rows of a root of its covariance; QR makes the root
-        # triangular again.
-        root = np.zeros((len(names), len(prior.names) + len(names)))
-        root[held, : len(prior.names)] = prior.factor[index]
-        root[~held, len(prior.names) :] = np.diag(std)[~held]
-        upper = np.linalg.qr(root.T, mode="r")
-        factor = (upper * np.sign(np.diag(upper))[:, None]).T
-    return Prior(prior.model, prior.kind, prior.seed, names, mean, std, factor)
-
-
-def _check_belongs(
-    path: Path, model: str, values: dict[str, tuple[float, float]], parameters: ParameterSet
-) -> None:
-    robot = parameters.model
-    inertial = parameters.names[: parameters.inertial]
-    missing = [name for name in inertial if name not in values]
-    known = set(ParameterSet(robot, TERMS).names)
-    unknown = [name for name in values if name not in known]
-    if model != robot.name or missing or unknown:
-        detail = f"the model calls itself {robot.name!r}"
-        if missing:
-            detail = f"it lacks {missing[0]}"
-        elif unknown:
-            detail = f"{unknown[0]} is unknown there"
-        raise PriorError(
-            f"{path}: this prior is for model {model!r}, not for {robot.source} ({detail}); draw "
-            f"one with `symbid prior --model {robot.source}`"
-        )
 
 
 def _check_amount(amount: float) -> None:

@@ -17,8 +17,9 @@ from symbid_ros.estimation.posterior import SoftRows, posterior
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.record import Record, observe
-from symbid_ros.signals.calibration import Pilot, SensorErrors, calibrating_rows
+from symbid_ros.signals.calibration import Pilot, calibrating_rows
 from symbid_ros.signals.noise_floor import FORCES, MOTION
+from symbid_ros.signals.sensor_errors import SensorErrors
 from symbid_ros.signals.weak_form import WINDOWS
 
 logger = logging.getLogger(__name__)
@@ -89,7 +90,7 @@ class Wanted:
     Attributes
     ----------
     kinds : tuple of str
-        Of :data:`symbid_ros.signals.calibration.KINDS`.
+        Of :data:`symbid_ros.signals.sensor_errors.KINDS`.
     tares : dict of str to Tare
         What is known of wrench sensors, by frame.
     """

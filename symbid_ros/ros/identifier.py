@@ -25,8 +25,8 @@ from symbid_ros.ros import estimate_messages as messages
 from symbid_ros.ros.messages import latched, reliable
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.process import run_node
-from symbid_ros.signals.calibration import parse_kinds
 from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.sensor_errors import parse_kinds
 
 CUTOFF = LowPass().cutoff
 

@@ -13,9 +13,9 @@ from symbid_ros.estimation.prior import (
     Prior,
     absolute_model_prior,
     draw_prior,
-    load_prior,
     model_prior,
 )
+from symbid_ros.estimation.prior_file import load_prior
 from symbid_ros.model.inertia import is_consistent, pseudo_inertia
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet

@@ -20,8 +20,8 @@ from symbid_ros.offline.calibration import CALIBRATION_WINDOW, Tare, Wanted, cal
 from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.job import Job, prepare
 from symbid_ros.offline.record import Processing, Record
-from symbid_ros.signals.calibration import DEVIATIONS, KINDS, SensorErrors
 from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, SensorErrors
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.scenario import SOLES
 from symbid_ros.simulation.simulator import Simulator

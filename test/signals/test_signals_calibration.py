@@ -12,17 +12,10 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import DataError
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.calibration import (
-    DEVIATIONS,
-    KINDS,
-    UNITS,
-    Pilot,
-    SensorErrors,
-    calibrating_rows,
-    parse_kinds,
-)
+from symbid_ros.signals.calibration import Pilot, calibrating_rows, error_columns
 from symbid_ros.signals.noise_floor import FORCES, MOTION
 from symbid_ros.signals.readings import Readings, at_base
+from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, UNITS, SensorErrors, parse_kinds
 from symbid_ros.signals.weak_form import BLOCK, equation_rows, windowed_rows
 from symbid_ros.simulation.simulator import Simulator
 
@@ -65,7 +58,7 @@ def test_columns_are_the_slopes_of_the_residual(robot, kinds):
     rng = np.random.default_rng(0)
     theta = errors.std * rng.standard_normal(len(errors))
     phi = parameters.values * rng.uniform(0.8, 1.2, len(parameters))
-    C = errors.columns(parameters, phi, readings, theta)
+    C = error_columns(parameters, errors, Pilot(phi, theta), readings)
     assert C.shape == (5, parameters.model.dof, len(errors))
     for column, name in enumerate(errors.names):
         step = np.zeros(len(errors))
@@ -85,7 +78,9 @@ def test_the_structure_covers_all_that_an_error_reaches(robot):
     readings = exact_readings(parameters, 6, 5, step=150_000_000)
     errors = all_errors(parameters, readings)
     theta = errors.std * np.random.default_rng(1).standard_normal(len(errors))
-    C = np.abs(errors.columns(parameters, parameters.values, readings, theta)).max(axis=0)
+    C = np.abs(error_columns(parameters, errors, Pilot(parameters.values, theta), readings)).max(
+        axis=0
+    )
     reach = errors.structure(parameters.model)
     assert reach.shape == C.shape
     assert not np.any(C[~reach] > 1e-9 * C.max())

@@ -1,0 +1,201 @@
+"""Errors of the sensors themselves: what calibration left behind."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.dynamics.imu import BaseMotion
+from symbid_ros.errors import DataError
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.readings import Readings
+
+# What calibration usually leaves: standard deviations per component.
+DEVIATIONS = {
+    "plate_offset": (0.2,) * 3 + (2.0,) * 3,  # Nm, N
+    "plate_gain": (0.006,) * 6,
+    "plate_pose": (0.0015,) * 3,  # m
+    "torque_gain": (0.016,),
+    "imu_mounting": (np.radians(0.15),) * 3,
+    "imu_bias": (0.002,) * 3 + (0.02,) * 3,  # rad/s, m/s²
+    "encoder_offset": (np.radians(0.11),),
+}
+UNITS = {
+    "plate_offset": ("Nm",) * 3 + ("N",) * 3,
+    "plate_gain": ("1",) * 6,
+    "plate_pose": ("m",) * 3,
+    "torque_gain": ("1",),
+    "imu_mounting": ("rad",) * 3,
+    "imu_bias": ("rad/s",) * 3 + ("m/s^2",) * 3,
+    "encoder_offset": ("rad",),
+}
+KINDS = tuple(DEVIATIONS)
+
+_AXES = {1: ("",), 3: ("_x", "_y", "_z")}
+_PAIRS = {
+    "plate_offset": ("moment", "force"),
+    "plate_gain": ("moment", "force"),
+    "imu_bias": ("gyroscope", "accelerometer"),
+}
+
+
+def parse_kinds(text: str) -> tuple[str, ...]:
+    """Return the kinds that a list with commas names; ``typical`` stands for all.
+
+    Raises
+    ------
+    DataError
+        When a name is not known, or there is none.
+    """
+    names = {name for part in text.split(",") if (name := part.strip())}
+    unknown = sorted(names - {"typical", *KINDS})
+    if unknown:
+        raise DataError(
+            f"no sensor error {unknown[0]!r}; give typical or any of {', '.join(KINDS)}"
+        )
+    if not names:
+        raise DataError(f"no sensor error is named; give typical or any of {', '.join(KINDS)}")
+    return tuple(kind for kind in KINDS if kind in names or "typical" in names)
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Which errors of which sensors are unknowns.
+
+    Attributes
+    ----------
+    kinds : tuple of str
+        Some of :data:`KINDS`.
+    wrench_frames, imu_frames : tuple of str
+        The sensors.
+    joints : tuple of str
+        All joints, in the model's order.
+    driven : (J,) bool
+        Joints whose torque is measured.
+    """
+
+    kinds: tuple[str, ...]
+    wrench_frames: tuple[str, ...]
+    imu_frames: tuple[str, ...]
+    joints: tuple[str, ...]
+    driven: BoolArray
+
+    @classmethod
+    def of(
+        cls,
+        kinds: Sequence[str],
+        model: RobotModel,
+        wrench_frames: tuple[str, ...],
+        imu_frames: tuple[str, ...],
+    ) -> "SensorErrors":
+        """Return the unknowns of the sensors that a log has."""
+        return cls(
+            tuple(kind for kind in KINDS if kind in kinds),
+            wrench_frames,
+            imu_frames if model.floating else (),
+            model.joint_names,
+            np.array([joint.effort > 0 for joint in model.joints], dtype=bool),
+        )
+
+    def _owners(self, kind: str) -> tuple[str, ...]:
+        if kind.startswith("plate"):
+            return self.wrench_frames
+        if kind.startswith("imu"):
+            return self.imu_frames
+        if kind == "torque_gain":
+            return tuple(name for name, used in zip(self.joints, self.driven, strict=True) if used)
+        return self.joints
+
+    @cached_property
+    def places(self) -> dict[str, slice]:
+        """Where the unknowns of each kind stand in θ."""
+        ends = np.cumsum([len(DEVIATIONS[k]) * len(self._owners(k)) for k in self.kinds]).tolist()
+        return {
+            kind: slice(end - len(DEVIATIONS[kind]) * len(self._owners(kind)), end)
+            for kind, end in zip(self.kinds, ends, strict=True)
+        }
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """``<frame or joint>/<kind>[_<channel>]`` of the r unknowns."""
+        return tuple(
+            f"{owner}/{name}"
+            for kind in self.kinds
+            for owner in self._owners(kind)
+            for name in _component_names(kind)
+        )
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """SI unit of each unknown."""
+        return tuple(
+            unit for kind in self.kinds for _ in self._owners(kind) for unit in UNITS[kind]
+        )
+
+    @cached_property
+    def std(self) -> FloatArray:
+        """(r,) standard deviations before the data."""
+        return np.array(
+            [s for kind in self.kinds for _ in self._owners(kind) for s in DEVIATIONS[kind]]
+        )
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def of_kind(self, kind: str, theta: FloatArray) -> FloatArray:
+        """Return one kind's errors (owners, components) from θ (r,), zero where not unknown."""
+        shape = (len(self._owners(kind)), len(DEVIATIONS[kind]))
+        values = theta[self.places[kind]] if kind in self.kinds else np.zeros(shape)
+        return values.reshape(shape)
+
+    def structure(self, model: RobotModel) -> BoolArray:
+        """Return which coordinates (n, r) each unknown can reach."""
+        first = 6 * model.floating
+        reach = np.ones((model.dof, len(self)), dtype=bool)
+        for kind, place in self.places.items():
+            size = len(DEVIATIONS[kind])
+            for index, owner in enumerate(self._owners(kind)):
+                columns = slice(place.start + size * index, place.start + size * (index + 1))
+                if kind.startswith("plate"):
+                    carried = model.ancestors[:, model.frame(owner).link]
+                    reach[first:, columns] = carried[:, None]
+                elif kind == "torque_gain":
+                    reach[:, columns] = False
+                    reach[first + self.joints.index(owner), columns] = True
+        return reach
+
+    def corrected(self, readings: Readings, theta: FloatArray) -> Readings:
+        """Return the readings as they would be without the errors θ (r,)."""
+        gain = np.zeros(len(self.joints))
+        gain[self.driven] = self.of_kind("torque_gain", theta)[:, 0]
+        wrenches = (readings.wrenches - self.of_kind("plate_offset", theta)) / (
+            1 + self.of_kind("plate_gain", theta)
+        )
+        wrenches[:, :, :3] += np.cross(self.of_kind("plate_pose", theta), wrenches[:, :, 3:])
+        mounting, bias = self.of_kind("imu_mounting", theta), self.of_kind("imu_bias", theta)
+        imus = []
+        for index, imu in enumerate(readings.imus if self.imu_frames else ()):
+            to_frame = Rotation.from_rotvec(mounting[index]).as_matrix().T
+            imus.append(
+                BaseMotion(
+                    (imu.angular_velocity - bias[index, :3]) @ to_frame,
+                    imu.angular_acceleration @ to_frame,
+                    (imu.specific_force - bias[index, 3:]) @ to_frame,
+                )
+            )
+        return replace(
+            readings,
+            position=readings.position - self.of_kind("encoder_offset", theta)[:, 0],
+            effort=readings.effort / (1 + gain),
+            wrenches=wrenches,
+            imus=tuple(imus) if self.imu_frames else readings.imus,
+        )
+
+
+def _component_names(kind: str) -> tuple[str, ...]:
+    if kind in _PAIRS:
+        return tuple(f"{kind}_{part}{axis}" for part in _PAIRS[kind] for axis in _AXES[3])
+    return tuple(f"{kind}{axis}" for axis in _AXES[len(DEVIATIONS[kind])])
