@@ -1,8 +1,12 @@
 """The command as a user runs it, and bags that several tests read."""
 
+import contextlib
+import io
+import logging
 import os
 import subprocess
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,9 +15,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
+from symbid_ros.cli.main import main
 from symbid_ros.share import config_file
-from symbid_ros.simulation.recording import record
-from symbid_ros.simulation.simulator import Simulator
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -40,6 +43,8 @@ def copied_without() -> Callable[[Path, Path, str], Path]:
 
 @pytest.fixture(scope="session")
 def symbid() -> Command:
+    """Return what runs the command in a process of its own."""
+
     def run(*arguments: object, columns: int = 100) -> subprocess.CompletedProcess[str]:
         return subprocess.run(
             [Path(sys.executable).parent / "symbid", *map(str, arguments)],
@@ -54,27 +59,48 @@ def symbid() -> Command:
 
 
 @pytest.fixture(scope="session")
+def symbid_here() -> Command:
+    """Return what runs the command in this process, which has its libraries loaded already."""
+
+    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+        words = ["symbid", *map(str, arguments)]
+        out, err = io.StringIO(), io.StringIO()
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+            warnings.catch_warnings(),
+        ):
+            # Neither pytest's log handlers nor its record of warnings keep any from stderr.
+            patch.setattr(logging.root, "handlers", [])
+            warnings.simplefilter("error")
+            patch.setattr(sys, "argv", words)
+            patch.setenv("COLUMNS", "100")
+            with pytest.raises(SystemExit) as ended:
+                main()
+        return subprocess.CompletedProcess(
+            words, ended.value.code or 0, out.getvalue(), err.getvalue()
+        )
+
+    return run
+
+
+@pytest.fixture(scope="session")
 def model() -> Path:
     return config_file("symbitron.xml")
 
 
 @pytest.fixture(scope="session")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    bag = tmp_path_factory.mktemp("bags") / "log"
-    record(Simulator("smooth", moves=3, motion_seed=21, noise_seed=5), bag)
-    return bag
+def log(simulated: Callable[..., Path]) -> Path:
+    return simulated("smooth", moves=3, motion_seed=21, noise_seed=5)
 
 
 @pytest.fixture(scope="session")
-def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def short(simulated: Callable[..., Path]) -> Path:
     """Return a log just long enough to be identified."""
-    bag = tmp_path_factory.mktemp("bags") / "short"
-    record(Simulator("smooth", moves=1, motion_seed=21, noise_seed=5), bag)
-    return bag
+    return simulated("smooth", moves=1, motion_seed=21, noise_seed=5)
 
 
 @pytest.fixture(scope="session")
-def ideal(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    bag = tmp_path_factory.mktemp("bags") / "ideal"
-    record(Simulator("smooth", moves=3, motion_seed=22, ideal=True), bag)
-    return bag
+def ideal(simulated: Callable[..., Path]) -> Path:
+    return simulated("smooth", moves=1, motion_seed=22, ideal=True)

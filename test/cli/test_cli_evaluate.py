@@ -16,19 +16,19 @@ from symbid_ros.offline.prediction import RealisticMetrics
 
 
 @pytest.fixture(scope="module")
-def prior(symbid, model, tmp_path_factory):
+def prior(symbid_here, model, tmp_path_factory):
     path = tmp_path_factory.mktemp("prior") / "prior.json"
-    ended = symbid("prior", "--model", model, "--percent", 25, "--seed", 3, "--out", path)
+    ended = symbid_here("prior", "--model", model, "--percent", 25, "--seed", 3, "--out", path)
     assert (ended.returncode, ended.stderr) == (0, "")
     return path
 
 
 @pytest.fixture(scope="module")
-def found(symbid, model, short, prior, tmp_path_factory):
+def found(symbid_here, model, short, prior, tmp_path_factory):
     """What two methods found in one log, side by side."""
     out = tmp_path_factory.mktemp("found")
     for method in ("map_lmi", "wls_rc"):
-        ended = symbid(
+        ended = symbid_here(
             *("identify", short, "--model", model, "--prior", prior),
             *("--method", method, "--window", 0.081, "--out", out / method),
         )
@@ -36,9 +36,13 @@ def found(symbid, model, short, prior, tmp_path_factory):
     return out
 
 
-def test_an_estimate_with_covariance_has_intervals(symbid, model, ideal, found, tmp_path) -> None:
+def test_an_estimate_with_covariance_has_intervals(
+    symbid_here, model, ideal, found, tmp_path
+) -> None:
     file = tmp_path / "figures.json"
-    ended = symbid("evaluate", found / "map_lmi", "--model", model, "--bag", ideal, "--json", file)
+    ended = symbid_here(
+        "evaluate", found / "map_lmi", "--model", model, "--bag", ideal, "--json", file
+    )
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "90 % intervals" in ended.stdout
     intervals = json.loads(file.read_text())["intervals"]
@@ -55,9 +59,13 @@ def test_an_estimate_with_covariance_has_intervals(symbid, model, ideal, found, 
     assert all(f"{value:.4g}" in ended.stdout for value in intervals.values())
 
 
-def test_an_estimate_without_covariance_has_none(symbid, model, ideal, found, tmp_path) -> None:
+def test_an_estimate_without_covariance_has_none(
+    symbid_here, model, ideal, found, tmp_path
+) -> None:
     file = tmp_path / "figures.json"
-    ended = symbid("evaluate", found / "wls_rc", "--model", model, "--bag", ideal, "--json", file)
+    ended = symbid_here(
+        "evaluate", found / "wls_rc", "--model", model, "--bag", ideal, "--json", file
+    )
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "intervals" not in ended.stdout
     assert "intervals" not in json.loads(file.read_text())
@@ -81,7 +89,7 @@ def test_a_page_without_truth_shows_what_was_found(symbid, model, short, found, 
 
 
 def test_what_no_page_can_show_is_refused_in_one_line(
-    symbid, model, short, prior, found, tmp_path
+    symbid_here, model, short, prior, found, tmp_path
 ) -> None:
     file = tmp_path / "report.html"
     for subject, options, says in (
@@ -89,7 +97,7 @@ def test_what_no_page_can_show_is_refused_in_one_line(
         (found / "map_lmi", ("--realistic", short), "add --truth"),
     ):
         command = ("report", subject, "--model", model, "--bag", short, "--out", file)
-        ended = symbid(*command, *options)
+        ended = symbid_here(*command, *options)
         assert ended.returncode == 2
         assert says in ended.stderr
         assert ended.stderr.count("\n") == 1
@@ -97,13 +105,13 @@ def test_what_no_page_can_show_is_refused_in_one_line(
 
 
 def test_realistic_predictions_come_beside_the_ideal_ones(
-    symbid, model, log, ideal, prior, tmp_path
+    symbid_here, model, short, ideal, prior, tmp_path
 ) -> None:
     plain, both = tmp_path / "plain.json", tmp_path / "both.json"
     command = ("evaluate", prior, "--model", model, "--bag", ideal)
-    ended = symbid(*command, "--json", plain)
+    ended = symbid_here(*command, "--json", plain)
     assert "from noisy sensors" not in ended.stdout
-    ended = symbid(*command, "--realistic", log, "--json", both)
+    ended = symbid_here(*command, "--realistic", short, "--json", both)
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "from noisy sensors" in ended.stdout
     figures = json.loads(both.read_text())
@@ -115,12 +123,15 @@ def test_realistic_predictions_come_beside_the_ideal_ones(
 
 
 def test_what_cannot_be_predicted_from_is_refused_in_one_line(
-    symbid, model, log, ideal, prior, copied_without, tmp_path
+    symbid_here, model, short, ideal, prior, copied_without, tmp_path
 ) -> None:
     command = ("evaluate", prior, "--model", model, "--bag", ideal, "--realistic")
-    no_imu = copied_without(log, tmp_path / "bag", "imu")
-    for options, named in (((no_imu,), "Imu"), ((log, "--velocity-cutoff", 900), "cutoff 900 Hz")):
-        ended = symbid(*command, *options)
+    no_imu = copied_without(short, tmp_path / "bag", "imu")
+    for options, named in (
+        ((no_imu,), "Imu"),
+        ((short, "--velocity-cutoff", 900), "cutoff 900 Hz"),
+    ):
+        ended = symbid_here(*command, *options)
         assert ended.returncode == 2
         assert named in ended.stderr
         assert ended.stderr.count("\n") == 1

@@ -106,6 +106,14 @@ def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
         ({"sensor_errors": "typical", "filter": "butterworth"}, "leave --filter out"),
         ({"rank": 5, "validate": "log"}, "--rank and --validate both choose"),
         ({"rank": 0}, "--rank"),
+        ({"rank": 5}, "map_lmi cuts off no singular values"),
+        ({"method": "map", "sensor_std": (0.1, 1, 0.1)}, "map cuts off no singular values"),
+        ({"method": "ols", "total_mass": 41}, "ols takes neither sensor errors, a tare nor"),
+        ({"total_mass_std": 0.1}, "of no use without --total-mass"),
+        ({"sensor_errors": ","}, "no sensor error is named"),
+        ({"cutoff": 20}, "weak has neither cutoff nor channels"),
+        ({"filter": "savitzky_golay", "channels": "thesis"}, "has neither cutoff nor channels"),
+        ({"filter": "butterworth", "window": 0.1}, "butterworth has no window"),
         ({"window": 0}, "give a positive length"),
         ({"window": "nan"}, "give a positive length"),
         ({"window": 60}, "log is too short, not even a window of 60000 ms"),
@@ -210,7 +218,9 @@ def test_a_value_that_is_no_number(fails, good, tmp_path) -> None:
                 instant.joint_effort[2] = float("nan")
             return instant
 
-    record(Faulty("smooth", moves=1, motion_seed=3), tmp_path / "faulty")
+    faulty = Faulty("smooth", moves=1, motion_seed=3)
+    faulty.steps = 1000
+    record(faulty, tmp_path / "faulty")
     fails("joint_states", "R_kfe", **good | {"bag": tmp_path / "faulty"})
 
 

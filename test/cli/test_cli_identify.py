@@ -28,16 +28,16 @@ def prior(symbid, model, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(symbid, model, log, prior, tmp_path_factory) -> Path:
+def found(symbid_here, model, short, prior, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("found") / "out"
-    identified(symbid, log, model, out, "--prior", prior)
+    identified(symbid_here, short, model, out, "--prior", prior)
     return out
 
 
 @pytest.fixture(scope="module")
-def truncated(symbid, model, log, ideal, prior, tmp_path_factory) -> Path:
+def truncated(symbid_here, model, short, ideal, prior, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("truncated") / "out"
-    identified(symbid, log, model, out, "--prior", prior, *WLS_RC, "--validate", ideal)
+    identified(symbid_here, short, model, out, "--prior", prior, *WLS_RC, "--validate", ideal)
     return out
 
 
@@ -61,9 +61,9 @@ def evaluated(symbid, subject: Path, model: Path, bag: Path, out: Path) -> dict[
 
 
 def test_identification_beats_the_prior_on_every_metric(
-    symbid, model, ideal, before, found, tmp_path
+    symbid_here, model, ideal, before, found, tmp_path
 ) -> None:
-    after = evaluated(symbid, found, model, ideal, tmp_path / "after.json")
+    after = evaluated(symbid_here, found, model, ideal, tmp_path / "after.json")
     assert set(after) >= METRICS
     assert all(after[name] < before[name] for name in METRICS)
 
@@ -84,22 +84,22 @@ def test_without_options_links_are_possible_and_the_verdict_says_what_is_known(f
 
 
 def test_a_truncated_method_chooses_z_on_a_bag_or_by_itself(
-    symbid, model, log, ideal, prior, before, truncated, tmp_path
+    symbid_here, model, log, ideal, prior, before, truncated, tmp_path
 ) -> None:
     chosen = json.loads((truncated / "estimate.json").read_text())
-    document = identified(symbid, log, model, tmp_path / "out", "--prior", prior, *WLS_RC)
+    document = identified(symbid_here, log, model, tmp_path / "out", "--prior", prior, *WLS_RC)
     for each in (chosen, document):
         assert 1 <= each["rank"] < len(each["parameters"])
         assert each["verdict"] is None
-    after = evaluated(symbid, tmp_path / "out", model, ideal, tmp_path / "after.json")
+    after = evaluated(symbid_here, tmp_path / "out", model, ideal, tmp_path / "after.json")
     assert all(after[name] < before[name] for name in METRICS - {"parameter_error_pct"})
 
 
-def test_a_run_goes_on_from_an_earlier_one(symbid, model, short, found, prior, tmp_path) -> None:
+def test_a_run_goes_on_from_an_earlier_one(symbid, model, log, found, prior, tmp_path) -> None:
     earlier = json.loads((found / "estimate.json").read_text())
     both = identified(
         symbid,
-        short,
+        log,
         model,
         tmp_path / "out",
         *("--prior", prior, "--information", found / "information.npz"),
@@ -115,10 +115,10 @@ def test_a_run_goes_on_from_an_earlier_one(symbid, model, short, found, prior, t
     assert np.median(after / before) < 1
 
 
-def test_the_equation_of_motion_closes_on_an_ideal_bag(symbid, model, ideal, tmp_path) -> None:
+def test_the_equation_of_motion_closes_on_an_ideal_bag(symbid_here, model, ideal, tmp_path) -> None:
     exact = tmp_path / "exact.json"
-    symbid("prior", "--model", model, "--percent", 1e-9, "--seed", 0, "--out", exact)
-    metrics = evaluated(symbid, exact, model, ideal, tmp_path / "metrics.json")
+    symbid_here("prior", "--model", model, "--percent", 1e-9, "--seed", 0, "--out", exact)
+    metrics = evaluated(symbid_here, exact, model, ideal, tmp_path / "metrics.json")
     assert metrics["gen_force_rmse"] <= 1e-3
     assert metrics["com_position_rmse_mm"] <= 1e-6
 
@@ -136,7 +136,7 @@ def test_written_models_hold_the_estimate(found) -> None:
 
 @pytest.mark.parametrize("kind", ["found", "truncated"])
 def test_no_truth_leaks_into_an_estimate(
-    symbid, model, log, ideal, prior, kind, copied_without, request, tmp_path
+    symbid_here, model, short, ideal, prior, kind, copied_without, request, tmp_path
 ) -> None:
     """With a prior file neither the model's inertias nor the ground truth are looked at."""
     rng = np.random.default_rng(0)
@@ -155,13 +155,13 @@ def test_no_truth_leaks_into_an_estimate(
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     tree.write(elsewhere / model.name)
-    copied_without(log, elsewhere / log.name, "ground_truth")
+    copied_without(short, elsewhere / short.name, "ground_truth")
     options: tuple[object, ...] = ("--prior", prior)
     if kind == "truncated":
         copied_without(ideal, elsewhere / ideal.name, "ground_truth")
         options += (*WLS_RC, "--validate", elsewhere / ideal.name)
     blind = identified(
-        symbid, elsewhere / log.name, elsewhere / model.name, tmp_path / "out", *options
+        symbid_here, elsewhere / short.name, elsewhere / model.name, tmp_path / "out", *options
     )
     found = request.getfixturevalue(kind)
     expected = json.loads((found / "estimate.json").read_text())

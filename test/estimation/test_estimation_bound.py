@@ -183,14 +183,14 @@ def test_errors_are_as_small_as_the_bound_allows(method, bound, draws):
             errors.append(np.sum((J @ (value - bound.parameters.values)) ** 2))
             least.append(np.trace(J @ draw.bound @ J.T))
         ratio = np.sqrt(np.mean(errors) / np.mean(least))
-        assert 0.7 < ratio < 1.5, name
+        assert 0.7 < ratio < 1.2, name
 
 
 def test_the_stated_covariance_is_near_the_bound(draws):
     for draw in draws:
         found = draw.solver.posterior
         ratio = found.std / np.sqrt(np.diag(draw.bound))
-        assert ratio.min() > 0.85
+        assert ratio.min() > 0.95
         # Weights of so short a log are paid for: some fifty independent windows, 16 coordinates.
         assert ratio.max() < 1.6
 
@@ -203,7 +203,7 @@ def test_errors_are_as_large_as_stated_in_the_determined_directions(bound, draws
         error = (found.mean - bound.parameters.values) / draw.prior.std
         squares.append((told * (Vt @ error))[told > 1 / DETERMINED] ** 2)
     assert all(len(each) > 15 for each in squares)
-    assert 0.5 < np.mean(np.concatenate(squares)) < 1.5
+    assert 0.7 < np.mean(np.concatenate(squares)) < 1.3
 
 
 def test_every_link_is_possible_and_nothing_alarms(bound, draws):

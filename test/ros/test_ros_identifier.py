@@ -156,7 +156,9 @@ def node_and_command(graph, tmp_path: Path, bag: Path, **given: object) -> dict[
 def test_every_fact_reaches_the_job_from_both(graph, tmp_path: Path) -> None:
     errors = {"errors": "typical", "error_seed": 3}
     record(Simulator("smooth", moves=1, motion_seed=7, **errors), tmp_path / "bag")
-    record(Simulator("tare", **errors), tmp_path / "tare")
+    tare = Simulator("tare", **errors)
+    tare.steps = 1000
+    record(tare, tmp_path / "tare")
     document = node_and_command(
         graph,
         tmp_path,
@@ -175,15 +177,15 @@ def test_every_fact_reaches_the_job_from_both(graph, tmp_path: Path) -> None:
     assert document["parameters"]["L_kfe/offset"]["determined"]
 
 
-def test_a_truncated_method_on_filtered_rows_is_the_same_from_both(graph, tmp_path: Path) -> None:
-    record(Simulator("smooth", moves=1, motion_seed=7), tmp_path / "bag")
-    record(Simulator("smooth", moves=1, motion_seed=8, ideal=True), tmp_path / "validation")
+def test_a_truncated_method_on_filtered_rows_is_the_same_from_both(
+    graph, simulated, tmp_path: Path
+) -> None:
     document = node_and_command(
         graph,
         tmp_path,
-        tmp_path / "bag",
+        simulated("smooth", moves=1, motion_seed=21, noise_seed=5),
         method="wls_rc",
-        validate=tmp_path / "validation",
+        validate=simulated("smooth", moves=1, motion_seed=22, ideal=True),
         select_by="torque",
         filter="butterworth",
         cutoff=25.0,

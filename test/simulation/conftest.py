@@ -27,12 +27,12 @@ def simulate(scenario: str, **options) -> Run:
 
 @pytest.fixture(scope="session")
 def smooth() -> Run:
-    return simulate("smooth", moves=6, motion_seed=3)
+    return simulate("smooth", moves=3, motion_seed=3)
 
 
 @pytest.fixture(scope="session")
 def vibrating() -> Run:
-    return simulate("vibrating", moves=2, motion_seed=4)
+    return simulate("vibrating", moves=1, motion_seed=4)
 
 
 @pytest.fixture(scope="session")

@@ -1,3 +1,5 @@
+"""Every scenario's run: what is published of it is true, and it is the motion it should be."""
+
 import dataclasses
 
 import mujoco
@@ -19,6 +21,77 @@ def test_stamps_are_multiples_of_the_period(run):
     stamps = run.array("stamp")
     assert stamps[0] == 1_000_000
     assert np.all(np.diff(stamps) == 1_000_000)
+
+
+def test_equation_of_motion_closes_with_what_is_published(run, body):
+    worst = 0.0
+    for instant in run.instants[::7]:
+        body.set(instant)
+        mujoco.mj_inverse(body.model, body.data)
+        residual = body.data.qfrc_inverse.copy()
+        residual[6:] -= instant.true_effort
+        for sensor, wrench in zip(run.sensors, instant.wrenches, strict=True):
+            origin, rotation, link = body.site(sensor.frame_id)
+            force = np.zeros(body.model.nv)
+            mujoco.mj_applyFT(
+                body.model,
+                body.data,
+                rotation @ wrench[:3],
+                rotation @ wrench[3:],
+                origin,
+                link,
+                force,
+            )
+            residual -= force
+        worst = max(worst, np.abs(residual).max())
+    assert worst < 1e-8
+
+
+def test_feet_carry_the_weight_when_standing_still(smooth, body):
+    for instant in smooth.instants[:400:50]:
+        body.set(instant)
+        mujoco.mj_kinematics(body.model, body.data)
+        total = sum(
+            body.site(sensor.frame_id)[1] @ wrench[:3]
+            for sensor, wrench in zip(smooth.sensors, instant.wrenches, strict=True)
+        )
+        weight = 41.05 * 9.81
+        np.testing.assert_allclose(total, [0.0, 0.0, weight], atol=1e-3 * weight)
+        assert np.all(instant.wrenches[:, 2] > 0.4 * weight)
+
+
+def test_imu_moves_with_the_base_and_its_lever_arm(run, body):
+    site = body.model.site("imu_link")
+    to_base = np.zeros(9)
+    mujoco.mju_quat2Mat(to_base, site.quat)
+    to_base = to_base.reshape(3, 3)
+    arm = site.pos
+    for instant in run.instants[::50]:
+        body.set(instant)
+        mujoco.mj_kinematics(body.model, body.data)
+        to_world = body.data.xmat[1].reshape(3, 3)
+        spin, spun = instant.base_angular_velocity, instant.base_angular_acceleration
+        specific = (
+            instant.base_linear_acceleration
+            + np.cross(spun, arm)
+            + np.cross(spin, np.cross(spin, arm))
+            + to_world.T @ [0.0, 0.0, 9.81]
+        )
+        np.testing.assert_allclose(instant.imu_angular_velocity, to_base.T @ spin, atol=1e-12)
+        np.testing.assert_allclose(instant.imu_linear_acceleration, to_base.T @ specific, atol=1e-9)
+        attitude = np.zeros(9)
+        mujoco.mju_quat2Mat(attitude, instant.imu_orientation[[3, 0, 1, 2]])
+        np.testing.assert_allclose(attitude.reshape(3, 3), to_world @ to_base, atol=1e-12)
+
+
+def test_truth_is_consistent_in_time(smooth):
+    period = 1e-3
+    position, velocity, acceleration = (
+        smooth.array(name) for name in ("true_position", "true_velocity", "true_acceleration")
+    )
+    # Semi-implicit Euler: the velocity takes the acceleration, the position the new velocity.
+    np.testing.assert_allclose(np.diff(velocity, axis=0), period * acceleration[:-1], atol=1e-12)
+    np.testing.assert_allclose(np.diff(position, axis=0), period * velocity[1:], atol=1e-12)
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)

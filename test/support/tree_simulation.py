@@ -40,6 +40,7 @@ class TreeSimulation:
         self.m.opt.timestep = 1e-4
         self.m.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
         self.d = mujoco.MjData(self.m)
+        self.sites = [self.m.site(name).id for name in frames]
         joints = len(model.joints)
         self.driven = np.array([joint.effort > 0 for joint in model.joints])
         self.frequency = rng.uniform(0.3, 1.5, (4, joints + 6 * len(frames)))
@@ -54,14 +55,18 @@ class TreeSimulation:
         return np.sin(2 * np.pi * self.frequency * time + self.phase).mean(axis=0)
 
     def step(self):
-        instant = None
-        for _ in range(10):
-            forces = self._apply_forces()
-            mujoco.mj_forward(self.m, self.d)
-            instant = instant or self._instant(*forces)
-            mujoco.mj_step(self.m, self.d)
-            mujoco.mj_kinematics(self.m, self.d)
+        forces = self._apply_forces()
+        mujoco.mj_forward(self.m, self.d)
+        instant = self._instant(*forces)
+        self._advance()
+        for _ in range(9):
+            self._apply_forces()
+            self._advance()
         return instant
+
+    def _advance(self):
+        mujoco.mj_step(self.m, self.d)
+        mujoco.mj_kinematics(self.m, self.d)
 
     def _apply_forces(self):
         m, d = self.m, self.d
@@ -76,13 +81,10 @@ class TreeSimulation:
             wrenches[:, :3] = 0.1 * self.scale * wave[joints:].reshape(-1, 6)[:, 3:]
         d.qfrc_applied[:] = 0
         d.qfrc_applied[self.joints] = effort
-        for sensor, wrench in zip(self.wrench_sensors, wrenches, strict=True):
-            site = d.site(sensor.frame_id)
-            axes = site.xmat.reshape(3, 3)
-            applied = np.zeros(m.nv)
-            body = m.site(sensor.frame_id).bodyid[0]
-            mujoco.mj_applyFT(m, d, axes @ wrench[3:], axes @ wrench[:3], site.xpos, body, applied)
-            d.qfrc_applied += applied
+        for site, wrench in zip(self.sites, wrenches, strict=True):
+            axes, place = d.site_xmat[site].reshape(3, 3), d.site_xpos[site]
+            force, moment, body = axes @ wrench[3:], axes @ wrench[:3], m.site_bodyid[site]
+            mujoco.mj_applyFT(m, d, force, moment, place, body, d.qfrc_applied)
         return effort, wrenches
 
     def _instant(self, effort, wrenches):

@@ -1,0 +1,58 @@
+"""The order of the files, and simulated logs that several of them read, each recorded once."""
+
+import fcntl
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+# With --dist loadfile a file is one worker's: the longest first, and all workers end together.
+LONGEST = (
+    "test_ros_identifier.py",
+    "test_offline_identification.py",
+    "test_offline_calibration.py",
+    "test_cli_identify.py",
+    "test_ros_bridge.py",
+    "test_cli_faults.py",
+    "test_cli_demo.py",
+    "test_cli_evaluate.py",
+    "test_simulation_scenarios.py",
+    "test_offline_trees.py",
+    "test_estimation_posterior.py",
+    "test_estimation_bound.py",
+    "test_simulation_errors.py",
+    "test_ros_process.py",
+    "test_ros_recorder.py",
+    "test_signals_samples.py",
+)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.option.loadscopereorder = False  # by number of tests, which says nothing here
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    rank = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: rank.get(item.path.name, len(LONGEST)))
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """Return the bag of a simulation; of all workers the first to ask records it."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent  # the workers' folders lie side by side
+
+    def bag(scenario: str, **options: object) -> Path:
+        from symbid_ros.simulation.recording import record
+        from symbid_ros.simulation.simulator import Simulator
+
+        path = folder / "_".join([scenario, *(f"{key}_{options[key]}" for key in sorted(options))])
+        with (folder / f"{path.name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not path.exists():
+                record(Simulator(scenario, **options), path)
+        return path
+
+    return bag
