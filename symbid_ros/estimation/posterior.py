@@ -26,6 +26,10 @@ ROUGHLY_SETTLED = 1e-6  # from here on digits count
 # More of a direction's information than this is never called noise: its noise is only estimated.
 NOISIEST = 0.75
 
+# Directions of which data say less than this, in prior deviations, or too little beside others for
+# a computer's digits, are not asked about the prior.
+TOLD, DIGITS = 1e-6, 1e-12
+
 # Factor by which the evidence may say that a prior is too wide or too narrow.
 SCALES = (1e-2, 1e2)
 
@@ -180,11 +184,19 @@ class _Square:
     def evidence_scale(self, count: int) -> float:
         """Return the factor λ on the first ``count`` deviations that makes the data most probable.
 
-        Σ is kept as it is (MacKay 1992, Neural Computation 4(3)).
+        Σ is kept as it is (MacKay 1992, Neural Computation 4(3)), and noise in the regressor is
+        no information here either.
         """
+        x, R, _ = self.minimum(np.ones(self.A.shape[1]))
+        # The gradient R'R x of the rows at the prior's mean is H x₀ plus noise of covariance W,
+        # where H is what is left of W when the noise's part is taken off.
+        values, V = np.linalg.eigh(self.A.T @ self.A)
+        some = values > max(TOLD, DIGITS * values[-1])
+        root = V[:, some] / np.sqrt(values[some])
+        A, b = root.T @ (R.T @ R - np.eye(len(x))), root.T @ (R.T @ (R @ x))
         others = self.A.shape[1] - count
         # What is left of the rows when the other unknowns have taken up what they can.
-        rows = np.column_stack([self.A[:, count:], self.A[:, :count], self.b])
+        rows = np.column_stack([A[:, count:], A[:, :count], b])
         of_prior = np.eye(others, rows.shape[1])
         left = stacked_factor(rows, of_prior)[others:, others:]
         U, told, _ = np.linalg.svd(left[:, :-1], full_matrices=False)

@@ -359,14 +359,18 @@ def test_noise_in_the_regressor_biases_unless_it_is_taken_off():
         trials = Trials(25, regressor_noise=0.1, corrected=corrected)
         mean = np.mean([each.mean - trials.log.truth for each in trials.found], axis=0)
         square = np.mean([np.mean((each.factor @ mean) ** 2) for each in trials.found])
-        return len(trials.found) * square, np.mean(trials.normalised**2)
+        scale = np.median([each.prior_scale for each in trials.found])
+        return len(trials.found) * square, np.mean(trials.normalised**2), scale
 
-    (with_it, spread), (without, wrong) = bias(True), bias(False)
+    (with_it, spread, scale), (without, wrong, too_wide) = bias(True), bias(False)
     # What is left is of second order in the noise.
     assert with_it < 2
     assert without > 30 * with_it
     assert spread < 1.5
     assert wrong > 3 * spread
+    # The evidence does not take the noise's pull for a prior that is wrong.
+    assert scale == pytest.approx(1, abs=0.15)
+    assert abs(too_wide - 1) > 2 * abs(scale - 1)
 
 
 @pytest.mark.parametrize("count", [2, 4])
