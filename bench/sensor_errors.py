@@ -7,7 +7,7 @@ in brackets what the estimate itself says of its centre of mass (one standard de
 
     .venv/bin/python bench/sensor_errors.py [--seed N] [--only NAME ...]
 
-Takes about two minutes a row.
+Takes about a minute a row.
 """
 
 import argparse
