@@ -159,8 +159,11 @@ class Observations:
 def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float:
     """Return how much less the residual at φ (p,) shrinks in longer windows than noise would.
 
-    White noise loses variance as windows gain length: 1. What lasts, as an error of the model or
-    of a sensor's calibration does, loses none: the ratio of the windows' lengths.
+    White noise loses variance as windows gain length; what lasts, as an error of the model or of
+    a sensor's calibration does, loses none. It may show in few combinations of coordinates, so
+    the one that lasts longest counts: its variance in long windows over what noise would have
+    left, at most the ratio of the windows' lengths, and over what chance makes of the largest of
+    n (Marchenko and Pastur 1967). Noise gives 1 or less.
     """
     together = short._coupled & long._coupled
     before, after = (
@@ -172,5 +175,7 @@ def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float
     if len(used) == 0:
         return 1.0
     some = np.ix_(used, used)
-    kept = np.trace(np.linalg.solve(before[some], after[some])) / len(used)
-    return float(kept * long.window / short.window)
+    kept = float(eigh(after[some], before[some], eigvals_only=True)[-1])
+    independent = float(long.counts.diagonal()[used].min()) / long.inflation
+    chance = (1 + float(np.sqrt(len(used) / independent))) ** 2
+    return kept * long.window / short.window / chance

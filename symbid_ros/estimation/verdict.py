@@ -19,7 +19,7 @@ DETERMINED = 1 / np.sqrt(2)
 # that is more modest than need be harms nobody.
 SUSPICIOUS_SCALE = 2.0
 # Residuals that outlast noise by this much are no noise.
-SUSPICIOUS_WHITENESS = 1.6
+SUSPICIOUS_WHITENESS = 1.4
 # Noise in the regressor was this much of what a direction seemed to be told.
 SUSPICIOUS_NOISE = 0.5
 
@@ -54,8 +54,9 @@ class Verdict:
     prior_scale : float
         Factor on the prior's deviations under which the data are most probable.
     whiteness : float
-        Variance that the residual keeps in long windows over what noise would; 1 for noise,
-        0 where there was one window only.
+        Variance that the residual keeps in long windows over what noise would, in the
+        combination of coordinates where it keeps most; at most about 1 for noise, 0 where there
+        was one window only.
     noise_share : float
         Largest share of a direction's apparent information that was noise in the regressor.
     alarms : tuple of str
@@ -172,8 +173,8 @@ def _alarms(posterior: Posterior, whiteness: float) -> list[str]:
         )
     if whiteness > SUSPICIOUS_WHITENESS:
         alarms.append(
-            f"residuals last longer than noise would (whiteness {whiteness:.1f}, 1 for noise): "
-            "the model or a sensor's calibration is wrong; add --tare, --sensor-errors typical or "
+            f"residuals last longer than noise would (whiteness {whiteness:.1f}, at most 1 for "
+            "noise): the model or a sensor's calibration is wrong; add --tare, --sensor-errors typical or "
             "the joint terms that are missing"
         )
     if posterior.noise_share > SUSPICIOUS_NOISE:

@@ -150,7 +150,7 @@ def _facts(estimate: Estimate, verdict: Verdict) -> tuple[Fact, ...]:
         Fact(
             "Whiteness",
             significant(white) if white > 0 else ABSENT,
-            f"of the residual, 1 for noise; alarm above {SUSPICIOUS_WHITENESS:g}",
+            f"of the residual, at most 1 for noise; alarm above {SUSPICIOUS_WHITENESS:g}",
             alarming=white > SUSPICIOUS_WHITENESS,
         ),
         Fact(

@@ -139,14 +139,14 @@ def windows(seed, drift, count=3200):
 
 def test_white_noise_is_white():
     for seed in range(5):
-        assert whiteness(*windows(seed, 0.0)) == pytest.approx(1, abs=0.1)
+        assert 0.7 < whiteness(*windows(seed, 0.0)) < 1.1
 
 
 def test_constant_residuals_outlast_noise_by_the_ratio_of_windows():
     short, long, truth = windows(0, 0.0)
-    n = len(short.counts)
-    # Alone, a constant keeps all of its variance.
-    assert whiteness(*windows(1, 1e3)) == pytest.approx((n - 1 + 4) / n, rel=0.1)
+    chance = (1 + np.sqrt(len(long.counts) / long.rows.samples)) ** 2
+    # What lasts shows in one combination of coordinates, and keeps all of its variance there.
+    assert whiteness(*windows(1, 1e3)) == pytest.approx(4 / chance, rel=0.01)
     drifting = [whiteness(*windows(1, drift)) for drift in (0.0, 0.5, 1.0, 4.0)]
     assert drifting == sorted(drifting)
     # Wrong parameters are as lasting as a wrong sensor where the motion is slow.
@@ -154,7 +154,6 @@ def test_constant_residuals_outlast_noise_by_the_ratio_of_windows():
 
 
 @pytest.mark.parametrize("count", [40, 80, 100, 400])
-def test_white_noise_is_white_in_short_logs_too(count):
+def test_noise_of_short_logs_does_not_look_lasting(count):
     """Long windows may be too few for correlations where short ones are not."""
-    found = [whiteness(*windows(seed, 0.0, count)) for seed in range(20)]
-    assert np.mean(found) == pytest.approx(1, abs=0.3)
+    assert max(whiteness(*windows(seed, 0.0, count)) for seed in range(20)) < 1.2

@@ -13,6 +13,7 @@ from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import Prior, draw_prior
+from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
@@ -252,7 +253,7 @@ def test_a_model_that_is_right_is_found_to_need_no_width(folder, symbitron):
 
 
 @pytest.mark.parametrize("samples", [40, 400])
-def test_white_residuals_are_white_however_short_the_log(samples):
+def test_white_residuals_raise_no_alarm_however_short_the_log(samples):
     """Coordinates share noise, as base and joints share that of a plate."""
     rng = np.random.default_rng(1)
     n = 6
@@ -268,7 +269,8 @@ def test_white_residuals_are_white_however_short_the_log(samples):
             block = WindowedRows(rows, nothing, np.ones((count, n), dtype=bool))
             data.append(Observations.empty(layout, window).fold([block]))
         ratios.append(whiteness(*data, np.zeros(1)))
-    assert np.median(ratios) == pytest.approx(1.0, abs=0.4)
+    assert 0.1 < np.median(ratios) < 1.1
+    assert max(ratios) < SUSPICIOUS_WHITENESS
 
 
 def test_few_rows_of_a_joint_are_not_taken_for_exact():
