@@ -174,8 +174,8 @@ def _alarms(posterior: Posterior, whiteness: float) -> list[str]:
     if whiteness > SUSPICIOUS_WHITENESS:
         alarms.append(
             f"residuals last longer than noise would (whiteness {whiteness:.1f}, at most 1 for "
-            "noise): the model or a sensor's calibration is wrong; add --tare, --sensor-errors typical or "
-            "the joint terms that are missing"
+            "noise): the model or a sensor's calibration is wrong; add --tare, --sensor-errors "
+            "typical or the joint terms that are missing"
         )
     if posterior.noise_share > SUSPICIOUS_NOISE:
         alarms.append(
