@@ -46,6 +46,7 @@ def test_any_tree_is_identified_from_its_bag(tree, method, processing, tmp_path)
         bags=(folder / "log",),
         model=folder / "robot.xml",
         prior=PriorChoice(folder / "prior.json"),
+        method=method,
         processing=processing,
         validation=folder / "other" if method == "wls_rc" else None,
     )
