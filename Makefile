@@ -9,6 +9,8 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 # A sourced ROS installation would mix its libraries with those of the wheels in .venv.
 unexport PYTHONPATH PYTHONHOME AMENT_PREFIX_PATH COLCON_PREFIX_PATH CMAKE_PREFIX_PATH
 unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE VIRTUAL_ENV
+# Without bytecode every one of the many processes would compile SciPy anew, for seconds.
+unexport PYTHONDONTWRITEBYTECODE
 # rclpy aborts where it finds neither HOME nor a place for its log.
 export ROS_LOG_DIR ?= $(CURDIR)/log/ros
 # The matrices are small: threads of BLAS only compete with the nodes for the cores.
