@@ -14,6 +14,10 @@ from symbid_ros.signals.weak_form import INFLATION, WindowedRows
 
 # Fewer samples than this per coordinate give no covariance between coordinates worth having.
 SAMPLES_PER_COORDINATE = 3
+# Share of a coordinate's mean square that is rounding, and no residual.
+LEAST = 1e-14
+# So much more is the variance of a coordinate that has no say.
+SILENT = 1e20
 # Largest ratio of two estimates of one covariance that is taken for chance.
 CHANCE = 2.0
 # Independent rows that a coordinate must have, and more for each parameter that it alone feels.
@@ -116,10 +120,8 @@ class Observations:
         moment[~self._coupled] = 0.0
         # A coordinate without any residual is an ideal one; its weight must stay finite. One with
         # too few rows fits whatever they say, and has no say.
-        scale = self.rows.target_squares / np.maximum(self.counts.diagonal(), 1)
-        largest = float(scale.max()) or 1.0
-        floor = 1e-14 * scale + 1e-18 * largest
-        floor[self._scarce] = 1e6 * largest
+        floor = self._least_residual
+        floor[self._scarce] = SILENT * floor.max()
         moment[np.diag_indices(len(moment))] = np.maximum(moment.diagonal(), floor) + floor
         coupled = int(np.sum(self._coupled.sum(axis=0) > 1))
         if coupled == 0:
@@ -148,6 +150,13 @@ class Observations:
         return np.asarray(np.outer(full, full) | np.eye(n, dtype=bool))
 
     @property
+    def _least_residual(self) -> FloatArray:
+        """(n,) variances below which a residual is rounding."""
+        scale = self.rows.target_squares / np.maximum(self.counts.diagonal(), 1)
+        largest = float(scale.max()) or 1.0
+        return np.asarray(LEAST * scale + 1e-4 * LEAST * largest)
+
+    @property
     def _scarce(self) -> BoolArray:
         """(n,) coordinates with too few rows for the parameters that only they feel."""
         structure = self.layout.structure
@@ -171,7 +180,10 @@ def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float
         / np.maximum(one.counts, 1)
         for one in (short, long)
     )
-    used = np.flatnonzero(~(short._scarce | long._scarce) & (before.diagonal() > 0))
+    # What is rounding is noise.
+    rounding = np.diag(short._least_residual)
+    before, after = before + rounding, after + rounding * short.window / long.window
+    used = np.flatnonzero(~(short._scarce | long._scarce))
     if len(used) == 0:
         return 1.0
     some = np.ix_(used, used)

@@ -21,7 +21,7 @@ from symbid_ros.estimation.prior import Prior
 
 REWHITENINGS = 20
 SETTLED = 1e-9  # of a posterior standard deviation
-ROUGHLY_SETTLED = 1e-6  # from here on digits count
+ROUGHLY_SETTLED, ROUGH_TURNS = 1e-6, 15  # from here on digits count
 
 # More of a direction's information than this is never called noise: its noise is only estimated.
 NOISIEST = 0.75
@@ -258,7 +258,7 @@ def posterior(
     x = np.zeros(len(mean))
     # Weights and solution are found in turn: roughly at first, as that takes most of the turns.
     rough = True
-    for _ in range(REWHITENINGS):
+    for turn in range(REWHITENINGS):
         square = _Square.of(observations, mean + L @ x, mean, L, known, rough=rough)
         if empirical:
             scale[:count] = square.evidence_scale(count)
@@ -267,7 +267,7 @@ def posterior(
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
         if change < settled and not rough:
             break
-        rough = rough and change > max(settled, ROUGHLY_SETTLED)
+        rough = rough and change > max(settled, ROUGHLY_SETTLED) and turn < ROUGH_TURNS
     phi = mean + L @ x
     precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
     return Posterior(

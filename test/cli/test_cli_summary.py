@@ -4,29 +4,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from report_pages import estimate
+from report_pages import SENSORS, VERDICT, estimate
 
 from symbid_ros.cli.summary import print_estimate
-from symbid_ros.estimation.verdict import Quantity, Verdict
 
 ALARMS = ("the data would have the prior 9.0 times wider: a sensor's calibration is wrong",)
-VERDICT = Verdict(
-    window=0.081,
-    prior_scale=1.1,
-    whiteness=0.95,
-    noise_share=0.03,
-    alarms=(),
-    effective=14.25,
-    gain=61.5,
-    link_gain={"base_link": 12.0, "shin [left]": 3.0},
-    directions=("+0.72 base_link/m", "+1.00 shin [left]/m"),
-    base=(),
-    sensors=(),
-)
-SENSORS = (
-    Quantity("left_sole/plate_offset_force_x", "N", -1.875, 0.013, True),
-    Quantity("knee/torque_gain", "1", 0.0148, 0.0072, False),
-)
 
 
 @pytest.fixture
@@ -53,7 +35,7 @@ def test_each_link_has_its_line(printed):
 
 def test_rows_alarms_and_files_have_theirs(printed):
     assert printed()[-4:] == [
-        "4321 rows of each coordinate, averaged over windows of 81 ms, condition 1e+03",
+        "4321 rows of each coordinate, averaged over windows of 161 ms, condition 1e+03",
         "2 of 20 directions determined, 62 bit gained",
         "no alarm",
         "wrote out/: estimate.json, information.npz, model.urdf, model.xml",

@@ -157,3 +157,13 @@ def test_constant_residuals_outlast_noise_by_the_ratio_of_windows():
 def test_noise_of_short_logs_does_not_look_lasting(count):
     """Long windows may be too few for correlations where short ones are not."""
     assert max(whiteness(*windows(seed, 0.0, count)) for seed in range(20)) < 1.2
+
+
+def test_residuals_of_rounding_are_no_alarm():
+    log = gaussian_log(9, count=3200)
+    exact = replace(log, y=log.K @ log.truth, window=0.1)
+    quarter = replace(exact[:800], window=0.4)
+    assert whiteness(exact.observations(), quarter.observations(), log.truth) < 1.1
+    none = replace(exact, K=0 * exact.K, y=0 * exact.y)
+    longer = replace(none[:800], window=0.4)
+    assert whiteness(none.observations(), longer.observations(), log.truth) < 1.1

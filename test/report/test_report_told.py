@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from report_pages import Page, content
+from report_pages import LINK_GAIN, SENSORS, VERDICT, Page, content
 
 from symbid_ros.estimation.verdict import (
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
     SUSPICIOUS_WHITENESS,
-    Quantity,
-    Verdict,
 )
 from symbid_ros.offline.interval import IntervalSummary
 from symbid_ros.report.content import (
@@ -26,28 +24,6 @@ from symbid_ros.report.content import (
 from symbid_ros.report.numerals import ABSENT, measured
 from symbid_ros.report.page import render
 from symbid_ros.report.told import told_by
-
-LINKS = {"base_link": 12.0, "link_0": 3.0, "link_1": 0.0}
-VERDICT = Verdict(
-    window=0.161,
-    prior_scale=1.1,
-    whiteness=0.95,
-    noise_share=0.03,
-    alarms=(),
-    effective=14.25,
-    gain=61.5,
-    link_gain=LINKS,
-    directions=("+0.72 base_link/m -0.37 link_0/mc_x", "+1.00 link_1/m"),
-    base=(
-        Quantity("base_link/m + link_0/m - 0.5·link_1/mc_x", "kg", 41.0474, 0.00093, True),
-        Quantity("link_1/Ixx", "kg m^2", -0.0182, 0.003, False),
-    ),
-    sensors=(),
-)
-SENSORS = (
-    Quantity("left_sole/plate_offset_force_x", "N", -1.875, 0.013, True),
-    Quantity("knee/torque_gain", "1", 0.0148, 0.0072, False),
-)
 
 
 def judged(*, truth: bool = False, **fields: object) -> ReportContent:
@@ -126,11 +102,11 @@ class TestTold:
 
     def test_each_link_has_its_gain(self) -> None:
         estimate = judged().estimate
-        rows = [row for row in self.page.rows if row[0] in LINKS and len(row) == 5]
-        assert [row[0] for row in rows] == list(LINKS)
+        rows = [row for row in self.page.rows if row[0] in LINK_GAIN and len(row) == 5]
+        assert [row[0] for row in rows] == list(LINK_GAIN)
         for index, row in enumerate(rows):
             mass, std = estimate.value[10 * index], 0.01 * estimate.prior[10 * index]
-            assert row[1:4] == ["5 of 10", measured(mass, std), f"{LINKS[row[0]]:.1f}"]
+            assert row[1:4] == ["5 of 10", measured(mass, std), f"{LINK_GAIN[row[0]]:.1f}"]
         bars = [style for style in self.page.attributes("style") if "width" in style]
         assert bars == ["width: 100.0%", "width: 25.0%", "width: 0.0%"]
 
