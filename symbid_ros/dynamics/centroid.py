@@ -13,12 +13,20 @@ from symbid_ros.model.parameters import ParameterSet
 
 def com_position(parameters: ParameterSet, values: FloatArray, poses: LinkPoses) -> FloatArray:
     """Return the centre of mass (N, 3) in the base frame, m, for parameters (p,)."""
-    phi = parameters.link_phi(values)
-    links = parameters.links
-    first = np.einsum("nlij,lj->ni", poses.rotation[:, links], phi[:, 1:4])
-    first += np.einsum("nli,l->ni", poses.position[:, links], phi[:, 0])
-    com: FloatArray = first / phi[:, 0].sum()
+    com: FloatArray = first_moment_regressor(parameters, poses) @ values
+    com /= parameters.link_phi(values)[:, 0].sum()
     return com
+
+
+def first_moment_regressor(parameters: ParameterSet, poses: LinkPoses) -> FloatArray:
+    """Return C (N, 3, p): C φ is the robot's first moment in the base frame, kg m."""
+    links, count = parameters.links, parameters.inertial
+    C = np.zeros((len(poses.position), 3, len(parameters)))
+    by_link = C[:, :, :count].reshape(len(C), 3, len(links), 10)
+    by_link[..., 0] = poses.position[:, links].transpose(0, 2, 1)
+    by_link[..., 1:4] = poses.rotation[:, links].transpose(0, 2, 1, 3)
+    C[:, :, :count] = by_link.reshape(len(C), 3, count)
+    return C
 
 
 def momentum_regressor(

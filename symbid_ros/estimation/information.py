@@ -88,9 +88,7 @@ class Information:
 
     def coordinate_factor(self, coordinate: int) -> FloatArray:
         """Return the triangular factor of [K_i y_i] of one coordinate, its non-zeros only."""
-        place = self.layout.slices[coordinate]
-        # Below row `place.stop` these columns of a triangle are zero.
-        return _triangle(self.factor[: place.stop, place])
+        return self._coordinate_factors[coordinate]
 
     def whitened(self, whitening: FloatArray) -> FloatArray:
         """Return the factor of the stacked problem with rows weighted across coordinates.
@@ -145,6 +143,11 @@ class Information:
             np.ascontiguousarray(self.factor[: place.stop, place][filled[: place.stop]].T)
             for place in self.layout.slices
         )
+
+    @cached_property
+    def _coordinate_factors(self) -> tuple[FloatArray, ...]:
+        # Below row `place.stop` these columns of a triangle are zero.
+        return tuple(_triangle(self.factor[: place.stop, place]) for place in self.layout.slices)
 
     @cached_property
     def _gram(self) -> FloatArray:

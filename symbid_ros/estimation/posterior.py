@@ -233,6 +233,8 @@ def posterior(
     empirical: bool = False,
     count: int | None = None,
     settled: float = SETTLED,
+    start: FloatArray | None = None,
+    rough: bool = False,
 ) -> Posterior:
     """Return the Gaussian posterior of the parameters.
 
@@ -251,23 +253,29 @@ def posterior(
         the links. All by default.
     settled : float
         Change, in posterior standard deviations, at which weights and solution have settled.
+    start : (p,) float64, optional
+        Parameters whose residuals give the first weights, better ones than the prior's mean.
+    rough : bool
+        Stop where half a computer's digits say no more: enough to compare, not to keep.
     """
     mean, L = prior.mean, prior.covariance_factor()
     count = len(mean) if count is None else count
     scale = np.ones(len(mean))
-    x = np.zeros(len(mean))
+    x = np.zeros(len(mean)) if start is None else np.linalg.solve(L, start - mean)
     # Weights and solution are found in turn: roughly at first, as that takes most of the turns.
-    rough = True
+    roughly = True
     for turn in range(REWHITENINGS):
-        square = _Square.of(observations, mean + L @ x, mean, L, known, rough=rough)
+        square = _Square.of(observations, mean + L @ x, mean, L, known, rough=roughly)
         if empirical:
             scale[:count] = square.evidence_scale(count)
         before = x
         x, factor, share = square.minimum(scale)
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
-        if change < settled and not rough:
+        if change < settled and not roughly:
             break
-        rough = rough and change > max(settled, ROUGHLY_SETTLED) and turn < ROUGH_TURNS
+        roughly = roughly and change > max(settled, ROUGHLY_SETTLED) and turn < ROUGH_TURNS
+        if rough and not roughly:
+            break
     phi = mean + L @ x
     precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)
     return Posterior(

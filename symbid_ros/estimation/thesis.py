@@ -85,35 +85,84 @@ class ScaledProblem:
         return std
 
 
-def scaled_problem(
-    information: Information,
-    prior: Prior,
-    method: Method,
-    row_deviation: FloatArray | None = None,
-) -> ScaledProblem:
-    """Scale and decompose the least-squares problem of one method.
+@dataclass(frozen=True)
+class ScaledRows:
+    """The rows G [W y] of one record, ready for any prior and any scaling of columns.
+
+    Attributes
+    ----------
+    factor : (p + 1, p + 1) float64
+        Their triangular factor.
+    samples : int
+        Number of samples N.
+    """
+
+    factor: FloatArray
+    samples: int
+
+    @classmethod
+    def of(cls, information: Information, deviation: FloatArray | None = None) -> "ScaledRows":
+        """Return rows divided by a deviation (n,) of each coordinate, or as they are."""
+        n = len(information.layout.coordinates)
+        G = np.eye(n) if deviation is None else np.diag(1.0 / deviation)
+        return cls(information.whitened(G), information.samples)
+
+    def problem(self, prior: FloatArray, scale: FloatArray | None = None) -> ScaledProblem:
+        """Decompose the problem about a prior φ̄ (p,), columns times ``scale`` (p,) or as are."""
+        A, b = self.factor[:, :-1], self.factor[:, -1]
+        if scale is None:
+            U, values, Vt = self._plain
+            scale = np.ones(len(prior))
+        else:
+            U, values, Vt = np.linalg.svd(A * scale, full_matrices=False)
+        target = b - A @ prior
+        left = U.T @ target
+        unexplained = max(float(target @ target - left @ left), 0.0)
+        return ScaledProblem(scale, prior, left, values, Vt.T, unexplained, self.samples)
+
+    @cached_property
+    def _plain(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        U, values, Vt = np.linalg.svd(self.factor[:, :-1], full_matrices=False)
+        return U, values, Vt
+
+
+class LeastSquares:
+    """One record's least-squares problem; what does not depend on the prior is worked out once.
 
     Parameters
     ----------
     information : Information
         The data.
-    prior : Prior
-        φ̄, and H = diag(|φ̄|) for the column-scaled methods.
-    method : {"ols", "wls_r", "wls_c", "wls_rc"}
-        Which of G and H are used.
     row_deviation : (n,) float64, optional
         σ per coordinate for the row-scaled methods, such as the sensors' (Eq. 28).
         By default that of the OLS residual (Eq. 29-30).
     """
-    n = len(information.layout.coordinates)
-    G = np.eye(n)
-    if method in ("wls_r", "wls_rc"):
-        deviation = (
-            residual_deviation(information, prior) if row_deviation is None else row_deviation
-        )
-        G = np.diag(1.0 / deviation)
-    scale = column_scale(prior) if method in ("wls_c", "wls_rc") else np.ones(len(prior.names))
-    return _decomposed(information, prior.mean, scale, G)
+
+    def __init__(self, information: Information, row_deviation: FloatArray | None = None) -> None:
+        self._information, self._given = information, row_deviation
+
+    @cached_property
+    def plain(self) -> ScaledRows:
+        """The rows as they are."""
+        return ScaledRows.of(self._information)
+
+    @cached_property
+    def row_deviation(self) -> FloatArray:
+        """σ (n,) by which the row-scaled methods divide."""
+        if self._given is not None:
+            return self._given
+        return residual_deviation(self._information, self.plain)
+
+    @cached_property
+    def weighed(self) -> ScaledRows:
+        """The rows over their deviations."""
+        return ScaledRows.of(self._information, self.row_deviation)
+
+    def scaled(self, prior: Prior, method: Method) -> ScaledProblem:
+        """Return the problem as one method scales it; φ̄ is γ, and H where columns are scaled."""
+        rows = self.weighed if method in ("wls_r", "wls_rc") else self.plain
+        scale = column_scale(prior) if method in ("wls_c", "wls_rc") else None
+        return rows.problem(prior.mean, scale)
 
 
 def column_scale(prior: Prior) -> FloatArray:
@@ -124,18 +173,14 @@ def column_scale(prior: Prior) -> FloatArray:
     return np.where(prior.mean != 0, np.abs(prior.mean), prior.std)
 
 
-def residual_deviation(information: Information, prior: Prior) -> FloatArray:
+def residual_deviation(information: Information, rows: ScaledRows) -> FloatArray:
     """Return the deviation (n,) of the OLS residual in each coordinate (Eq. 29-30).
 
     Each coordinate's degrees of freedom are N less its share of the rank, the
-    trace of its block of the hat matrix, instead of Eq. 30's N - p.
+    trace of its block of the hat matrix, instead of Eq. 30's N - p. The residual
+    is that of full rank, which no prior changes.
     """
-    problem = _decomposed(
-        information,
-        prior.mean,
-        np.ones(len(prior.names)),
-        np.eye(len(information.layout.coordinates)),
-    )
+    problem = rows.problem(np.zeros(len(information.layout.parameters)))
     m = problem.rank
     squares = np.diag(information.residual_moment(problem.solution(m)))
     weights = problem.directions[:, :m] / problem.singular_values[:m]
@@ -154,15 +199,3 @@ def residual_deviation(information: Information, prior: Prior) -> FloatArray:
     # A coordinate that nothing moves or loads has no residual; its weight must stay finite.
     floored: FloatArray = np.maximum(deviation, 1e-9 * max(float(deviation.max()), 1e-300))
     return floored
-
-
-def _decomposed(
-    information: Information, prior: FloatArray, scale: FloatArray, G: FloatArray
-) -> ScaledProblem:
-    factor = information.whitened(G)
-    A, b = factor[:, :-1], factor[:, -1]
-    U, values, Vt = np.linalg.svd(A * scale, full_matrices=False)
-    target = b - A @ prior
-    left = U.T @ target
-    unexplained = max(float(target @ target - left @ left), 0.0)
-    return ScaledProblem(scale, prior, left, values, Vt.T, unexplained, information.samples)

@@ -1,6 +1,6 @@
 """An estimate judged against the truth of a simulated bag, as the thesis does."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.bags.reader import read_streams, read_truth
-from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regressor
+from symbid_ros.dynamics.centroid import first_moment_regressor, momentum_regressor
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, generalised_force
 from symbid_ros.dynamics.samples import Samples
@@ -137,7 +137,12 @@ def _at(truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotMode
 
 def predict(parameters: ParameterSet, values: FloatArray, motion: TrueMotion) -> Prediction:
     """Return what the parameters (p,) predict along the motion."""
-    parts = [_Block(parameters, block).predict(values) for block in motion.blocks()]
+    parts = []
+    for block in motion.blocks():
+        gen_force, com, momentum = _Linear.of(parameters, block).predict(values[:, None])
+        about_com = momentum[..., 0].reshape(-1, 2, 3)
+        in_world = rotate(block.base_rotation[:, None], about_com).reshape(-1, 6)
+        parts.append(Prediction(gen_force[..., 0], com[..., 0], in_world))
     return Prediction(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
@@ -156,48 +161,105 @@ def evaluate(
 
     Forces are compared with those of the bag, everything else with the true model.
     """
+    blocks = (_Linear.of(parameters, block) for block in motion.blocks())
+    return _judged(parameters, candidates, truth, blocks)
+
+
+class Judge:
+    """Judges by one motion again and again; what is linear in the parameters is worked out once.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        The p columns.
+    truth : (p,) float64
+        The true parameters.
+    motion : TrueMotion
+        Short enough to be kept: 20 kB a sample for ten joints.
+    """
+
+    def __init__(self, parameters: ParameterSet, truth: FloatArray, motion: TrueMotion) -> None:
+        self._parameters, self._truth = parameters, truth
+        self._blocks = [_Linear.of(parameters, block) for block in motion.blocks()]
+
+    def metrics(self, candidates: Mapping[str, FloatArray]) -> dict[str, Metrics]:
+        """Return what :func:`evaluate` does."""
+        return _judged(self._parameters, candidates, self._truth, self._blocks)
+
+
+def _judged(
+    parameters: ParameterSet,
+    candidates: Mapping[str, FloatArray],
+    truth: FloatArray,
+    blocks: Iterable["_Linear"],
+) -> dict[str, Metrics]:
     first_joint = 6 * parameters.model.floating
-    squares = {label: np.zeros(4) for label in candidates}
-    for block in motion.blocks():
-        prepared = _Block(parameters, block)
-        true = prepared.predict(truth)
-        for label, values in candidates.items():
-            predicted = prepared.predict(values)
-            force = predicted.gen_force - prepared.rows.y
-            errors = (
-                force,
-                force[:, first_joint:],
-                1e3 * (predicted.com - true.com),
-                predicted.momentum - true.momentum,
-            )
-            squares[label] += [np.sum(error**2) for error in errors]
+    stacked = np.stack([truth, *candidates.values()], axis=1)
+    squares, samples = np.zeros((4, len(candidates))), 0
+    for block in blocks:
+        gen_force, com, momentum = block.predict(stacked)
+        force = gen_force[..., 1:] - block.y[..., None]
+        errors = (
+            force,
+            force[:, first_joint:],
+            1e3 * (com[..., 1:] - com[..., :1]),
+            momentum[..., 1:] - momentum[..., :1],
+        )
+        squares += [np.sum(error**2, axis=(0, 1)) for error in errors]
+        samples += len(block.y)
     metrics = {}
-    for label, values in candidates.items():
-        force, torque, com, momentum = np.sqrt(squares[label] / len(motion.samples)).tolist()
+    for column, (label, values) in enumerate(candidates.items()):
+        force, torque, com, momentum = np.sqrt(squares[:, column] / samples).tolist()
         error = parameter_error(parameters, values, truth)
         metrics[label] = Metrics(force, torque, com, momentum, error)
     return metrics
 
 
-class _Block:
-    """A block of a true motion with all that is linear in the parameters worked out once."""
+@dataclass(frozen=True)
+class _Linear:
+    """All of a stretch of true motion that is linear in the parameters.
 
-    def __init__(self, parameters: ParameterSet, motion: TrueMotion) -> None:
-        self.parameters, self.rotation = parameters, motion.base_rotation
-        self.rows = equation_of_motion(parameters, motion.samples)
-        self.poses = link_poses(parameters.model, motion.samples.position)
-        self.momentum = momentum_regressor(
-            parameters, motion.samples, motion.base_velocity, self.poses
-        )
+    Attributes
+    ----------
+    matrix : (N, n + 9, p) float64
+        Onto generalised force, momentum about the base's origin (angular; linear) and first
+        moment, base axes.
+    y : (N, n) float64
+        Measured generalised force.
+    mass : (p,) float64
+        Ones at the links' masses.
+    """
 
-    def predict(self, values: FloatArray) -> Prediction:
-        com = com_position(self.parameters, values, self.poses)
-        momentum = centroidal(self.momentum @ values, com).reshape(-1, 2, 3)
-        return Prediction(
-            gen_force=self.rows.K @ values,
-            com=com,
-            momentum=rotate(self.rotation[:, None], momentum).reshape(-1, 6),
+    matrix: FloatArray
+    y: FloatArray
+    mass: FloatArray
+
+    @classmethod
+    def of(cls, parameters: ParameterSet, motion: TrueMotion) -> "_Linear":
+        rows = equation_of_motion(parameters, motion.samples)
+        poses = link_poses(parameters.model, motion.samples.position)
+        momentum = momentum_regressor(parameters, motion.samples, motion.base_velocity, poses)
+        matrix = np.concatenate(
+            [rows.K, momentum, first_moment_regressor(parameters, poses)], axis=1
         )
+        mass = np.zeros(len(parameters))
+        mass[: parameters.inertial : 10] = 1.0
+        return cls(matrix, rows.y, mass)
+
+    def predict(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return generalised force (N, n, c), centre of mass (N, 3, c), momentum (N, 6, c).
+
+        Of each column of ``values`` (p, c), in base axes, the angular momentum about each
+        one's own centre of mass.
+        """
+        n = self.y.shape[1]
+        count, _, p = self.matrix.shape
+        flat = self.matrix.reshape(-1, p) @ values
+        found = flat.reshape(count, n + 9, values.shape[1])
+        com = found[:, n + 6 :] / (self.mass @ values)
+        momentum = found[:, n : n + 6].copy()
+        momentum[:, :3] -= np.cross(com, momentum[:, 3:], axis=1)
+        return found[:, :n], com, momentum
 
 
 def parameter_error(parameters: ParameterSet, values: FloatArray, truth: FloatArray) -> float:

@@ -13,10 +13,10 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.knowledge import Bounds
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.physical import consistent_minimum
-from symbid_ros.estimation.posterior import Posterior, SoftRows, posterior
+from symbid_ros.estimation.posterior import SETTLED, Posterior, SoftRows, posterior
 from symbid_ros.estimation.prior import Prior
+from symbid_ros.estimation.thesis import LeastSquares
 from symbid_ros.estimation.thesis import Method as TruncatedMethod
-from symbid_ros.estimation.thesis import scaled_problem
 from symbid_ros.estimation.truncation import Criterion, informative_rank, select_rank
 from symbid_ros.estimation.verdict import DETERMINED, judge
 from symbid_ros.model.inertia import is_consistent
@@ -27,6 +27,8 @@ Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
 METHODS: tuple[Method, ...] = get_args(Method)
 # Those that weigh data against a prior, and take whatever else is known.
 GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")
+# Change, in posterior deviations, at which windows of several lengths can be compared.
+COMPARABLE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -139,18 +141,29 @@ class Solver:
         """Find the window whose rows tell most of the robot, noise not counted."""
         parameters = problem.parameters
         candidates = problem.observations[-1:] if problem.longest else problem.observations
-        found = [
-            posterior(
+
+        def solved(one: Observations, start: FloatArray | None, *, rough: bool) -> Posterior:
+            return posterior(
                 one,
                 problem.prior,
                 problem.known,
                 empirical=problem.empirical,
                 count=parameters.inertial,
+                settled=COMPARABLE if rough else SETTLED,
+                start=start,
+                rough=rough,
             )
-            for one in candidates
-        ]
+
+        if len(candidates) == 1:
+            return cls(problem, candidates[0], solved(candidates[0], None, rough=False))
+        # Which of them it is shows long before weights and solution have settled.
+        found: list[Posterior] = []
+        for one in candidates:
+            found.append(solved(one, found[-1].mean if found else None, rough=True))
         best = int(np.argmax([one.gain(len(parameters)) for one in found]))
-        return cls(problem, candidates[best], found[best])
+        return cls(
+            problem, candidates[best], solved(candidates[best], found[best].mean, rough=False)
+        )
 
     @property
     def whiteness(self) -> float:
@@ -227,7 +240,7 @@ class Solver:
             raise EstimateError(
                 f"{method} takes neither sensor errors, a tare nor a total mass; use map or map_lmi"
             )
-        scaled = scaled_problem(self.chosen.rows, problem.prior, method, row_deviation)
+        scaled = LeastSquares(self.chosen.rows, row_deviation).scaled(problem.prior, method)
         if truncation.rank is not None:
             z = truncation.rank
             if not 1 <= z <= scaled.rank:

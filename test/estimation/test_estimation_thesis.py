@@ -13,7 +13,7 @@ from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.estimation.thesis import METHODS, residual_deviation, scaled_problem
+from symbid_ros.estimation.thesis import METHODS, LeastSquares
 from symbid_ros.estimation.truncation import select_rank
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
@@ -67,7 +67,7 @@ class Case:
 @pytest.mark.parametrize("floating", [True, False])
 def test_the_factor_solves_as_the_stacked_problem_does(method, seed, floating):
     case = Case(seed, floating=floating, terms=TERMS if seed == 1 else ())
-    problem = scaled_problem(case.information, case.prior, method)
+    problem = LeastSquares(case.information).scaled(case.prior, method)
     for z in (1, problem.rank // 2, problem.rank):
         expected = case.dense(method, z)
         np.testing.assert_allclose(
@@ -107,8 +107,8 @@ def test_two_halves_merged_give_the_same_estimate():
     ]
     merged = halves[0].merge(halves[1])
     for method in METHODS:
-        whole = scaled_problem(case.information, case.prior, method)
-        parts = scaled_problem(merged, case.prior, method)
+        whole = LeastSquares(case.information).scaled(case.prior, method)
+        parts = LeastSquares(merged).scaled(case.prior, method)
         z = whole.rank // 2
         np.testing.assert_allclose(parts.solution(z), whole.solution(z), rtol=1e-8, atol=1e-10)
 
@@ -139,7 +139,7 @@ def test_residuals_are_those_of_the_rows():
 def test_residual_deviation_finds_each_coordinates_noise():
     case = Case(5, links=3, count=4000)
     truth = case.rows.y - case.rows.K @ case.parameters.values
-    sigma = residual_deviation(case.information, case.prior)
+    sigma = LeastSquares(case.information).row_deviation
     # Where the noise is small the error of the OLS estimate itself shows, so that one is freed.
     loud = truth.std(axis=0) > 1
     assert loud.sum() == 7
@@ -149,7 +149,7 @@ def test_residual_deviation_finds_each_coordinates_noise():
 @pytest.mark.parametrize("criterion", ["gen_force", "torque", "com"])
 def test_z_is_the_least_of_those_that_predict_the_validation_rows_well(criterion):
     training, validation = Case(6), Case(6, count=60)
-    problem = scaled_problem(training.information, training.prior, "wls_rc")
+    problem = LeastSquares(training.information).scaled(training.prior, "wls_rc")
     errors = []
     for z in range(1, problem.rank + 1):
         phi = problem.solution(z)
@@ -174,7 +174,7 @@ def test_std_covers_the_error_of_a_linear_problem():
             [type(case.rows)(case.rows.K, y)]
         )
         prior = draw_prior(case.parameters, "percent", 25, seed)
-        problem = scaled_problem(information, prior, "wls_c", np.ones(case.n))
+        problem = LeastSquares(information, np.ones(case.n)).scaled(prior, "wls_c")
         z = problem.rank // 2
         error = problem.solution(z) - case.parameters.values
         ratios.append(error / problem.std(z, prior.std))
@@ -193,12 +193,12 @@ def test_refusals_are_clear():
         [type(case.rows)(case.rows.K[:3], case.rows.y[:3])]
     )
     with pytest.raises(EstimateError, match="too few"):
-        residual_deviation(few, case.prior)
+        _ = LeastSquares(few).row_deviation
     still = Information.empty(case.information.layout).fold(
         [type(case.rows)(np.zeros_like(case.rows.K), case.rows.y)]
     )
     with pytest.raises(EstimateError, match="excites no"):
-        select_rank(scaled_problem(still, case.prior, "ols"), still)
+        select_rank(LeastSquares(still).scaled(case.prior, "ols"), still)
 
 
 def test_a_robot_that_cannot_move_is_refused(tmp_path):
