@@ -14,7 +14,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,13 +25,11 @@ from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
 from symbid_ros.offline.evaluation import TrueMotion, evaluate, read_true_motion
 from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import METHODS, Identification, Problem, Solver
+from symbid_ros.offline.identification import METHODS, Identification
 from symbid_ros.offline.interval import HALF_WIDTH, summarise_intervals
 from symbid_ros.offline.job import Job, prepare
-from symbid_ros.offline.record import Record
 from symbid_ros.share import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
@@ -155,23 +153,13 @@ def identified(
     priors[0].write(first)
     prepared = prepare(Job((log,), MODEL, prior=PriorChoice(first)))
     for prior in priors:
-        problem = replace(prepared.solver.problem, prior=prior)
+        facts = None
         if tare is not None:
             rng = np.random.default_rng(prior.seed)
             mass = parameters.values[: parameters.inertial : 10].sum()
             weighed = mass + WEIGHING_STD * rng.normal()
-            problem = calibrated(problem, prepared.record, tare, (weighed, WEIGHING_STD))
-        solved = replace(prepared, prior=prior, solver=Solver.of(problem))
-        yield solved.solve(given.method), prior
-
-
-def calibrated(problem: Problem, log: Record, tare: Path, weighing: tuple[float, float]) -> Problem:
-    """Return the problem with the errors of the log's sensors among the unknowns."""
-    facts = Facts(total_mass=weighing, tare=(tare,))
-    known = facts.rows(problem.parameters, problem.prior)
-    wanted = Wanted(facts.kinds, read_tare(facts.tare, Job((), MODEL).processing.topics))
-    found = calibrate(log, problem.parameters, problem.prior, wanted, known)
-    return problem.calibrated(found)
+            facts = Facts(total_mass=(weighed, WEIGHING_STD), tare=(tare,))
+        yield prepared.under(prior, facts).solve(given.method), prior
 
 
 def score(

@@ -27,3 +27,7 @@ class EstimateError(SymbidError):
 
 class SimulationError(SymbidError):
     """A simulation that cannot start or has come to grief, such as a fall."""
+
+
+class StudyError(SymbidError):
+    """A study whose file is wrong, or whose folder holds another one's results."""

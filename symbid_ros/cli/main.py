@@ -17,6 +17,7 @@ from symbid_ros.cli.identify import identify
 from symbid_ros.cli.prior import prior
 from symbid_ros.cli.report import report
 from symbid_ros.cli.simulate import simulate
+from symbid_ros.cli.study import study
 from symbid_ros.errors import SymbidError
 
 app = typer.Typer(
@@ -26,9 +27,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-COMMANDS = {
-    command.__name__: command for command in (demo, simulate, prior, identify, evaluate, report)
-}
+_ALL = demo, simulate, prior, identify, evaluate, report, study
+COMMANDS = {command.__name__: command for command in _ALL}
 INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 
 for name, command in COMMANDS.items():

@@ -7,7 +7,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-Scenario = Literal["smooth", "vibrating", "suspended", "tare"]
+Scenario = Literal["smooth", "squat", "vibrating", "suspended", "tare"]
 
 
 def simulate(
@@ -40,8 +40,9 @@ def simulate(
     """Simulate the Symbitron in MuJoCo and record its sensors and the truth to a bag.
 
     In [b]smooth[/b] and [b]vibrating[/b] it stands and moves its centre of mass, in
-    [b]suspended[/b] it is rocked in a hoist, in [b]tare[/b] it hangs still for 5 s with nothing
-    touching the force plates, whatever --moves and --motion-seed say.
+    [b]squat[/b] mostly up and down, in [b]suspended[/b] it is rocked in a hoist, in [b]tare[/b]
+    it hangs still for 5 s with nothing touching the force plates, whatever --moves and
+    --motion-seed say.
 
     [b]Systematic errors[/b], each drawn from --error-seed and its own name alone:
     [b]plate_gain[/b] .25-.75 % a channel, [b]plate_offset[/b] 1-2 N and .1-.2 Nm a channel,

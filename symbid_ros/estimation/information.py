@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import lapack, qr
+from scipy.sparse import csr_array
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
@@ -121,15 +122,12 @@ class Information:
     def whitened_moment(self, precision: FloatArray) -> FloatArray:
         """Return Σ [K y]ᵀ P [K y] (p + 1, p + 1) for a precision P (n, n) across coordinates.
 
-        Half the digits of :meth:`whitened` and a twentieth of its time, for what is only
+        Half the digits of :meth:`whitened` and a hundredth of its time, for what is only
         estimated, or on the way to what is not.
         """
-        layout = self.layout
-        width = len(layout.parameters) + 1
-        coordinate = layout.coordinate_of
-        weighted = self._gram * precision[np.ix_(coordinate, coordinate)]
-        moment = np.bincount(layout.moment_places, weighted.ravel(), minlength=width**2)
-        return moment.astype(np.float64).reshape(width, width)
+        width = len(self.layout.parameters) + 1
+        moment: FloatArray = self._products @ precision.ravel()
+        return moment.reshape(width, width)
 
     @cached_property
     def _parts(self) -> tuple[FloatArray, ...]:
@@ -150,9 +148,13 @@ class Information:
         return tuple(_triangle(self.factor[: place.stop, place]) for place in self.layout.slices)
 
     @cached_property
-    def _gram(self) -> FloatArray:
-        gram: FloatArray = self.factor.T @ self.factor
-        return gram
+    def _products(self) -> csr_array:
+        """((p+1)(p+1), n n) the moments of [K y], by pairs of coordinates."""
+        layout = self.layout
+        gram = self.factor.T @ self.factor
+        shape = (len(layout.parameters) + 1) ** 2, len(layout.coordinates) ** 2
+        places = layout.moment_places, layout.coordinate_pairs
+        return csr_array((gram.ravel(), places), shape=shape)
 
     @cached_property
     def target_squares(self) -> FloatArray:
@@ -165,6 +167,14 @@ class Information:
         residual = self.factor @ self.layout.residual_map(phi)
         moment: FloatArray = residual.T @ residual
         return moment
+
+    def rough_residual_moment(self, phi: FloatArray) -> FloatArray:
+        """Return :meth:`residual_moment` with half its digits, in a fifth of its time."""
+        n = len(self.layout.coordinates)
+        residual = np.append(-phi, 1.0)
+        squares = np.outer(residual, residual).ravel()
+        moment: FloatArray = self._products.T @ squares
+        return moment.reshape(n, n)
 
     def residual_rmse(self, phi: FloatArray) -> dict[str, float]:
         """Return the root mean square of y - K φ per coordinate."""

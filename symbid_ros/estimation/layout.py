@@ -74,9 +74,11 @@ class RowLayout:
         )
 
     @cached_property
-    def coordinate_of(self) -> IntArray:
-        """(w,) the coordinate that each entry of the flat row belongs to."""
-        return np.repeat(np.arange(len(self.columns)), [len(each) + 1 for each in self.columns])
+    def coordinate_pairs(self) -> IntArray:
+        """(w w,) the place in an (n, n) matrix of the coordinates of any two entries."""
+        n = len(self.columns)
+        coordinate = np.repeat(np.arange(n), [len(each) + 1 for each in self.columns])
+        return np.asarray((coordinate[:, None] * n + coordinate).ravel())
 
     @cached_property
     def moment_places(self) -> IntArray:

@@ -136,7 +136,7 @@ class Observations:
         there, and than chance lets two estimates of one covariance differ, motion has been taken
         for noise.
         """
-        moment = self.noise.residual_moment(phi) / np.maximum(self.counts, 1)
+        moment = self.noise.rough_residual_moment(phi) / np.maximum(self.counts, 1)
         moment[~self._coupled] = 0.0
         largest = eigh(self.inflation * moment, covariance, eigvals_only=True)[-1]
         return float(1 / max(largest / CHANCE, 1.0))

@@ -28,7 +28,7 @@ METHODS: tuple[Method, ...] = get_args(Method)
 # Those that weigh data against a prior, and take whatever else is known.
 GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")
 # Change, in posterior deviations, at which windows of several lengths can be compared.
-COMPARABLE = 1e-3
+COMPARABLE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -179,16 +179,21 @@ class Solver:
 
     def map_lmi(self) -> Identification:
         """Return the most probable parameters of physically possible links."""
+        return self._gaussian("map_lmi", self.possible())
+
+    def possible(self) -> FloatArray:
+        """Return the most probable unknowns with physically possible links, (p,) and more.
+
+        Those that need not be possible are the posterior's mean.
+        """
         parameters, found = self.problem.parameters, self.posterior
-        target = found.factor @ found.mean
-        solution = consistent_minimum(
+        return consistent_minimum(
             found.factor,
-            target,
+            found.factor @ found.mean,
             found.prior.std,
             len(parameters.links),
             Bounds.nonnegative(parameters) if parameters.terms else None,
-        )
-        return self._gaussian("map_lmi", solution.value)
+        ).value
 
     def _gaussian(self, method: Method, value: FloatArray) -> Identification:
         found, problem = self.posterior, self.problem

@@ -103,6 +103,13 @@ class Prepared:
     solver: Solver
     validation: Record | None
 
+    def under(self, prior: Prior, facts: Facts | None = None) -> "Prepared":
+        """Return the same log under another prior and, if given, other facts."""
+        job = self.job if facts is None else replace(self.job, facts=facts)
+        known = job.facts.rows(self.parameters, prior)
+        problem = _problem(job, self.parameters, prior, self.record, known)
+        return replace(self, job=job, prior=prior, solver=Solver.of(problem))
+
     def solve(self, method: Method) -> Identification:
         """Identify with one method."""
         if method == "map_lmi":

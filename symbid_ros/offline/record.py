@@ -28,6 +28,7 @@ from symbid_ros.signals.filters import (
 from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.readings import at_base, smoothed
 from symbid_ros.signals.samples import build_samples, joined, moving_segments
+from symbid_ros.signals.streams import Streams
 from symbid_ros.signals.weak_form import WINDOWS, RowBuilder, equation_rows, windowed_rows
 
 # Share of the expected weight by which forces may miss it before a plate is thought missing.
@@ -124,7 +125,19 @@ def read_record(
         When a bag, its data or the model does not serve; the message says which.
     """
     processing = processing or Processing()
-    streams = read_streams(bags, processing.topics)
+    return fold_record(read_streams(bags, processing.topics), bags, parameters, processing)
+
+
+def fold_record(
+    streams: Streams, bags: Sequence[Path], parameters: ParameterSet, processing: Processing
+) -> Record:
+    """Do the same with streams that have been read from these bags.
+
+    Raises
+    ------
+    DataError, ModelError
+        When the data or the model does not serve; the message says which.
+    """
     model, smoothing = parameters.model, processing.smoothing
     segments = moving_segments(streams, model)
     if smoothing is None:

@@ -144,7 +144,7 @@ def _judged(
             replace(method, metrics=asdict(judged[method.label])) for method in content.methods
         ),
         predictions=tuple(
-            _series(label, parameters, values, motion) for label, values in shown.items()
+            prediction_series(label, parameters, values, motion) for label, values in shown.items()
         ),
         link_errors=LinkErrors(
             parameters.link_names,
@@ -185,9 +185,10 @@ def _realistic(
     return {label: asdict(figures) for label, figures in judged.items()}
 
 
-def _series(
+def prediction_series(
     label: str, parameters: ParameterSet, values: FloatArray, motion: TrueMotion
 ) -> PredictionSeries:
+    """Return what the parameters (p,) predict along a true motion, to be drawn."""
     prediction = predict(parameters, values, motion)
     samples = motion.samples
     first_joint = 6 * parameters.model.floating

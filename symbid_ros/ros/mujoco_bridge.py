@@ -27,7 +27,7 @@ PARAMETERS = (
         "scenario",
         "smooth",
         "What the robot does.",
-        choices=("smooth", "vibrating", "suspended", "tare"),
+        choices=("smooth", "squat", "vibrating", "suspended", "tare"),
     ),
     Parameter(
         "moves",

@@ -2,8 +2,10 @@
 
 import mujoco
 import numpy as np
+from scipy.linalg import lapack
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.plant import State, driven_dofs, site_ids
 
 
@@ -16,7 +18,7 @@ class Belief:
     Parameters
     ----------
     model : mujoco.MjModel
-        May differ from the plant's, in its inertias for one.
+        May differ from the plant's, in its inertias for one; these need not be possible.
     sole_frames : tuple of str
         Sites of the F soles; the collision geoms on their links are the contact points.
 
@@ -56,6 +58,9 @@ class Belief:
         self.sole_drift = np.zeros(rows)
         self.sole_arms = np.zeros((len(self._soles), 3))
         self._rate = np.zeros((rows, nv))
+        self._inertia = np.zeros((nv, nv))
+        # MuJoCo divides a subtree's momentum by its mass, held above zero.
+        self._is_mass_negative = bool(np.any(model.body_subtreemass[base:] <= 0.0))
         # Views into MuJoCo's arrays, which stay where they are: looking them up costs 1 µs each.
         data = self._data
         self.com = data.subtree_com[base]
@@ -75,15 +80,24 @@ class Belief:
         ]
 
     def update(self, state: State) -> None:
-        """Recompute every array for a state."""
+        """Recompute every array for a state.
+
+        Raises
+        ------
+        BreakdownError
+            When the mass matrix is not positive definite in this state.
+        """
         model, data = self.model, self._data
         self._position[:], self._velocity[:] = state.position, state.velocity
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_makeM(model, data)
+        self._require_definite(state.time)
         mujoco.mj_factorM(model, data)
         mujoco.mj_comVel(model, data)
         mujoco.mj_subtreeVel(model, data)
+        if self._is_mass_negative:
+            self._sum_angular_momentum()
         mujoco.mj_rne(model, data, 0, self._motion)
         np.negative(self._motion, self._motion)
         for foot, origin, angular, linear, angular_rate, linear_rate in self._rows:
@@ -92,6 +106,25 @@ class Belief:
         np.dot(self._rate, self._velocity, self.sole_drift)
         np.subtract(self._sites.take(self._soles, 0), self.com, self.sole_arms)
         mujoco.mj_solveM(model, data, self.response, self._causes)
+
+    def _require_definite(self, time: float) -> None:
+        # MuJoCo would replace a negative pivot by a tiny one, and go on.
+        mujoco.mj_fullM(self.model, self._data, self._inertia)
+        if lapack.dpotrf(self._inertia)[1]:
+            raise BreakdownError(
+                "the believed mass matrix is not positive definite",
+                time,
+                "no controller can use such inertias: give physically possible ones",
+            )
+
+    def _sum_angular_momentum(self) -> None:
+        data = self._data
+        inertia = np.empty((3, 3, len(data.cinert)))
+        inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]] = data.cinert[:, :6].T
+        inertia[[1, 2, 2], [0, 0, 1]] = data.cinert[:, 3:6].T
+        spin, velocity = data.cvel[:, :3], data.cvel[:, 3:]
+        own = np.einsum("ijb,bj->i", inertia, spin)
+        self.angular_momentum[:] = own + np.cross(data.cinert[:, 6:9], velocity).sum(axis=0)
 
     def sole_bounds(self) -> FloatArray:
         """(F, 4) lowest and highest x, lowest and highest y of the contact points, sole axes, m."""

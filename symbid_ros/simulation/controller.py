@@ -1,6 +1,6 @@
 """Balance by control of the centroidal dynamics, one quadratic programme per period."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import mujoco
@@ -9,8 +9,8 @@ import scipy.linalg
 from proxsuite import proxqp
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.belief import Belief
+from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.plant import State
 from symbid_ros.simulation.reference import Reference
 
@@ -70,6 +70,19 @@ class BalanceGains:
     friction: float = 0.6
     sole_margin: float = 0.02
 
+    @property
+    def feed_forward(self) -> "BalanceGains":
+        """The same weights without any feedback: what is left comes from model and reference."""
+        return replace(
+            self,
+            com_stiffness=0.0,
+            com_damping=0.0,
+            momentum_damping=0.0,
+            sole_damping=0.0,
+            trunk_stiffness=0.0,
+            trunk_damping=0.0,
+        )
+
 
 @dataclass(frozen=True)
 class BalanceTask:
@@ -89,6 +102,11 @@ class BalanceTask:
     com: Reference
     attitude: FloatArray
     turns: Reference
+
+    @property
+    def duration(self) -> float:
+        """End of both, s."""
+        return max(self.com.duration, self.turns.duration)
 
 
 class BalanceController:
@@ -166,7 +184,13 @@ class BalanceController:
         )
 
     def torques(self, state: State) -> FloatArray:
-        """Return the drives' torques (n_actuated,), Nm, for one state."""
+        """Return the drives' torques (n_actuated,), Nm, for one state.
+
+        Raises
+        ------
+        BreakdownError
+            When there are none, or the believed inertias are of no use in this state.
+        """
         self._belief.update(state)
         self._set_tasks(state)
         products = np.dot(self._tasks.T, self._tasks)
@@ -176,9 +200,10 @@ class BalanceController:
         programme.solve()
         results = programme.results
         if results.info.status != proxqp.PROXQP_SOLVED:
-            raise SimulationError(
-                f"balance controller at {state.time:.3f} s: no torques keep the robot standing "
-                f"({results.info.status.name}); ask for slower or smaller moves"
+            raise BreakdownError(
+                f"no torques keep the robot standing ({results.info.status.name})",
+                state.time,
+                "ask for slower or smaller moves",
             )
         return np.array(results.x[self._wrenches :])
 

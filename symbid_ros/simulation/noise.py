@@ -1,8 +1,10 @@
 """How noisy the simulated sensors are: the contents of config/noise.yaml."""
 
-from dataclasses import dataclass, fields
+import math
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
+from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.settings import numbers, read_mapping
 
 
@@ -29,6 +31,18 @@ class SensorNoise:
     linear_acceleration: float
     force: float
     moment: float
+
+    def scaled(self, factor: float) -> "SensorNoise":
+        """Return the noise with every deviation times ``factor``.
+
+        Raises
+        ------
+        SimulationError
+            When the factor is negative or not finite.
+        """
+        if not (math.isfinite(factor) and factor >= 0.0):
+            raise SimulationError(f"noise factor {factor:g}; give a finite number, 0 or more")
+        return SensorNoise(**{name: factor * value for name, value in asdict(self).items()})
 
 
 def load_noise(path: Path) -> SensorNoise:

@@ -183,6 +183,11 @@ class Plant:
         """Total mass of the robot, kg."""
         return float(self.model.body_subtreemass[self.model.jnt_bodyid[0]])
 
+    @property
+    def com(self) -> FloatArray:
+        """(3,) centre of mass in the world at the state last observed, m."""
+        return np.array(self._com)
+
     def observe(self) -> State:
         """Compute all that follows from the state alone and return the state."""
         mujoco.mj_step1(self.model, self.data)

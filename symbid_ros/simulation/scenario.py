@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.controller import (
     BalanceController,
     BalanceGains,
@@ -43,6 +44,25 @@ TRUNK_TURNS = MoveRange(
     rest=0.5,
 )
 TURNS_PER_MOVE = 2
+
+# Squatting: metres and m/s, nearly straight up and down. The ankles' end stops bound the depth; a
+# trunk that leans forward keeps them off by letting the hips go back.
+SQUAT_MOVES = MoveRange(
+    centre=np.array([-0.004, 0.0, -0.032]),
+    half_widths=np.array([0.01, 0.01, 0.028]),
+    slowest=0.015,
+    fastest=0.06,
+    shortest=0.025,
+    rest=0.5,
+)
+SQUAT_TURNS = MoveRange(
+    centre=np.radians([0.0, 14.0, 0.0]),
+    half_widths=np.radians([3.0, 5.0, 3.0]),
+    slowest=0.08,
+    fastest=0.13,
+    shortest=0.07,
+    rest=0.5,
+)
 
 # Suspended: rad and rad/s. The hook rocks by up to 15 degrees, sideways by less and never fast:
 # the undriven ankle joints hang plumb like pendulums and must keep off their end stops.
@@ -94,27 +114,58 @@ class Scenario:
     duration: float
 
 
-def _standing(plant: Plant, moves: int, seed: int, gains: BalanceGains) -> Scenario:
+def require_seed(name: str, seed: int) -> None:
+    """Refuse a seed that no generator takes."""
+    if seed < 0:
+        raise SimulationError(f"{name} {seed} is negative; give 0 or more")
+
+
+def standing_task(
+    plant: Plant,
+    moves: int,
+    seed: int,
+    com_moves: MoveRange = COM_MOVES,
+    trunk_turns: MoveRange = TRUNK_TURNS,
+) -> BalanceTask:
+    """Draw what a standing robot is to do: moves of its centre of mass, turns of its trunk.
+
+    Parameters
+    ----------
+    plant : Plant
+        Robot, in the pose in which it starts.
+    moves : int
+        Number of moves of the centre of mass.
+    seed : int
+        Of the draw.
+    com_moves, trunk_turns : MoveRange
+        Metres in the world and rotation vectors (rad) in base axes, from where it starts.
+    """
     plant.observe()
-    start = plant.data.subtree_com[plant.model.jnt_bodyid[0]].copy()
-    reference = draw_reference(start, moves, COM_MOVES, np.random.default_rng([seed, 0]))
+    reference = draw_reference(plant.com, moves, com_moves, np.random.default_rng([seed, 0]))
     attitude = plant.data.qpos[3:7].copy()
     turns = draw_reference(
-        np.zeros(3), TURNS_PER_MOVE * moves, TRUNK_TURNS, np.random.default_rng([seed, 2])
+        np.zeros(3), TURNS_PER_MOVE * moves, trunk_turns, np.random.default_rng([seed, 2])
     )
-    task = BalanceTask(reference, attitude, turns)
-    controller = BalanceController(plant.model, task, SOLES, gains)
-    return Scenario(controller, None, max(reference.duration, turns.duration))
+    return BalanceTask(reference, attitude, turns)
+
+
+def _standing(plant: Plant, task: BalanceTask, gains: BalanceGains) -> Scenario:
+    return Scenario(BalanceController(plant.model, task, SOLES, gains), None, task.duration)
 
 
 def _smooth(plant: Plant, moves: int, seed: int) -> Scenario:
-    return _standing(plant, moves, seed, BalanceGains())
+    return _standing(plant, standing_task(plant, moves, seed), BalanceGains())
+
+
+def _squat(plant: Plant, moves: int, seed: int) -> Scenario:
+    task = standing_task(plant, moves, seed, SQUAT_MOVES, SQUAT_TURNS)
+    return _standing(plant, task, BalanceGains())
 
 
 def _vibrating(plant: Plant, moves: int, seed: int) -> Scenario:
     has_friction = np.any(plant.model.dof_damping) or np.any(plant.model.dof_frictionloss)
     gains = VIBRATING_GAINS_WITH_FRICTION if has_friction else VIBRATING_GAINS
-    calm = _standing(plant, moves, seed, gains)
+    calm = _standing(plant, standing_task(plant, moves, seed), gains)
     controller = PoorFeedback(
         calm.controller,
         FEEDBACK_DELAY,
@@ -158,6 +209,7 @@ def _rest(point: FloatArray, duration: float) -> Reference:
 
 SCENARIOS: dict[str, Callable[[Plant, int, int], Scenario]] = {
     "smooth": _smooth,
+    "squat": _squat,
     "vibrating": _vibrating,
     "suspended": _suspended,
     "tare": _tare,

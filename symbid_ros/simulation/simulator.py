@@ -12,16 +12,12 @@ from symbid_ros.simulation.errors import draw_errors, parse_errors
 from symbid_ros.simulation.friction import JointFriction, load_friction
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.noise import load_noise
-from symbid_ros.simulation.plant import Plant, Truth
-from symbid_ros.simulation.scenario import HOIST_FRAME, SCENARIOS, SOLES
+from symbid_ros.simulation.plant import Plant
+from symbid_ros.simulation.run import Run
+from symbid_ros.simulation.scenario import HOIST_FRAME, SCENARIOS, SOLES, require_seed
 from symbid_ros.simulation.sensors import Sensors
 from symbid_ros.simulation.stance import level_pose
 from symbid_ros.simulation.variant import variant_text
-
-# Long enough for feet and hoist to take the load; none of it is recorded.
-SETTLING = 1.0  # s
-# A robot whose base has come down this far does not stand any more.
-FALLEN = 0.7  # of the height at the start
 
 
 @dataclass(frozen=True)
@@ -49,14 +45,16 @@ class Simulator:
     Parameters
     ----------
     scenario : str
-        ``smooth``, ``vibrating`` (both standing on two feet), ``suspended`` (rocked in a hoist)
-        or ``tare`` (still in the hoist, nothing touching the plates).
+        ``smooth``, ``squat``, ``vibrating`` (all standing on two feet), ``suspended`` (rocked in
+        a hoist) or ``tare`` (still in the hoist, nothing touching the plates).
     moves : int
         Number of moves; a tare has none.
     motion_seed : int
         Decides the moves and, in ``vibrating``, the noise of the feedback; nothing in a tare.
     noise_seed : int
         Decides the sensors' noise.
+    noise_factor : float
+        On every deviation of the noise, 0 or more.
     ideal : bool
         The same motion with noise-free sensors.
     friction : bool
@@ -97,6 +95,7 @@ class Simulator:
         moves: int = 20,
         motion_seed: int = 0,
         noise_seed: int = 0,
+        noise_factor: float = 1.0,
         ideal: bool = False,
         friction: bool = False,
         errors: str = "",
@@ -114,9 +113,10 @@ class Simulator:
             ("noise seed", noise_seed),
             ("error seed", error_seed),
         ):
-            if seed < 0:
-                raise SimulationError(f"{name} {seed} is negative; give 0 or more")
-        noise = None if ideal else load_noise(noise_path or config_file("noise.yaml"))
+            require_seed(name, seed)
+        noise = None
+        if not ideal:
+            noise = load_noise(noise_path or config_file("noise.yaml")).scaled(noise_factor)
         plant = Plant(model_path or config_file("symbitron.xml"), SOLES)
         self.joint_names = plant.joint_names
         self.errors = draw_errors(
@@ -132,20 +132,20 @@ class Simulator:
         if resistance or lengths:
             plant = _variant(plant, resistance, lengths)
         self._plant = plant
-        motion = self._motion = SCENARIOS[scenario](plant, moves, motion_seed)
+        motion = SCENARIOS[scenario](plant, moves, motion_seed)
+        self._run = Run(plant, motion)
         self.base_frame = plant.base_frame
         self.imu_frame = "imu_link"
         feet = [WrenchSensor(sole.replace("_sole", "_foot/wrench"), sole) for sole in SOLES]
         hook = [WrenchSensor(f"{HOIST_FRAME}/wrench", HOIST_FRAME)] if motion.hoist else []
         self.wrench_sensors = (*feet, *hook)
         self.period_ns = round(plant.period * 1e9)
-        self.steps = round(motion.duration / plant.period)
+        self.steps = self._run.steps
         driven = np.isin(np.arange(6, plant.model.nv), plant.driven)
         self._sensors = Sensors(driven, len(self.wrench_sensors), noise, noise_seed, self.errors)
         self._taken = 0
-        self._lowest = FALLEN * float(plant.data.qpos[2])
-        for step in range(-round(SETTLING / plant.period), 0):
-            self._sensors.watch(self._advance(step))
+        for truth in self._run.settle():
+            self._sensors.watch(truth)
 
     @property
     def robot(self) -> str:
@@ -157,10 +157,10 @@ class Simulator:
 
         Raises
         ------
-        SimulationError
+        BreakdownError
             When the robot falls or a joint runs into its end stop.
         """
-        truth = self._advance(self._taken)
+        truth = self._run.advance(self._taken)
         self._taken += 1
         return self._sensors.measure(truth, self._taken * self.period_ns)
 
@@ -168,27 +168,6 @@ class Simulator:
         """Yield the instants that are left of the motion."""
         while self._taken < self.steps:
             yield self.step()
-
-    def _advance(self, step: int) -> Truth:
-        plant, motion = self._plant, self._motion
-        # Time is counted, not summed up: sums drift off the stamps.
-        time = plant.data.time = step * plant.period
-        state = plant.observe()
-        torques = motion.controller.torques(state)
-        if motion.hoist is not None:
-            motion.hoist.pull(time)
-        truth = plant.advance(torques)
-        if state.position[2] < self._lowest:
-            raise SimulationError(
-                f"the robot fell at {time:.3f} s; ask for slower or smaller moves"
-            )
-        joint = plant.joint_at_limit
-        if joint is not None:
-            raise SimulationError(
-                f"joint {joint} ran into its end stop at {time:.3f} s, where no sensor sees the "
-                "force; widen its range or ask for smaller moves"
-            )
-        return truth
 
 
 def _variant(

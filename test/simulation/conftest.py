@@ -31,6 +31,11 @@ def smooth() -> Run:
 
 
 @pytest.fixture(scope="session")
+def squat() -> Run:
+    return simulate("squat", moves=4, motion_seed=6)
+
+
+@pytest.fixture(scope="session")
 def vibrating() -> Run:
     return simulate("vibrating", moves=1, motion_seed=4)
 
@@ -40,7 +45,7 @@ def suspended() -> Run:
     return simulate("suspended", moves=6, motion_seed=5)
 
 
-@pytest.fixture(params=["smooth", "vibrating", "suspended"])
+@pytest.fixture(params=["smooth", "squat", "vibrating", "suspended"])
 def run(request: pytest.FixtureRequest) -> Run:
     return request.getfixturevalue(request.param)
 

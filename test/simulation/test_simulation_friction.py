@@ -14,7 +14,7 @@ STEPS = 4000
 SLIPPING, STOPPED = 0.02, 0.003  # rad/s
 
 
-@pytest.fixture(scope="module", params=["smooth", "vibrating", "suspended"])
+@pytest.fixture(scope="module", params=["smooth", "squat", "vibrating", "suspended"])
 def scenario(request):
     return request.param
 

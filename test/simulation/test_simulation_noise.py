@@ -10,6 +10,14 @@ from symbid_ros.simulation.noise import load_noise
 from symbid_ros.simulation.simulator import Simulator
 
 SAMPLES = 2500
+NOISY = (
+    "joint_position",
+    "joint_velocity",
+    "joint_effort",
+    "imu_angular_velocity",
+    "imu_linear_acceleration",
+    "wrenches",
+)
 
 
 def noise_file(folder, **changes):
@@ -89,6 +97,28 @@ def test_zero_stands_for_an_ideal_sensor(tmp_path):
     path = noise_file(tmp_path, joint_effort=0)
     instant = Simulator(moves=1, noise_path=path).step()
     np.testing.assert_array_equal(instant.joint_effort, instant.true_effort)
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.25, 3.0])
+def test_factor_multiplies_the_noise(factor):
+    """The draws stay the same, so that the errors are multiples of each other."""
+    options = {"moves": 1, "noise_seed": 3}
+    scaled, plain, ideal = (
+        Simulator(**options, **extra).step()
+        for extra in ({"noise_factor": factor}, {}, {"ideal": True})
+    )
+    for name in NOISY:
+        true = getattr(ideal, name)
+        np.testing.assert_allclose(
+            getattr(scaled, name) - true, factor * (getattr(plain, name) - true), atol=1e-12
+        )
+    np.testing.assert_array_equal(scaled.true_acceleration, ideal.true_acceleration)
+
+
+@pytest.mark.parametrize("factor", [-0.1, float("nan"), float("inf")])
+def test_factors_that_scale_nothing_are_refused(factor):
+    with pytest.raises(SimulationError, match=r"^noise factor .*; give a finite number"):
+        Simulator(moves=1, noise_factor=factor)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import scipy.signal
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.share import config_file
-from symbid_ros.simulation.scenario import COM_MOVES, SCENARIOS
+from symbid_ros.simulation.scenario import COM_MOVES, SCENARIOS, SQUAT_MOVES
 from symbid_ros.simulation.simulator import Simulator
 
 
@@ -129,14 +129,19 @@ def test_smooth_motion_is_smooth(smooth):
     assert 0.1 < rms(smooth.array("true_acceleration")) < 0.5
 
 
-def test_centre_of_mass_follows_its_moves(smooth, body):
+def com_path(run, body):
     path = []
-    for instant in smooth.instants[::100]:
+    for instant in run.instants[::100]:
         body.set(instant)
         mujoco.mj_kinematics(body.model, body.data)
         mujoco.mj_comPos(body.model, body.data)
         path.append(body.data.subtree_com[1].copy())
-    offsets = (np.array(path) - path[0] - COM_MOVES.centre) / COM_MOVES.half_widths
+    return np.array(path)
+
+
+def test_centre_of_mass_follows_its_moves(smooth, body):
+    path = com_path(smooth, body)
+    offsets = (path - path[0] - COM_MOVES.centre) / COM_MOVES.half_widths
     distances = np.linalg.norm(offsets, axis=1)
     arrived = np.argmax(distances < 1.0)  # the start itself lies higher
     assert distances[arrived] < 1.0
@@ -144,6 +149,20 @@ def test_centre_of_mass_follows_its_moves(smooth, body):
     assert np.ptp(offsets, axis=0).min() > 0.7
     feet = np.array([body.site(sensor.frame_id)[0] for sensor in smooth.sensors])
     np.testing.assert_allclose(feet, [[-0.115, 0.13, 0.0], [-0.115, -0.13, 0.0]], atol=2e-3)
+
+
+def test_squat_bends_the_knees_and_goes_straight_down(squat, body):
+    path = com_path(squat, body)
+    forward, sideways, height = np.ptp(path, axis=0)
+    assert height > 0.04
+    assert max(forward, sideways) < 0.5 * height
+    depth = (path - path[0] - SQUAT_MOVES.centre)[:, 2] / SQUAT_MOVES.half_widths[2]
+    assert depth.min() > -1.1
+    knees = squat.array("true_position")[:, [2, 7]]
+    assert np.ptp(knees, axis=0).min() > 0.4
+    np.testing.assert_allclose(
+        squat.instants[-1].base_position[1], squat.instants[0].base_position[1], atol=0.02
+    )
 
 
 def test_vibration_is_as_strong_and_as_fast_as_in_the_thesis(vibrating):
@@ -186,7 +205,7 @@ def test_a_fall_is_reported_with_its_time(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"scenario": "dancing"}, "choose one of smooth, suspended, tare, vibrating"),
+        ({"scenario": "dancing"}, "choose one of smooth, squat, suspended, tare, vibrating"),
         ({"motion_seed": -1}, "motion seed -1"),
         ({"noise_seed": -1}, "noise seed -1"),
         ({"error_seed": -1}, "error seed -1"),

@@ -1,0 +1,74 @@
+"""``symbid study``."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+
+def study(
+    plan: Annotated[str, typer.Argument(help="A study that ships, or a YAML file of your own.")],
+    out: Annotated[Path, typer.Option(help="Folder for results: new, or this study's own.")],
+    workers: Annotated[
+        int, typer.Option(min=0, max=256, help="Processes; 0: one for each core, at most 8.")
+    ] = 0,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Begin anew where another study's results are.")
+    ] = False,
+) -> None:
+    """Compare methods, priors, filters and logs, and write tables, figures and a page.
+
+    Studies that ship: [b]thesis[/b] (the comparison of the thesis, its figures beside ours),
+    [b]excitation[/b], [b]sensors[/b], [b]noise[/b], [b]length[/b] and [b]errors[/b]. Each is a
+    commented file config/study_*.yaml; copy one and change a line for another.
+
+    Stopped and started again it goes on where it was. Equal seeds give equal tables.
+    """
+    from symbid_ros.study.plan import load_plan
+    from symbid_ros.study.publication import publish
+    from symbid_ros.study.stages import stages
+    from symbid_ros.study.work import Task, Workers
+    from symbid_ros.study.workspace import Workspace
+
+    wanted, _ = load_plan(plan)
+    space = Workspace(out)
+    space.claim(wanted, overwrite=overwrite)
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    todo = stages(wanted, space)
+    total = sum(task.cost for stage in todo for task in stage.tasks)
+    with (
+        Progress(*columns, console=console, disable=not console.is_terminal) as progress,
+        Workers(workers or min(8, os.cpu_count() or 1)) as team,
+    ):
+        bar = progress.add_task("", total=total)
+
+        def done(task: Task) -> None:
+            progress.advance(bar, task.cost)
+
+        for stage in todo:
+            progress.update(bar, description=stage.title)
+            if not console.is_terminal:
+                left = sum(not task.output.exists() for task in stage.tasks)
+                console.print(f"{stage.title}: {left} of {len(stage.tasks)} steps to do")
+            team.complete(stage.tasks, done)
+        progress.update(bar, description="writing")
+        page = publish(wanted, space)
+    typer.echo(f"wrote {page}")

@@ -1,0 +1,259 @@
+"""The thesis's conclusions, and ours, in words that follow from the numbers of a study."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import StudyError
+from symbid_ros.report.content import TRUTH, LinkErrors
+from symbid_ros.report.numerals import significant
+from symbid_ros.simulation.balance import BalanceRun
+from symbid_ros.study import claims, prior_claims
+from symbid_ros.study.comparison import TIE, leads, listed, order, share, unless
+from symbid_ros.study.examination import FOUR, Conclusion, Evidence, Examination
+from symbid_ros.study.plan import Spread
+from symbid_ros.study.scores import REFERENCE, Scores
+from symbid_ros.study.thesis import TITLES
+
+CLAIMS = (
+    claims.best_of_four,
+    claims.column_scaling,
+    claims.row_scaling,
+    claims.row_scaling_alone,
+    claims.singular_values,
+    prior_claims.prior_dependence,
+    claims.unfiltered_order,
+    prior_claims.worse_than_prior,
+    prior_claims.better_than_prior,
+    prior_claims.growing_gap,
+    claims.absolute_errors,
+    claims.ours,
+)
+# Errors of one prior differ less than this between links, whatever the draw.
+LARGE = 2.0
+
+
+@dataclass(frozen=True)
+class Links:
+    """Parameter errors link by link (thesis, Fig. 6).
+
+    Attributes
+    ----------
+    errors : LinkErrors
+        By method, means over the draws.
+    depth : tuple of int
+        Joints between the base and each link.
+
+    Raises
+    ------
+    StudyError
+        When there is not one depth for each link.
+    """
+
+    errors: LinkErrors
+    depth: tuple[int, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.depth) != len(self.errors.links):
+            raise StudyError(
+                f"link errors: {len(self.depth)} depths for {len(self.errors.links)} links; "
+                "give one for each link"
+            )
+
+
+def conclusions(
+    scores: Scores,
+    data: str,
+    priors: Sequence[Spread],
+    evidence: Evidence | None = None,
+    links: Links | None = None,
+) -> tuple[Conclusion, ...]:
+    """Examine every claim for which there are numbers on one data set.
+
+    Parameters
+    ----------
+    scores : Scores
+        Means of the study.
+    data : str
+        The data set.
+    priors : sequence of Spread
+        How priors were drawn.
+    evidence : Evidence, optional
+        What tells why a claim fails.
+    links : Links, optional
+        For what is said of single links.
+    """
+    seen = Examination(scores, data, tuple(priors), evidence or Evidence())
+    found = [claim(seen) for claim in CLAIMS]
+    if links is not None:
+        found.append(link_accuracy(links))
+    return tuple(one for one in found if one is not None)
+
+
+def link_accuracy(links: Links) -> Conclusion | None:
+    """Examine whether links differ greatly, the outer ones being the less accurate."""
+    depth = np.array(links.depth)
+    outer = 2 * depth > depth.max()
+    percent = {
+        method: found for method in FOUR if (found := links.errors.percent.get(method)) is not None
+    }
+    if not percent or outer.all() or not outer.any():
+        return None
+    ranges = {method: _range(found) for method, found in percent.items()}
+    ratios = {
+        method: float(np.nanmean(found[outer]) / np.nanmean(found[~outer]))
+        for method, found in percent.items()
+    }
+    as_claimed = [m for m in percent if ranges[m] >= LARGE and ratios[m] > 1 + TIE]
+    spans, slopes = (
+        listed(f"{TITLES[method]} {significant(found[method], 2)}" for method in percent)
+        for found in (ranges, ratios)
+    )
+    prior = links.errors.percent.get(REFERENCE)
+    holds = share(len(as_claimed), len(percent))
+    return Conclusion(
+        "Estimation accuracy differs greatly over the links, as distal ones are almost stationary "
+        "(section VI-A, Fig. 6).",
+        holds,
+        f"Largest parameter error of a link over the smallest: {spans}; mean of the outer links "
+        f"over that of the inner ones: {slopes}.",
+        unless(
+            holds,
+            f"not with {listed(TITLES[m] for m in percent if m not in as_claimed)}"
+            if holds is not True
+            else "",
+            f"largest over smallest of the prior itself: {significant(_range(prior), 2)}"
+            if prior is not None
+            else "",
+        ),
+    )
+
+
+def realistic_conclusion(
+    ideal: Mapping[str, float], realistic: Mapping[str, float]
+) -> Conclusion | None:
+    """Examine whether torque prediction gains more where signals are realistic.
+
+    Parameters
+    ----------
+    ideal, realistic : mapping of str to float
+        Torque RMSE, Nm, by method, "ref" for the prior and "truth" for the true parameters; from
+        ideal signals, and from those that the robot itself would have.
+
+    Returns
+    -------
+    Conclusion or None
+        None without the prior or any method.
+    """
+    both = [name for name in (*TITLES, TRUTH) if name in ideal and name in realistic]
+    methods = [name for name in both if name not in (REFERENCE, TRUTH)]
+    if REFERENCE not in both or not methods:
+        return None
+    before, after = ideal[REFERENCE], realistic[REFERENCE]
+    # The thesis compares two drawings, in which a gain may be seen as a difference or a factor.
+    by_difference = sum(order(before - ideal[m], after - realistic[m]) == 1 for m in methods)
+    by_factor = sum(order(before / ideal[m], after / realistic[m]) == 1 for m in methods)
+    holds = share(by_difference + by_factor, 2 * len(methods))
+    told = listed(
+        f"{TITLES.get(name, name)} {significant(ideal[name])} and {significant(realistic[name])} Nm"
+        for name in both
+    )
+    return Conclusion(
+        "Torque prediction benefits more from estimation in the realistic situation than in the "
+        "ideal one (section 4.2.1).",
+        holds,
+        "From prior to estimate the torque error falls further with realistic signals in "
+        f"{by_difference} of {len(methods)} cases by difference and in {by_factor} by factor "
+        f"(ideal and realistic: {told}).",
+        unless(
+            holds,
+            "with realistic signals even the true parameters err by "
+            f"{significant(realistic[TRUTH])} Nm, which no estimate takes away"
+            if TRUTH in both
+            else "",
+        ),
+    )
+
+
+def closed_loop_conclusions(runs: Mapping[str, Sequence[BalanceRun]]) -> tuple[Conclusion, ...]:
+    """Say of every method how the balance controller does with its estimates.
+
+    Parameters
+    ----------
+    runs : mapping of str to sequence of BalanceRun
+        By method, "ref" for the priors and "truth" for the true parameters; of the methods and
+        the prior one run for each draw, in the same order.
+    """
+    prior, truth = runs.get(REFERENCE, ()), runs.get(TRUTH, ())
+    return tuple(
+        _balanced(TITLES[method], runs[method], prior, truth)
+        for method in TITLES
+        if method != REFERENCE and runs.get(method) and prior
+    )
+
+
+def _balanced(
+    name: str, own: Sequence[BalanceRun], prior: Sequence[BalanceRun], truth: Sequence[BalanceRun]
+) -> Conclusion:
+    orders = [order(_failed(own), _failed(prior))]
+    stood = listed(
+        f"{sum(not run.failure for run in found)} of {len(found)} runs with {who}"
+        for who, found in ((name, own), ("the prior", prior), ("the truth", truth))
+        if found
+    )
+    text = f"The robot stood in {stood}."
+    # Means of those that last would favour whoever fails where it is hard.
+    paired = [
+        (mine, theirs)
+        for mine, theirs in zip(own, prior, strict=False)
+        if not mine.failure and not theirs.failure
+    ]
+    if paired:
+        with_own, with_prior = zip(*paired, strict=True)
+        orders.append(order(_com(with_own), _com(with_prior)))
+        orders.append(order(_feedback(with_own), _feedback(with_prior)))
+        lasting = [run for run in truth if not run.failure]
+        com, forward = (
+            ", ".join(
+                f"{significant(figure(found))} {unit} with {who}"
+                for who, found in ((name, with_own), ("the prior", with_prior), ("truth", lasting))
+                if found
+            )
+            for figure, unit in ((_com, "mm"), (_forward, "%"))
+        )
+        text += (
+            f" Where neither {name} nor the prior failed, the CoM missed its reference by {com}; "
+            f"the feed-forward share of the torques was {forward}."
+        )
+    # To fall more often is no part of serving better.
+    holds = False if orders[0] < 0 else leads(orders)
+    causes = sorted({run.failure for run in own if run.failure})
+    return Conclusion(
+        f"{name} serves centroidal dynamics control better than the prior "
+        "(the thesis's third objective, section 1.1).",
+        holds,
+        text,
+        unless(holds, f"runs with {name} ended because {listed(causes)}" if causes else ""),
+    )
+
+
+def _failed(runs: Sequence[BalanceRun]) -> float:
+    return float(np.mean([bool(run.failure) for run in runs]))
+
+
+def _com(runs: Sequence[BalanceRun]) -> float:
+    return float(np.mean([run.com_rmse_mm for run in runs]))
+
+
+def _forward(runs: Sequence[BalanceRun]) -> float:
+    return 100 * float(np.mean([run.feed_forward_share for run in runs]))
+
+
+def _feedback(runs: Sequence[BalanceRun]) -> float:
+    return 100 - _forward(runs)
+
+
+def _range(percent: FloatArray) -> float:
+    return float(np.nanmax(percent) / np.nanmin(percent))

@@ -1,0 +1,180 @@
+"""One draw of the prior, given to every method behind every filter."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.atomic import write_text
+from symbid_ros.errors import StudyError
+from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.information import Information
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.prior import Prior, draw_prior
+from symbid_ros.estimation.thesis import METHODS as TRUNCATED
+from symbid_ros.estimation.thesis import LeastSquares
+from symbid_ros.estimation.truncation import select_rank
+from symbid_ros.model.inertia import is_consistent
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.evaluation import Judge, link_errors, read_true_motion
+from symbid_ros.offline.facts import Facts, PriorChoice
+from symbid_ros.offline.identification import GAUSSIAN, Problem, Solver, Truncation
+from symbid_ros.offline.job import Job, Prepared, prepare
+from symbid_ros.share import config_file
+from symbid_ros.study.logs import identified, truth
+from symbid_ros.study.plan import Log, Plan, Spread
+from symbid_ros.study.scores import RANK, REFERENCE, Case, Outcome
+from symbid_ros.study.workspace import Workspace
+
+WEIGHING_STD = 0.02  # kg
+
+Found = dict[Case, tuple[FloatArray, int | None]]
+
+
+def solve_draw(plan: Plan, space: Workspace, data: str, spread: Spread, iteration: int) -> None:
+    """Identify with one prior by every method and filter, and judge the results."""
+    true = truth(plan.data[data], space)
+    prior = drawn_prior(plan, true, spread, iteration)
+    found: Found = {Case(data, str(spread), REFERENCE): (prior.mean, None)}
+    found |= _truncated(plan, space, data, spread, prior)
+    found |= _gaussian(plan, space, data, spread, prior)
+    motion = _judge(plan, space, data)
+    judged = motion.metrics({str(case): values for case, (values, _) in found.items()})
+    outcomes = [
+        vars(case) | vars(_outcome(true, vars(judged[str(case)]), values, rank))
+        for case, (values, rank) in found.items()
+    ]
+    write_text(space.draw(data, spread, iteration), json.dumps(outcomes) + "\n")
+
+
+def load_draw(file: Path) -> dict[Case, Outcome]:
+    """Read what :func:`solve_draw` wrote.
+
+    Raises
+    ------
+    StudyError
+        When the file is not whole.
+    """
+    try:
+        return {
+            Case(one["data"], one["prior"], one["method"], one["filter"]): Outcome(
+                one["metrics"], tuple(one["links"]), one["impossible"], tuple(one["values"])
+            )
+            for one in json.loads(file.read_text(encoding="utf-8"))
+        }
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise StudyError(f"{file}: cannot be read ({error}); delete it and start again") from None
+
+
+def drawn_prior(plan: Plan, true: ParameterSet, spread: Spread, iteration: int) -> Prior:
+    """Return one draw about the truth."""
+    return draw_prior(true, spread.kind, spread.amount, plan.prior_seed + iteration)
+
+
+@dataclass(frozen=True)
+class _Filtered:
+    """Rows behind one filter, of the data and of the validation log."""
+
+    training: Observations
+    least_squares: LeastSquares
+    validation: Information | None
+
+
+def _truncated(plan: Plan, space: Workspace, data: str, spread: Spread, prior: Prior) -> Found:
+    found: Found = {}
+    for cutoff in plan.filters:
+        rows = _filtered(plan, space, data, cutoff)
+        for method in TRUNCATED:
+            if method not in plan.methods:
+                continue
+            case = Case(data, str(spread), method, cutoff)
+            if rows.validation is None:
+                solver = Solver.of(Problem((rows.training,), identified(plan.data[data]), prior))
+                estimate = solver.truncated(method, Truncation()).estimate
+                found[case] = estimate.value, estimate.rank
+            else:
+                problem = rows.least_squares.scaled(prior, method)
+                z = select_rank(problem, rows.validation, plan.z.by)
+                found[case] = problem.solution(z), z
+    return found
+
+
+def _gaussian(plan: Plan, space: Workspace, data: str, spread: Spread, prior: Prior) -> Found:
+    wanted = [method for method in GAUSSIAN if method in plan.methods]
+    if not wanted:
+        return {}
+    log = plan.data[data]
+    if log.cure:
+        weighed = np.random.default_rng(prior.seed).normal(_mass(space, log), WEIGHING_STD)
+        facts = Facts(total_mass=(weighed, WEIGHING_STD), tare=(space.tare(log),))
+        solver = _prepared(space, log).under(prior, facts).solver
+    else:
+        rows = _archive(space.rows(log, log.sensors, None))
+        solver = Solver.of(Problem(rows, identified(log), prior))
+    solve = {"map": lambda: solver.posterior.mean, "map_lmi": solver.possible}
+    count = len(identified(log))
+    return {Case(data, str(spread), method): (solve[method]()[:count], None) for method in wanted}
+
+
+def _outcome(
+    true: ParameterSet, metrics: Mapping[str, float], values: FloatArray, rank: int | None
+) -> Outcome:
+    possible = [is_consistent(phi) for phi in true.link_phi(values)]
+    return Outcome(
+        metrics=dict(metrics) | ({} if rank is None else {RANK: rank}),
+        links=tuple(link_errors(true, values, true.values).tolist()),
+        impossible=len(possible) - sum(possible),
+        values=tuple(values.tolist()),
+    )
+
+
+# What all draws of a data set share stays in each process that works on them.
+
+
+@lru_cache(maxsize=16)
+def _archive(file: Path) -> tuple[Observations, ...]:
+    return load_archive(file)
+
+
+def _filtered(plan: Plan, space: Workspace, data: str, cutoff: float) -> _Filtered:
+    log, ideal = plan.data[data], plan.validation_of(data)
+    place = space.rows(log, log.sensors, cutoff)
+    other = space.rows(ideal, log.sensors, cutoff)
+    return _filtered_rows(place, other if plan.z.using == "validation" else None)
+
+
+@lru_cache(maxsize=16)
+def _filtered_rows(training: Path, validation: Path | None) -> _Filtered:
+    (rows,) = _archive(training)
+    other = None if validation is None else _archive(validation)[0].rows
+    return _Filtered(rows, LeastSquares(rows.rows), other)
+
+
+def _judge(plan: Plan, space: Workspace, data: str) -> Judge:
+    return _motion_judge(space, plan.validation_of(data), plan.judged_every)
+
+
+@lru_cache(maxsize=2)
+def _motion_judge(space: Workspace, ideal: Log, every: float) -> Judge:
+    true = truth(ideal, space)
+    motion = read_true_motion([space.log(ideal)], true.model)
+    stamp = motion.samples.stamp
+    stride = max(1, round(every * 1e9 / float(np.median(np.diff(stamp)))))
+    return Judge(true, true.values, motion[::stride])
+
+
+@lru_cache(maxsize=1)
+def _prepared(space: Workspace, log: Log) -> Prepared:
+    anything = PriorChoice(percent=25.0)
+    model, terms = config_file("symbitron.xml"), identified(log).terms
+    return prepare(Job((space.log(log),), model, prior=anything, terms=terms))
+
+
+@lru_cache(maxsize=4)
+def _mass(space: Workspace, log: Log) -> float:
+    true = truth(log, space)
+    return float(true.values[: true.inertial : 10].sum())

@@ -1,0 +1,181 @@
+"""What a claim is examined on, and what comes of it."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from symbid_ros.report.numerals import significant
+from symbid_ros.study.comparison import (
+    COM,
+    NOUNS,
+    Comparison,
+    Tally,
+    filtered,
+    listed,
+    quantity,
+)
+from symbid_ros.study.plan import Spread
+from symbid_ros.study.scores import METRICS, RANK, Scores
+from symbid_ros.study.thesis import TITLES
+
+# The thesis's methods of estimation.
+FOUR = ("ols", "wls_r", "wls_c", "wls_rc")
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """One claim, and what the numbers say of it.
+
+    Attributes
+    ----------
+    claim : str
+        What is claimed, and where.
+    holds : bool or None
+        Whether it does; None: in part.
+    sentence : str
+        What the numbers say.
+    because : str
+        Where it does not hold throughout, what the numbers show of the reason.
+    """
+
+    claim: str
+    holds: bool | None
+    sentence: str
+    because: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """The outcome in words."""
+        return {True: "holds", False: "does not hold", None: "holds in part"}[self.holds]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Measurements on the rows that tell why a method fails.
+
+    Attributes
+    ----------
+    row_error : dict of float to float
+        By cutoff in Hz, rms over rows of y - K φ at the true parameters, N and Nm: how far noise
+        and filtering make the training rows inconsistent.
+    ideal_row_error : dict of float to float
+        The same of the log without noise: what filtering alone does.
+    """
+
+    row_error: Mapping[float, float] = field(default_factory=dict)
+    ideal_row_error: Mapping[float, float] = field(default_factory=dict)
+
+    @property
+    def words(self) -> str:
+        """The best and the worst of the filters, empty without measurements."""
+        finite = {cutoff: e for cutoff, e in self.row_error.items() if math.isfinite(e)}
+        if not finite:
+            return ""
+        ends = sorted({min(finite, key=finite.__getitem__), max(finite, key=finite.__getitem__)})
+        parts = []
+        for cutoff in ends:
+            part = f"{significant(finite[cutoff])} N & Nm rms {filtered(cutoff)}"
+            if cutoff in self.ideal_row_error:
+                part += f" ({significant(self.ideal_row_error[cutoff])} without noise)"
+            parts.append(part)
+        return f"with the true parameters the rows are off by {listed(parts)}"
+
+
+@dataclass(frozen=True)
+class Examination:
+    """The means on one data set.
+
+    Attributes
+    ----------
+    scores : Scores
+        All means.
+    data : str
+        The data set.
+    priors : tuple of Spread
+        How priors were drawn.
+    evidence : Evidence
+        What else was measured.
+    """
+
+    scores: Scores
+    data: str
+    priors: tuple[Spread, ...]
+    evidence: Evidence
+
+    def best(self, prior: str, method: str) -> Mapping[str, float]:
+        """Return the least errors over the filters; empty where one is missing or not finite."""
+        return _complete(self.scores.best(self.data, prior, method))
+
+    def at(self, prior: str, method: str, cutoff: float) -> Mapping[str, float]:
+        """Return the errors with one filter; empty where one is missing or not finite."""
+        return _complete(self.scores.at(self.data, prior, method, cutoff))
+
+    def with_prior(self, absolute: bool, *methods: str) -> list[str]:
+        """Return the priors of one kind, ascending, with which all these methods have errors."""
+        kind = "absolute" if absolute else "percent"
+        spreads = sorted(
+            (spread for spread in self.priors if spread.kind == kind), key=lambda one: one.amount
+        )
+        return [
+            str(spread)
+            for spread in spreads
+            if all(self.best(str(spread), method) for method in methods)
+        ]
+
+    def against(
+        self,
+        own: str,
+        rivals: Sequence[str],
+        priors: Iterable[str],
+        *,
+        figures: Callable[[str, str], Mapping[str, float]] | None = None,
+        metrics: Sequence[str] = METRICS,
+    ) -> Tally:
+        """Compare a method's errors with the least of its rivals'.
+
+        Parameters
+        ----------
+        own, rivals : str, sequence of str
+            The methods.
+        priors : iterable of str
+            Where; all of the methods have their errors there.
+        figures : callable, optional
+            Errors by prior and method; the least over the filters by default.
+        metrics : sequence of str, optional
+            Which errors.
+        """
+        found = []
+        take = figures or self.best
+        for prior in priors:
+            mine = take(prior, own)
+            theirs = {rival: take(prior, rival) for rival in rivals}
+            for metric in metrics:
+                rival = min(theirs, key=lambda one: theirs[one][metric])
+                found.append(Comparison(prior, metric, mine[metric], theirs[rival][metric], rival))
+        return Tally(tuple(found))
+
+    def figures(self, prior: str, methods: Iterable[str], metric: str = COM) -> str:
+        """Return one error of several methods, such as "CoM position at ±25 %: OLS 20 mm, …"."""
+        told = [
+            f"{TITLES[method]} {quantity(metric, self.best(prior, method)[metric])}"
+            for method in methods
+        ]
+        return f"{NOUNS[metric]} at {prior}: {', '.join(told)}"
+
+    def ranks(self, prior: str, methods: Iterable[str]) -> str:
+        """Return how many singular values methods keep, empty where that is not known."""
+        told = [
+            f"{TITLES[method]} {significant(found[RANK])}"
+            for method in methods
+            if RANK in (found := self.best(prior, method))
+        ]
+        return f"singular values kept at {prior}: {', '.join(told)}" if told else ""
+
+
+def _complete(means: Mapping[str, float]) -> Mapping[str, float]:
+    return means if all(math.isfinite(means.get(name, math.nan)) for name in METRICS) else {}
+
+
+def middle(priors: Sequence[str]) -> str:
+    """Return the prior whose figures are told as an example."""
+    return priors[len(priors) // 2]

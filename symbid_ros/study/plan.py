@@ -1,0 +1,374 @@
+"""What a study compares: a YAML file, checked entry by entry."""
+
+import difflib
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from symbid_ros.errors import StudyError
+from symbid_ros.estimation.prior import Kind
+from symbid_ros.estimation.truncation import Criterion
+from symbid_ros.offline.identification import GAUSSIAN, METHODS, Method
+from symbid_ros.share import config_file, share_directory
+from symbid_ros.signals.filters import Channels
+from symbid_ros.study.sensing import Sensing
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]*$", max_length=40)]
+Amount = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Frequency = Annotated[float, Field(ge=0, lt=500, allow_inf_nan=False)]
+Seed = Annotated[int, Field(ge=0)]
+Count = Annotated[int, Field(ge=1, le=1000)]
+
+
+class Part(BaseModel):
+    """An entry of the file; what it does not know is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class Log(Part):
+    """A simulated log.
+
+    Attributes
+    ----------
+    scenario : {"smooth", "vibrating", "squat", "suspended"}
+        What the robot does.
+    moves : int
+        Number of moves: the log's length.
+    motion_seed, noise_seed, error_seed : int
+        Of the motion, the sensors' noise, and their systematic errors.
+    noise : float
+        Factor on the deviations of noise.yaml; 0 leaves ideal sensors.
+    friction : bool
+        Whether the joints have friction and armature.
+    errors : str
+        Systematic errors, as `symbid simulate --errors` takes them.
+    """
+
+    scenario: Literal["smooth", "vibrating", "squat", "suspended"] = "smooth"
+    moves: Count = 20
+    motion_seed: Seed = 1
+    noise_seed: Seed = 1
+    noise: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
+    friction: bool = False
+    errors: str = ""
+    error_seed: Seed = 1
+
+    @property
+    def identity(self) -> str:
+        """What tells its bag from other logs': equal logs are one."""
+        parts = [f"{self.scenario} of {self.moves} moves {self.motion_seed}"]
+        parts.append(f"noise {self.noise:g} x {self.noise_seed}" if self.noise else "no noise")
+        parts += ["friction"] if self.friction else []
+        parts += [f"{self.errors} {self.error_seed}"] if self.errors else []
+        return ", ".join(parts)
+
+
+class DataSet(Log):
+    """A log to identify from.
+
+    Attributes
+    ----------
+    sensors : {"all", "base_rows", "joint_rows", "no_plates"}
+        Which rows of the equation of motion there are.
+    cure : bool
+        Let `map` and `map_lmi` find the sensors' errors, with a tare and a weighing.
+    """
+
+    sensors: Sensing = "all"
+    cure: bool = False
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        if self.noise == 0:
+            raise ValueError("data without any noise decide everything; give noise above 0")
+        if self.cure and self.sensors != "all":
+            raise ValueError("cure needs all sensors")
+        return self
+
+
+class Spread(Part):
+    """How priors are drawn about the truth: one of three ways (see `symbid prior`)."""
+
+    percent: Amount | None = None
+    absolute: Amount | None = None
+    consistent: Amount | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if len(self.model_fields_set) != 1:
+            raise ValueError("give one of percent, absolute and consistent")
+        return self
+
+    @property
+    def kind(self) -> Kind:
+        """Which of the three it is."""
+        return "percent" if self.percent else "absolute" if self.absolute else "consistent"
+
+    @property
+    def amount(self) -> float:
+        """Half-width, % or SI units."""
+        return self.percent or self.absolute or self.consistent or 0.0
+
+    def __str__(self) -> str:
+        """Return what a table says of it."""
+        unit = {"percent": " %", "absolute": "", "consistent": " % (possible links)"}[self.kind]
+        return f"±{self.amount:g}{unit}"
+
+
+class Selection(Part):
+    """How the truncated methods choose z.
+
+    Attributes
+    ----------
+    by : {"gen_force", "torque", "com"}
+        What to predict well.
+    using : {"validation", "itself"}
+        The ideal validation log, or the log itself: no data kept apart.
+    """
+
+    by: Criterion = "gen_force"
+    using: Literal["validation", "itself"] = "validation"
+
+
+class Figures(Part):
+    """What the thesis's figures are drawn of.
+
+    Attributes
+    ----------
+    data : str
+        The data set identified from.
+    prior : Spread
+        Of Fig. 3 to 6.
+    com, torque, momentum : float
+        Hz, cutoffs of the WLS-RC estimates in Fig. 3, 4 and 5.
+    links, parameters : float
+        Hz, those of Fig. 6 and of Table D.1.
+    """
+
+    data: Name
+    prior: Spread
+    com: Frequency
+    torque: Frequency
+    momentum: Frequency
+    links: Frequency
+    parameters: Frequency
+
+
+class Accelerations(Part):
+    """What a filter does to joint accelerations (thesis, Eq. 4.2 and Fig. 4.3)."""
+
+    cutoff: Annotated[float, Field(gt=0, lt=500)]
+    logs: dict[Name, Log]
+
+
+class ClosedLoop(Part):
+    """The balance controller at work with priors, estimates and the truth.
+
+    Attributes
+    ----------
+    priors : list of Spread
+    iterations : int
+        Priors of each kind.
+    data : str
+        The data set identified from.
+    filter : float
+        Hz, of the truncated methods' rows.
+    moves, motion_seed : int
+        The motion the controller is to follow.
+    """
+
+    data: Name
+    priors: list[Spread]
+    iterations: Count = 5
+    filter: Frequency = 30.0
+    moves: Count = 6
+    motion_seed: Seed = 7
+
+
+class Plan(Part):
+    """One study.
+
+    Attributes
+    ----------
+    title, about : str
+        What the page says at its head.
+    thesis : bool
+        Whether the thesis's own figures stand beside ours, and its conclusions are examined.
+    data : dict of str to DataSet
+        What to identify from.
+    validation : Log
+        Ideal, of other moves: z is chosen and all are judged by it.
+    judged_every : float
+        s, between the instants at which predictions are judged.
+    priors : list of Spread
+    iterations : int
+        Priors drawn of each.
+    prior_seed : int
+        Of the first draw; the others follow.
+    filters : list of float
+        Hz, cutoffs of the rows of the truncated methods; 0: unfiltered.
+    channels : {"all", "thesis"}
+        Which channels are filtered.
+    methods : list of str
+        Beside the prior itself.
+    z : Selection
+    figures : Figures or None
+    accelerations : Accelerations or None
+    equation : Log or None
+        Motion on which the equation of motion is checked, with friction and without (Appendix B).
+    closed_loop : ClosedLoop or None
+    """
+
+    title: str
+    about: str = ""
+    thesis: bool = False
+    data: dict[Name, DataSet] = Field(min_length=1)
+    validation: Log = Log(motion_seed=2, noise=0.0)
+    judged_every: Annotated[float, Field(ge=0.001, le=1.0)] = 0.01
+    priors: list[Spread] = Field(min_length=1)
+    iterations: Count = 20
+    prior_seed: Seed = 0
+    filters: list[Frequency] = Field(default=[30.0], min_length=1)
+    channels: Channels = "all"
+    methods: list[Method] = Field(default=list(METHODS), min_length=1)
+    z: Selection = Selection()
+    figures: Figures | None = None
+    accelerations: Accelerations | None = None
+    equation: Log | None = None
+    closed_loop: ClosedLoop | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        for where, repeated in (
+            ("priors", [str(spread) for spread in self.priors]),
+            ("filters", self.filters),
+            ("methods", self.methods),
+        ):
+            if len(set(repeated)) != len(repeated):
+                raise ValueError(f"{where} repeat; name each once")
+        for where, part in (("figures", self.figures), ("closed_loop", self.closed_loop)):
+            if part is not None and part.data not in self.data:
+                raise ValueError(
+                    f"{where}: no data set {part.data!r}{nearest(part.data, self.data)}"
+                )
+        if self.figures is not None:
+            self._drawn(self.figures)
+        if self.closed_loop is not None:
+            for spread in self.closed_loop.priors:
+                self._included("closed_loop", spread, [self.closed_loop.filter])
+            if self.closed_loop.iterations > self.iterations:
+                raise ValueError("closed_loop has more iterations than the study; lower them")
+        return self
+
+    def validation_of(self, data: str) -> Log:
+        """Return the ideal log by which estimates from one data set are judged."""
+        return self.validation.model_copy(update={"friction": self.data[data].friction})
+
+    @property
+    def realistic(self) -> Log:
+        """The validation motion seen through noisy sensors, as a robot would."""
+        return self.validation.model_copy(update={"noise": 1.0})
+
+    @property
+    def truncated(self) -> list[Method]:
+        """The thesis's methods among those compared."""
+        return [method for method in self.methods if method not in GAUSSIAN]
+
+    def _drawn(self, figures: Figures) -> None:
+        cutoffs = [figures.com, figures.torque, figures.momentum, figures.links, figures.parameters]
+        self._included("figures", figures.prior, cutoffs)
+        if "wls_rc" not in self.methods:
+            raise ValueError("figures show wls_rc, which is not among the methods; add it")
+
+    def _included(self, where: str, spread: Spread, cutoffs: list[float]) -> None:
+        if spread not in self.priors:
+            raise ValueError(f"{where}: a prior of {spread} is not among priors; add it there")
+        missing = [cutoff for cutoff in cutoffs if cutoff not in self.filters]
+        if missing:
+            raise ValueError(f"{where}: {missing[0]:g} Hz is not among filters; add it there")
+
+
+def load_plan(name: str) -> tuple[Plan, Path]:
+    """Read a study that ships with the package, by its name, or a file.
+
+    Returns
+    -------
+    plan : Plan
+    path : Path
+        Where it was read.
+
+    Raises
+    ------
+    StudyError
+        When there is no such study or file, or an entry of it is wrong; the message names the
+        entry and, where one comes near, what may have been meant.
+    """
+    path = Path(name)
+    if path.suffix not in (".yaml", ".yml"):
+        known = {file.stem.removeprefix("study_"): file.name for file in studies()}
+        if name not in known:
+            raise StudyError(
+                f"no study {name!r}{nearest(name, known)}; choose one of "
+                f"{', '.join(sorted(known))}, or name a YAML file"
+            )
+        path = config_file(known[name])
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "not UTF-8"
+        raise StudyError(f"{path}: cannot be read ({reason}); name an existing file") from None
+    except yaml.YAMLError as error:
+        raise StudyError(f"{path}: no YAML ({' '.join(str(error).split())})") from None
+    if not isinstance(content, dict):
+        raise StudyError(f"{path}: no study; begin with title, data and priors")
+    try:
+        return Plan.model_validate(content), path
+    except ValidationError as error:
+        raise StudyError(f"{path}: {_first_fault(error, content)}") from None
+
+
+def studies() -> list[Path]:
+    """Return the studies that ship with the package."""
+    return sorted((share_directory() / "config").glob("study_*.yaml"))
+
+
+def nearest(name: str, known: Any) -> str:
+    """Return a suggestion for a misspelt name, empty where nothing comes near."""
+    close = difflib.get_close_matches(str(name), [str(one) for one in known], n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def _first_fault(error: ValidationError, content: dict[str, Any]) -> str:
+    """Return the first thing that is wrong, where it is and what may have been meant."""
+    fault = error.errors(include_url=False)[0]
+    where = ".".join(str(step) for step in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        fields = _fields_at(fault["loc"][:-1])
+        return f"unknown key {where}{nearest(str(fault['loc'][-1]), fields)}; known are " + (
+            ", ".join(fields)
+        )
+    message = fault["msg"].removeprefix("Value error, ")
+    return f"{where}: {message}" if where else message
+
+
+def _fields_at(loc: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that an entry may have."""
+    names: dict[str, type[Part]] = {
+        "data": DataSet,
+        "validation": Log,
+        "equation": Log,
+        "logs": Log,
+        "priors": Spread,
+        "prior": Spread,
+        "z": Selection,
+        "figures": Figures,
+        "accelerations": Accelerations,
+        "closed_loop": ClosedLoop,
+    }
+    found: type[Part] = Plan
+    for step in loc:
+        found = names.get(str(step), found)
+    return list(found.model_fields)

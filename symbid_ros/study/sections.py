@@ -1,0 +1,243 @@
+"""The parts of a study's page, in the order in which they are read."""
+
+from collections.abc import Iterator
+
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.report.content import TRUTH, LinkErrors
+from symbid_ros.simulation.balance import BalanceRun
+from symbid_ros.study import thesis
+from symbid_ros.study.charts import comparison_drawing, grid_drawing
+from symbid_ros.study.check_tables import (
+    acceleration_table,
+    balance_table,
+    closure_table,
+    realistic_table,
+)
+from symbid_ros.study.checks import check_accelerations, load_closures, load_realistic
+from symbid_ros.study.conclusions import (
+    Links,
+    closed_loop_conclusions,
+    conclusions,
+    realistic_conclusion,
+)
+from symbid_ros.study.data_claims import data_sentences
+from symbid_ros.study.drawing import LABELS
+from symbid_ros.study.examination import Conclusion, Evidence
+from symbid_ros.study.figures import (
+    AccelerationLog,
+    acceleration_drawing,
+    closed_loop_drawing,
+    link_drawing,
+)
+from symbid_ros.study.loops import load_runs
+from symbid_ros.study.page import Section
+from symbid_ros.study.plan import Accelerations, ClosedLoop, Figures
+from symbid_ros.study.predictions import ideal_drawings, realistic_drawings
+from symbid_ros.study.results import Results
+from symbid_ros.study.scores import REFERENCE
+from symbid_ros.study.series import Setting
+from symbid_ros.study.sheet import Sheet
+from symbid_ros.study.tables import Draw, tables
+
+RUN_LABELS = {**LABELS, TRUTH: TRUTH}
+
+# Tables longer than this open only when asked for.
+LONG = 30
+
+
+def sections(results: Results) -> tuple[Section, ...]:
+    """Return everything that the plan asks for, worked out already.
+
+    Raises
+    ------
+    StudyError
+        When something is missing.
+    """
+    plan = results.plan
+    parts = [*_concluding(results)] if plan.thesis else [*_comparing(results)]
+    made = tables(plan, results.scores, _draw(results))
+    parts.append(_tabled("tables", "Tables", [one for one in made if len(one.rows) <= LONG]))
+    if plan.thesis:
+        parts.append(_gridded(results))
+    if plan.figures is not None:
+        parts += _predicted(results, plan.figures)
+    if plan.accelerations is not None:
+        parts.append(_accelerated(results, plan.accelerations))
+    if plan.equation is not None:
+        parts.append(
+            _tabled("equation", "Equation of motion", [closure_table(load_closures(results.space))])
+        )
+    if plan.closed_loop is not None:
+        parts.append(_balanced(results, plan.closed_loop))
+    long = [one for one in made if len(one.rows) > LONG]
+    if long:
+        parts.append(_tabled("all", "Every number", long, folded=True))
+    return tuple(parts)
+
+
+def _tabled(anchor: str, title: str, made: list[Sheet], *, folded: bool = False) -> Section:
+    return Section(anchor, title, sheets=tuple(made), folded=folded)
+
+
+def _concluding(results: Results) -> Iterator[Section]:
+    """Examine the thesis's conclusions on each data set."""
+    plan = results.plan
+    for data in plan.data:
+        links = None
+        if plan.figures is not None and plan.figures.data == data:
+            links = _links(results, plan.figures)
+        found: list[Conclusion | None] = [
+            *conclusions(
+                results.scores, data, plan.priors, Evidence(results.row_errors(data)), links
+            )
+        ]
+        if plan.figures is not None and plan.figures.data == data:
+            found.append(_realistic_conclusion(results, plan.figures))
+        yield Section(
+            f"conclusions-{data.replace(' ', '-')}",
+            f"Conclusions on {data} data",
+            "What the thesis concludes, and whether the numbers below bear it out. Every sentence "
+            "is computed from them.",
+            conclusions=tuple(one for one in found if one is not None),
+        )
+
+
+def _links(results: Results, figures: Figures) -> Links:
+    errors = results.link_errors(figures.data, figures.prior, figures.links)
+    parameters = results.parameters(figures.data)
+    return Links(LinkErrors(parameters.link_names, errors), _depth(parameters.model))
+
+
+def _depth(model: RobotModel) -> tuple[int, ...]:
+    """Return how many joints lie between the base and each link that has parameters."""
+    depth = {0: 0}
+    for child, joint in enumerate(model.joints, 1):
+        depth[child] = depth[joint.parent] + 1
+    return tuple(depth[i] for i, link in enumerate(model.links) if not link.virtual)
+
+
+def _realistic_conclusion(results: Results, figures: Figures) -> Conclusion | None:
+    means = load_realistic(results.space)
+    ideal = {TRUTH: 0.0}
+    for method in means:
+        at = results.scores.at(
+            figures.data, str(figures.prior), method, results.cutoff(method, figures.torque)
+        )
+        if at:
+            ideal[method] = at["torque_rmse"]
+    return realistic_conclusion(ideal, {name: one["torque_rmse"] for name, one in means.items()})
+
+
+def _comparing(results: Results) -> Iterator[Section]:
+    """Compare data sets where the thesis has no say."""
+    plan = results.plan
+    methods = (REFERENCE, *plan.methods)
+    cutoff = plan.filters[0] if len(plan.filters) == 1 else None
+    for index, spread in enumerate(map(str, plan.priors)):
+        yield Section(
+            f"comparison-{index}",
+            f"Priors {spread}",
+            sentences=data_sentences(results.scores, [*plan.data], spread, plan.methods),
+            drawings=(comparison_drawing(results.scores, [*plan.data], spread, methods, cutoff),),
+        )
+
+
+def _gridded(results: Results) -> Section:
+    plan = results.plan
+    methods = (REFERENCE, *plan.methods)
+    printed = thesis.table_c1()
+    return Section(
+        "filters",
+        "Filters",
+        "Each error against the cutoff of the filter; hollow: the thesis’s (Table C.1).",
+        drawings=tuple(
+            grid_drawing(results.scores, data, str(spread), methods, printed)
+            for data in plan.data
+            for spread in plan.priors
+        ),
+    )
+
+
+def _draw(results: Results) -> Draw | None:
+    figures = results.plan.figures
+    if figures is None:
+        return None
+    parameters = results.parameters(figures.data)
+    return Draw(
+        data=figures.data,
+        prior=figures.prior,
+        filter=figures.parameters,
+        names=parameters.names,
+        units=parameters.units,
+        real=parameters.values,
+        estimates={
+            method: results.values(figures.data, figures.prior, method, figures.parameters)
+            for method in (REFERENCE, *results.plan.methods)
+        },
+    )
+
+
+def _predicted(results: Results, figures: Figures) -> Iterator[Section]:
+    """Show what single estimates predict, and how accurate links are."""
+    links = _links(results, figures).errors
+    percent = {LABELS[method]: found for method, found in links.percent.items()}
+    setting = Setting(figures.data, str(figures.prior), figures.links)
+    yield Section(
+        "predictions",
+        "Predictions",
+        "Of the first draw’s estimates, along the ideal validation motion.",
+        drawings=(
+            *ideal_drawings(results, figures),
+            link_drawing(LinkErrors(links.links, percent), setting, results.plan.iterations),
+        ),
+    )
+    yield Section(
+        "realistic",
+        "Realistic predictions",
+        "The same estimates and the same motion, from what the robot itself could measure.",
+        sheets=(realistic_table(load_realistic(results.space)),),
+        drawings=realistic_drawings(results, figures),
+    )
+
+
+def _accelerated(results: Results, accelerations: Accelerations) -> Section:
+    checks = {
+        name: check_accelerations(accelerations, name, results.space) for name in accelerations.logs
+    }
+    printed = thesis.ACCELERATION_ERRORS
+    logs = [
+        AccelerationLog(name, one.time, one.acceleration, one.error, printed.get(name))
+        for name, one in checks.items()
+    ]
+    names = next(iter(checks.values())).joint_names
+    return Section(
+        "accelerations",
+        "Vibration and the filter",
+        sheets=(acceleration_table(checks, accelerations.cutoff),),
+        drawings=(acceleration_drawing(logs, names, accelerations.cutoff),),
+    )
+
+
+def _balanced(results: Results, loop: ClosedLoop) -> Section:
+    by_prior = {
+        str(spread): load_runs(results.plan, results.space, spread) for spread in loop.priors
+    }
+    together: dict[str, list[BalanceRun]] = {}
+    for runs in by_prior.values():
+        for method, found in runs.items():
+            together.setdefault(method, []).extend(found)
+    together[TRUTH] = together[TRUTH][:1]
+    about = f"{loop.moves} moves; priors {', '.join(by_prior)}, estimates from {loop.data} data."
+    return Section(
+        "closed-loop",
+        "Closed loop",
+        "The balance controller moves the true robot, believing the prior, an estimate or the "
+        f"truth: {about}",
+        conclusions=closed_loop_conclusions(together),
+        sheets=tuple(balance_table(prior, runs) for prior, runs in by_prior.items()),
+        drawings=(
+            closed_loop_drawing(
+                {RUN_LABELS[method]: runs for method, runs in together.items()}, about
+            ),
+        ),
+    )

@@ -1,0 +1,340 @@
+"""Conclusions follow from the numbers: the thesis's own, reversed, scaled and incomplete ones."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from symbid_ros.errors import StudyError
+from symbid_ros.report.content import LinkErrors
+from symbid_ros.simulation.balance import BalanceRun
+from symbid_ros.study import claims, prior_claims, thesis
+from symbid_ros.study.conclusions import (
+    Links,
+    closed_loop_conclusions,
+    conclusions,
+    link_accuracy,
+    realistic_conclusion,
+)
+from symbid_ros.study.examination import Conclusion, Evidence, Examination
+from symbid_ros.study.plan import Spread
+from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case, Scores
+
+PRIORS = (*thesis.PRIORS, thesis.ABSOLUTE_PRIOR)
+FOUR = ("ols", "wls_r", "wls_c", "wls_rc")
+REVERSED = dict(zip(FOUR, reversed(FOUR), strict=True))
+Claim = Callable[[Examination], Conclusion | None]
+
+
+def examined(claim: Claim, scores: Scores, evidence: Evidence | None = None) -> Conclusion:
+    found = claim(Examination(scores, thesis.DATA, PRIORS, evidence or Evidence()))
+    assert found is not None
+    return found
+
+
+def changed(change: Callable[[Case, dict[str, float]], tuple[Case, dict[str, float]]]) -> Scores:
+    """The thesis's means, each of them changed."""
+    return Scores(dict(change(case, dict(m)) for case, m in thesis.published().means.items()))
+
+
+def renamed(names: Mapping[str, str]) -> Scores:
+    return changed(
+        lambda case, means: (replace(case, method=names.get(case.method, case.method)), means)
+    )
+
+
+def without(drop: Callable[[Case], bool]) -> Scores:
+    means = thesis.published().means
+    return Scores({case: found for case, found in means.items() if not drop(case)})
+
+
+def claimed(scores: Scores) -> set[str]:
+    return {one.claim for one in conclusions(scores, thesis.DATA, PRIORS)}
+
+
+@pytest.mark.parametrize(
+    "claim",
+    [
+        claims.best_of_four,
+        claims.column_scaling,
+        claims.row_scaling_alone,
+        claims.unfiltered_order,
+        claims.absolute_errors,
+        prior_claims.prior_dependence,
+        prior_claims.worse_than_prior,
+        prior_claims.better_than_prior,
+        prior_claims.growing_gap,
+    ],
+)
+def test_what_the_thesis_concludes_holds_in_its_own_tables(claim: Claim) -> None:
+    found = examined(claim, thesis.published())
+    assert found.holds is True, found.sentence
+    assert found.verdict == "holds"
+    assert not found.because
+
+
+def test_row_scaling_of_the_thesis_helps_with_scaled_columns_only() -> None:
+    found = examined(claims.row_scaling, thesis.published())
+    assert found.verdict == "holds in part"
+    # Counted by hand in Table C.1; momentum and CoM position at ±25 % are the two.
+    assert "8 of 8 prediction errors where the columns are scaled too" in found.sentence
+    assert "2 of 8 where they are not" in found.sentence
+
+
+def test_nowhere_in_the_thesis_are_there_four_times_as_many_singular_values() -> None:
+    found = examined(claims.singular_values, thesis.published())
+    assert found.holds is None
+    # 11.9 / 4.3 at ±12.5 % and 50 Hz is the largest.
+    assert "1.1 to 2.8 times as many as WLS-C" in found.sentence
+    assert "16 of 16" in found.sentence
+    assert "unfiltered in 1 of 4" in found.sentence
+
+
+def test_figures_of_a_sentence_are_those_of_the_table() -> None:
+    found = examined(claims.best_of_four, thesis.published())
+    assert "CoM position at ±25 %: OLS 20.4 mm, WLS-R 18.5 mm, WLS-C 3.28 mm, WLS-RC 0.996 mm" in (
+        found.sentence
+    )
+
+
+@pytest.mark.parametrize(
+    ("claim", "said"),
+    [
+        (claims.best_of_four, "best of the four in none of 10 errors"),
+        (claims.best_of_four, "behind OLS in every error"),
+        (claims.column_scaling, "Scaled columns lower 0 of 20 errors"),
+        (claims.singular_values, "0 of 16 comparisons"),
+        (claims.absolute_errors, "none of 5 errors, behind OLS in generalised force and CoM"),
+        (prior_claims.prior_dependence, "Parameter error over the prior's"),
+        (prior_claims.better_than_prior, "behind Ref. in joint torque and parameters"),
+    ],
+)
+def test_reversed_order_reverses_the_sentences(claim: Claim, said: str) -> None:
+    found = examined(claim, renamed(REVERSED))
+    assert said in found.sentence
+    assert found.holds is not True
+    assert found.because
+
+
+def test_row_scaling_that_only_helps_lowers_no_performance() -> None:
+    found = examined(claims.row_scaling_alone, renamed({"wls_r": "wls_c", "wls_c": "wls_r"}))
+    assert found.holds is False
+    assert "Scaling the rows alone lowers every error at ±12.5 % and ±25 % (" in found.sentence
+    assert "raises" not in found.sentence
+
+
+def test_unfiltered_order_follows_the_unfiltered_means() -> None:
+    swapped = {"wls_c": "wls_rc", "wls_rc": "wls_c"}
+    found = examined(claims.unfiltered_order, renamed(swapped))
+    assert found.holds is False
+    assert "behind WLS-RC in generalised force" in found.sentence
+    # With the filtered means exchanged as well, WLS-C is always ahead and nothing reverses.
+    unreversed = changed(
+        lambda case, means: (
+            replace(case, method=swapped.get(case.method, case.method)) if case.filter else case,
+            means,
+        )
+    )
+    same = examined(claims.unfiltered_order, unreversed)
+    assert same.holds is None
+    assert "with the best filter WLS-RC is ahead in 0 of 10" in same.sentence
+
+
+def test_gap_that_shrinks_is_said_to_shrink() -> None:
+    other = {str(thesis.PRIORS[0]): thesis.PRIORS[1], str(thesis.PRIORS[1]): thesis.PRIORS[0]}
+    scores = changed(
+        lambda case, means: (
+            replace(case, prior=str(other.get(case.prior, case.prior))),
+            means,
+        )
+    )
+    found = examined(prior_claims.growing_gap, scores)
+    assert found.holds is False
+    assert "0 of 5 steps" in found.sentence
+    assert "does not in every error at ±12.5 % to ±25 %" in found.because
+
+
+def test_near_ties_are_no_lead() -> None:
+    """All methods within two percent of each other: none is best."""
+    generator = np.random.default_rng(5)
+    scores = changed(
+        lambda case, means: (
+            case,
+            {name: float(generator.uniform(1.0, 1.02)) for name in means},
+        )
+    )
+    found = examined(claims.best_of_four, scores)
+    assert found.holds is False
+    assert "none of 10 errors, within 5 % in 10" in found.sentence
+    assert examined(claims.row_scaling_alone, scores).holds is False
+
+
+@pytest.mark.parametrize("factor", [1e-3, 0.7, 1e4])
+@pytest.mark.parametrize("names", [{}, REVERSED])
+def test_units_do_not_decide(factor: float, names: dict[str, str]) -> None:
+    plain = renamed(names)
+    scaled = Scores(
+        {
+            case: {name: value * (factor if name != RANK else 1) for name, value in means.items()}
+            for case, means in plain.means.items()
+        }
+    )
+    before = conclusions(plain, thesis.DATA, PRIORS)
+    after = conclusions(scaled, thesis.DATA, PRIORS)
+    assert [one.holds for one in before] == [one.holds for one in after]
+    assert [one.claim for one in before] == [one.claim for one in after]
+
+
+def test_missing_numbers_leave_claims_out() -> None:
+    everything = claimed(thesis.published())
+    assert len(everything) == 11
+    unfiltered = everything - claimed(without(lambda case: case.filter == 0))
+    assert all("0 Hz" in claim for claim in unfiltered)
+    assert len(unfiltered) == 1
+    absolute = everything - claimed(without(lambda case: case.prior == "±0.125"))
+    assert all("absolute" in claim for claim in absolute)
+    assert len(absolute) == 1
+    one_prior = everything - claimed(without(lambda case: case.prior == "±12.5 %"))
+    assert all("follows" in claim or "gap" in claim for claim in one_prior)
+    assert len(one_prior) == 2
+    # Without the prior itself nothing can be better than it.
+    no_prior = everything - claimed(without(lambda case: case.method == REFERENCE))
+    assert all("prior" in claim for claim in no_prior)
+    assert not claimed(without(lambda case: case.method in FOUR))
+    assert conclusions(thesis.published(), "another log", PRIORS) == ()
+
+
+def test_error_that_is_not_finite_counts_as_missing() -> None:
+    scores = changed(
+        lambda case, means: (case, means | {METRICS[0]: np.nan} if case.method == "ols" else means)
+    )
+    assert not any("best of the four" in claim for claim in claimed(scores))
+
+
+def ours(factor: float) -> Scores:
+    """The thesis's means beside a MAP-LMI that is ``factor`` times better than the best."""
+    published = thesis.published()
+    extra = {}
+    for spread in PRIORS:
+        best = [published.best(thesis.DATA, str(spread), method) for method in FOUR]
+        extra[Case(thesis.DATA, str(spread), "map_lmi")] = {
+            name: min(one[name] for one in best) / factor for name in METRICS
+        }
+    return Scores({**published.means, **extra})
+
+
+def test_our_lead_is_told_in_factors() -> None:
+    found = examined(claims.ours, ours(5.0))
+    assert found.holds is True
+    assert "at least 5.0 (generalised force), 5.0 (joint torque)" in found.sentence
+    behind = examined(claims.ours, ours(0.5))
+    assert behind.holds is False
+    assert "at least 0.50 (generalised force)" in behind.sentence
+    assert "Not 5 % ahead of WLS-RC in every error" in behind.because
+    assert examined(claims.ours, ours(1.01)).holds is False
+
+
+def test_evidence_is_told_where_a_claim_fails_and_only_there() -> None:
+    evidence = Evidence({0.0: 40.0, 30.0: 12.5, 70.0: 20.0}, {30.0: 11.0})
+    failed = examined(claims.best_of_four, renamed(REVERSED), evidence)
+    assert (
+        "with the true parameters the rows are off by 40.0 N & Nm rms unfiltered and "
+        "12.5 N & Nm rms filtered at 30 Hz (11.0 without noise)"
+    ) in failed.because
+    assert failed.because.startswith("Singular values kept at ±25 %: ")
+    assert not examined(claims.best_of_four, thesis.published(), evidence).because
+
+
+def links(outer: float, inner: float) -> Links:
+    names = ("base", "thigh", "shank", "foot")
+    errors = np.array([inner, inner, 0.9 * outer, outer])
+    return Links(
+        LinkErrors(names, {"ref": np.full(4, 12.5), "wls_rc": errors, "ols": 10 * errors}),
+        (0, 1, 2, 3),
+    )
+
+
+def test_outer_links_are_compared_with_inner_ones() -> None:
+    found = link_accuracy(links(12.0, 3.0))
+    assert found is not None
+    assert found.holds is True
+    assert (
+        "mean of the outer links over that of the inner ones: OLS 3.8 and WLS-RC 3.8"
+        in found.sentence
+    )
+    alike = link_accuracy(links(12.0, 12.0))
+    assert alike is not None
+    assert alike.holds is False
+    assert "largest over smallest of the prior itself: 1.0" in alike.because
+    inverse = link_accuracy(links(3.0, 12.0))
+    assert inverse is not None
+    assert inverse.holds is False
+    assert not any(
+        "links" in one.claim for one in conclusions(thesis.published(), thesis.DATA, PRIORS)
+    )
+    with pytest.raises(StudyError, match="3 depths for 4 links"):
+        Links(links(1.0, 1.0).errors, (0, 1, 2))
+
+
+def test_realistic_gain_is_told_by_difference_and_factor() -> None:
+    ideal = {"ref": 3.6, "wls_rc": 1.8, "truth": 0.0}
+    more = realistic_conclusion(ideal, {"ref": 9.0, "wls_rc": 3.0, "truth": 0.5})
+    assert more is not None
+    assert more.holds is True
+    assert "WLS-RC 1.80 and 3.00 Nm" in more.sentence
+    # By 3 instead of 1.8 Nm, but by a factor of 1.5 instead of 2.
+    in_part = realistic_conclusion(ideal, {"ref": 9.0, "wls_rc": 6.0, "truth": 5.5})
+    assert in_part is not None
+    assert in_part.holds is None
+    assert "even the true parameters err by 5.50 Nm" in in_part.because
+    less = realistic_conclusion(ideal, {"ref": 4.0, "wls_rc": 3.9})
+    assert less is not None
+    assert less.holds is False
+    assert realistic_conclusion({"wls_rc": 1.0}, {"wls_rc": 1.0}) is None
+    assert realistic_conclusion({"ref": 1.0, "ols": 1.0}, {"ref": 1.0, "wls_r": 1.0}) is None
+
+
+def run(com: float, share: float, failure: str = "") -> BalanceRun:
+    if failure:
+        com = share = float("nan")
+    return BalanceRun(com, (com, com, com), share, 1.0 if failure else None, failure, 20.0)
+
+
+def test_balance_is_compared_over_the_draws_in_which_both_stood() -> None:
+    runs = {
+        "ref": [run(9.0, 0.8), run(0, 0, "the robot fell"), run(11.0, 0.7)],
+        "wls_rc": [run(3.0, 0.9), run(90.0, 0.1), run(5.0, 0.92)],
+        "ols": [run(0, 0, "joint R_hfe ran into its end stop"), run(0, 0, "the robot fell")],
+        "truth": [run(2.0, 0.99)],
+    }
+    by_method = {one.claim.split()[0]: one for one in closed_loop_conclusions(runs)}
+    assert list(by_method) == ["OLS", "WLS-RC"]
+    better = by_method["WLS-RC"]
+    assert better.holds is True
+    assert "3 of 3 runs with WLS-RC, 2 of 3 runs with the prior and 1 of 1 runs with the truth" in (
+        better.sentence
+    )
+    # The run that only one of them lasted is in no mean.
+    assert "4.00 mm with WLS-RC, 10.0 mm with the prior, 2.00 mm with truth" in better.sentence
+    assert "91.0 % with WLS-RC, 75.0 % with the prior, 99.0 % with truth" in better.sentence
+    worse = by_method["OLS"]
+    assert worse.holds is False
+    assert "joint R_hfe ran into its end stop and the robot fell" in worse.because
+
+
+def test_balance_with_better_tracking_and_less_feed_forward_holds_in_part() -> None:
+    mixed = {"ref": [run(9.0, 0.8)], "map_lmi": [run(2.0, 0.6)]}
+    assert closed_loop_conclusions(mixed)[0].holds is None
+    worse = {"ref": [run(2.0, 0.9)], "map_lmi": [run(9.0, 0.6)]}
+    assert closed_loop_conclusions(worse)[0].holds is False
+    falls = {"ref": [run(9.0, 0.8)] * 2, "map_lmi": [run(2.0, 0.9), run(0, 0, "the robot fell")]}
+    assert closed_loop_conclusions(falls)[0].holds is False
+    assert closed_loop_conclusions({"map_lmi": [run(2.0, 0.9)]}) == ()
+
+
+def test_priors_are_taken_in_the_order_of_their_width() -> None:
+    scores = thesis.published()
+    assert conclusions(scores, thesis.DATA, PRIORS) == conclusions(
+        scores, thesis.DATA, [thesis.ABSOLUTE_PRIOR, Spread(percent=25.0), Spread(percent=12.5)]
+    )

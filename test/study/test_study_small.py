@@ -1,0 +1,234 @@
+"""A small study from the command to the page: its numbers are those of direct calls."""
+
+import csv
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import SmallStudy, symbid
+
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.evaluation import evaluate, read_true_motion
+from symbid_ros.offline.identification import Problem, Solver, Truncation
+from symbid_ros.offline.record import Processing, read_record
+from symbid_ros.share import config_file
+from symbid_ros.signals.filters import LowPass
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+KINDS = {"±25 %": ("percent", 25.0), "±0.125": ("absolute", 0.125)}
+COLUMNS = {
+    "gen_force_rmse": "Gen. force [N, Nm]",
+    "torque_rmse": "Torque [Nm]",
+    "com_position_rmse_mm": "CoM [mm]",
+    "com_momentum_rmse": "Momentum [Ns, Nms]",
+    "parameter_error_pct": "Parameters [%]",
+}
+TITLES = {
+    "ref": "Ref.",
+    "ols": "OLS",
+    "wls_r": "WLS-R",
+    "wls_c": "WLS-C",
+    "wls_rc": "WLS-RC",
+    "map": "MAP",
+    "map_lmi": "MAP-LMI",
+}
+
+
+@pytest.fixture(scope="module")
+def direct(tmp_path_factory) -> dict[tuple[str, str], dict[str, float]]:
+    """Simulate, identify and judge by hand what the plan asks for, prior and method by name."""
+    folder = tmp_path_factory.mktemp("direct")
+    record(Simulator("smooth", moves=3, motion_seed=5, noise_seed=6), folder / "log")
+    record(Simulator("smooth", moves=2, motion_seed=7, ideal=True), folder / "ideal")
+    parameters = ParameterSet(load_model(config_file("symbitron.xml")))
+    filtered = Processing(LowPass(30.0))
+    log, ideal = (read_record([folder / n], parameters, filtered) for n in ("log", "ideal"))
+    windows = read_record([folder / "log"], parameters)
+    motion = read_true_motion([folder / "ideal"], parameters.model)[::10]
+    means = {}
+    for label, (kind, amount) in KINDS.items():
+        found: dict[str, list] = {method: [] for method in TITLES}
+        for seed in (8, 9):
+            prior = draw_prior(parameters, kind, amount, seed)
+            by_filter = Solver.of(Problem(log.observations, parameters, prior))
+            by_windows = Solver.of(Problem(windows.observations, parameters, prior))
+            vectors = {"ref": prior.mean}
+            ranks = {}
+            for method in ("ols", "wls_r", "wls_c", "wls_rc"):
+                estimate = by_filter.truncated(
+                    method, Truncation(validation=ideal.observations)
+                ).estimate
+                vectors[method], ranks[method] = estimate.value, estimate.rank
+            vectors["map"] = by_windows.map().estimate.value
+            vectors["map_lmi"] = by_windows.map_lmi().estimate.value
+            judged = evaluate(parameters, vectors, parameters.values, motion)
+            for method, metrics in judged.items():
+                found[method].append({**vars(metrics), "rank": ranks.get(method, np.nan)})
+        for method, each in found.items():
+            means[label, method] = {
+                name: float(np.mean([one[name] for one in each])) for name in each[0]
+            }
+    return means
+
+
+def read_csv(path: Path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.mark.parametrize("table", ["table_2_smooth", "table_4_1_smooth", "table_c1_smooth"])
+def test_tables_hold_what_direct_calls_give(small: SmallStudy, direct, table):
+    rows = read_csv(small.out / "tables" / f"{table}.csv")
+    assert len(rows) == (14 if table == "table_c1_smooth" else 7)
+    names = {title: method for method, title in TITLES.items()}
+    for row in rows:
+        expected = direct[row["Prior"], names[row["Method"]]]
+        for metric, column in COLUMNS.items():
+            # Weights and solution are found in turn until they change by 1e-9 of a deviation.
+            assert float(row[column]) == pytest.approx(expected[metric], rel=1e-6)
+        if not np.isnan(expected["rank"]):
+            assert float(row["Singular values"]) == expected["rank"]
+
+
+def test_ratios_are_ours_over_the_thesis(small: SmallStudy):
+    rows = {row["Method"]: row for row in read_csv(small.out / "tables/table_2_smooth.csv")}
+    row = rows["WLS-RC"]
+    assert float(row["CoM of the thesis [mm]"]) == 1.0
+    assert float(row["CoM ratio"]) == pytest.approx(float(row["CoM [mm]"]))
+    assert rows["MAP-LMI"]["CoM of the thesis [mm]"] == ""
+
+
+def test_parameters_are_the_first_draws(small: SmallStudy):
+    rows = read_csv(small.out / "tables/table_d1.csv")
+    parameters = ParameterSet(load_model(config_file("symbitron.xml")))
+    assert [row["Parameter"] for row in rows] == list(parameters.names)
+    np.testing.assert_allclose([float(row["Real"]) for row in rows], parameters.values)
+    prior = draw_prior(parameters, "percent", 25.0, 8)
+    np.testing.assert_allclose([float(row["Ref."]) for row in rows], prior.mean)
+
+
+def test_started_again_it_does_nothing_over_and_writes_the_same(small: SmallStudy):
+    def files(folder: Path) -> dict[str, bytes]:
+        found = (path for path in sorted(folder.rglob("*")) if path.is_file())
+        return {str(path.relative_to(small.out)): path.read_bytes() for path in found}
+
+    before, times = files(small.out), [p.stat().st_mtime_ns for p in (small.out / "work").rglob("*")]
+    again = symbid("study", small.file, "--out", small.out, "--workers", 1)
+    assert again.returncode == 0, again.stderr
+    assert "0 of" in again.stderr
+    assert times == [p.stat().st_mtime_ns for p in (small.out / "work").rglob("*")]
+    assert files(small.out) == before
+
+
+def test_lost_steps_are_made_good_to_the_last_digit(small: SmallStudy):
+    lost = [
+        small.out / "work/draws/smooth, percent 25, 1.json",
+        small.out / "work/rows/smooth of 3 moves 5, noise 1 x 6, all, 30 Hz.npz",
+    ]
+    before = [json.loads(lost[0].read_text())]
+    table = (small.out / "tables/table_c1_smooth.csv").read_bytes()
+    for file in lost:
+        file.unlink()
+    again = symbid("study", small.file, "--out", small.out, "--workers", 2)
+    assert again.returncode == 0, again.stderr
+    assert [json.loads(lost[0].read_text())] == before
+    assert (small.out / "tables/table_c1_smooth.csv").read_bytes() == table
+
+
+def test_another_plan_is_refused_and_nothing_touched(small: SmallStudy, tmp_path: Path):
+    other = tmp_path / "other.yaml"
+    other.write_text(small.file.read_text().replace("prior_seed: 8", "prior_seed: 9"))
+    page = (small.out / "report.html").read_bytes()
+    refused = symbid("study", other, "--out", small.out)
+    assert refused.returncode == 2
+    assert "another plan" in refused.stderr
+    assert len(refused.stderr.strip().splitlines()) == 1
+    assert (small.out / "report.html").read_bytes() == page
+
+
+class Resources(HTMLParser):
+    """Collects addresses and checks that every reference within the page leads somewhere."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.ids: list[str] = []
+        self.tags: set[str] = set()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        for name, value in attrs:
+            if name == "id":
+                self.ids.append(value)
+            if name in ("src", "href", "xlink:href", "data", "srcset"):
+                self.addresses.append(value)
+
+
+def test_the_page_is_self_contained(small: SmallStudy):
+    text = (small.out / "report.html").read_text(encoding="utf-8")
+    page = Resources()
+    page.feed(text)
+    assert not page.tags & {"script", "img", "iframe", "object", "embed"}
+    assert len(set(page.ids)) == len(page.ids)
+    for address in page.addresses:
+        assert address == "data:," or address.removeprefix("#") in page.ids, address
+    assert all(address.startswith("#") for address in re.findall(r"url\(([^)]*)\)", text))
+    assert str(small.out) not in text
+
+
+def test_page_and_folder_show_every_table_and_figure(small: SmallStudy):
+    text = (small.out / "report.html").read_text(encoding="utf-8")
+    for title in (
+        "Table I:",
+        "Table II:",
+        "Table 4.1:",
+        "Table C.1:",
+        "Table D.1:",
+        "Appendix B",
+        "Fig. 3:",
+        "Fig. 4:",
+        "Fig. 5:",
+        "Fig. 6:",
+        "Fig. 4.1a:",
+        "Fig. 4.1b:",
+        "Fig. 4.2:",
+        "Fig. 4.3:",
+        "Closed loop",
+    ):
+        assert title in text
+    figures = {path.stem for path in (small.out / "figures").glob("*.svg")}
+    assert figures == {path.stem for path in (small.out / "figures").glob("*.png")}
+    assert len(figures) == text.count("<figure>")
+
+
+def test_the_equation_of_motion_closes_with_friction_and_without(small: SmallStudy):
+    rows = read_csv(small.out / "tables/appendix_b.csv")
+    error = {(r["Robot"], r["Model"], r["Contact forces"]): float(r["RMSE [N, Nm]"]) for r in rows}
+    for robot, model in (
+        ("without friction", "rigid links"),
+        ("with friction", "rigid links, friction"),
+    ):
+        assert error[robot, model, "measured"] < 1e-9
+        assert error[robot, model, "by Eq. 4.1"] < 1e-6
+    assert error["with friction", "rigid links", "measured"] > 0.1
+
+
+def test_vibration_is_what_a_filter_takes_off(small: SmallStudy):
+    rows = {r["Log"]: r for r in read_csv(small.out / "tables/accelerations.csv")}
+    shaking, floating = (float(rows[log]["e_a [rad/s²]"]) for log in ("vibrating", "floating"))
+    assert shaking > 5 * floating
+    assert float(rows["vibrating"]["e_a of the thesis [rad/s²]"]) == 57.0
+
+
+def test_the_controller_does_best_with_the_best_model(small: SmallStudy):
+    rows = {r["Model"]: r for r in read_csv(small.out / "tables/closed_loop_25percent.csv")}
+    truth, ours = (float(rows[m]["CoM tracking, median [mm]"]) for m in ("Truth", "MAP-LMI"))
+    assert ours < truth + 1.0
+    assert rows["OLS"]["Stood"] == "0 of 1"
+    assert "not positive definite" in rows["OLS"]["Ended by"]
