@@ -3,12 +3,16 @@ from glob import glob
 from setuptools import find_packages, setup
 
 PACKAGE = "symbid_ros"
+ROOMS = "report", "study"  # those with pages
 
 setup(
     name=PACKAGE,
     version="0.1.0",
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
-    package_data={PACKAGE: ["py.typed", "report/*.html", "report/*.css", "study/*.html", "study/*.css", "study/thesis/*.json"]},
+    package_data={
+        PACKAGE: ["py.typed", *(f"{room}/*.{kind}" for room in ROOMS for kind in ("html", "css"))],
+        f"{PACKAGE}.study": ["thesis/*.json"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

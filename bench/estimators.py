@@ -27,9 +27,10 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import TrueMotion, evaluate, read_true_motion
 from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import METHODS, Identification
+from symbid_ros.offline.identification import Identification
 from symbid_ros.offline.interval import HALF_WIDTH, summarise_intervals
 from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.problem import METHODS
 from symbid_ros.share import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator

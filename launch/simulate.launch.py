@@ -17,7 +17,7 @@ from symbid_ros.share import PACKAGE, config_file
 
 # What is worth changing from the command line; the defaults stand in bridge.yaml alone.
 BRIDGE_ARGUMENTS = {
-    "scenario": "smooth, vibrating, suspended or tare",
+    "scenario": "smooth, vibrating, squat, suspended or tare",
     "moves": "number of moves",
     "motion_seed": "draws the moves",
     "noise_seed": "draws the sensor noise",

@@ -9,6 +9,7 @@ import pytest
 
 # With --dist loadfile a file is one worker's: the longest first, and all workers end together.
 LONGEST = (
+    "test_study_small.py",
     "test_ros_identifier.py",
     "test_offline_identification.py",
     "test_offline_calibration.py",
@@ -19,6 +20,9 @@ LONGEST = (
     "test_cli_evaluate.py",
     "test_simulation_scenarios.py",
     "test_offline_trees.py",
+    "test_study_sensing.py",
+    "test_study_figures.py",
+    "test_simulation_balance.py",
     "test_estimation_posterior.py",
     "test_estimation_bound.py",
     "test_simulation_errors.py",

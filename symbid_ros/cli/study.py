@@ -34,7 +34,7 @@ def study(
 
     Stopped and started again it goes on where it was. Equal seeds give equal tables.
     """
-    from symbid_ros.study.plan import load_plan
+    from symbid_ros.study.plan_file import load_plan
     from symbid_ros.study.publication import publish
     from symbid_ros.study.stages import stages
     from symbid_ros.study.work import Task, Workers
@@ -65,7 +65,7 @@ def study(
 
         for stage in todo:
             progress.update(bar, description=stage.title)
-            if not console.is_terminal:
+            if stage.tasks and not console.is_terminal:
                 left = sum(not task.output.exists() for task in stage.tasks)
                 console.print(f"{stage.title}: {left} of {len(stage.tasks)} steps to do")
             team.complete(stage.tasks, done)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import Literal, get_args
 
 import numpy as np
 
@@ -13,91 +12,16 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.knowledge import Bounds
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.physical import consistent_minimum
-from symbid_ros.estimation.posterior import SETTLED, Posterior, SoftRows, posterior
-from symbid_ros.estimation.prior import Prior
+from symbid_ros.estimation.posterior import SETTLED, Posterior, posterior
 from symbid_ros.estimation.thesis import LeastSquares
 from symbid_ros.estimation.thesis import Method as TruncatedMethod
-from symbid_ros.estimation.truncation import Criterion, informative_rank, select_rank
-from symbid_ros.estimation.verdict import DETERMINED, judge
+from symbid_ros.estimation.truncation import informative_rank, select_rank
+from symbid_ros.estimation.verdict import DETERMINED, SUSPICIOUS_NOISE, judge
 from symbid_ros.model.inertia import is_consistent
-from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.calibration import Calibrated
+from symbid_ros.offline.problem import Method, Problem, Truncation
 
-Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
-METHODS: tuple[Method, ...] = get_args(Method)
-# Those that weigh data against a prior, and take whatever else is known.
-GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")
 # Change, in posterior deviations, at which windows of several lengths can be compared.
 COMPARABLE = 1e-2
-
-
-@dataclass(frozen=True)
-class Truncation:
-    """How the number of singular values z is chosen: given, on a validation log, or by itself.
-
-    Attributes
-    ----------
-    rank : int or None
-        z.
-    validation : tuple of Observations
-        Of a log kept apart; the one with the training rows' window is used.
-    criterion : {"gen_force", "torque", "com"}
-        What to choose it by there.
-    """
-
-    rank: int | None = None
-    validation: tuple[Observations, ...] = ()
-    criterion: Criterion = "gen_force"
-
-
-@dataclass(frozen=True)
-class Problem:
-    """Everything that is known before a method is chosen.
-
-    Attributes
-    ----------
-    observations : tuple of Observations
-        The data, for each length of window, shortest first.
-    parameters : ParameterSet
-        The robot's p columns.
-    prior : Prior
-        Of them, and of the errors of sensors whose columns follow.
-    sensors : tuple of str
-        Units of those errors.
-    known : SoftRows or None
-        What else is known.
-    empirical : bool
-        Whether the evidence sets the scale of the prior.
-    longest : bool
-        Whether only the longest window will do.
-    inputs : tuple of str
-        What to write down as the estimate's origin.
-    """
-
-    observations: tuple[Observations, ...]
-    parameters: ParameterSet
-    prior: Prior
-    sensors: tuple[str, ...] = ()
-    known: SoftRows | None = None
-    empirical: bool = False
-    longest: bool = False
-    inputs: tuple[str, ...] = ()
-
-    @property
-    def sensor_names(self) -> tuple[str, ...]:
-        """Names of the sensors' errors."""
-        return self.prior.names[len(self.parameters) :]
-
-    def calibrated(self, found: Calibrated) -> "Problem":
-        """Return the problem with errors of the log's sensors among the unknowns."""
-        return replace(
-            self,
-            observations=found.observations,
-            prior=found.prior,
-            sensors=found.errors.units,
-            known=found.known,
-            longest=True,
-        )
 
 
 @dataclass(frozen=True)
@@ -138,7 +62,11 @@ class Solver:
 
     @classmethod
     def of(cls, problem: Problem) -> "Solver":
-        """Find the window whose rows tell most of the robot, noise not counted."""
+        """Find the window whose rows tell most of the robot, noise not counted.
+
+        Where noise is most of what some direction is told, its estimate leaves a bias larger than
+        the deviations: such windows are passed over for others.
+        """
         parameters = problem.parameters
         candidates = problem.observations[-1:] if problem.longest else problem.observations
 
@@ -160,7 +88,7 @@ class Solver:
         found: list[Posterior] = []
         for one in candidates:
             found.append(solved(one, found[-1].mean if found else None, rough=True))
-        best = int(np.argmax([one.gain(len(parameters)) for one in found]))
+        best = _telling(found, len(parameters))
         return cls(
             problem, candidates[best], solved(candidates[best], found[best].mean, rough=False)
         )
@@ -301,6 +229,14 @@ class Solver:
             inputs=self.problem.inputs,
             software=f"symbid_ros {version('symbid_ros')}",
         )
+
+
+def _telling(found: Sequence[Posterior], count: int) -> int:
+    """Return which window tells most of the first ``count`` parameters."""
+    shares = [one.noise_share for one in found]
+    allowed = max(SUSPICIOUS_NOISE, min(shares))
+    gains = [one.gain(count) for one in found]
+    return max(range(len(found)), key=lambda i: (shares[i] <= allowed, gains[i]))
 
 
 def _same_window(candidates: Sequence[Observations], window: float) -> Observations:

@@ -16,15 +16,8 @@ from symbid_ros.model.parameters import ParameterSet, Term, neglected_terms
 from symbid_ros.model.urdf import Base
 from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
 from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import (
-    GAUSSIAN,
-    METHODS,
-    Identification,
-    Method,
-    Problem,
-    Solver,
-    Truncation,
-)
+from symbid_ros.offline.identification import Identification, Solver
+from symbid_ros.offline.problem import GAUSSIAN, METHODS, Method, Problem, Truncation
 from symbid_ros.offline.record import Processing, Record, check_weight, read_record
 
 logger = logging.getLogger(__name__)

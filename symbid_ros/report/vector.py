@@ -25,7 +25,12 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     buffer = io.BytesIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     figure.savefig(buffer, format="svg", metadata=nothing)
-    root = ElementTree.fromstring(buffer.getvalue())
+    return page_svg(buffer.getvalue(), name, description)
+
+
+def page_svg(svg: bytes, name: str, description: str) -> str:
+    """Return an SVG file that Matplotlib wrote as such an element."""
+    root = ElementTree.fromstring(svg)
     used = set(re.findall(r'(?:url\(|")#([^)"]+)', ElementTree.tostring(root, encoding="unicode")))
     for element in root.iter():
         _make_local(element, name, used)

@@ -18,8 +18,8 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.parameters import joint_terms
 from symbid_ros.offline.export import export_urdf, write_identification
 from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import METHODS
 from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.problem import METHODS
 from symbid_ros.offline.record import processing
 from symbid_ros.ros import estimate_messages as messages
 from symbid_ros.ros.messages import latched, reliable

@@ -71,7 +71,7 @@ def realistic_table(means: Mapping[str, Mapping[str, float]]) -> Sheet:
     }
     return Sheet(
         name="realistic",
-        title="Realistic predictions",
+        title="Errors of realistic predictions",
         caption=(
             "Means over the draws: velocities filtered in real time, accelerations as desired, "
             "contact forces predicted by Eq. 4.1; “by wrenches”: torques from the measured contact "

@@ -14,8 +14,8 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import TrueMotion, read_true_motion
-from symbid_ros.offline.identification import GAUSSIAN
 from symbid_ros.offline.prediction import evaluate_realistic, read_realistic_motion
+from symbid_ros.offline.problem import GAUSSIAN
 from symbid_ros.report.content import TRUTH
 from symbid_ros.signals.alignment import align, joint_columns
 from symbid_ros.signals.filters import LowPass

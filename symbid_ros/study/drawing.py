@@ -4,6 +4,7 @@ import io
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from matplotlib.lines import Line2D
 from symbid_ros.atomic import write_through
 from symbid_ros.report.compose import TITLES
 from symbid_ros.report.style import Style, assigned, house_style
-from symbid_ros.report.vector import inline_svg
+from symbid_ros.report.vector import page_svg
 from symbid_ros.study.scores import REFERENCE
 
 # The thesis's name of the prior.
@@ -52,6 +53,19 @@ class Drawing:
     figure: Figure
     description: str
 
+    @cached_property
+    def svg(self) -> bytes:
+        """The figure as a file of its own."""
+        return self.rendered("svg", {"Creator": None, "Date": None})
+
+    def rendered(self, kind: str, metadata: dict[str, None]) -> bytes:
+        """Return the figure in a file format, title and description with it."""
+        about = {"Title": self.title, "Description": self.description}
+        buffer = io.BytesIO()
+        with house_style():
+            self.figure.savefig(buffer, format=kind, dpi=DPI, metadata={**about, **metadata})
+        return buffer.getvalue()
+
 
 def save(drawing: Drawing, folder: Path) -> tuple[Path, Path]:
     """Write NAME.svg, whose text is text, and NAME.png of 200 dpi, each in one step.
@@ -67,24 +81,16 @@ def save(drawing: Drawing, folder: Path) -> tuple[Path, Path]:
     SymbidError
         When the folder cannot be written to.
     """
-    about = {"Title": drawing.title, "Description": drawing.description}
     svg, png = folder / f"{drawing.name}.svg", folder / f"{drawing.name}.png"
-    _write(drawing.figure, svg, {**about, "Creator": None, "Date": None})
-    _write(drawing.figure, png, {**about, "Software": None})
+    write_through(svg, lambda stream: stream.write(drawing.svg))
+    pixels = drawing.rendered("png", {"Software": None})
+    write_through(png, lambda stream: stream.write(pixels))
     return svg, png
-
-
-def _write(figure: Figure, path: Path, metadata: dict[str, str | None]) -> None:
-    buffer = io.BytesIO()
-    with house_style():
-        figure.savefig(buffer, format=path.suffix[1:], dpi=DPI, metadata=metadata)
-    write_through(path, lambda stream: stream.write(buffer.getvalue()))
 
 
 def inline(drawing: Drawing) -> str:
     """Return the figure as an ``<svg>`` whose ids are its own on a page with others."""
-    with house_style():
-        return inline_svg(drawing.figure, drawing.name, drawing.description)
+    return page_svg(drawing.svg, drawing.name, drawing.description)
 
 
 @contextmanager

@@ -22,8 +22,9 @@ from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import Judge, link_errors, read_true_motion
 from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import GAUSSIAN, Problem, Solver, Truncation
+from symbid_ros.offline.identification import Solver
 from symbid_ros.offline.job import Job, Prepared, prepare
+from symbid_ros.offline.problem import GAUSSIAN, Problem, Truncation
 from symbid_ros.share import config_file
 from symbid_ros.study.logs import identified, truth
 from symbid_ros.study.plan import Log, Plan, Spread

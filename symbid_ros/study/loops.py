@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.atomic import write_text
 from symbid_ros.errors import StudyError
-from symbid_ros.offline.identification import GAUSSIAN
+from symbid_ros.offline.problem import GAUSSIAN
 from symbid_ros.report.content import TRUTH
 from symbid_ros.simulation.balance import BalanceRun, balance
 from symbid_ros.study.draws import load_draw

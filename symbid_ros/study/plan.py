@@ -1,17 +1,13 @@
-"""What a study compares: a YAML file, checked entry by entry."""
+"""What a study compares, checked entry by entry."""
 
 import difflib
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from symbid_ros.errors import StudyError
 from symbid_ros.estimation.prior import Kind
 from symbid_ros.estimation.truncation import Criterion
-from symbid_ros.offline.identification import GAUSSIAN, METHODS, Method
-from symbid_ros.share import config_file, share_directory
+from symbid_ros.offline.problem import GAUSSIAN, METHODS, Method
 from symbid_ros.signals.filters import Channels
 from symbid_ros.study.sensing import Sensing
 
@@ -291,84 +287,7 @@ class Plan(Part):
             raise ValueError(f"{where}: {missing[0]:g} Hz is not among filters; add it there")
 
 
-def load_plan(name: str) -> tuple[Plan, Path]:
-    """Read a study that ships with the package, by its name, or a file.
-
-    Returns
-    -------
-    plan : Plan
-    path : Path
-        Where it was read.
-
-    Raises
-    ------
-    StudyError
-        When there is no such study or file, or an entry of it is wrong; the message names the
-        entry and, where one comes near, what may have been meant.
-    """
-    path = Path(name)
-    if path.suffix not in (".yaml", ".yml"):
-        known = {file.stem.removeprefix("study_"): file.name for file in studies()}
-        if name not in known:
-            raise StudyError(
-                f"no study {name!r}{nearest(name, known)}; choose one of "
-                f"{', '.join(sorted(known))}, or name a YAML file"
-            )
-        path = config_file(known[name])
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8"
-        raise StudyError(f"{path}: cannot be read ({reason}); name an existing file") from None
-    except yaml.YAMLError as error:
-        raise StudyError(f"{path}: no YAML ({' '.join(str(error).split())})") from None
-    if not isinstance(content, dict):
-        raise StudyError(f"{path}: no study; begin with title, data and priors")
-    try:
-        return Plan.model_validate(content), path
-    except ValidationError as error:
-        raise StudyError(f"{path}: {_first_fault(error, content)}") from None
-
-
-def studies() -> list[Path]:
-    """Return the studies that ship with the package."""
-    return sorted((share_directory() / "config").glob("study_*.yaml"))
-
-
 def nearest(name: str, known: Any) -> str:
     """Return a suggestion for a misspelt name, empty where nothing comes near."""
     close = difflib.get_close_matches(str(name), [str(one) for one in known], n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""
-
-
-def _first_fault(error: ValidationError, content: dict[str, Any]) -> str:
-    """Return the first thing that is wrong, where it is and what may have been meant."""
-    fault = error.errors(include_url=False)[0]
-    where = ".".join(str(step) for step in fault["loc"])
-    if fault["type"] == "extra_forbidden":
-        fields = _fields_at(fault["loc"][:-1])
-        return f"unknown key {where}{nearest(str(fault['loc'][-1]), fields)}; known are " + (
-            ", ".join(fields)
-        )
-    message = fault["msg"].removeprefix("Value error, ")
-    return f"{where}: {message}" if where else message
-
-
-def _fields_at(loc: tuple[int | str, ...]) -> list[str]:
-    """Return the keys that an entry may have."""
-    names: dict[str, type[Part]] = {
-        "data": DataSet,
-        "validation": Log,
-        "equation": Log,
-        "logs": Log,
-        "priors": Spread,
-        "prior": Spread,
-        "z": Selection,
-        "figures": Figures,
-        "accelerations": Accelerations,
-        "closed_loop": ClosedLoop,
-    }
-    found: type[Part] = Plan
-    for step in loc:
-        found = names.get(str(step), found)
-    return list(found.model_fields)

@@ -60,7 +60,7 @@ def _in_words(plan: Plan, made: tuple[Section, ...]) -> str:
         for one in section.conclusions:
             reason = f" {one.because}" if one.because else ""
             lines += [f"- {one.claim} **{one.verdict.capitalize()}.** {one.sentence}{reason}"]
-        lines += [*section.sentences, ""]
+        lines += [*(f"- {sentence}" for sentence in section.sentences), ""]
     return "\n".join(lines)
 
 

@@ -57,8 +57,6 @@ def sections(results: Results) -> tuple[Section, ...]:
     parts = [*_concluding(results)] if plan.thesis else [*_comparing(results)]
     made = tables(plan, results.scores, _draw(results))
     parts.append(_tabled("tables", "Tables", [one for one in made if len(one.rows) <= LONG]))
-    if plan.thesis:
-        parts.append(_gridded(results))
     if plan.figures is not None:
         parts += _predicted(results, plan.figures)
     if plan.accelerations is not None:
@@ -69,6 +67,8 @@ def sections(results: Results) -> tuple[Section, ...]:
         )
     if plan.closed_loop is not None:
         parts.append(_balanced(results, plan.closed_loop))
+    if plan.thesis:
+        parts.append(_gridded(results))
     long = [one for one in made if len(one.rows) > LONG]
     if long:
         parts.append(_tabled("all", "Every number", long, folded=True))
@@ -185,7 +185,8 @@ def _predicted(results: Results, figures: Figures) -> Iterator[Section]:
     yield Section(
         "predictions",
         "Predictions",
-        "Of the first draw’s estimates, along the ideal validation motion.",
+        "Of the first draw’s estimates, along the ideal validation motion. The cutoffs are the "
+        "plan’s, which need not be the best ones (Table C.1).",
         drawings=(
             *ideal_drawings(results, figures),
             link_drawing(LinkErrors(links.links, percent), setting, results.plan.iterations),

@@ -19,7 +19,8 @@ from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identification import METHODS, Problem, Solver, Truncation
+from symbid_ros.offline.identification import Solver
+from symbid_ros.offline.problem import METHODS, Problem, Truncation
 from symbid_ros.offline.record import observe
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows

@@ -19,8 +19,9 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
 from symbid_ros.offline.export import write_identification
 from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import Problem, Solver
+from symbid_ros.offline.identification import Solver
 from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.problem import Problem
 from symbid_ros.offline.record import Processing
 from symbid_ros.signals.weak_form import BLOCK, WindowedRows
 from symbid_ros.simulation.friction import load_friction
@@ -228,6 +229,26 @@ def test_a_log_at_rest_tells_of_weight_and_balance_alone(folder, symbitron):
     errors = (prepared.solve("map").estimate.value - symbitron.values) / prepared.prior.std
     off = (prepared.prior.mean - symbitron.values) / prepared.prior.std
     assert np.linalg.norm(errors) < np.linalg.norm(off)
+
+
+def test_windows_that_tell_of_noise_are_passed_over(whole):
+    """Under a wide prior short windows seem to tell more, most of it noise in the regressor."""
+    prior = draw_prior(whole.parameters, "absolute", 0.125, 1)
+    problem = replace(whole.solver.problem, prior=prior)
+    each = [Solver.of(replace(problem, observations=(one,))) for one in problem.observations]
+    chosen = Solver.of(problem)
+    gains = [one.posterior.gain(len(whole.parameters)) for one in each]
+    shares = [one.posterior.noise_share for one in each]
+    assert np.argmax(gains) == 0
+    assert shares[0] > 0.9
+    assert chosen.chosen is problem.observations[-1]
+    assert chosen.posterior.noise_share == pytest.approx(min(shares), rel=1e-3)
+
+    def mean_square(solver):
+        found = solver.posterior
+        return np.mean((found.factor @ (found.mean - whole.parameters.values)) ** 2)
+
+    assert mean_square(chosen) < 1.4 < mean_square(each[0])
 
 
 @pytest.mark.parametrize("scale", [1 / 3, 1.0, 3.0])

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from symbid_ros.study.plan import Plan, load_plan
+from symbid_ros.study.plan import Plan
+from symbid_ros.study.plan_file import load_plan
 from symbid_ros.study.results import Results
 from symbid_ros.study.workspace import Workspace
 
@@ -32,7 +33,9 @@ figures:
   parameters: 30.0
 accelerations:
   cutoff: 70.0
-  logs: { vibrating: { scenario: vibrating, moves: 1 }, floating: { scenario: suspended, moves: 1 } }
+  logs:
+    vibrating: { scenario: vibrating, moves: 1 }
+    floating: { scenario: suspended, moves: 1 }
 equation: { scenario: smooth, moves: 1, motion_seed: 9, noise: 0.0 }
 closed_loop: { data: smooth, priors: [{ percent: 25.0 }], iterations: 1, moves: 1 }
 """

@@ -16,7 +16,8 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Frame
 from symbid_ros.offline.evaluation import read_true_motion
-from symbid_ros.offline.identification import Problem, Solver
+from symbid_ros.offline.identification import Solver
+from symbid_ros.offline.problem import Problem
 from symbid_ros.offline.record import Processing, read_record
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows

@@ -2,7 +2,12 @@
 
 import csv
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
+import time
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,12 +19,16 @@ from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import evaluate, read_true_motion
-from symbid_ros.offline.identification import Problem, Solver, Truncation
+from symbid_ros.offline.identification import Solver
+from symbid_ros.offline.problem import Problem, Truncation
 from symbid_ros.offline.record import Processing, read_record
 from symbid_ros.share import config_file
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.study.stages import stages
+from symbid_ros.study.work import Workers
+from symbid_ros.study.workspace import Workspace
 
 KINDS = {"±25 %": ("percent", 25.0), "±0.125": ("absolute", 0.125)}
 COLUMNS = {
@@ -118,27 +127,29 @@ def test_started_again_it_does_nothing_over_and_writes_the_same(small: SmallStud
         found = (path for path in sorted(folder.rglob("*")) if path.is_file())
         return {str(path.relative_to(small.out)): path.read_bytes() for path in found}
 
-    before, times = files(small.out), [p.stat().st_mtime_ns for p in (small.out / "work").rglob("*")]
+    work = small.out / "work"
+    before, times = files(small.out), [path.stat().st_mtime_ns for path in work.rglob("*")]
     again = symbid("study", small.file, "--out", small.out, "--workers", 1)
     assert again.returncode == 0, again.stderr
     assert "0 of" in again.stderr
-    assert times == [p.stat().st_mtime_ns for p in (small.out / "work").rglob("*")]
+    assert times == [path.stat().st_mtime_ns for path in work.rglob("*")]
     assert files(small.out) == before
 
 
 def test_lost_steps_are_made_good_to_the_last_digit(small: SmallStudy):
+    space = Workspace(small.out)
     lost = [
         small.out / "work/draws/smooth, percent 25, 1.json",
         small.out / "work/rows/smooth of 3 moves 5, noise 1 x 6, all, 30 Hz.npz",
     ]
-    before = [json.loads(lost[0].read_text())]
-    table = (small.out / "tables/table_c1_smooth.csv").read_bytes()
+    before = json.loads(lost[0].read_text())
     for file in lost:
         file.unlink()
-    again = symbid("study", small.file, "--out", small.out, "--workers", 2)
-    assert again.returncode == 0, again.stderr
-    assert [json.loads(lost[0].read_text())] == before
-    assert (small.out / "tables/table_c1_smooth.csv").read_bytes() == table
+    with Workers(2) as team:
+        for stage in stages(small.plan, space):
+            team.complete(stage.tasks, lambda _: None)
+    assert all(file.exists() for file in lost)
+    assert json.loads(lost[0].read_text()) == before
 
 
 def test_another_plan_is_refused_and_nothing_touched(small: SmallStudy, tmp_path: Path):
@@ -150,6 +161,42 @@ def test_another_plan_is_refused_and_nothing_touched(small: SmallStudy, tmp_path
     assert "another plan" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
     assert (small.out / "report.html").read_bytes() == page
+
+
+def test_interrupted_it_leaves_no_process_and_nothing_half_done(small: SmallStudy, tmp_path: Path):
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "symbid_ros.cli.main", "study", str(small.file)]
+    with subprocess.Popen(
+        [*command, "--out", str(out), "--workers", "2"],
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        text=True,
+    ) as study:
+        begun = out / "work/logs/.begun"
+        until(lambda: begun.is_dir() and any(begun.iterdir()))
+        study.send_signal(signal.SIGINT)
+        _, told = study.communicate(timeout=60)
+    assert study.returncode == 130
+    assert told.splitlines()[-1] == "symbid: interrupted"
+    assert "Traceback" not in told
+
+    def gone() -> bool:
+        try:
+            os.killpg(study.pid, 0)
+        except ProcessLookupError:
+            return True
+        return False
+
+    until(gone)
+    assert not list(out.glob("work/logs/*/metadata.yaml"))
+
+
+def until(condition) -> None:
+    """Wait for what another process does, at most a minute."""
+    deadline = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 class Resources(HTMLParser):

@@ -1,0 +1,85 @@
+"""What is known before a method is chosen, and which methods there are."""
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.posterior import SoftRows
+from symbid_ros.estimation.prior import Prior
+from symbid_ros.estimation.truncation import Criterion
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.calibration import Calibrated
+
+Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
+METHODS: tuple[Method, ...] = get_args(Method)
+# Those that weigh data against a prior, and take whatever else is known.
+GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")
+
+
+@dataclass(frozen=True)
+class Truncation:
+    """How the number of singular values z is chosen: given, on a validation log, or by itself.
+
+    Attributes
+    ----------
+    rank : int or None
+        z.
+    validation : tuple of Observations
+        Of a log kept apart; the one with the training rows' window is used.
+    criterion : {"gen_force", "torque", "com"}
+        What to choose it by there.
+    """
+
+    rank: int | None = None
+    validation: tuple[Observations, ...] = ()
+    criterion: Criterion = "gen_force"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Everything that is known before a method is chosen.
+
+    Attributes
+    ----------
+    observations : tuple of Observations
+        The data, for each length of window, shortest first.
+    parameters : ParameterSet
+        The robot's p columns.
+    prior : Prior
+        Of them, and of the errors of sensors whose columns follow.
+    sensors : tuple of str
+        Units of those errors.
+    known : SoftRows or None
+        What else is known.
+    empirical : bool
+        Whether the evidence sets the scale of the prior.
+    longest : bool
+        Whether only the longest window will do.
+    inputs : tuple of str
+        What to write down as the estimate's origin.
+    """
+
+    observations: tuple[Observations, ...]
+    parameters: ParameterSet
+    prior: Prior
+    sensors: tuple[str, ...] = ()
+    known: SoftRows | None = None
+    empirical: bool = False
+    longest: bool = False
+    inputs: tuple[str, ...] = ()
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Names of the sensors' errors."""
+        return self.prior.names[len(self.parameters) :]
+
+    def calibrated(self, found: Calibrated) -> "Problem":
+        """Return the problem with errors of the log's sensors among the unknowns."""
+        return replace(
+            self,
+            observations=found.observations,
+            prior=found.prior,
+            sensors=found.errors.units,
+            known=found.known,
+            longest=True,
+        )

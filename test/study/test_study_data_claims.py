@@ -1,0 +1,81 @@
+"""What is said of data sets and methods follows from the means, whichever way they lie."""
+
+import pytest
+
+from symbid_ros.study.data_claims import data_sentences, headline
+from symbid_ros.study.plan import Plan
+from symbid_ros.study.scores import METRICS, Case, Scores
+
+PRIOR = "±25 %"
+
+
+def scores(com: dict[tuple[str, str], float]) -> Scores:
+    """Return means whose other errors are all 1."""
+    return Scores(
+        {
+            Case(data, PRIOR, method): dict.fromkeys(METRICS, 1.0) | {"com_position_rmse_mm": error}
+            for (data, method), error in com.items()
+        }
+    )
+
+
+def plan(*data: str) -> Plan:
+    return Plan.model_validate(
+        {
+            "title": "A",
+            "data": {name: {"motion_seed": seed} for seed, name in enumerate(data)},
+            "priors": [{"percent": 50.0}, {"percent": 25.0}, {"absolute": 25.0}],
+            "methods": ["wls_rc", "map_lmi"],
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("ours", "theirs", "told"),
+    [
+        (
+            0.2,
+            4.0,
+            "MAP-LMI predicts the CoM best, to 0.200 mm; the best truncated method, WLS-RC, "
+            "to 4.00 mm (20 times)",
+        ),
+        (
+            4.0,
+            0.2,
+            "WLS-RC predicts the CoM best, to 0.200 mm; the best other, MAP-LMI, to 4.00 mm",
+        ),
+    ],
+)
+def test_the_headline_names_the_best_method(ours, theirs, told):
+    means = scores({("a", "map_lmi"): ours, ("a", "wls_rc"): theirs, ("a", "ref"): 20.0})
+    text = headline(means, plan("a"))
+    assert text.startswith(f"Priors {PRIOR}. On a data ")
+    assert told in text
+    assert "the prior, to 20.0 mm" in text
+
+
+@pytest.mark.parametrize(("best", "worst"), [("a", "c"), ("c", "a")])
+def test_of_many_data_sets_the_headline_names_the_best_and_the_worst(best, worst):
+    errors = {best: 0.1, "b": 0.5, worst: 2.0}
+    means = scores(
+        {(name, "map_lmi"): error for name, error in errors.items()}
+        | {(name, "wls_rc"): 10 * error for name, error in errors.items()}
+        | {(name, "ref"): 20.0 for name in errors}
+    )
+    text = headline(means, plan("a", "b", "c"))
+    assert f"best with {best}, to 0.100 mm by MAP-LMI" in text
+    assert f"worst with {worst}, to 2.00 mm by MAP-LMI" in text
+
+
+def test_sentences_say_where_a_method_is_worse_than_the_prior():
+    means = scores(
+        {
+            ("a", "map_lmi"): 1.0,
+            ("b", "map_lmi"): 30.0,
+            ("a", "ref"): 20.0,
+            ("b", "ref"): 20.0,
+        }
+    )
+    (sentence,) = data_sentences(means, ["a", "b"], PRIOR, ["map_lmi", "wls_rc"])
+    assert "1.00 mm with a at best, 30.0 mm with b at worst (30 times)" in sentence
+    assert sentence.endswith("Less accurate than the prior: b (CoM).")

@@ -1,0 +1,137 @@
+"""Plans: what ships can be run, and what is wrong is named with what may have been meant."""
+
+import re
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from symbid_ros.errors import StudyError, SymbidError
+from symbid_ros.offline.problem import METHODS
+from symbid_ros.share import config_file
+from symbid_ros.study.plan import Plan, Spread
+from symbid_ros.study.plan_file import load_plan, studies
+
+NAMES = ("thesis", "excitation", "sensors", "noise", "length", "errors")
+
+
+def test_all_that_ship_are_known_by_name():
+    assert {file.stem for file in studies()} == {f"study_{name}" for name in NAMES}
+    for name in NAMES:
+        plan, path = load_plan(name)
+        assert path == config_file(f"study_{name}.yaml")
+        assert plan.thesis == (name == "thesis")
+
+
+def test_the_thesis_study_is_what_the_thesis_did_and_ours_beside():
+    plan, _ = load_plan("thesis")
+    assert [str(spread) for spread in plan.priors] == ["±12.5 %", "±25 %", "±50 %", "±0.125"]
+    assert plan.filters == [0, 30, 50, 70, 100]
+    assert plan.iterations == 20
+    assert set(plan.methods) == set(METHODS)
+    assert {log.scenario for log in plan.data.values()} == {"smooth", "vibrating"}
+
+
+def changed(text: str, old: str, new: str) -> str:
+    assert old in text
+    return text.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("iterations: 20", "iteratons: 20", "unknown key iteratons (did you mean 'iterations'?)"),
+        (
+            "scenario: smooth,",
+            "scenarios: smooth,",
+            "scenarios (did you mean 'scenario'?)",
+        ),
+        ("- { percent: 12.5 }", "- { percnt: 12.5 }", "priors.0.percnt (did you mean 'percent'?)"),
+        ("by: gen_force", "bye: gen_force", "z.bye (did you mean 'by'?)"),
+        ("com: 70.0", "con: 70.0", "figures.con (did you mean 'com'?)"),
+        ("  moves: 4\n", "  move: 4\n", "closed_loop.move (did you mean 'moves'?)"),
+        ("moves: 20,", "moves: 0,", "data.smooth.moves"),
+        ("scenario: smooth,", "scenario: walk,", "data.smooth.scenario"),
+        ("- { percent: 12.5 }", "- { percent: 12.5, absolute: 1.0 }", "one of percent, absolute"),
+        ("- { percent: 12.5 }", "- { percent: -12.5 }", "priors.0.percent"),
+        ("- { percent: 12.5 }", "- { percent: .nan }", "priors.0.percent"),
+        ("- { percent: 12.5 }", "- { percent: 25.0 }", "priors repeat"),
+        ("com: 70.0", "com: 71.0", "71 Hz is not among filters"),
+        ("[0.0, 30.0", "[0.0, 0.0", "filters repeat"),
+        ("  data: smooth\n  prior:", "  data: smoth\n  prior:", "(did you mean 'smooth'?)"),
+        ("wls_rc, map, map_lmi]", "wls_r, map, map_lmi]", "methods repeat"),
+        ("wls_rc, map, map_lmi]", "map, map_lmi]", "figures show wls_rc"),
+        ("noise_seed: 11", "noise_seed: true", "data.smooth.noise_seed"),
+        ("  smooth:", "  ../smooth:", "data.../smooth"),
+        ("  iterations: 5", "  iterations: 50", "more iterations than the study"),
+        ("title:", "title: [", "no YAML"),
+    ],
+)
+def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, told):
+    file = tmp_path / "mine.yaml"
+    text = config_file("study_thesis.yaml").read_text(encoding="utf-8")
+    file.write_text(changed(text, old, new), encoding="utf-8")
+    with pytest.raises(StudyError, match=re.escape(told)) as caught:
+        load_plan(str(file))
+    assert str(caught.value).startswith(f"{file}: ")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("thesi", "did you mean 'thesis'"),
+        ("walking", "choose one of errors, excitation"),
+        ("missing.yaml", "cannot be read"),
+    ],
+)
+def test_a_study_that_is_none_is_refused(name, told):
+    with pytest.raises(StudyError, match=told):
+        load_plan(name)
+
+
+def test_cure_needs_every_sensor():
+    content = {"title": "A", "priors": [{"percent": 25.0}]}
+    with pytest.raises(ValueError, match="cure needs all sensors"):
+        Plan.model_validate(content | {"data": {"a": {"cure": True, "sensors": "base_rows"}}})
+
+
+@pytest.mark.parametrize(
+    ("spread", "text"), [({"percent": 12.5}, "±12.5 %"), ({"absolute": 0.125}, "±0.125")]
+)
+def test_priors_are_called_as_the_tables_call_them(spread, text):
+    assert str(Spread(**spread)) == text
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+@given(
+    place=st.sampled_from(sorted(Plan.model_fields)),
+    value=VALUES,
+    nested=st.sampled_from(["", "smooth", "prior", "logs"]),
+)
+@settings(max_examples=150, deadline=None)
+def test_whatever_an_entry_holds_the_answer_is_a_plan_or_one_line(
+    tmp_path_factory, place, value, nested
+):
+    content = yaml.safe_load(config_file("study_thesis.yaml").read_text(encoding="utf-8"))
+    if nested and isinstance(content.get(place), dict):
+        content[place][nested] = value
+    else:
+        content[place] = value
+    file = tmp_path_factory.mktemp("plans") / "any.yaml"
+    file.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
+    told = ""
+    try:
+        load_plan(str(file))
+    except SymbidError as error:
+        told = str(error)
+    assert "\n" not in told

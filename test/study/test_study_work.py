@@ -1,0 +1,81 @@
+"""Work in processes: done once, gone on with, and errors that arrive whole."""
+
+import multiprocessing
+from pathlib import Path
+
+import pytest
+import study_tasks
+
+from symbid_ros.errors import StudyError
+from symbid_ros.study.plan import Plan
+from symbid_ros.study.work import Task, Workers
+from symbid_ros.study.workspace import Workspace
+
+
+def task(place: Path, run=study_tasks.write, *more) -> Task:
+    return Task(place, run, (place, *more), 1.0)
+
+
+def test_what_is_there_is_not_done_again(tmp_path):
+    old, new = tmp_path / "old", tmp_path / "new"
+    old.write_text("as it was")
+    finished = []
+    with Workers(2) as team:
+        team.complete(
+            [task(old, study_tasks.write, "again"), task(new, study_tasks.write, "new")],
+            finished.append,
+        )
+    assert [one.output for one in finished] == [old, new]
+    assert (old.read_text(), new.read_text()) == ("as it was", "new")
+    assert not multiprocessing.active_children()
+
+
+def test_a_tasks_error_arrives_and_what_was_done_stays(tmp_path):
+    done, bad = tmp_path / "done", tmp_path / "bad"
+    with pytest.raises(StudyError, match="refused; ask for something else"), Workers(1) as team:
+        team.complete(
+            [task(done, study_tasks.write, "kept"), task(bad, study_tasks.refuse)], lambda _: None
+        )
+    assert done.read_text() == "kept"
+    for process in multiprocessing.active_children():
+        process.join(20)
+        assert process.exitcode is not None
+
+
+def test_a_killed_process_is_told_of(tmp_path):
+    with pytest.raises(StudyError, match="start the study again to go on"), Workers(1) as team:
+        team.complete([task(tmp_path / "never", study_tasks.die)], lambda _: None)
+
+
+def plan(**other) -> Plan:
+    content = {"title": "A", "data": {"a": {}}, "priors": [{"percent": 25.0}]}
+    return Plan.model_validate(content | other)
+
+
+class TestWorkspace:
+    def test_is_claimed_once_and_found_again(self, tmp_path):
+        space = Workspace(tmp_path / "out")
+        space.claim(plan())
+        mark = (space.work / "plan.json").read_bytes()
+        space.claim(plan())
+        assert (space.work / "plan.json").read_bytes() == mark
+
+    def test_another_plans_results_stay_unless_given_up(self, tmp_path):
+        space = Workspace(tmp_path / "out")
+        space.claim(plan())
+        result = space.work / "result"
+        result.write_text("of the first")
+        with pytest.raises(StudyError, match="another plan"):
+            space.claim(plan(iterations=3))
+        assert result.exists()
+        space.claim(plan(iterations=3), overwrite=True)
+        assert not result.exists()
+
+    @pytest.mark.parametrize("overwrite", [False, True])
+    def test_what_is_no_study_is_never_touched(self, tmp_path, overwrite):
+        (tmp_path / "thesis.doc").write_text("mine")
+        with pytest.raises(StudyError, match="something else"):
+            Workspace(tmp_path).claim(plan(), overwrite=overwrite)
+        assert [file.name for file in tmp_path.iterdir()] == ["thesis.doc"]
+        with pytest.raises(StudyError, match="something else"):
+            Workspace(tmp_path / "thesis.doc").claim(plan())

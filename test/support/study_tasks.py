@@ -1,0 +1,20 @@
+"""Tasks for the workers of a study, at a module's top level as these must be."""
+
+import os
+import signal
+from pathlib import Path
+
+from symbid_ros.errors import StudyError
+
+
+def write(place: Path, text: str) -> None:
+    place.write_text(text, encoding="utf-8")
+
+
+def refuse(place: Path) -> None:
+    raise StudyError(f"{place}: refused; ask for something else")
+
+
+def die(place: Path) -> None:
+    del place
+    os.kill(os.getpid(), signal.SIGKILL)
