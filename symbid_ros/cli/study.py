@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from time import monotonic
 from typing import Annotated
 
 import typer
@@ -65,10 +66,11 @@ def study(
 
         for stage in todo:
             progress.update(bar, description=stage.title)
-            if stage.tasks and not console.is_terminal:
-                left = sum(not task.output.exists() for task in stage.tasks)
-                console.print(f"{stage.title}: {left} of {len(stage.tasks)} steps to do")
+            left, begun = sum(not task.output.exists() for task in stage.tasks), monotonic()
             team.complete(stage.tasks, done)
+            took = f", {left} of them in {monotonic() - begun:.0f} s" if left else ", all there"
+            if stage.tasks:
+                console.print(f"{stage.title}: {len(stage.tasks)} steps{took}", highlight=False)
         progress.update(bar, description="writing")
         page = publish(wanted, space)
     typer.echo(f"wrote {page}")

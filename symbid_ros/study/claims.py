@@ -94,7 +94,7 @@ def row_scaling(seen: Examination) -> Conclusion | None:
         f"Scaling the rows lowers {len(combined.of(1))} of {len(combined)} prediction errors "
         f"where the columns are scaled too (WLS-C to WLS-RC) and {len(alone.of(1))} of "
         f"{len(alone)} where they are not (OLS to WLS-R).",
-        unless(holds, seen.ranks(middle(priors), FOUR)),
+        unless(holds, seen.bought(middle(priors), ROW_PAIRS[0])),
     )
 
 
@@ -208,7 +208,7 @@ def absolute_errors(seen: Examination) -> Conclusion | None:
         holds,
         f"{standing('WLS-R', 'best of the four', rows)}; WLS-RC's errors over those of WLS-R at "
         f"{prior}: {told} ({seen.figures(prior, FOUR)}).",
-        unless(holds, seen.ranks(prior, FOUR)),
+        unless(holds, seen.wrong_scales(prior), seen.bought(prior, ("wls_r", "wls_rc"))),
     )
 
 

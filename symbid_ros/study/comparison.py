@@ -20,7 +20,7 @@ NOUNS = dict(
         strict=True,
     )
 )
-COM, PARAMETERS = "com_position_rmse_mm", "parameter_error_pct"
+FORCE, COM, PARAMETERS = "gen_force_rmse", "com_position_rmse_mm", "parameter_error_pct"
 
 
 def order(own: float, other: float) -> int:

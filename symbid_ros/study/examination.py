@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from symbid_ros.report.numerals import significant
 from symbid_ros.study.comparison import (
     COM,
+    FORCE,
     NOUNS,
+    PARAMETERS,
     Comparison,
     Tally,
     filtered,
@@ -15,11 +17,13 @@ from symbid_ros.study.comparison import (
     quantity,
 )
 from symbid_ros.study.plan import Spread
-from symbid_ros.study.scores import METRICS, RANK, Scores
+from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Scores
 from symbid_ros.study.thesis import TITLES
 
 # The thesis's methods of estimation.
 FOUR = ("ols", "wls_r", "wls_c", "wls_rc")
+# %: priors further off than the parameters are large scale columns at random.
+MISLEADING = 100.0
 
 
 @dataclass(frozen=True)
@@ -170,6 +174,32 @@ class Examination:
             if RANK in (found := self.best(prior, method))
         ]
         return f"singular values kept at {prior}: {', '.join(told)}" if told else ""
+
+    def bought(self, prior: str, methods: Iterable[str]) -> str:
+        """Return :meth:`ranks`, and whether more of them serve the force alone, that chose them."""
+        found = {method: self.best(prior, method) for method in methods}
+        kept = sorted((f for f in found.values() if RANK in f), key=lambda one: one[RANK])
+        text = self.ranks(prior, found)
+        if len(kept) > 1:
+            few, many = kept[0], kept[-1]
+            if many[FORCE] < few[FORCE] and many[COM] > few[COM]:
+                text += (
+                    f"; from the fewest to the most of them the {NOUNS[FORCE]}, which chose them, "
+                    f"improves from {quantity(FORCE, few[FORCE])} to "
+                    f"{quantity(FORCE, many[FORCE])}, while the {NOUNS[COM]} worsens from "
+                    f"{quantity(COM, few[COM])} to {quantity(COM, many[COM])}"
+                )
+        return text
+
+    def wrong_scales(self, prior: str) -> str:
+        """Return how far priors are off that scale the columns, empty where that is little."""
+        off = self.best(prior, REFERENCE).get(PARAMETERS, 0.0)
+        if off < MISLEADING:
+            return ""
+        return (
+            f"the prior's parameters are off by {quantity(PARAMETERS, off)} on average, and so are "
+            "the scales of the columns"
+        )
 
 
 def _complete(means: Mapping[str, float]) -> Mapping[str, float]:

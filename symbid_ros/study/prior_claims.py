@@ -80,7 +80,7 @@ def worse_than_prior(seen: Examination) -> Conclusion | None:
         f"The generalised force is better than the prior's in {force.count(1)} of {len(force)} "
         f"cases, the joint torque in {torque.count(1)} of {len(torque)}; "
         + (f"worse than the prior: {'; '.join(worse)}." if worse else "no error is worse."),
-        unless(holds, seen.ranks(middle(priors), FOUR)),
+        unless(holds, seen.bought(middle(priors), ("ols", "wls_r")), seen.evidence.words),
     )
 
 
