@@ -16,6 +16,9 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+# Steps take up to a minute: the time left is guessed from many of them, s.
+SPEED_PERIOD = 300.0
+
 
 def study(
     plan: Annotated[str, typer.Argument(help="A study that ships, or a YAML file of your own.")],
@@ -56,7 +59,12 @@ def study(
     todo = stages(wanted, space)
     total = sum(task.cost for stage in todo for task in stage.tasks)
     with (
-        Progress(*columns, console=console, disable=not console.is_terminal) as progress,
+        Progress(
+            *columns,
+            console=console,
+            disable=not console.is_terminal,
+            speed_estimate_period=SPEED_PERIOD,
+        ) as progress,
         Workers(workers or min(8, os.cpu_count() or 1)) as team,
     ):
         bar = progress.add_task("", total=total)

@@ -15,13 +15,9 @@ from scipy.linalg import lapack, qr
 from scipy.sparse import csr_array
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.regressor import Rows, equation_of_motion
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.layout import RowLayout
-from symbid_ros.model.parameters import ParameterSet
-
-BLOCK = 1024
 
 
 @dataclass(frozen=True)
@@ -46,13 +42,6 @@ class Information:
     def empty(cls, layout: RowLayout) -> "Information":
         """Return the state before any data."""
         return cls(layout, np.zeros((layout.width, layout.width), order="F"), 0)
-
-    @classmethod
-    def of(cls, parameters: ParameterSet, samples: Samples) -> "Information":
-        """Fold all samples of a robot, a block at a time."""
-        information = cls.empty(RowLayout.of(parameters))
-        rows = (equation_of_motion(parameters, block) for block in samples.blocks(BLOCK))
-        return information.fold(rows)
 
     def fold(self, blocks: Iterable[Rows]) -> "Information":
         """Return the information with more rows in it.

@@ -1,16 +1,17 @@
 """What one or several logs say: the rows' information, and that of the noise in them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import eigh
 
 from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.layout import RowLayout
-from symbid_ros.signals.weak_form import INFLATION, WindowedRows
+from symbid_ros.signals.weak_form import INFLATION, SampledRows, WindowedRows
 
 # Fewer samples than this per coordinate give no covariance between coordinates worth having.
 SAMPLES_PER_COORDINATE = 3
@@ -63,12 +64,25 @@ class Observations:
         return self.rows.layout
 
     @classmethod
-    def unwindowed(cls, rows: Information, inflation: float) -> "Observations":
-        """Return rows taken at single instants, whose noise is taken as it comes."""
-        n = len(rows.layout.coordinates)
-        return cls(
-            rows, Information.empty(rows.layout), np.full((n, n), rows.samples), 0.0, inflation
-        )
+    def unwindowed(
+        cls, layout: RowLayout, blocks: Iterable[SampledRows], inflation: float
+    ) -> "Observations":
+        """Fold rows taken at single instants, whose noise is taken as it comes.
+
+        Coordinates that must not be used are left out.
+        """
+        n = len(layout.coordinates)
+        counts = np.zeros((n, n))
+
+        def used() -> Iterator[Rows]:
+            nonlocal counts
+            for block in blocks:
+                valid = block.valid.astype(np.float64)
+                counts = counts + valid.T @ valid
+                yield Rows(block.rows.K * valid[..., None], block.rows.y * valid)
+
+        rows = Information.empty(layout).fold(used())
+        return cls(rows, Information.empty(layout), counts, 0.0, inflation)
 
     def fold(self, blocks: Iterable[WindowedRows]) -> "Observations":
         """Return the observations with more rows in them."""

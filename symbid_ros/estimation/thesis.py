@@ -136,10 +136,19 @@ class LeastSquares:
     row_deviation : (n,) float64, optional
         σ per coordinate for the row-scaled methods, such as the sensors' (Eq. 28).
         By default that of the OLS residual (Eq. 29-30).
+    counts : (n,) float64, optional
+        In how many samples each coordinate is used; all of them by default.
     """
 
-    def __init__(self, information: Information, row_deviation: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        information: Information,
+        row_deviation: FloatArray | None = None,
+        counts: FloatArray | None = None,
+    ) -> None:
         self._information, self._given = information, row_deviation
+        n = len(information.layout.coordinates)
+        self._counts = np.full(n, information.samples) if counts is None else counts
 
     @cached_property
     def plain(self) -> ScaledRows:
@@ -151,7 +160,7 @@ class LeastSquares:
         """σ (n,) by which the row-scaled methods divide."""
         if self._given is not None:
             return self._given
-        return residual_deviation(self._information, self.plain)
+        return residual_deviation(self._information, self.plain, self._counts)
 
     @cached_property
     def weighed(self) -> ScaledRows:
@@ -173,10 +182,12 @@ def column_scale(prior: Prior) -> FloatArray:
     return np.where(prior.mean != 0, np.abs(prior.mean), prior.std)
 
 
-def residual_deviation(information: Information, rows: ScaledRows) -> FloatArray:
+def residual_deviation(
+    information: Information, rows: ScaledRows, counts: FloatArray
+) -> FloatArray:
     """Return the deviation (n,) of the OLS residual in each coordinate (Eq. 29-30).
 
-    Each coordinate's degrees of freedom are N less its share of the rank, the
+    Each coordinate's degrees of freedom are its samples less its share of the rank, the
     trace of its block of the hat matrix, instead of Eq. 30's N - p. The residual
     is that of full rank, which no prior changes.
     """
@@ -190,12 +201,12 @@ def residual_deviation(information: Information, rows: ScaledRows) -> FloatArray
             for i, columns in enumerate(information.layout.columns)
         ]
     )
-    freedom = information.samples - share
-    if np.any(freedom < 1):
+    freedom = counts - share
+    if np.any((freedom < 1) & (counts > 0)):
         raise EstimateError(
-            f"{information.samples} samples are too few for {m} parameters; record longer"
+            f"{int(counts[counts > 0].min())} samples are too few for {m} parameters; record longer"
         )
-    deviation = np.sqrt(squares / freedom)
+    deviation = np.sqrt(squares / np.maximum(freedom, 1))
     # A coordinate that nothing moves or loads has no residual; its weight must stay finite.
     floored: FloatArray = np.maximum(deviation, 1e-9 * max(float(deviation.max()), 1e-300))
     return floored

@@ -173,7 +173,8 @@ class Solver:
             raise EstimateError(
                 f"{method} takes neither sensor errors, a tare nor a total mass; use map or map_lmi"
             )
-        scaled = LeastSquares(self.chosen.rows, row_deviation).scaled(problem.prior, method)
+        least_squares = LeastSquares(self.chosen.rows, row_deviation, self.chosen.counts.diagonal())
+        scaled = least_squares.scaled(problem.prior, method)
         if truncation.rank is not None:
             z = truncation.rank
             if not 1 <= z <= scaled.rank:

@@ -11,7 +11,6 @@ from symbid_ros.bags.reader import read_streams
 from symbid_ros.bags.selection import TopicSelection
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
-from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
@@ -29,7 +28,15 @@ from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.readings import at_base, smoothed
 from symbid_ros.signals.samples import build_samples, joined, moving_segments
 from symbid_ros.signals.streams import Streams
-from symbid_ros.signals.weak_form import WINDOWS, RowBuilder, equation_rows, windowed_rows
+from symbid_ros.signals.weak_form import (
+    WINDOWS,
+    RowBuilder,
+    equation_rows,
+    sampled_rows,
+    windowed_rows,
+)
+
+BLOCK = 1024  # samples whose rows are built at once
 
 # Share of the expected weight by which forces may miss it before a plate is thought missing.
 WEIGHT_TOLERANCE = 0.35
@@ -153,8 +160,8 @@ def fold_record(
     else:
         samples = build_samples(streams, model, smoothing)
         inflation = row_inflation(smoothing, segments[0].rate)
-        rows = Information.of(parameters, samples)
-        observations = (Observations.unwindowed(rows, inflation),)
+        rows = (sampled_rows(parameters, block) for block in samples.blocks(BLOCK))
+        observations = (Observations.unwindowed(RowLayout.of(parameters), rows, inflation),)
     return Record(tuple(bags), segments, samples, observations)
 
 

@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.friction import slips
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import LowPass
@@ -99,14 +100,18 @@ def equation_rows(parameters: ParameterSet) -> RowBuilder:
     def build(readings: Readings) -> Iterator[SampledRows]:
         model = parameters.model
         for start in range(0, len(readings), CHUNK):
-            samples = at_base(readings[start : start + CHUNK], model)
-            yield SampledRows(
-                samples.stamp,
-                equation_of_motion(parameters, samples),
-                sticking_left_out(parameters, samples.velocity),
-            )
+            yield sampled_rows(parameters, at_base(readings[start : start + CHUNK], model))
 
     return build
+
+
+def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
+    """Return the equation of motion at single instants, and where it holds."""
+    return SampledRows(
+        samples.stamp,
+        equation_of_motion(parameters, samples),
+        sticking_left_out(parameters, samples.velocity),
+    )
 
 
 def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:

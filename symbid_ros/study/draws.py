@@ -10,6 +10,8 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic import write_text
+from symbid_ros.bags.reader import read_streams
+from symbid_ros.bags.selection import TopicSelection
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import Information
@@ -25,6 +27,7 @@ from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.identification import Solver
 from symbid_ros.offline.job import Job, Prepared, prepare
 from symbid_ros.offline.problem import GAUSSIAN, Problem, Truncation
+from symbid_ros.offline.record import Processing
 from symbid_ros.share import config_file
 from symbid_ros.study.logs import identified, truth
 from symbid_ros.study.plan import Log, Plan, Spread
@@ -152,7 +155,7 @@ def _filtered(plan: Plan, space: Workspace, data: str, cutoff: float) -> _Filter
 def _filtered_rows(training: Path, validation: Path | None) -> _Filtered:
     (rows,) = _archive(training)
     other = None if validation is None else _archive(validation)[0].rows
-    return _Filtered(rows, LeastSquares(rows.rows), other)
+    return _Filtered(rows, LeastSquares(rows.rows, counts=rows.counts.diagonal()), other)
 
 
 def _judge(plan: Plan, space: Workspace, data: str) -> Judge:
@@ -172,7 +175,11 @@ def _motion_judge(space: Workspace, ideal: Log, every: float) -> Judge:
 def _prepared(space: Workspace, log: Log) -> Prepared:
     anything = PriorChoice(percent=25.0)
     model, terms = config_file("symbitron.xml"), identified(log).terms
-    return prepare(Job((space.log(log),), model, prior=anything, terms=terms))
+    bag = space.log(log)
+    # In a tare the hoist carries the robot: it is no sensor of this log, and is not asked.
+    plates = TopicSelection(wrenches=tuple(one.topic for one in read_streams([bag]).wrenches))
+    job = Job((bag,), model, prior=anything, terms=terms, processing=Processing(topics=plates))
+    return prepare(job)
 
 
 @lru_cache(maxsize=4)

@@ -18,12 +18,11 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import StudyError
-from symbid_ros.estimation.information import BLOCK, Information
 from symbid_ros.estimation.layout import RowLayout, random_motions
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.offline.record import Record, observe
+from symbid_ros.offline.record import BLOCK, Record, observe
 from symbid_ros.signals.readings import Readings, at_base
 from symbid_ros.signals.weak_form import CHUNK, SampledRows, sticking_left_out
 
@@ -187,11 +186,6 @@ class SensedRows:
         for start in range(0, len(readings), CHUNK):
             yield self.at(at_base(readings[start : start + CHUNK], self.parameters.model))
 
-    def information(self, samples: Samples) -> Information:
-        """Fold the rows at single instants, as :meth:`Information.of` folds all of them."""
-        rows = (self.at(block).rows for block in samples.blocks(BLOCK))
-        return Information.empty(self.layout).fold(rows)
-
 
 def observe_sensed(
     record: Record, parameters: ParameterSet, sensing: Sensing
@@ -211,6 +205,6 @@ def observe_sensed(
     windows = [one.window for one in record.observations]
     if 0.0 in windows:
         (at_instants,) = record.observations
-        information = rows.information(record.samples)
-        return (Observations.unwindowed(information, at_instants.inflation),)
+        blocks = map(rows.at, record.samples.blocks(BLOCK))
+        return (Observations.unwindowed(rows.layout, blocks, at_instants.inflation),)
     return observe(record.segments, rows.build, rows.layout, windows)

@@ -12,11 +12,13 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.thesis import METHODS, LeastSquares
 from symbid_ros.estimation.truncation import select_rank
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.signals.weak_form import SampledRows
 
 
 class Case:
@@ -144,6 +146,23 @@ def test_residual_deviation_finds_each_coordinates_noise():
     loud = truth.std(axis=0) > 1
     assert loud.sum() == 7
     np.testing.assert_allclose(sigma[loud], truth.std(axis=0)[loud], rtol=0.03)
+
+
+def test_coordinates_left_out_here_and_there_lose_neither_noise_nor_weight():
+    """A joint that sticks half the time is as noisy as one that slips throughout."""
+    case = Case(5, links=3, count=8000)
+    valid = np.random.default_rng(5).random(case.rows.y.shape) < np.linspace(0.3, 1.0, case.n)
+    sampled = SampledRows(np.arange(8000), case.rows, valid)
+    found = Observations.unwindowed(case.information.layout, [sampled], 1.0)
+    np.testing.assert_array_equal(found.counts.diagonal(), valid.sum(axis=0))
+    dense = (case.rows.K * valid[..., None]).reshape(-1, case.W.shape[1])
+    factor = found.rows.whitened(np.eye(case.n))[:, :-1]
+    moment = dense.T @ dense
+    np.testing.assert_allclose(factor.T @ factor, moment, atol=1e-11 * np.abs(moment).max())
+    truth = case.rows.y - case.rows.K @ case.parameters.values
+    sigma = LeastSquares(found.rows, counts=found.counts.diagonal()).row_deviation
+    loud = truth.std(axis=0) > 1
+    np.testing.assert_allclose(sigma[loud], truth.std(axis=0)[loud], rtol=0.05)
 
 
 @pytest.mark.parametrize("criterion", ["gen_force", "torque", "com"])

@@ -11,6 +11,7 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import StudyError
+from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -143,7 +144,8 @@ def test_rows_stay_smooth_where_contacts_lose_rank(motion, symbitron):
 @pytest.mark.parametrize("sensing", PARTS)
 def test_chosen_rows_are_those_of_the_equation_of_motion(sensing, motion, symbitron):
     part = PARTS[sensing]
-    information = SensedRows.of(symbitron, sensing, motion).information(motion)
+    rows = SensedRows.of(symbitron, sensing, motion)
+    information = Observations.unwindowed(rows.layout, [rows.at(motion)], 1.0).rows
     every = equation_of_motion(symbitron, motion)
     names = symbitron.model.coordinates[part]
     assert information.layout.coordinates == names
