@@ -245,6 +245,9 @@ class Plan(Part):
         ):
             if len(set(repeated)) != len(repeated):
                 raise ValueError(f"{where} repeat; name each once")
+        for where, log in (("validation", self.validation), ("equation", self.equation)):
+            if log is not None and (log.noise or log.errors):
+                raise ValueError(f"{where}: what others are judged by is ideal; noise 0, no errors")
         for where, part in (("figures", self.figures), ("closed_loop", self.closed_loop)):
             if part is not None and part.data not in self.data:
                 raise ValueError(

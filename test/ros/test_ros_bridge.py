@@ -173,7 +173,10 @@ def test_parameters_are_described_and_fixed(graph) -> None:
 @pytest.mark.parametrize(
     ("parameters", "line"),
     [
-        ({"scenario": "dance"}, "parameter scenario: 'dance' is not known; give one of smooth, v"),
+        (
+            {"scenario": "dance"},
+            "parameter scenario: 'dance' is not known; give one of smooth, squat, v",
+        ),
         ({"moves": 0}, "parameter moves: not a valid value; give an integer at least 1"),
         ({"moves": "many"}, "parameter moves: not a valid value; give an integer at least 1"),
         ({"real_time_factor": 0.0}, "parameter real_time_factor: not a valid value; give a number"),

@@ -17,8 +17,8 @@ PLAN = """\
 title: A small study
 thesis: true
 data:
-  smooth: { scenario: smooth, moves: 3, motion_seed: 5, noise_seed: 6 }
-validation: { scenario: smooth, moves: 2, motion_seed: 7, noise: 0.0 }
+  smooth: { scenario: smooth, moves: 2, motion_seed: 5, noise_seed: 6 }
+validation: { scenario: smooth, moves: 1, motion_seed: 7, noise: 0.0 }
 priors: [{ percent: 25.0 }, { absolute: 0.125 }]
 iterations: 2
 prior_seed: 8

@@ -65,6 +65,8 @@ def changed(text: str, old: str, new: str) -> str:
         ("noise_seed: 11", "noise_seed: true", "data.smooth.noise_seed"),
         ("  smooth:", "  ../smooth:", "data.../smooth"),
         ("  iterations: 5", "  iterations: 50", "more iterations than the study"),
+        ("21, noise: 0.0", "21, noise: 0.1", "validation: what others are judged by is ideal"),
+        ("31, noise: 0.0", "31", "equation: what others are judged by is ideal"),
         ("title:", "title: [", "no YAML"),
     ],
 )
@@ -104,13 +106,9 @@ def test_priors_are_called_as_the_tables_call_them(spread, text):
     assert str(Spread(**spread)) == text
 
 
-VALUES = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
-    lambda inner: (
-        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3)
-    ),
-    max_leaves=6,
-)
+SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
+VALUES = SCALARS | st.lists(SCALARS | st.lists(SCALARS, max_size=2), max_size=3)
+VALUES |= st.dictionaries(st.text(max_size=8), VALUES, max_size=3)
 
 
 @given(

@@ -53,8 +53,8 @@ TITLES = {
 def direct(tmp_path_factory) -> dict[tuple[str, str], dict[str, float]]:
     """Simulate, identify and judge by hand what the plan asks for, prior and method by name."""
     folder = tmp_path_factory.mktemp("direct")
-    record(Simulator("smooth", moves=3, motion_seed=5, noise_seed=6), folder / "log")
-    record(Simulator("smooth", moves=2, motion_seed=7, ideal=True), folder / "ideal")
+    record(Simulator("smooth", moves=2, motion_seed=5, noise_seed=6), folder / "log")
+    record(Simulator("smooth", moves=1, motion_seed=7, ideal=True), folder / "ideal")
     parameters = ParameterSet(load_model(config_file("symbitron.xml")))
     filtered = Processing(LowPass(30.0))
     log, ideal = (read_record([folder / n], parameters, filtered) for n in ("log", "ideal"))
@@ -140,7 +140,7 @@ def test_lost_steps_are_made_good_to_the_last_digit(small: SmallStudy):
     space = Workspace(small.out)
     lost = [
         small.out / "work/draws/smooth, percent 25, 1.json",
-        small.out / "work/rows/smooth of 3 moves 5, noise 1 x 6, all, 30 Hz.npz",
+        small.out / "work/rows/smooth of 2 moves 5, noise 1 x 6, all, 30 Hz.npz",
     ]
     before = json.loads(lost[0].read_text())
     for file in lost:
