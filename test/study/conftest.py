@@ -1,64 +1,7 @@
-"""A small study of everything, run once as a user would, by the command."""
-
-import os
-import subprocess
-import sys
-from dataclasses import dataclass
-from pathlib import Path
+"""A small study, run once as a user would, by the command."""
 
 import pytest
-
-from symbid_ros.study.plan import Plan
-from symbid_ros.study.plan_file import load_plan
-from symbid_ros.study.results import Results
-from symbid_ros.study.workspace import Workspace
-
-PLAN = """\
-title: A small study
-thesis: true
-data:
-  smooth: { scenario: smooth, moves: 2, motion_seed: 5, noise_seed: 6 }
-validation: { scenario: smooth, moves: 1, motion_seed: 7, noise: 0.0 }
-priors: [{ percent: 25.0 }, { absolute: 0.125 }]
-iterations: 2
-prior_seed: 8
-filters: [30.0]
-figures:
-  data: smooth
-  prior: { percent: 25.0 }
-  com: 30.0
-  torque: 30.0
-  momentum: 30.0
-  links: 30.0
-  parameters: 30.0
-accelerations:
-  cutoff: 70.0
-  logs:
-    vibrating: { scenario: vibrating, moves: 1 }
-    floating: { scenario: suspended, moves: 1 }
-equation: { scenario: smooth, moves: 1, motion_seed: 9, noise: 0.0 }
-closed_loop: { data: smooth, priors: [{ percent: 25.0 }], iterations: 1, moves: 1 }
-"""
-
-
-@dataclass(frozen=True)
-class SmallStudy:
-    file: Path
-    out: Path
-
-    @property
-    def plan(self) -> Plan:
-        return load_plan(str(self.file))[0]
-
-    @property
-    def results(self) -> Results:
-        return Results.read(self.plan, Workspace(self.out))
-
-
-def symbid(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "symbid_ros.cli.main", *map(str, arguments)]
-    environment = {**os.environ, "COLUMNS": "200"}
-    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+from small_study import PLAN, SmallStudy, symbid
 
 
 @pytest.fixture(scope="session")

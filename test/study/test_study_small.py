@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import SmallStudy, symbid
+from small_study import SmallStudy, symbid
 
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
