@@ -6,12 +6,12 @@ from typing import Protocol
 import mujoco
 import numpy as np
 import scipy.linalg
-from proxsuite import proxqp
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.simulation.belief import Belief
 from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.plant import State
+from symbid_ros.simulation.programme import proxqp
 from symbid_ros.simulation.reference import Reference
 
 # r @ CROSS is the matrix [r ×], row by row.

@@ -1,6 +1,8 @@
 """Every scenario's run: what is published of it is true, and it is the motion it should be."""
 
 import dataclasses
+import subprocess
+import sys
 
 import mujoco
 import numpy as np
@@ -9,6 +11,7 @@ import scipy.signal
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.share import config_file
+from symbid_ros.simulation.programme import proxqp
 from symbid_ros.simulation.scenario import COM_MOVES, SCENARIOS, SQUAT_MOVES
 from symbid_ros.simulation.simulator import Simulator
 
@@ -215,3 +218,11 @@ def test_a_fall_is_reported_with_its_time(tmp_path):
 def test_bad_options_are_refused(options, message):
     with pytest.raises(SimulationError, match=message):
         Simulator(**options)
+
+
+def test_programmes_are_solved_alike_in_every_process():
+    """Wider builds round otherwise where memory happens to be aligned otherwise."""
+    script = "from symbid_ros.simulation.programme import proxqp; print(proxqp.dense.QP.__module__)"
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert "avx" not in ran.stdout.lower()
+    assert proxqp.dense.QP.__module__ == ran.stdout.strip()
