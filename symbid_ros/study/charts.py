@@ -17,6 +17,7 @@ from symbid_ros.study.thesis import DATA
 LOGARITHMIC_ABOVE = 8.0
 # Place, before the cutoffs, of what has no filter to choose.
 _NO_FILTER = -1
+KEYS = tuple(metric.key for metric in METRICS)
 _THESIS = Style(INK, "", 0.0, "o")
 
 
@@ -26,6 +27,8 @@ def comparison_drawing(
     prior: str,
     methods: Sequence[str],
     cutoff: float | None = None,
+    *,
+    shown: Sequence[str] = KEYS,
 ) -> Drawing:
     """Draw each metric of each method for each data set.
 
@@ -40,6 +43,8 @@ def comparison_drawing(
         "ref" and names of methods, in the order of the legend.
     cutoff : float, optional
         Hz, of the truncated methods' rows; else each metric's best over the filters.
+    shown : sequence of str
+        Keys of the metrics that have panels.
 
     Raises
     ------
@@ -58,8 +63,9 @@ def comparison_drawing(
     shift = np.linspace(-0.3, 0.3, len(drawn)) if len(drawn) > 1 else np.zeros(1)
     height = 0.6 + max(0.3, 0.05 * len(drawn)) * len(data)
     rows = np.arange(len(data))
-    with stack(len(METRICS), height, other_height=0.5, share_x=False) as (figure, panels):
-        for axes, metric in zip(panels, METRICS, strict=True):
+    metrics = [metric for metric in METRICS if metric.key in shown]
+    with stack(len(metrics), height, other_height=0.5, share_x=False) as (figure, panels):
+        for axes, metric in zip(panels, metrics, strict=True):
             values = np.array([[found[n, m].get(metric.key, np.nan) for n in data] for m in drawn])
             for label, own, offset in zip(styles, values, shift, strict=True):
                 axes.plot(own, rows + offset, linestyle="none", **marks(styles[label]))
@@ -69,7 +75,7 @@ def comparison_drawing(
             axes.set_title(f"{metric.title} [{metric.unit}]", loc="left", fontsize="medium")
         legend(figure, {label: {**marks(s), "linestyle": "none"} for label, s in styles.items()})
     how = "at the filter best for it" if cutoff is None else f"with rows filtered at {cutoff:g} Hz"
-    title = f"The five metrics, priors within {prior}"
+    title = f"Errors, priors within {prior}"
     return Drawing(
         f"comparison_{_stem(prior)}",
         title,
@@ -95,6 +101,8 @@ def grid_drawing(
     prior: str,
     methods: Sequence[str],
     thesis: Scores | None = None,
+    *,
+    shown: Sequence[str] = KEYS,
 ) -> Drawing:
     """Draw each metric against the filter's cutoff (thesis, Table C.1).
 
@@ -107,6 +115,8 @@ def grid_drawing(
         "ref" and names of methods, in the order of the legend.
     thesis : Scores, optional
         The thesis's values, as `symbid_ros.study.thesis` gives them; hollow markers.
+    shown : sequence of str
+        Keys of the metrics that have panels.
 
     Raises
     ------
@@ -121,9 +131,10 @@ def grid_drawing(
     cutoffs = [*sorted(tried - {0.0}), *sorted(tried & {0.0})]
     compared = False
     styles = looks(LABELS[method] for method in drawn)
-    with stack(len(METRICS), 1.7, other_height=0.75) as (figure, panels):
-        for axes, metric in zip(panels, METRICS, strict=True):
-            shown: list[float] = []
+    metrics = [metric for metric in METRICS if metric.key in shown]
+    with stack(len(metrics), 1.7, other_height=0.75) as (figure, panels):
+        for axes, metric in zip(panels, metrics, strict=True):
+            drawn_values: list[float] = []
             for method in drawn:
                 style = styles[LABELS[method]]
                 case = Case(data, prior, method)
@@ -131,21 +142,21 @@ def grid_drawing(
                 if places == [_NO_FILTER]:
                     axes.axhline(values[0], **curve(style))
                 axes.plot(places, values, **curve(style) | marks(style))
-                shown += values
+                drawn_values += values
                 if thesis is None:
                     continue
                 places, values = _points(thesis, replace(case, data=DATA), cutoffs, metric.key)
                 axes.plot(places, values, linestyle="none", **marks(style, hollow=True))
                 compared |= bool(values)
-                shown += values
-            scale_errors(axes, "y", np.array(shown), LOGARITHMIC_ABOVE)
+                drawn_values += values
+            scale_errors(axes, "y", np.array(drawn_values), LOGARITHMIC_ABOVE)
             axes.set_title(f"{metric.title} [{metric.unit}]", loc="left", fontsize="medium")
         _label_cutoffs(panels[-1], cutoffs)
         entries = {label: curve(s) | marks(s) for label, s in styles.items()}
         if compared:
             entries["thesis"] = {"linestyle": "none", **marks(_THESIS, hollow=True)}
         legend(figure, entries)
-    title = f"The five metrics against the filter, data set {data}, priors within {prior}"
+    title = f"Errors against the filter, data set {data}, priors within {prior}"
     return Drawing(
         f"grid_{_stem(data)}_{_stem(prior)}",
         title,

@@ -1,7 +1,7 @@
 """What a study compares, checked entry by entry."""
 
 import difflib
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -9,6 +9,7 @@ from symbid_ros.estimation.prior import Kind
 from symbid_ros.estimation.truncation import Criterion
 from symbid_ros.offline.problem import GAUSSIAN, METHODS, Method
 from symbid_ros.signals.filters import Channels
+from symbid_ros.study.scores import METRICS
 from symbid_ros.study.sensing import Sensing
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]*$", max_length=40)]
@@ -16,6 +17,10 @@ Amount = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Frequency = Annotated[float, Field(ge=0, lt=500, allow_inf_nan=False)]
 Seed = Annotated[int, Field(ge=0)]
 Count = Annotated[int, Field(ge=1, le=1000)]
+
+
+Metric = Literal["gen_force", "torque", "com", "momentum", "parameters"]
+METRIC_KEYS: dict[Metric, str] = dict(zip(get_args(Metric), METRICS, strict=True))
 
 
 class Part(BaseModel):
@@ -211,6 +216,8 @@ class Plan(Part):
     methods : list of str
         Beside the prior itself.
     z : Selection
+    metrics : list of str
+        What tables and figures show; all of them are worked out.
     figures : Figures or None
     accelerations : Accelerations or None
     equation : Log or None
@@ -231,6 +238,7 @@ class Plan(Part):
     channels: Channels = "all"
     methods: list[Method] = Field(default=list(METHODS), min_length=1)
     z: Selection = Selection()
+    metrics: list[Metric] = Field(default=list(METRIC_KEYS), min_length=1)
     figures: Figures | None = None
     accelerations: Accelerations | None = None
     equation: Log | None = None
@@ -242,6 +250,7 @@ class Plan(Part):
             ("priors", [str(spread) for spread in self.priors]),
             ("filters", self.filters),
             ("methods", self.methods),
+            ("metrics", self.metrics),
         ):
             if len(set(repeated)) != len(repeated):
                 raise ValueError(f"{where} repeat; name each once")
@@ -270,6 +279,11 @@ class Plan(Part):
     def realistic(self) -> Log:
         """The validation motion seen through noisy sensors, as a robot would."""
         return self.validation.model_copy(update={"noise": 1.0})
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """The metrics shown, by their names in scores."""
+        return tuple(METRIC_KEYS[name] for name in METRIC_KEYS if name in self.metrics)
 
     @property
     def truncated(self) -> list[Method]:

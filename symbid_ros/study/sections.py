@@ -138,7 +138,11 @@ def _comparing(results: Results) -> Iterator[Section]:
             f"comparison-{index}",
             f"Priors {spread}",
             sentences=data_sentences(results.scores, [*plan.data], spread, plan.methods),
-            drawings=(comparison_drawing(results.scores, [*plan.data], spread, methods, cutoff),),
+            drawings=(
+                comparison_drawing(
+                    results.scores, [*plan.data], spread, methods, cutoff, shown=plan.shown
+                ),
+            ),
         )
 
 
@@ -151,7 +155,7 @@ def _gridded(results: Results) -> Section:
         "Filters",
         "Each error against the cutoff of the filter; hollow: the thesis’s (Table C.1).",
         drawings=tuple(
-            grid_drawing(results.scores, data, str(spread), methods, printed)
+            grid_drawing(results.scores, data, str(spread), methods, printed, shown=plan.shown)
             for data in plan.data
             for spread in plan.priors
         ),

@@ -1,7 +1,7 @@
 """The thesis's tables with our figures in them, and one for studies that it did not make."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -100,6 +100,7 @@ def tables(plan: Plan, scores: Scores, draw: Draw | None = None) -> tuple[Sheet,
             if any((spread.kind == "absolute") == absolute for spread in plan.priors):
                 made += [best_over_filters(plan, scores, data, absolute) for data in plan.data]
         made += [every_filter(plan, scores, data) for data in plan.data]
+    made = [_with_metrics(sheet, plan.shown) for sheet in made]
     if draw is not None:
         made.append(parameters(draw))
     return tuple(made)
@@ -251,6 +252,18 @@ def comparison(plan: Plan, scores: Scores) -> Sheet:
         headings=(Column("Data"), Column("Prior"), Column("Method")),
         columns=COLUMNS,
         rows=tuple(rows),
+    )
+
+
+def _with_metrics(sheet: Sheet, shown: Sequence[str]) -> Sheet:
+    """Return a sheet of errors with some of them alone; any other as it is."""
+    if sheet.columns != COLUMNS:
+        return sheet
+    kept = [i for i, name in enumerate((*METRICS, RANK)) if name in shown or name == RANK]
+    return replace(
+        sheet,
+        columns=tuple(COLUMNS[i] for i in kept),
+        rows=tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in sheet.rows),
     )
 
 

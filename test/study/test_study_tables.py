@@ -9,6 +9,7 @@ import pytest
 
 from symbid_ros.errors import StudyError
 from symbid_ros.study import thesis
+from symbid_ros.study.charts import grid_drawing
 from symbid_ros.study.plan import DataSet, Plan, Spread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case, Scores
 from symbid_ros.study.sheet import Cell, Column, Row, Sheet
@@ -208,3 +209,17 @@ def test_markdown_has_ours_first_and_the_thesis_in_brackets() -> None:
         "Method,CoM [mm],CoM of the thesis [mm],CoM ratio,Count\n"
         "a|b,2.0,4.0,0.5,7.0\nc,1234.5678,,,\n"
     )
+
+
+def test_metrics_left_out_of_the_plan_are_left_out_of_tables_and_figures() -> None:
+    whole, few = plan(), plan(metrics=["torque", "com"])
+    made = scores(whole)
+    tables_of_few, every = by_name(tables(few, made)), by_name(tables(whole, made))
+    for name in ("table_2_smooth", "table_c1_smooth"):
+        titles = [column.title for column in tables_of_few[name].columns]
+        assert titles == ["Torque", "CoM", "Singular values"]
+        for row, full in zip(tables_of_few[name].rows, every[name].rows, strict=True):
+            assert row.cells == (full.cells[1], full.cells[2], full.cells[5])
+    assert tables_of_few["table_1"] == every["table_1"]
+    drawing = grid_drawing(made, "smooth", str(PERCENT), METHODS, shown=few.shown)
+    assert len(drawing.figure.axes) == 2
