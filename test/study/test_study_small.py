@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_study import SmallStudy, symbid
+from small_study import PLAN, SmallStudy, symbid
 
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
@@ -163,9 +163,19 @@ def test_another_plan_is_refused_and_nothing_touched(small: SmallStudy, tmp_path
     assert (small.out / "report.html").read_bytes() == page
 
 
-def test_interrupted_it_leaves_no_process_and_nothing_half_done(small: SmallStudy, tmp_path: Path):
-    out = tmp_path / "out"
-    command = [sys.executable, "-m", "symbid_ros.cli.main", "study", str(small.file)]
+# A shell starts background jobs, such as these tests may be, deaf to Ctrl-C.
+LISTENING = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from symbid_ros.cli.main import main
+main()
+"""
+
+
+def test_interrupted_it_leaves_no_process_and_nothing_half_done(tmp_path: Path):
+    plan, out = tmp_path / "small.yaml", tmp_path / "out"
+    plan.write_text(PLAN, encoding="utf-8")
+    command = [sys.executable, "-c", LISTENING, "study", str(plan)]
     with subprocess.Popen(
         [*command, "--out", str(out), "--workers", "2"],
         stderr=subprocess.PIPE,
