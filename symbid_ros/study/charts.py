@@ -10,6 +10,7 @@ from symbid_ros.errors import StudyError
 from symbid_ros.report.content import METRICS
 from symbid_ros.report.style import INK, Style, scale_errors
 from symbid_ros.study.drawing import LABELS, Drawing, curve, legend, looks, marks, stack
+from symbid_ros.study.scores import METRICS as KEYS
 from symbid_ros.study.scores import Case, Scores
 from symbid_ros.study.thesis import DATA
 
@@ -17,7 +18,6 @@ from symbid_ros.study.thesis import DATA
 LOGARITHMIC_ABOVE = 8.0
 # Place, before the cutoffs, of what has no filter to choose.
 _NO_FILTER = -1
-KEYS = tuple(metric.key for metric in METRICS)
 _THESIS = Style(INK, "", 0.0, "o")
 
 

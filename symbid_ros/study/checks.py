@@ -20,9 +20,10 @@ from symbid_ros.report.content import TRUTH
 from symbid_ros.signals.alignment import align, joint_columns
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import sticking_left_out
+from symbid_ros.study.data_set import Log
 from symbid_ros.study.draws import load_draw
 from symbid_ros.study.logs import identified, truth
-from symbid_ros.study.plan import Accelerations, Figures, Log, Plan
+from symbid_ros.study.plan import Accelerations, Figures, Plan
 from symbid_ros.study.scores import REFERENCE, Case
 from symbid_ros.study.workspace import Workspace
 
@@ -97,7 +98,7 @@ def load_closures(space: Workspace) -> list[Closure]:
 
 def check_realistic(plan: Plan, figures: Figures, space: Workspace) -> None:
     """Predict the noisy validation log as the robot could, with every method and draw."""
-    log, spread = plan.realistic, figures.prior
+    log, spread = plan.realistic_of(figures.data), figures.prior
     true = truth(plan.data[figures.data], space)
     motion = read_realistic_motion([space.log(log)], true.model)
     thin = type(motion)(motion.known[::STRIDE], motion.truth[::STRIDE])

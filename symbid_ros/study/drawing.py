@@ -13,14 +13,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from symbid_ros.atomic import write_through
-from symbid_ros.report.compose import TITLES
 from symbid_ros.report.style import Style, assigned, house_style
 from symbid_ros.report.vector import page_svg
 from symbid_ros.study.scores import REFERENCE
+from symbid_ros.study.thesis import TITLES
 
-# The thesis's name of the prior.
-REF = "Ref."
-LABELS = {REFERENCE: REF, **TITLES}
+LABELS = TITLES
+REF = TITLES[REFERENCE]  # as the thesis calls the prior
 WIDTH = 3.75  # inches, as a phone's page: on it no text shrinks
 DPI = 200
 

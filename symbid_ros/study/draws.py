@@ -29,8 +29,9 @@ from symbid_ros.offline.job import Job, Prepared, prepare
 from symbid_ros.offline.problem import GAUSSIAN, Problem, Truncation
 from symbid_ros.offline.record import Processing
 from symbid_ros.share import config_file
+from symbid_ros.study.data_set import Log
 from symbid_ros.study.logs import identified, truth
-from symbid_ros.study.plan import Log, Plan, Spread
+from symbid_ros.study.plan import Plan, Spread
 from symbid_ros.study.scores import RANK, REFERENCE, Case, Outcome
 from symbid_ros.study.workspace import Workspace
 
@@ -92,15 +93,17 @@ def _truncated(plan: Plan, space: Workspace, data: str, spread: Spread, prior: P
     found: Found = {}
     for cutoff in plan.filters:
         rows = _filtered(plan, space, data, cutoff)
+        solver = None
+        if rows.validation is None:
+            solver = Solver.of(Problem((rows.training,), identified(plan.data[data]), prior))
         for method in TRUNCATED:
             if method not in plan.methods:
                 continue
             case = Case(data, str(spread), method, cutoff)
-            if rows.validation is None:
-                solver = Solver.of(Problem((rows.training,), identified(plan.data[data]), prior))
+            if solver is not None:
                 estimate = solver.truncated(method, Truncation()).estimate
                 found[case] = estimate.value, estimate.rank
-            else:
+            elif rows.validation is not None:
                 problem = rows.least_squares.scaled(prior, method)
                 z = select_rank(problem, rows.validation, plan.z.by)
                 found[case] = problem.solution(z), z

@@ -62,12 +62,9 @@ class Evidence:
     row_error : dict of float to float
         By cutoff in Hz, rms over rows of y - K φ at the true parameters, N and Nm: how far noise
         and filtering make the training rows inconsistent.
-    ideal_row_error : dict of float to float
-        The same of the log without noise: what filtering alone does.
     """
 
     row_error: Mapping[float, float] = field(default_factory=dict)
-    ideal_row_error: Mapping[float, float] = field(default_factory=dict)
 
     @property
     def words(self) -> str:
@@ -76,12 +73,7 @@ class Evidence:
         if not finite:
             return ""
         ends = sorted({min(finite, key=finite.__getitem__), max(finite, key=finite.__getitem__)})
-        parts = []
-        for cutoff in ends:
-            part = f"{significant(finite[cutoff])} N & Nm rms {filtered(cutoff)}"
-            if cutoff in self.ideal_row_error:
-                part += f" ({significant(self.ideal_row_error[cutoff])} without noise)"
-            parts.append(part)
+        parts = [f"{significant(finite[cutoff])} N & Nm rms {filtered(cutoff)}" for cutoff in ends]
         return f"with the true parameters the rows are off by {listed(parts)}"
 
 

@@ -11,7 +11,7 @@ from symbid_ros.model.parameters import ParameterSet, joint_terms
 from symbid_ros.share import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.study.plan import Log
+from symbid_ros.study.data_set import Log
 from symbid_ros.study.workspace import Workspace
 
 # Between the seeds of a log's noise and its tare's: one and the same noise would cancel.

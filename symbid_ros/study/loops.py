@@ -11,9 +11,10 @@ from symbid_ros.errors import StudyError
 from symbid_ros.offline.problem import GAUSSIAN
 from symbid_ros.report.content import TRUTH
 from symbid_ros.simulation.balance import BalanceRun, balance
+from symbid_ros.study.data_set import Log
 from symbid_ros.study.draws import load_draw
 from symbid_ros.study.logs import identified
-from symbid_ros.study.plan import ClosedLoop, Log, Plan, Spread
+from symbid_ros.study.plan import ClosedLoop, Plan, Spread
 from symbid_ros.study.scores import REFERENCE, Case
 from symbid_ros.study.workspace import Workspace
 

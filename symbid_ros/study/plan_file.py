@@ -8,13 +8,11 @@ from pydantic import ValidationError
 
 from symbid_ros.errors import StudyError
 from symbid_ros.share import config_file, share_directory
+from symbid_ros.study.data_set import DataSet, Log, Part
 from symbid_ros.study.plan import (
     Accelerations,
     ClosedLoop,
-    DataSet,
     Figures,
-    Log,
-    Part,
     Plan,
     Selection,
     Spread,

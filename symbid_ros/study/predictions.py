@@ -50,7 +50,7 @@ def realistic_drawings(results: Results, figures: Figures) -> tuple[Drawing, ...
     """Draw the same as the robot itself could have predicted it from noisy sensors."""
     parameters = results.parameters(figures.data)
     low_pass = CausalLowPass()
-    log = results.space.log(results.plan.realistic)
+    log = results.space.log(results.plan.realistic_of(figures.data))
     whole = read_realistic_motion([log], parameters.model, low_pass)
     motion = RealisticMotion(whole.known[::STRIDE], whole.truth[::STRIDE])
 

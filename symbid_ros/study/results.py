@@ -89,11 +89,6 @@ class Results:
             found[method] = np.mean([one.links for one in self.outcomes[case]], axis=0)
         return found
 
-    def impossible(self, data: str, spread: Spread, method: str, cutoff: float) -> float:
-        """Return how many links of a draw are such as no body can have, on average."""
-        case = Case(data, str(spread), method, self.cutoff(method, cutoff))
-        return float(np.mean([one.impossible for one in self.outcomes[case]]))
-
     def row_errors(self, data: str) -> dict[float, float]:
         """Return by cutoff the norm per sample of y - K φ at the true parameters, N and Nm."""
         log = self.plan.data[data]

@@ -8,8 +8,8 @@ from symbid_ros.estimation.archive import write_archive
 from symbid_ros.offline.record import Processing, fold_record
 from symbid_ros.signals.filters import Channels, LowPass
 from symbid_ros.signals.streams import Streams
+from symbid_ros.study.data_set import Log
 from symbid_ros.study.logs import identified
-from symbid_ros.study.plan import Log
 from symbid_ros.study.sensing import Sensing, observe_sensed
 from symbid_ros.study.workspace import Workspace
 

@@ -5,15 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Beside the errors of `symbid_ros.offline.evaluation.Metrics`.
+from symbid_ros.report.content import METRICS as TITLED
+
+# The errors of `symbid_ros.offline.evaluation.Metrics`, and how many singular values were kept.
+METRICS = tuple(metric.key for metric in TITLED)
 RANK = "singular_values"
-METRICS = (
-    "gen_force_rmse",
-    "torque_rmse",
-    "com_position_rmse_mm",
-    "com_momentum_rmse",
-    "parameter_error_pct",
-)
 REFERENCE = "ref"
 
 
@@ -28,7 +24,7 @@ class Case:
     prior : str
         How the priors were drawn, such as "±25 %".
     method : str
-        "ref" for the prior itself, or one of `symbid_ros.offline.identification.METHODS`.
+        "ref" for the prior itself, or one of `symbid_ros.offline.problem.METHODS`.
     filter : float or None
         Hz, cutoff of its rows, 0 unfiltered; None for the prior and for methods whose rows are
         averaged over windows instead.

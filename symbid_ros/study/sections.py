@@ -31,13 +31,14 @@ from symbid_ros.study.figures import (
 )
 from symbid_ros.study.loops import load_runs
 from symbid_ros.study.page import Section
+from symbid_ros.study.parameter_table import Draw
 from symbid_ros.study.plan import Accelerations, ClosedLoop, Figures
 from symbid_ros.study.predictions import ideal_drawings, realistic_drawings
 from symbid_ros.study.results import Results
 from symbid_ros.study.scores import REFERENCE
 from symbid_ros.study.series import Setting
 from symbid_ros.study.sheet import Sheet
-from symbid_ros.study.tables import Draw, tables
+from symbid_ros.study.tables import tables
 
 RUN_LABELS = {**LABELS, TRUTH: TRUTH}
 

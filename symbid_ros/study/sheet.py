@@ -3,10 +3,12 @@
 import csv
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from symbid_ros.report.numerals import ABSENT, significant
+
+BESIDE = " Second, where it has one, the thesis's figure and the ratio of ours to it."
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,12 @@ class Sheet:
 
     def _rated(self, index: int) -> bool:
         return any(row.cells[index].ratio is not None for row in self.rows)
+
+
+def beside(rows: Iterable[Row]) -> str:
+    """Return what a caption says of the thesis's figures, empty where no row has any."""
+    known = any(cell.reference is not None for row in rows for cell in row.cells)
+    return BESIDE if known else ""
 
 
 def _header(column: Column) -> str:

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from symbid_ros.offline.problem import GAUSSIAN
 from symbid_ros.report.content import TRUTH
 from symbid_ros.study.checks import check_equation, check_realistic
+from symbid_ros.study.data_set import Log
 from symbid_ros.study.draws import solve_draw
 from symbid_ros.study.logs import record_log, record_tare
 from symbid_ros.study.loops import believers, run_loop, run_truth
-from symbid_ros.study.plan import Log, Plan
+from symbid_ros.study.plan import Plan
 from symbid_ros.study.rows import fold_rows
 from symbid_ros.study.work import Task
 from symbid_ros.study.workspace import Workspace
@@ -46,7 +47,7 @@ def _logs(plan: Plan, space: Workspace) -> list[Task]:
     wanted: list[Log] = [*plan.data.values()]
     wanted += [plan.validation_of(name) for name in plan.data]
     if plan.figures is not None:
-        wanted.append(plan.realistic)
+        wanted.append(plan.realistic_of(plan.figures.data))
     if plan.accelerations is not None:
         wanted += plan.accelerations.logs.values()
     if plan.equation is not None:

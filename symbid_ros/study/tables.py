@@ -1,24 +1,20 @@
 """The thesis's tables with our figures in them, and one for studies that it did not make."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import numpy as np
-
-from symbid_ros.arrays import FloatArray
-from symbid_ros.errors import StudyError
 from symbid_ros.report.content import METRICS as TITLED
 from symbid_ros.report.numerals import ABSENT
 from symbid_ros.study import thesis
 from symbid_ros.study.comparison import filtered, listed
-from symbid_ros.study.plan import Plan, Spread
+from symbid_ros.study.parameter_table import Draw, parameters
+from symbid_ros.study.plan import Plan
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Scores
-from symbid_ros.study.sheet import Cell, Column, Row, Sheet
+from symbid_ros.study.sheet import Cell, Column, Row, Sheet, beside
 from symbid_ros.study.thesis import TITLES
 
 COUNT = Column("Singular values")
 COLUMNS = (*(Column(metric.title, metric.unit) for metric in TITLED), COUNT)
-BESIDE = " Second, where it has one, the thesis's figure and the ratio of ours to it."
 BEST = (
     "Means over {draws} priors; of each error the least over the filters, which may be another "
     "filter for each; the number of singular values is the mean over the filters. Bold: the "
@@ -36,50 +32,6 @@ TECHNIQUES: Mapping[str, tuple[str, str, str, str]] = {
     "map": ("full residual covariance", "prior deviation", "weighed against the prior", "no"),
     "map_lmi": ("full residual covariance", "prior deviation", "weighed against the prior", "yes"),
 }
-
-
-@dataclass(frozen=True)
-class Draw:
-    """One draw of the prior, and what the methods made of it.
-
-    Attributes
-    ----------
-    data : str
-        The data set.
-    prior : Spread
-        How the prior was drawn.
-    filter : float
-        Hz, cutoff of the truncated methods' rows.
-    names, units : tuple of str
-        Of the p parameters.
-    real : (p,) float64
-        The truth.
-    estimates : dict of str to (p,) float64
-        By method, "ref" for the prior itself.
-
-    Raises
-    ------
-    StudyError
-        When the sizes do not agree.
-    """
-
-    data: str
-    prior: Spread
-    filter: float
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    real: FloatArray
-    estimates: Mapping[str, FloatArray]
-
-    def __post_init__(self) -> None:
-        sizes = {"units": len(self.units), "real": len(self.real)}
-        sizes |= {method: len(values) for method, values in self.estimates.items()}
-        for what, size in sizes.items():
-            if size != len(self.names):
-                raise StudyError(
-                    f"draw on {self.data}: {what} has {size} entries for {len(self.names)} "
-                    "parameters; give one for each"
-                )
 
 
 def tables(plan: Plan, scores: Scores, draw: Draw | None = None) -> tuple[Sheet, ...]:
@@ -144,7 +96,7 @@ def best_over_filters(plan: Plan, scores: Scores, data: str, absolute: bool) -> 
     return Sheet(
         name=f"table_{'4_1' if absolute else '2'}_{_stem(data)}",
         title=f"Table {'4.1' if absolute else 'II'}: best over the filters, {data}",
-        caption=BEST.format(draws=plan.iterations) + _beside(rows),
+        caption=BEST.format(draws=plan.iterations) + beside(rows),
         headings=(Column("Prior"), Column("Method")),
         columns=COLUMNS,
         rows=tuple(rows),
@@ -175,51 +127,10 @@ def every_filter(plan: Plan, scores: Scores, data: str) -> Sheet:
         name=f"table_c1_{_stem(data)}",
         title=f"Table C.1: every filter, {data}",
         caption=f"Means over {plan.iterations} priors. Bold: the least of one prior."
-        + _beside(rows),
+        + beside(rows),
         headings=(Column("Prior"), Column("Method"), Column("Filter", "Hz")),
         columns=COLUMNS,
         rows=tuple(rows),
-    )
-
-
-def parameters(draw: Draw) -> Sheet:
-    """Return Table D.1: every parameter, what each method made of it, and how far off that is."""
-    printed = thesis.table_d1()
-    methods = [method for method in TITLES if method in draw.estimates]
-    rows = []
-    for index, (name, unit) in enumerate(zip(draw.names, draw.units, strict=True)):
-        real = float(draw.real[index])
-        # The thesis's robot had no friction and its columns came first, in the same order.
-        known = index < len(printed.real) and np.isclose(real, printed.real[index])
-        cells = [Cell(real)]
-        for method in methods:
-            own = float(draw.estimates[method][index])
-            theirs = (
-                float(printed.estimates[method][index])
-                if known and method in printed.estimates
-                else None
-            )
-            cells += [Cell(own, theirs, rated=False), Cell(_off(own, real), _off(theirs, real))]
-        rows.append(Row((Cell(words=name), Cell(words=unit)), tuple(cells)))
-    columns = [Column("Real")]
-    for method in methods:
-        columns += [Column(TITLES[method]), Column(f"{TITLES[method]} error", "%")]
-    return Sheet(
-        name="table_d1",
-        title=f"Table D.1: parameters, {draw.data}",
-        caption=(
-            f"One draw of a {draw.prior} prior, rows of the truncated methods filtered at "
-            f"{draw.filter:g} Hz; errors relative to the real value." + _beside(rows)
-        ),
-        headings=(Column("Parameter"), Column("Unit")),
-        columns=tuple(columns),
-        rows=tuple(rows),
-        notes=(
-            "The thesis's figures are one draw of a ±25 % prior at 50 Hz, another one than ours: "
-            "single ratios tell of the draws as much as of the methods.",
-        )
-        if _beside(rows)
-        else (),
     )
 
 
@@ -293,19 +204,10 @@ def _figures(
     return tuple(cells())
 
 
-def _beside(rows: Iterable[Row]) -> str:
-    known = any(cell.reference is not None for row in rows for cell in row.cells)
-    return BESIDE if known else ""
-
-
 def _filter(method: str, cutoff: float | None) -> Cell:
     if cutoff is not None:
         return Cell(cutoff, words=f"{cutoff:g}" if cutoff else "none")
     return Cell(words=ABSENT if method == REFERENCE else "windows")
-
-
-def _off(value: float | None, real: float) -> float | None:
-    return None if value is None or real == 0 else 100 * abs(value - real) / abs(real)
 
 
 def _stem(data: str) -> str:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from symbid_ros.atomic import write_text
 from symbid_ros.errors import StudyError
-from symbid_ros.study.plan import Log, Plan, Spread
+from symbid_ros.study.data_set import Log
+from symbid_ros.study.plan import Plan, Spread
 from symbid_ros.study.sensing import Sensing
 
 

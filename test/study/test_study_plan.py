@@ -133,3 +133,13 @@ def test_whatever_an_entry_holds_the_answer_is_a_plan_or_one_line(
     except SymbidError as error:
         told = str(error)
     assert "\n" not in told
+
+
+def test_estimates_are_judged_by_the_robot_they_are_of():
+    content = {"title": "A", "priors": [{"percent": 25.0}]}
+    plan = Plan.model_validate(content | {"data": {"dry": {}, "rubbing": {"friction": True}}})
+    for name, friction in (("dry", False), ("rubbing", True)):
+        ideal, noisy = plan.validation_of(name), plan.realistic_of(name)
+        assert (ideal.friction, ideal.noise) == (friction, 0.0)
+        assert (noisy.friction, noisy.noise) == (friction, 1.0)
+        assert noisy.motion_seed == ideal.motion_seed
