@@ -6,6 +6,7 @@ from symbid_ros.errors import ModelError
 from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.urdf import Base, load_urdf
+from symbid_ros.model.xml_tree import read_xml
 
 
 def load_model(path: Path, base: Base = "auto") -> RobotModel:
@@ -36,13 +37,6 @@ def is_mjcf(path: Path) -> bool:
     Raises
     ------
     ModelError
-        When the file cannot be read.
+        When the file is refused by :func:`symbid_ros.model.xml_tree.read_xml`.
     """
-    try:
-        with path.open("rb") as stream:
-            head = stream.read(65536)
-    except OSError as error:
-        raise ModelError(
-            f"{path}: cannot read the model ({error.strerror}); check the path"
-        ) from None
-    return b"<mujoco" in head and b"<robot" not in head
+    return read_xml(path).tag == "mujoco"

@@ -1,5 +1,7 @@
 """Read an MJCF, with MuJoCo as the parser."""
 
+from collections import defaultdict
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,6 +11,8 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
 from symbid_ros.model.assembly import Body, BodyJoint, assemble
 from symbid_ros.model.inertia import phi_from_com
+from symbid_ros.model.mjcf_bare import bare_mjcf
+from symbid_ros.model.mjcf_source import read_mjcf
 from symbid_ros.model.rotation import rotation_from_quaternion
 from symbid_ros.model.tree import RobotModel
 
@@ -22,20 +26,25 @@ def load_mjcf(path: Path) -> RobotModel:
     Raises
     ------
     ModelError
-        When MuJoCo cannot compile the file, or it holds a ball joint, a free
-        joint below the root or more than one moving tree.
+        When the file is refused by :func:`symbid_ros.model.mjcf_source.read_mjcf`, MuJoCo
+        cannot compile it, or it holds a ball joint, a free joint below the root or more
+        than one moving tree.
     """
     # MuJoCo is the parser here and nothing else, so it is imported here and nowhere else
     # in the rooms that must run without it.
     import mujoco  # noqa: PLC0415
 
-    if not path.is_file():
-        raise ModelError(f"{path}: no such model file; check the path")
+    bare = bare_mjcf(read_mjcf(path), path.parent)
+    # A warning is about simulating the robot; MuJoCo would write it to the working directory.
+    handler = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda warning: None)
     try:
-        compiled = mujoco.MjModel.from_xml_path(str(path))
-    except ValueError as error:
-        reason = " ".join(str(error).split())
+        compiled = mujoco.MjModel.from_xml_string(bare.text, bare.meshes)
+    except (ValueError, mujoco.FatalError) as error:
+        reason = bare.located(str(error))
         raise ModelError(f"{path}: MuJoCo cannot load the model: {reason}") from None
+    finally:
+        mujoco.set_mju_user_warning(handler)
     return _Reader(compiled, str(path)).model()
 
 
@@ -87,19 +96,22 @@ class _Reader:
             np.array(m.body_pos[body]),
             phi_from_com(float(m.body_mass[body]), np.array(m.body_ipos[body]), central),
             () if at_root else tuple(self._joint(j) for j in self._joint_ids(body)),
-            self._sites(body),
+            self._sites[body],
         )
 
-    def _sites(self, body: int) -> dict[str, tuple[FloatArray, FloatArray]]:
+    @cached_property
+    def _sites(self) -> dict[int, dict[str, tuple[FloatArray, FloatArray]]]:
+        """Named sites by body, with their poses."""
         m = self.m
-        return {
-            m.site(site).name: (
-                rotation_from_quaternion(m.site_quat[site]),
-                np.array(m.site_pos[site]),
-            )
-            for site in range(m.nsite)
-            if m.site_bodyid[site] == body and m.site(site).name
-        }
+        sites: dict[int, dict[str, tuple[FloatArray, FloatArray]]] = defaultdict(dict)
+        rotations = rotation_from_quaternion(np.array(m.site_quat))
+        for site in range(m.nsite):
+            if name := m.site(site).name:
+                sites[int(m.site_bodyid[site])][name] = (
+                    rotations[site],
+                    np.array(m.site_pos[site]),
+                )
+        return sites
 
     def _joint(self, joint: int) -> BodyJoint:
         m = self.m
@@ -123,26 +135,26 @@ class _Reader:
             float(m.qpos0[m.jnt_qposadr[joint]]),
             float(lower),
             float(upper),
-            self._effort(joint),
+            float(self._efforts[joint]),
             float(m.dof_damping[m.jnt_dofadr[joint]]),
             float(m.dof_frictionloss[m.jnt_dofadr[joint]]),
             float(m.dof_armature[m.jnt_dofadr[joint]]),
         )
 
-    def _effort(self, joint: int) -> float:
-        """Return the largest effort of the joint's motors; zero without a motor."""
+    @cached_property
+    def _efforts(self) -> FloatArray:
+        """(njnt,) largest effort of each joint's motors; zero without a motor."""
         m = self.m
-        largest = 0.0
-        for actuator in range(m.nu):
-            if m.actuator_trntype[actuator] == 0 and m.actuator_trnid[actuator, 0] == joint:
-                bounds = [np.inf]
-                gear = abs(m.actuator_gear[actuator, 0])
-                if m.actuator_ctrllimited[actuator]:
-                    bounds.append(np.abs(m.actuator_ctrlrange[actuator]).max() * gear)
-                if m.actuator_forcelimited[actuator]:
-                    bounds.append(np.abs(m.actuator_forcerange[actuator]).max() * gear)
-                largest += min(bounds)
-        return largest
+        efforts = np.zeros(m.njnt)
+        for actuator in np.flatnonzero(m.actuator_trntype == 0):
+            bounds = [np.inf]
+            gear = abs(m.actuator_gear[actuator, 0])
+            if m.actuator_ctrllimited[actuator]:
+                bounds.append(np.abs(m.actuator_ctrlrange[actuator]).max() * gear)
+            if m.actuator_forcelimited[actuator]:
+                bounds.append(np.abs(m.actuator_forcerange[actuator]).max() * gear)
+            efforts[m.actuator_trnid[actuator, 0]] += min(bounds)
+        return efforts
 
     def _joint_ids(self, body: int) -> range:
         first = int(self.m.body_jntadr[body])

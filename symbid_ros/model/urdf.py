@@ -1,5 +1,6 @@
 """Read a URDF."""
 
+import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Literal
@@ -12,6 +13,7 @@ from symbid_ros.model.assembly import Body, BodyJoint, assemble
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.rotation import rotation_from_rpy
 from symbid_ros.model.tree import STANDARD_GRAVITY, RobotModel
+from symbid_ros.model.xml_tree import LARGEST, MAX_DEPTH, place, read_xml
 
 Base = Literal["auto", "floating", "fixed"]
 
@@ -37,18 +39,18 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
     Raises
     ------
     ModelError
-        When the file is missing, is not a URDF or describes no tree.
+        When the file is refused by :func:`symbid_ros.model.xml_tree.read_xml`, is not a URDF
+        (yet: xacro), describes no tree, or has numbers that no robot has.
     """
-    try:
-        robot = ET.parse(path).getroot()
-    except OSError as error:
-        raise ModelError(
-            f"{path}: cannot read the model ({error.strerror}); check the path"
-        ) from None
-    except ET.ParseError as error:
-        raise ModelError(f"{path}: not well-formed XML ({error}); correct the file") from None
+    robot = read_xml(path)
     if robot.tag != "robot":
         raise ModelError(f"{path}: the root element is <{robot.tag}>, a URDF has <robot>")
+    for element in robot:
+        if element.tag.startswith("xacro:"):
+            raise ModelError(
+                f"{place(element)}: <{element.tag}> is xacro, no URDF yet; run `xacro {path.name} "
+                f"> {path.stem}.urdf` first"
+            )
     reader = _Reader(str(path), robot)
     bodies, world_joint = reader.bodies()
     floating = base == "floating" or (base == "auto" and world_joint != "fixed")
@@ -64,7 +66,13 @@ class _Reader:
     def __init__(self, source: str, robot: ET.Element) -> None:
         self.source = source
         self.root_rotation = np.eye(3)
-        self.links = {self._name(link): link for link in robot.findall("link")}
+        self.links: dict[str, ET.Element] = {}
+        for link in robot.findall("link"):
+            if self._name(link) in self.links:
+                raise ModelError(
+                    f"{place(link)}: link name {self._name(link)!r} is used twice; rename one"
+                )
+            self.links[self._name(link)] = link
         self.joints = robot.findall("joint")
         self.children: dict[str, list[ET.Element]] = {name: [] for name in self.links}
         self.moved: set[str] = set()
@@ -72,7 +80,7 @@ class _Reader:
             parent, child = self._end(joint, "parent"), self._end(joint, "child")
             if child in self.moved:
                 raise ModelError(
-                    f"{source}: link {child!r} is the child of two joints; a URDF is a tree"
+                    f"{place(joint)}: link {child!r} is the child of two joints; a URDF is a tree"
                 )
             self.children[parent].append(joint)
             self.moved.add(child)
@@ -92,16 +100,30 @@ class _Reader:
                 self.root_rotation, _ = self._pose(below[0])
                 root = self._end(below[0], "child")
         bodies: list[Body] = []
-        self._descend(root, -1, None, bodies)
+        self._descend([root], -1, None, bodies)
+        below_root = len(self.links) - (root != roots[0])
+        if len(bodies) != below_root:
+            raise ModelError(
+                f"{self.source}: {below_root - len(bodies)} links hang in a loop of joints apart "
+                f"from {root!r}; a URDF is a tree"
+            )
         return bodies, world_joint
 
-    def _descend(self, name: str, parent: int, joint: ET.Element | None, out: list[Body]) -> None:
+    def _descend(
+        self, chain: list[str], parent: int, joint: ET.Element | None, out: list[Body]
+    ) -> None:
+        name = chain[-1]
+        if len(chain) > MAX_DEPTH:
+            raise ModelError(
+                f"{place(self.links[name])}: link {name!r} is the end of a chain of more than "
+                f"{MAX_DEPTH} links; shorten it"
+            )
         rotation, translation = (np.eye(3), np.zeros(3)) if joint is None else self._pose(joint)
         moving = () if joint is None else self._body_joints(joint)
         out.append(Body(name, parent, rotation, translation, self._phi(name), moving))
         index = len(out) - 1
         for child in self.children[name]:
-            self._descend(self._end(child, "child"), index, child, out)
+            self._descend([*chain, self._end(child, "child")], index, child, out)
 
     def _body_joints(self, joint: ET.Element) -> tuple[BodyJoint, ...]:
         name, kind = self._name(joint), joint.get("type", "")
@@ -109,28 +131,35 @@ class _Reader:
             return ()
         if kind not in _MOVING:
             raise ModelError(
-                f"{self.source}: joint {name!r} is {kind!r}; revolute, continuous, prismatic and "
+                f"{place(joint)}: joint {name!r} is {kind!r}; revolute, continuous, prismatic and "
                 "fixed joints are known (floating only below a massless root link 'world')"
             )
-        axis = joint.find("axis")
-        limit = joint.find("limit")
-        limits = {} if limit is None else limit.attrib
-        dynamics = joint.find("dynamics")
-        friction = {} if dynamics is None else dynamics.attrib
-        bounded = kind != "continuous" and "lower" in limits and "upper" in limits
+        limit, dynamics = joint.find("limit"), joint.find("dynamics")
+        lower, upper = (self._number(limit, key) for key in ("lower", "upper"))
+        if kind == "continuous" or lower is None or upper is None:
+            lower, upper = -np.inf, np.inf
+        effort = self._number(limit, "effort")
         return (
             BodyJoint(
                 name,
                 _MOVING[kind],
-                self._vector(axis, "xyz", np.array([1.0, 0.0, 0.0])),
+                self._axis(joint),
                 np.zeros(3),
-                lower=self._number(limits["lower"]) if bounded else -np.inf,
-                upper=self._number(limits["upper"]) if bounded else np.inf,
-                effort=self._number(limits.get("effort", "inf")),
-                damping=self._number(friction.get("damping", "0")),
-                friction_loss=self._number(friction.get("friction", "0")),
+                lower=lower,
+                upper=upper,
+                effort=np.inf if effort is None else effort,
+                damping=self._number(dynamics, "damping", LARGEST) or 0.0,
+                friction_loss=self._number(dynamics, "friction", LARGEST) or 0.0,
             ),
         )
+
+    def _axis(self, joint: ET.Element) -> FloatArray:
+        axis = self._vector(joint.find("axis"), "xyz", np.array([1.0, 0.0, 0.0]))
+        if np.linalg.norm(axis) < _SHORTEST_AXIS:
+            raise ModelError(
+                f"{place(joint)}: joint {self._name(joint)!r} has a zero axis; give it a direction"
+            )
+        return axis
 
     def _phi(self, name: str) -> FloatArray:
         inertial = self.links[name].find("inertial")
@@ -139,14 +168,17 @@ class _Reader:
         mass, inertia = inertial.find("mass"), inertial.find("inertia")
         if mass is None or inertia is None:
             raise ModelError(
-                f"{self.source}: link {name!r} has an <inertial> without mass or inertia; add it"
+                f"{place(inertial)}: <inertial> of link {name!r} lacks mass or inertia; add it"
             )
-        value = {key: self._number(inertia.get(key, "0")) for key in _PRODUCTS}
+        kilograms = self._number(mass, "value", LARGEST)
+        if kilograms is None or kilograms < 0:
+            raise ModelError(
+                f"{place(mass)}: link {name!r} needs a mass of 0 kg or more; correct it"
+            )
+        value = {key: self._number(inertia, key, LARGEST) or 0.0 for key in _PRODUCTS}
         matrix = np.array([[value["i" + "".join(sorted(a + b))] for b in "xyz"] for a in "xyz"])
         rotation, com = self._pose(inertial)
-        return phi_from_com(
-            self._number(mass.get("value", "nan")), com, rotation @ matrix @ rotation.T
-        )
+        return phi_from_com(kilograms, com, rotation @ matrix @ rotation.T)
 
     def _pose(self, element: ET.Element) -> tuple[FloatArray, FloatArray]:
         origin = element.find("origin")
@@ -158,19 +190,36 @@ class _Reader:
             return default
         words = element.attrib[key].split()
         if len(words) != 3:
-            raise ModelError(f'{self.source}: {key}="{element.attrib[key]}" needs three numbers')
-        return np.array([self._number(word) for word in words])
+            raise ModelError(f'{place(element)}: {key}="{element.attrib[key]}" needs three numbers')
+        return np.array([self._finite(element, key, word, LARGEST) for word in words])
 
-    def _number(self, text: str) -> float:
+    def _number(
+        self, element: ET.Element | None, key: str, largest: float = sys.float_info.max
+    ) -> float | None:
+        if element is None or key not in element.attrib:
+            return None
+        return self._finite(element, key, element.attrib[key], largest)
+
+    @staticmethod
+    def _finite(element: ET.Element, key: str, word: str, largest: float) -> float:
         try:
-            return float(text)
+            number = float(word)
         except ValueError:
-            raise ModelError(f"{self.source}: {text!r} is not a number; correct it") from None
+            remedy = "run xacro first" if "${" in word else "correct it"
+            raise ModelError(
+                f"{place(element)}: {key}={word!r} is not a number; {remedy}"
+            ) from None
+        if not abs(number) <= largest:
+            raise ModelError(
+                f"{place(element)}: {key}={word!r} is not finite or no robot's; correct it, or "
+                "leave out what is unlimited"
+            )
+        return number
 
     def _name(self, element: ET.Element) -> str:
         name = element.get("name")
         if not name:
-            raise ModelError(f"{self.source}: a <{element.tag}> has no name; name it")
+            raise ModelError(f"{place(element)}: a <{element.tag}> has no name; name it")
         return name
 
     def _end(self, joint: ET.Element, end: str) -> str:
@@ -178,9 +227,10 @@ class _Reader:
         name = None if element is None else element.get("link")
         if name is None or name not in self.links:
             raise ModelError(
-                f"{self.source}: joint {self._name(joint)!r} has an unknown {end} link {name!r}"
+                f"{place(joint)}: joint {self._name(joint)!r} has an unknown {end} link {name!r}"
             )
         return name
 
 
+_SHORTEST_AXIS = 1e-9
 _PRODUCTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")

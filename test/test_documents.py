@@ -1,0 +1,93 @@
+"""YAML and JSON from anybody: plain data within limits, or a reason in one line."""
+
+import os
+
+import pytest
+
+from symbid_ros import documents
+from symbid_ros.documents import load_json, load_yaml
+
+
+def written(folder, content):
+    path = folder / "document"
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def reason(load, path):
+    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is what is looked at
+        load(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+BOMB = "a: &a [x, x, x, x]\n" + "".join(
+    f"{new}: &{new} [{', '.join([f'*{old}'] * 9)}]\n"
+    for old, new in zip("abcdefgh", "bcdefghi", strict=True)
+)
+
+
+CHAIN = "a0: &a0 [x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}]\n" for i in range(1, 60))
+
+
+def test_plain_data_are_read(tmp_path):
+    yaml = "rate: 1.5\nnames: [a, b]\nnested:\n  on: {x: 1, y: {x: 2}}\n"
+    assert load_yaml(written(tmp_path, yaml)) == {
+        "rate": 1.5,
+        "names": ["a", "b"],
+        "nested": {True: {"x": 1, "y": {"x": 2}}},
+    }
+    assert load_yaml(written(tmp_path, "a: &one {x: 1}\nb: *one\n")) == {
+        "a": {"x": 1},
+        "b": {"x": 1},
+    }
+    assert load_yaml(written(tmp_path, "")) is None
+    assert load_json(written(tmp_path, '{"a": [1.5, null]}')) == {"a": [1.5, None]}
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("- \n" * 200_000, "more than 100000 parts"),
+        (BOMB, "more than 100000 parts"),
+        (CHAIN, "more than 100000 parts or 50 levels"),
+        ("a: &a [*a]\n", "line 1: more than 50 levels deep"),
+        ("a: &a {x: *a}\n", "line 1: more than 50 levels deep"),
+        ("a: 1\nb: 2\na: 3\n", "line 3: a is said twice"),
+        ("a:\n  b: 1\n  b: 1\n", "line 3: b is said twice"),
+        ("[" * 60 + "]" * 60, "line 1: more than 50 levels deep"),
+        ("[" * 100_000, "line 1: more than 50 levels deep"),
+        ("a: !!python/object/apply:os.system [id]\n", "not valid YAML"),
+        ("a: [1\n", "not valid YAML"),
+        ("a: 1\n---\nb: 2\n", "not valid YAML"),
+        ("? [a]\n: 1\n", "not valid YAML"),
+        ("a: " + "9" * 5000, ""),
+        ("a: \x00", "not valid YAML"),
+        (b"a: \xff", "utf-8"),
+        (b" " * (documents.MAX_YAML_BYTES + 1), "larger than 1 MiB"),
+    ],
+)
+def test_other_yaml_is_refused(content, expected, tmp_path):
+    assert expected in reason(load_yaml, written(tmp_path, content))
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        ("[" * 100_000, "nested too deeply"),
+        ("{", "line 1"),
+        ("9" * 5000, ""),
+        (b"\xff", "utf-8"),
+        (b" " * (documents.MAX_JSON_BYTES + 1), "larger than 64 MiB"),
+    ],
+)
+def test_other_json_is_refused(content, expected, tmp_path):
+    assert expected in reason(load_json, written(tmp_path, content))
+
+
+@pytest.mark.parametrize("load", [load_yaml, load_json])
+def test_a_pipe_is_not_waited_for(load, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    assert reason(load, tmp_path / "pipe") == "no regular file"
+    with pytest.raises(FileNotFoundError):
+        load(tmp_path / "nothing")
