@@ -18,7 +18,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from symbid_ros.arrays import BoolArray
+from symbid_ros.arrays import BoolArray, IntArray
 from symbid_ros.errors import BagError
 
 ByteArray = NDArray[np.uint8]
@@ -111,6 +111,27 @@ class Layout:
         """Return writable views (N, ...) of the records' fields by path."""
         return {path: records[path] for path in self.dtype.names or ()}
 
+    @cached_property
+    def _needed(self) -> np.dtype[np.void]:
+        return np.dtype(
+            [
+                (path, form.base, (1,)) if path.endswith("_covariance") else (path, form)
+                for path, (form, *_) in (self.dtype.fields or {}).items()
+            ]
+        )
+
+    def condensed(self, records: Records) -> Records:
+        """Return the numbers of records (N,) alone, without text and padding.
+
+        Of a covariance the first element is kept, which tells whether its field is absent
+        (REP-145).
+        """
+        numbers = np.empty(len(records), dtype=self._needed)
+        for path, (form, *_) in (self._needed.fields or {}).items():
+            values = records[path]
+            numbers[path] = values[:, :1] if form.shape == (1,) and values.ndim == 2 else values
+        return numbers
+
     def matches(self, rows: ByteArray) -> BoolArray:
         """Tell which rows (N, len(template)) of bytes follow this layout."""
         places, expected = self._fixed
@@ -186,6 +207,18 @@ class _Walk:
             self._align(size)
         self.numbers.append((path, (form, shape), ENCAPSULATION + self.offset))
         self.offset += count * size
+
+
+def gathered(data: ByteArray, starts: IntArray, size: int) -> ByteArray:
+    """Return the ``size`` bytes (N, size) that begin at each start (N,), all inside the data.
+
+    Taken as records of overlapping views: an index for every byte would take ten times as long.
+    """
+    if not len(starts):
+        return np.empty((0, size), dtype=np.uint8)
+    every = np.ndarray(len(data) - size + 1, dtype=f"V{size}", buffer=data, strides=(1,))
+    rows: ByteArray = every[starts].view(np.uint8).reshape(-1, size)
+    return rows
 
 
 def _format(name: str, path: str) -> str:

@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from foreign_bags import STORE, Messages, imu, joint_state, joints_only, wrench, write_rosbags
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
-from symbid_ros.bags.reader import read_streams, read_truth
-from symbid_ros.bags.selection import TopicSelection
+from symbid_ros.bags.streams.reader import read_streams, read_truth
+from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.errors import BagError, DataError
 
 NAN, INFINITE = float("nan"), float("inf")
@@ -86,6 +87,31 @@ def test_bad_values_are_named(tmp_path: Path, messages: Messages, line: str) -> 
     assert "; " in str(caught.value)
 
 
+def test_a_few_bad_values_are_left_out_and_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rows = [[0.1 * n, NAN if n == 3 else 0.0] for n in range(10)]
+    bag = write_rosbags(
+        tmp_path / "log",
+        [
+            *(
+                ("/joint_states", JOINT_STATE, joint_state(n, ["a", "b"], p))
+                for n, p in enumerate(rows)
+            ),
+            *(
+                ("/imu/data", IMU, imu(n, (0.0, INFINITE if n > 6 else 0.0, 0.0)))
+                for n in range(10)
+            ),
+        ],
+    )
+    streams = read_streams([bag])
+    assert streams.joints.stamp.tolist() == [0, 1, 2, 4, 5, 6, 7, 8, 9]
+    assert np.isfinite(streams.joints.position).all()
+    assert streams.imus[0].stamp.tolist() == [*range(7)]
+    assert "1 of 10 messages have no finite position of b, left out" in caplog.text
+    assert "3 of 10 messages have no finite angular_velocity.y, left out" in caplog.text
+
+
 def test_nan_velocity_is_no_fault(tmp_path: Path) -> None:
     bag = joints_only(tmp_path / "log", joint_state(1, ["hip"], [0.0], [NAN], [0.0]))
     assert np.isnan(read_streams([bag]).joints.velocity).all()
@@ -125,13 +151,14 @@ def with_flipped_byte(image: bytearray) -> bytes:
     ("change", "line"),
     [
         (lambda image: bytes(image[: len(image) // 2]), "the recording was interrupted"),
-        (lambda image: b"", "not an MCAP file"),
-        (lambda image: b"SQLite format 3\0" + bytes(100), "not an MCAP file"),
+        (lambda image: b"", "empty; record it again"),
+        (lambda image: b"SQLite format 3\0" + bytes(100), "an SQLite file; give it the ending"),
+        (lambda image: bytes(image[1:]), "not an MCAP file"),
         (lambda image: bytes(image[:8]), "the recording was interrupted"),
         (with_flipped_byte, "damaged MCAP file"),
         (lambda image: bytes(image[:4000] + image[-37:]), "damaged MCAP file"),
     ],
-    ids=["cut", "empty", "sqlite", "magic-only", "flipped", "hollow"],
+    ids=["cut", "empty", "sqlite", "shifted", "magic-only", "flipped", "hollow"],
 )
 def test_damaged_files_are_refused(
     log: Path, change: Callable[[bytearray], bytes], line: str
@@ -181,16 +208,33 @@ def test_broken_metadata_file_is_named(log: Path, text: str) -> None:
         read_streams([log])
 
 
-def test_metadata_may_not_lead_out_of_the_bag(log: Path) -> None:
-    text = (log / "metadata.yaml").read_text().replace("- log_0.mcap", "- ../other/log_0.mcap")
-    (log / "metadata.yaml").write_text(text)
-    with pytest.raises(BagError, match="outside the bag"):
+def test_metadata_may_not_lead_out_of_the_bag(log: Path, tmp_path: Path) -> None:
+    (tmp_path / "other.mcap").write_bytes((log / "log_0.mcap").read_bytes())
+    content = yaml.safe_load((log / "metadata.yaml").read_text())
+    listed = ["../other.mcap", str(tmp_path / "other.mcap")]
+    content["rosbag2_bagfile_information"]["relative_file_paths"] = listed
+    (log / "metadata.yaml").write_text(yaml.safe_dump(content))
+    with pytest.raises(BagError, match=r"log/other\.mcap: no such file, though"):
         read_streams([log])
 
 
-def test_sqlite_bag_asks_for_conversion(tmp_path: Path) -> None:
+def test_damaged_sqlite_files_are_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with RosbagsWriter(tmp_path / "log", version=9) as writer:
-        connection = writer.add_connection("/imu", IMU, typestore=STORE)
-        writer.write(connection, 1, imu(1))
-    with pytest.raises(BagError, match=r"log\.db3: not an MCAP file; convert the bag"):
-        read_streams([tmp_path / "log"])
+        connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=STORE)
+        for n in range(1000):
+            writer.write(connection, n, joint_state(n, ["hip"], [0.0]))
+    (file,) = (tmp_path / "log").glob("*.db3")
+    assert len(read_streams([file]).joints.stamp) == 1000
+
+    log = file.with_name(f"{file.name}-wal")
+    log.write_bytes(b"no log at all")
+    assert len(read_streams([file]).joints.stamp) == 1000
+    assert "the recording was interrupted; what it wrote last is taken from" in caplog.text
+    assert log.read_bytes() == b"no log at all"
+    log.unlink()
+
+    content = file.read_bytes()
+    for damaged in (content[: len(content) // 2], b"SQLite format 3\0", b"", content[::-1]):
+        file.write_bytes(damaged)
+        with pytest.raises(BagError, match=r"damaged SQLite file|no sensor_msgs"):
+            read_streams([file])

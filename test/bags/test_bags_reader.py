@@ -16,8 +16,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from symbid_ros.bags.messages import ACCEL, IMU, JOINT_STATE, WRENCH
-from symbid_ros.bags.reader import read_streams, read_truth, topic_counts
-from symbid_ros.bags.selection import TopicSelection
+from symbid_ros.bags.streams.reader import read_streams, read_truth, topic_counts
+from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.simulation.recording import record
 
@@ -61,8 +61,13 @@ def test_topic_counts_are_what_was_written(robot, log: Path) -> None:
     assert len(counts) == 7
 
 
-def rosbags_copy(log: Path, target: Path, compression: CompressionMode) -> None:
-    writer = RosbagsWriter(target, version=9, storage_plugin=StoragePlugin.MCAP)
+def rosbags_copy(
+    log: Path,
+    target: Path,
+    compression: CompressionMode = CompressionMode.NONE,
+    storage: StoragePlugin = StoragePlugin.MCAP,
+) -> None:
+    writer = RosbagsWriter(target, version=9, storage_plugin=storage)
     writer.set_compression(compression, CompressionFormat.ZSTD)
     with AnyReader([log]) as reader, writer:
         targets = {
@@ -96,14 +101,23 @@ def mcap_copy(log: Path, target: Path, **options: Any) -> None:
 @pytest.mark.parametrize(
     "copy",
     [
-        lambda log, to: rosbags_copy(log, to, CompressionMode.NONE),
+        rosbags_copy,
         lambda log, to: rosbags_copy(log, to, CompressionMode.STORAGE),
         lambda log, to: mcap_copy(log, to, compression=CompressionType.LZ4, chunk_size=20_000),
         lambda log, to: mcap_copy(log, to, compression=CompressionType.NONE),
         lambda log, to: mcap_copy(log, to, use_chunking=False),
         lambda log, to: mcap_copy(log, to, index_types=IndexType.NONE),
+        lambda log, to: rosbags_copy(log, to, storage=StoragePlugin.SQLITE3),
     ],
-    ids=["rosbags", "rosbags-zstd", "mcap-lz4", "mcap-plain", "mcap-unchunked", "mcap-unindexed"],
+    ids=[
+        "rosbags",
+        "rosbags-zstd",
+        "mcap-lz4",
+        "mcap-plain",
+        "mcap-unchunked",
+        "mcap-unindexed",
+        "sqlite",
+    ],
 )
 def test_bags_of_other_writers_read_the_same(
     log: Path, tmp_path: Path, copy: Callable[[Path, Path], None]
@@ -188,7 +202,7 @@ def test_messages_outside_every_layout_are_decoded_singly_and_counted(
     )
     joints = read_streams([bag]).joints
     assert joints.effort[:, 0].tolist() == list(range(1, 31))
-    assert "10 of 30 messages decoded one by one" in caplog.text
+    assert "10 of 30 messages were decoded one by one" in caplog.text
 
 
 def test_many_layouts_are_still_read(tmp_path: Path) -> None:
@@ -228,8 +242,8 @@ def test_disorder_is_sorted_and_repeats_are_dropped(
     joints = read_streams([bag]).joints
     assert joints.stamp.tolist() == [1, 2, 3, 4]
     assert joints.position[:, 0].tolist() == [1, 2, 0, 4]
-    assert "1 messages out of order, sorted" in caplog.text
-    assert "1 messages repeat a stamp, dropped" in caplog.text
+    assert "1 of 5 messages are out of order, sorted" in caplog.text
+    assert "1 of 5 messages repeat a stamp, dropped" in caplog.text
 
 
 def test_orientation_marked_absent_is_none(tmp_path: Path) -> None:

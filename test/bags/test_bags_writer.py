@@ -16,7 +16,8 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from symbid_ros.bags.messages import IMU, WRENCH, fill_wrench, wrench_layout
-from symbid_ros.bags.writer import BagWriter, OfferedQos
+from symbid_ros.bags.metadata import OfferedQos
+from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
 from symbid_ros.simulation.recording import record
 
@@ -189,7 +190,7 @@ def test_topic_errors_name_the_topic(tmp_path: Path) -> None:
         bag.add_topic("/imu", IMU)
         with pytest.raises(BagError, match="topic /imu is announced twice"):
             bag.add_topic("/imu", IMU)
-        with pytest.raises(BagError, match="topic /x has type foo_msgs/msg/Bar"):
+        with pytest.raises(BagError, match="topic /x: message type foo_msgs/msg/Bar: neither"):
             bag.add_topic("/x", "foo_msgs/msg/Bar")
 
 

@@ -6,9 +6,10 @@ from functools import reduce
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.bags.decoder import TopicDecoder
-from symbid_ros.bags.sensors import column, stamps
-from symbid_ros.bags.stamps import kept_in_order
+from symbid_ros.bags.streams.decoder import TopicDecoder
+from symbid_ros.bags.streams.sensors import column, stamps
+from symbid_ros.bags.streams.stamps import kept_in_order
+from symbid_ros.bags.streams.tally import Tally
 from symbid_ros.errors import DataError
 from symbid_ros.signals.streams import TruthStreams
 
@@ -31,7 +32,10 @@ def truth_streams(
     kept, stamp = [], []
     for decoder in decoders:
         recorded = stamps(decoder)
-        places = kept_in_order(source, decoder.topic.name, recorded)
+        tally = Tally(source, decoder.topic.name)
+        tally.see(recorded)
+        places = kept_in_order(recorded, tally)
+        tally.report()
         kept.append(places)
         stamp.append(recorded[places])
     common = reduce(np.intersect1d, stamp)

@@ -5,11 +5,21 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import zstandard
 from rosbags.serde import SerdeError
 
 from symbid_ros.arrays import BoolArray, IntArray
-from symbid_ros.bags.blocks import Topic
-from symbid_ros.bags.layout import ENCAPSULATION, ByteArray, Layout, Records, typestore
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.container.compression import ZSTD_FRAME, unpacked_message
+from symbid_ros.bags.layout import (
+    ENCAPSULATION,
+    ByteArray,
+    Layout,
+    Records,
+    gathered,
+    typestore,
+)
+from symbid_ros.bags.limits import MAX_CHUNK, MAX_MESSAGE, MAX_NAMES, within
 from symbid_ros.errors import DataError
 
 MAX_LAYOUTS = 32  # a log that changes shape with every message must not cost N² comparisons
@@ -47,6 +57,8 @@ class TopicDecoder:
     count, decoded_singly : int
         Messages seen, and those that fitted no layout's bytes and were decoded by
         rosbags one at a time (big-endian ones, for instance).
+    layouts : list of Layout
+        Those met so far; decoders of one topic may share them.
     """
 
     source: str
@@ -54,16 +66,32 @@ class TopicDecoder:
     pieces: list[Piece] = field(default_factory=list)
     count: int = 0
     decoded_singly: int = 0
-    _layouts: list[Layout] = field(default_factory=list)
+    layouts: list[Layout] = field(default_factory=list)
 
     def add(self, data: ByteArray, spans: IntArray) -> None:
         """Decode the payloads (N, 2: start, length) of one block of bytes."""
+        if len(spans) and data[spans[0, 0] :][:4].tobytes() == ZSTD_FRAME:
+            data, spans = self._unpacked(data, spans)
         pending = np.arange(len(spans))
-        for layout in self._layouts:
+        for layout in self.layouts:
             pending = self._take(layout, data, spans, pending)
         while len(pending):
             pending = self._learn(data, spans, pending)
         self.count += len(spans)
+
+    def _unpacked(self, data: ByteArray, spans: IntArray) -> tuple[ByteArray, IntArray]:
+        """Return payloads that were compressed one by one, one behind the other."""
+        whole = bytearray()
+        places = np.empty_like(spans)
+        for message, (start, length) in enumerate(spans.tolist()):
+            try:
+                payload = unpacked_message(data[start : start + length].tobytes(), MAX_MESSAGE)
+                within("a block of messages", len(whole) + len(payload), MAX_CHUNK)
+            except (zstandard.ZstdError, ValueError) as error:
+                raise self._refusal(message, error) from error
+            places[message] = len(whole), len(payload)
+            whole += payload
+        return np.frombuffer(whole, dtype=np.uint8), places
 
     def _take(
         self, layout: Layout, data: ByteArray, spans: IntArray, pending: IntArray
@@ -74,7 +102,7 @@ class TopicDecoder:
         fits = (extra >= 0) & (extra <= MAX_TRAILING)
         candidates = pending[fits]
         if len(candidates):
-            rows = data[spans[candidates, 0][:, None] + np.arange(size)]
+            rows = gathered(data, spans[candidates, 0], size)
             matched = layout.matches(rows)
             self._keep(layout, candidates[matched], rows if matched.all() else rows[matched])
             fits[fits] = matched
@@ -86,8 +114,8 @@ class TopicDecoder:
         for place, message in enumerate(pending):
             start, length = spans[message]
             canonical, layout, is_new = self._decode(data[start : start + length], int(message))
-            if is_new and len(self._layouts) < MAX_LAYOUTS:
-                self._layouts.append(layout)
+            if is_new and len(self.layouts) < MAX_LAYOUTS:
+                self.layouts.append(layout)
                 if _follows(data[start : start + length], layout):
                     return self._take(layout, data, spans, pending[place:])
             self._keep(layout, np.array([message]), canonical[None, :])
@@ -98,18 +126,24 @@ class TopicDecoder:
         """Return the message little-endian and packed, its layout and whether that is new."""
         msgtype = self.topic.msgtype
         try:
+            within("a length", len(payload), MAX_MESSAGE)
             decoded = _deserialized(payload.tobytes(), msgtype)
             layout = Layout.of(decoded, msgtype)
+            within("a number of strings", sum(map(len, layout.text.values())), MAX_NAMES)
         except (SerdeError, struct.error, ValueError, IndexError, MemoryError) as error:
-            raise DataError(
-                f"{self.source}: {self.topic.name}: message {self.count + message + 1} is not a "
-                f"valid {msgtype}: {error}; the bag is damaged"
-            ) from error
+            raise self._refusal(message, error) from error
         canonical = np.frombuffer(layout.template, dtype=np.uint8)
-        for known in self._layouts:
+        for known in self.layouts:
             if _follows(canonical, known):
                 return canonical, known, False
         return canonical, layout, True
+
+    def _refusal(self, message: int, error: Exception) -> DataError:
+        return DataError(
+            f"{self.source}: {self.topic.name}: message {self.count + message + 1} is not a "
+            f"valid {self.topic.msgtype}: {error}; leave the topic out or take another copy of "
+            "the bag"
+        )
 
     def _keep(self, layout: Layout, messages: IntArray, rows: ByteArray) -> None:
         if len(messages):
@@ -132,7 +166,7 @@ def _deserialized(payload: bytes, msgtype: str) -> Any:
     """
     store = typestore()
     if payload[:2] not in (b"\x00\x00", b"\x00\x01"):
-        raise ValueError("its encapsulation is not plain CDR")
+        raise ValueError(f"its encapsulation 0x{payload[:2].hex()} is not plain CDR")
     definition = store.get_msgdef(msgtype)
     decode = definition.deserialize_cdr_le if payload[1] else definition.deserialize_cdr_be
     message, end = decode(payload[ENCAPSULATION:], 0, definition.cls, store)

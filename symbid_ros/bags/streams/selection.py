@@ -3,7 +3,8 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from symbid_ros.bags.blocks import Topic
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.container.catalogue import ENCODED
 from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
 from symbid_ros.errors import BagError
 
@@ -45,6 +46,11 @@ class SelectedTopics:
     imus: tuple[Topic, ...]
     wrenches: tuple[Topic, ...]
 
+    @property
+    def all(self) -> tuple[Topic, ...]:
+        """All of them, joint states first."""
+        return (self.joints, *self.imus, *self.wrenches)
+
 
 @dataclass
 class Selector:
@@ -77,7 +83,7 @@ class Selector:
         if not joints:
             raise BagError(
                 f"{self.source}: no {JOINT_STATE} topic named joint_states, it holds "
-                f"{self._listing()}; name the topic of the joint states"
+                f"{self._listing()}; {self._remedy()}"
             )
         if len(joints) > 1:
             raise BagError(
@@ -126,6 +132,13 @@ class Selector:
             f"{self.source}: topic {name} is of type {others[0].msgtype}, not {msgtype}; "
             "name another topic"
         )
+
+    def _remedy(self) -> str:
+        if any(topic.msgtype == JOINT_STATE for topic in self.counts):
+            return "name the topic of the joint states"
+        if any(ENCODED in topic.msgtype for topic in self.counts):
+            return "convert its messages to ROS 2's, in CDR"
+        return "record the joint states as well"
 
     def _listing(self) -> str:
         return listing(self.counts)

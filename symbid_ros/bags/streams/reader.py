@@ -1,32 +1,28 @@
 """Bags into streams of arrays."""
 
-import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from symbid_ros.bags.blocks import Topic, iterate_blocks
-from symbid_ros.bags.decoder import TopicDecoder
-from symbid_ros.bags.files import bag_files
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.container.contents import all_blocks, bag_names
 from symbid_ros.bags.messages import ACCEL, ODOMETRY, TRAJECTORY
-from symbid_ros.bags.selection import TRUTH, Selector, TopicSelection, listing
-from symbid_ros.bags.sensors import imu_stream, joint_stream, wrench_stream
-from symbid_ros.bags.truth import truth_streams
+from symbid_ros.bags.streams.decoder import TopicDecoder
+from symbid_ros.bags.streams.selection import TRUTH, TopicSelection, listing
+from symbid_ros.bags.streams.slices import DEFAULT_SELECTION, iterate_slices
+from symbid_ros.bags.streams.truth import truth_streams
 from symbid_ros.errors import BagError
 from symbid_ros.signals.streams import Streams, TruthStreams
 
-DEFAULT_SELECTION = TopicSelection()
 TRUTH_TYPES = {"joints": TRAJECTORY, "odom": ODOMETRY, "base_accel": ACCEL}
-
-logger = logging.getLogger("symbid_ros.bags")
 
 
 def read_streams(bags: Sequence[Path], topics: TopicSelection = DEFAULT_SELECTION) -> Streams:
-    """Read the sensor topics of one recording.
+    """Read the sensor topics of one recording at once.
 
     Parameters
     ----------
     bags : sequence of Path
-        Bag folders or .mcap files that continue one another; separate runs are
+        Bag folders or files that continue one another; separate runs are
         to be read separately.
     topics : TopicSelection
         Topics to read.
@@ -36,16 +32,10 @@ def read_streams(bags: Sequence[Path], topics: TopicSelection = DEFAULT_SELECTIO
     Streams
         Stamps strictly increasing in every stream.
     """
-    source = _source(bags)
-    selector = Selector(source, topics)
-    decoders = _decode(bags, source, selector.counts, selector.wants)
-    chosen = selector.selected()
-    return Streams(
-        source=source,
-        joints=joint_stream(decoders[chosen.joints]),
-        imus=tuple(imu_stream(decoders[topic]) for topic in chosen.imus),
-        wrenches=tuple(wrench_stream(decoders[topic]) for topic in chosen.wrenches),
-    )
+    (whole,) = iterate_slices(bags, topics)
+    if whole.streams is None:
+        raise BagError(whole.fault)
+    return whole.streams
 
 
 def read_truth(bags: Sequence[Path]) -> TruthStreams:
@@ -54,7 +44,7 @@ def read_truth(bags: Sequence[Path]) -> TruthStreams:
     Instants that one of the three topics lacks are left out and counted in a
     warning.
     """
-    source = _source(bags)
+    source = bag_names(bags)
     counts: dict[Topic, int] = {}
     decoders = _decode(bags, source, counts, lambda topic: _truth_kind(topic) is not None)
     by_kind = {_truth_kind(topic): decoder for topic, decoder in decoders.items()}
@@ -83,29 +73,13 @@ def _decode(
 ) -> dict[Topic, TopicDecoder]:
     """Decode the wanted topics and count the messages of all."""
     decoders: dict[Topic, TopicDecoder] = {}
-    for file in [file for bag in bags for file in bag_files(bag)]:
-        for block in iterate_blocks(file):
-            for topic, spans in block.spans.items():
-                counts[topic] = counts.get(topic, 0) + len(spans)
-                if wants(topic):
-                    decoder = decoders.setdefault(topic, TopicDecoder(source, topic))
-                    decoder.add(block.data, spans)
-    for decoder in decoders.values():
-        if decoder.decoded_singly:
-            logger.warning(
-                "%s: %s: %d of %d messages decoded one by one, their bytes follow no layout",
-                source,
-                decoder.topic.name,
-                decoder.decoded_singly,
-                decoder.count,
-            )
+    for block in all_blocks(bags):
+        for topic, spans in block.spans.items():
+            counts[topic] = counts.get(topic, 0) + len(spans)
+            if wants(topic):
+                decoder = decoders.setdefault(topic, TopicDecoder(source, topic))
+                decoder.add(block.data, spans)
     return decoders
-
-
-def _source(bags: Sequence[Path]) -> str:
-    if not bags:
-        raise BagError("no bag given; name at least one")
-    return ", ".join(str(bag) for bag in bags)
 
 
 def _truth_kind(topic: Topic) -> str | None:

@@ -1,0 +1,139 @@
+"""The recorder under load and under kill -9: what is lost, what it costs.
+
+Four sensor topics are published by a process of their own, their bytes patched in place as the
+bridge does it: 60 s at 1 kHz, then 20 s at 4 kHz. Printed are messages lost, the recorder's
+processor time as a share of one core and the time from stamp to receipt.
+
+With ``--kills`` a recorder of a 1 kHz and a 5 Hz topic is killed at random times instead, and the
+unfinished bag is read: how old was the oldest message that is missing?
+
+4 kHz needs two cores for itself: look at how late the publisher was before blaming the recorder.
+
+    .venv/bin/python bench/recorder.py [--seconds 60] [--burst 20] [--kills 100] [--seed 0]
+"""
+
+import argparse
+import multiprocessing
+import os
+import random
+import sys
+import tempfile
+import time
+from multiprocessing.connection import Connection
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import rclpy
+from mcap.reader import make_reader
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "test" / "support"))
+
+from paced_feed import SENSORS, Feed, await_subscribers, feed, kill_recorder
+
+from symbid_ros.bags.gaps import stamp_of
+from symbid_ros.bags.rescue.recover import recover
+from symbid_ros.cli.processes import NodeProcess, private_graph
+
+TICKS = os.sysconf("SC_CLK_TCK")
+BOUND = 0.1  # s
+DOMAINS = 100
+
+
+def main() -> None:
+    """Run what was asked for and print what came of it."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--burst", type=float, default=20.0)
+    parser.add_argument("--kills", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args()
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
+    with tempfile.TemporaryDirectory() as folder, private_graph() as graph:
+        os.environ.update(graph)
+        if asked.kills:
+            kill(Path(folder), asked.kills, asked.seed)
+            return
+        for rate, seconds in ((1000.0, asked.seconds), (4000.0, asked.burst)):
+            record(Path(folder) / f"bag_{rate:.0f}", graph, rate, seconds)
+
+
+def record(bag: Path, graph: dict[str, str], rate: float, seconds: float) -> None:
+    """Record so many seconds of four topics at one rate and print the figures."""
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    parameters = {"bag": str(bag), "topics": list(SENSORS)}
+    with NodeProcess("recorder", parameters, graph, bag.with_suffix(".log")) as recorder:
+        publisher = context.Process(target=publish, args=(rate, seconds, theirs))
+        publisher.start()
+        ours.recv()
+        began, used = time.monotonic(), processor_seconds(recorder.pid)
+        published, late = ours.recv()
+        share = (processor_seconds(recorder.pid) - used) / (time.monotonic() - began)
+        publisher.join()
+        summary = recorder.finish(stop=True)
+    recorded = sum(summary["recorded"].values())
+    print(
+        f"4 topics at {rate:.0f} Hz, {seconds:.0f} s: {published} published "
+        f"({published / seconds / 4:.0f} Hz, {late * 1e3:.0f} ms late at most), "
+        f"{published - recorded} lost; {100 * share:.0f} % of a core; "
+        f"{summary['bytes'] / 1e6:.1f} MB; load {os.getloadavg()[0]:.1f}"
+    )
+    middle, high = np.percentile(latencies(bag), [50, 99]) / 1e6
+    print(f"    stamp to receipt: median {middle:.2f} ms, p99 {high:.2f} ms")
+
+
+def publish(rate: float, seconds: float, pipe: Connection) -> None:
+    """Publish once all topics have a subscriber; tell of the beginning and the end."""
+    rclpy.init()
+    node = rclpy.create_node("robot")
+    feeds = [Feed(node, topic, layout, rate) for topic, layout in SENSORS.items()]
+    await_subscribers(feeds)
+    pipe.send("begun")
+    late = feed(feeds, Event(), seconds)
+    for each in feeds:
+        each.publisher.wait_for_all_acked()
+    pipe.send((sum(len(each.stamps) for each in feeds), late))
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def kill(folder: Path, kills: int, seed: int) -> None:
+    """Kill recorders at random times and print what that cost."""
+    draw = random.Random(seed)
+    losses, standstills = [], []
+    recovered = 0
+    for number in range(kills):
+        within = folder / str(number)
+        within.mkdir()
+        domain = number % DOMAINS + 1
+        cost = kill_recorder(domain, draw.uniform(0.3, 2.0), within)
+        recovered += recover(within / f"bag_{domain}").kept == sum(cost.kept.values())
+        losses.append(max(cost.lost.values()))
+        standstills.append(cost.standstill)
+        if losses[-1] > BOUND:
+            print(f"kill {number}: {cost}")
+    middle, most = np.percentile(losses, [50, 100]) * 1e3
+    print(
+        f"{kills} kills, {recovered} bags recovered: "
+        f"{middle:.0f} ms lost in the median, {most:.0f} ms at most; "
+        f"publisher {max(standstills) * 1e3:.0f} ms late at most; load {os.getloadavg()[0]:.1f}"
+    )
+
+
+def latencies(bag: Path) -> np.ndarray:
+    """Return receipt minus stamp of every message, ns."""
+    (file,) = bag.glob("*.mcap")
+    with file.open("rb") as stream:
+        messages = make_reader(stream).iter_messages(log_time_order=False)
+        return np.array([message.log_time - stamp_of(message.data) for _, _, message in messages])
+
+
+def processor_seconds(pid: int) -> float:
+    """Return the processor time that a process has used."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+if __name__ == "__main__":
+    main()

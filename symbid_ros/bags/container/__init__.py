@@ -1,0 +1,1 @@
+"""What lies in a bag's files: chunks, records, topics, messages as bytes."""

@@ -1,0 +1,276 @@
+"""Serialised messages of a bag, many at a time: bytes and where each message lies in them.
+
+The framing of records is followed here because every general reader makes a
+Python object of each message. A chunk's index tells where its messages begin;
+it is checked against the bytes, and without a good one the records are walked
+through. What the file's summary says is held against what was read.
+"""
+
+import logging
+import zlib
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Header
+from numpy.typing import NDArray
+
+from symbid_ros.arrays import IntArray
+from symbid_ros.bags.container.batch import Batch
+from symbid_ros.bags.container.catalogue import Catalogue, parsed
+from symbid_ros.bags.container.compression import ChunkRecord
+from symbid_ros.bags.container.framing import (
+    MAGIC,
+    MESSAGE,
+    PAYLOAD,
+    PRIVATE,
+    RECORD,
+    TO_ROS2,
+    Buffer,
+    damage_named,
+    message_starts,
+)
+from symbid_ros.bags.container.summary import DATA_END_SIZE, Summary, read_summary
+from symbid_ros.bags.layout import ByteArray, gathered
+from symbid_ros.bags.limits import MAX_CHUNK, MIB, within
+from symbid_ros.errors import BagError
+
+HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
+BLOCK_SIZE = 4 * MIB  # chunks are joined to this many bytes: per-block work is per-topic work
+MOST_AHEAD = 2 * BLOCK_SIZE  # what is larger is unpacked when it is wanted: no memory for two
+SKIPPED = frozenset({Opcode.ATTACHMENT, Opcode.METADATA})
+DATA = SKIPPED | {
+    Opcode.HEADER,
+    Opcode.SCHEMA,
+    Opcode.CHANNEL,
+    Opcode.MESSAGE,
+    Opcode.CHUNK,
+    Opcode.MESSAGE_INDEX,
+}
+CHANNELS = 1 << 16
+
+logger = logging.getLogger("symbid_ros.bags")
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag: name as recorded, message type."""
+
+    name: str
+    msgtype: str
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive messages of one file.
+
+    Attributes
+    ----------
+    data : (B,) uint8
+        The bytes they lie in.
+    spans : dict of Topic to (N, 2) int64
+        Start and length of each payload, in order of recording; every topic
+        announced so far, those without a message here included.
+    chunks, unchecked_chunks : int
+        Chunks they were in, and those of them that carry no checksum.
+    """
+
+    data: ByteArray
+    spans: dict[Topic, IntArray]
+    chunks: int = 0
+    unchecked_chunks: int = 0
+
+
+def iterate_blocks(file: Path) -> Iterator[Block]:
+    """Yield all messages of an MCAP file, a few megabytes at a time.
+
+    A warning tells where the file's summary counts other messages than were found.
+    """
+    with damage_named(file):
+        summary = read_summary(file)
+        yield from _FileReader(file, summary, summary.catalogue).blocks()
+
+
+@dataclass
+class _FileReader:
+    file: Path
+    summary: Summary
+    catalogue: Catalogue
+    chunks: int = 0
+    unchecked: int = 0
+    private: int = 0
+    counts: IntArray = field(default_factory=lambda: np.zeros(CHANNELS, dtype=np.int64))
+    topics: dict[Topic, int] = field(default_factory=dict)
+    topic_of: NDArray[np.int16] = field(default_factory=lambda: np.full(CHANNELS, -1, np.int16))
+
+    def blocks(self) -> Iterator[Block]:
+        # Unpacking lets others run meanwhile: it goes on while the block before is made use of.
+        with ThreadPoolExecutor(1) as unpacker:
+            ahead: tuple[Batch, Callable[[], Buffer]] | None = None
+            for batch in self._batches():
+                unpacked: Callable[[], Buffer] = batch.unpacked
+                if batch.size <= MOST_AHEAD:
+                    unpacked = unpacker.submit(batch.unpacked).result
+                if ahead is not None:
+                    yield self._block(*ahead)
+                ahead = batch, unpacked
+            if ahead is not None:
+                yield self._block(*ahead)
+        self._compare()
+
+    def _batches(self) -> Iterator[Batch]:
+        """Yield the chunks of the file, joined to as much as is worked on at once."""
+        batch = Batch()
+        for opcode, body in self._records():
+            if opcode == Opcode.MESSAGE_INDEX:
+                batch.add_index(body)
+            elif opcode in (Opcode.CHUNK, Opcode.MESSAGE):
+                chunk = ChunkRecord.of(body) if opcode == Opcode.CHUNK else None
+                size = RECORD.size + len(body) if chunk is None else chunk.size
+                if batch.size and batch.size + size > BLOCK_SIZE:
+                    yield batch
+                    batch = Batch()
+                if chunk is None:
+                    batch.add_message(RECORD.pack(opcode, len(body)) + body)
+                else:
+                    batch.add_chunk(chunk)
+            else:
+                self.catalogue.add(opcode, body)
+        yield batch
+
+    def _records(self) -> Iterator[tuple[int, bytes]]:
+        """Yield opcode and body of the data's records, but for those that hold no message."""
+        with self.file.open("rb") as stream:
+            end = self.summary.data_end
+            stream.seek(len(MAGIC))
+            before = None
+            position = len(MAGIC)
+            while position < end:
+                opcode, length = RECORD.unpack(stream.read(RECORD.size))
+                position += RECORD.size + length
+                if position > end:
+                    raise ValueError("a record is cut short")
+                if opcode == Opcode.DATA_END and position == end:
+                    break
+                self._check_order(before, opcode)
+                before = opcode
+                if opcode >= PRIVATE or opcode in SKIPPED:
+                    stream.seek(length, 1)
+                    continue
+                body = stream.read(within("a record", length, MAX_CHUNK))
+                if opcode == Opcode.HEADER:
+                    self._check_profile(body)
+                else:
+                    yield opcode, body
+            else:
+                raise ValueError("its data do not end where its footer says")
+        if self.summary.data_crc:
+            self._check_data()
+
+    def _check_data(self) -> None:
+        """Hold all data against their checksum; few writers give one, it covers skipped bytes."""
+        with self.file.open("rb") as stream:
+            left = self.summary.data_end - DATA_END_SIZE
+            crc = 0
+            while left:
+                part = stream.read(min(left, MIB))
+                if not part:
+                    raise ValueError("it became shorter while it was read")
+                crc = zlib.crc32(part, crc)
+                left -= len(part)
+        if crc != self.summary.data_crc:
+            raise ValueError("its data do not match their checksum")
+
+    def _check_order(self, before: int | None, opcode: int) -> None:
+        if (before is None) != (opcode == Opcode.HEADER):
+            raise ValueError("its header is not where it belongs")
+        if opcode == Opcode.MESSAGE_INDEX and before not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
+            raise ValueError("a message index follows no chunk")
+        if opcode >= PRIVATE:
+            self.private += 1
+        elif opcode not in DATA:
+            raise ValueError(f"a record of kind {opcode} is among its data")
+
+    def _check_profile(self, body: bytes) -> None:
+        if parsed(Header.read, body).profile == "ros1":
+            raise BagError(
+                f"{self.file}: a recording of ROS 1; convert the .bag that it was made from with "
+                f"`rosbags-convert {TO_ROS2}`"
+            )
+
+    def _block(self, batch: Batch, unpacked: Callable[[], Buffer]) -> Block:
+        data, starts = unpacked(), batch.starts()
+        content = np.frombuffer(data, dtype=np.uint8)
+        heads = _message_heads(content, starts)
+        if heads is None or not _is_complete(heads, starts, len(data)):
+            starts = np.frombuffer(message_starts(data, self.catalogue.add), dtype=np.int64)
+            heads = _message_heads(content, starts)
+            assert heads is not None
+        self.chunks += batch.chunks
+        self.unchecked += batch.unchecked
+        spans = np.stack([starts + PAYLOAD, heads["length"].astype(np.int64) - MESSAGE.size], 1)
+        return Block(
+            content,
+            self._by_topic(heads["channel"], spans),
+            batch.chunks,
+            batch.unchecked,
+        )
+
+    def _by_topic(self, channels: NDArray[np.uint16], spans: IntArray) -> dict[Topic, IntArray]:
+        """Sort spans (N, 2) by topic; two channels may serve one."""
+        for channel in self.catalogue.channels.values():
+            if self.topic_of[channel.id] < 0:
+                topic = Topic(channel.topic, self.catalogue.msgtype(channel))
+                self.topic_of[channel.id] = self.topics.setdefault(topic, len(self.topics))
+        numbers = self.topic_of[channels]
+        if (numbers < 0).any():
+            raise ValueError("a message's channel was never announced")
+        self.counts += np.bincount(channels, minlength=CHANNELS)
+        order = np.argsort(numbers, kind="stable")
+        bounds = np.searchsorted(numbers[order], np.arange(len(self.topics) + 1))
+        return {topic: spans[order[bounds[n] : bounds[n + 1]]] for topic, n in self.topics.items()}
+
+    def _compare(self) -> None:
+        """Say what the summary counts that was not found, or the other way round."""
+        if self.private:
+            logger.warning("%s: %d records of private kinds passed over", self.file, self.private)
+        if 0 < self.unchecked < self.chunks:
+            logger.warning(
+                "%s: %d of %d chunks carry no checksum", self.file, self.unchecked, self.chunks
+            )
+        told = self.summary.statistics
+        if told is None:
+            return
+        found = {int(channel): int(self.counts[channel]) for channel in np.flatnonzero(self.counts)}
+        by_channel = {channel: n for channel, n in told.channel_message_counts.items() if n}
+        if sum(found.values()) != told.message_count or by_channel not in ({}, found):
+            logger.warning(
+                "%s: damaged: its summary counts %d messages, %d are in it; "
+                "`symbid bag recover %s` tells what is lost",
+                self.file,
+                told.message_count,
+                sum(found.values()),
+                self.file,
+            )
+
+
+def _message_heads(data: ByteArray, starts: IntArray) -> NDArray[np.void] | None:
+    """Return (N,) opcode, length and channel of the records at ``starts``, if they lie inside."""
+    if len(starts) and not 0 <= starts[0] <= starts[-1] <= len(data) - PAYLOAD:
+        return None
+    heads: NDArray[np.void] = gathered(data, starts, HEAD.itemsize).view(HEAD)[:, 0]
+    return heads
+
+
+def _is_complete(heads: NDArray[np.void], starts: IntArray, size: int) -> bool:
+    """Tell whether messages (N,) follow each other from the first to the last of ``size`` bytes.
+
+    An index is believed only if they do.
+    """
+    ends = starts + RECORD.size + heads["length"].astype(np.int64)
+    is_gapless = np.array_equal(np.append(starts, size), np.append(0, ends))
+    is_message = (heads["opcode"] == Opcode.MESSAGE) & (heads["length"] >= MESSAGE.size)
+    return is_gapless and bool(is_message.all())

@@ -1,0 +1,94 @@
+"""Which files make up a bag."""
+
+from pathlib import Path
+from typing import Any
+
+from symbid_ros.bags.container.framing import quoted
+from symbid_ros.bags.limits import MAX_METADATA, MAX_YAML_NODES, within
+from symbid_ros.documents import parse_yaml
+from symbid_ros.errors import BagError
+
+STORAGES = (".mcap", ".db3")
+ZSTD_SUFFIX = ".zstd"
+
+
+def bag_files(bag: Path) -> list[Path]:
+    """Return the files of a bag: a folder's in recorded order, or the file itself."""
+    metadata = bag / "metadata.yaml"
+    if not metadata.is_file():
+        return files_present(bag)
+    listed = [_unpacked(bag / name) for name in listed_names(bag_metadata(metadata))]
+    present = _sorted_files(bag)
+    if len(present) == len(listed) and not any(file.is_file() for file in listed):
+        listed = present  # renamed, all of them
+    for file in listed:
+        if _read_as_it_is(file).suffix not in STORAGES:
+            raise BagError(f"{file}: neither MCAP nor SQLite; convert the bag to MCAP storage")
+        if not file.is_file():
+            raise BagError(f"{file}: no such file, though {metadata} lists it; restore it")
+    return listed
+
+
+def files_present(bag: Path) -> list[Path]:
+    """Return the files of a bag that are there, whatever its metadata.yaml says."""
+    if bag.is_file():
+        return [_read_as_it_is(bag)]
+    if not bag.is_dir():
+        raise BagError(f"{bag}: no such bag; give a bag's folder or an .mcap file")
+    files = _sorted_files(bag)
+    if not files:
+        # A common slip: runs are kept in one folder.
+        inside = sorted(
+            {file.parent.name for kind in STORAGES for file in bag.glob(f"[!.]*/[!.]*{kind}")}
+        )
+        if inside:
+            raise BagError(f"{bag}: a folder of bags, {', '.join(inside)}; give these")
+        raise BagError(f"{bag}: not a bag, it holds no .mcap file; give the folder of a recording")
+    return [_read_as_it_is(file) for file in files]
+
+
+def bag_metadata(metadata: Path) -> dict[str, Any]:
+    """Return what a metadata.yaml says, no more checked than that it is rosbag2's."""
+    try:
+        within("a file", metadata.stat().st_size, MAX_METADATA)
+        content = parse_yaml(metadata.read_text(encoding="utf-8"), MAX_YAML_NODES)
+        information: dict[str, Any] = content["rosbag2_bagfile_information"]
+        names = information["relative_file_paths"]
+        is_listing = all(isinstance(name, str) for name in names)
+    except (OSError, ValueError, KeyError, TypeError):
+        is_listing = False
+    if not is_listing:
+        raise BagError(f"{metadata}: not a rosbag2 metadata file; give the .mcap file instead")
+    return information
+
+
+def listed_names(information: dict[str, Any]) -> list[str]:
+    """Return the names of a bag's files, which are in its folder and nowhere else.
+
+    Up to version 3 of its metadata rosbag2 put the folder as it was then before them.
+    """
+    return [Path(name).name for name in information["relative_file_paths"]]
+
+
+def _unpacked(file: Path) -> Path:
+    """Return what a file that was compressed as a whole has been unpacked to, if it has."""
+    plain = file.with_suffix("")
+    return plain if file.suffix == ZSTD_SUFFIX and plain.is_file() else file
+
+
+def _sorted_files(folder: Path) -> list[Path]:
+    """Return a folder's files of the first kind of storage that it holds, numbers in order."""
+    suffixes = (*STORAGES, *(storage + ZSTD_SUFFIX for storage in STORAGES))
+    # Hidden ones are file managers' notes (._log_0.mcap) or unfinished.
+    found = (list(folder.glob(f"[!.]*{suffix}")) for suffix in suffixes)
+    return sorted(next(filter(None, found), []), key=lambda file: (len(file.name), file.name))
+
+
+def _read_as_it_is(file: Path) -> Path:
+    if file.suffix == ZSTD_SUFFIX:
+        raise BagError(
+            f"{file}: compressed as a whole; unpack it with `zstd -d {quoted(file)}`, every other "
+            "file of the bag likewise, and give the bag again, or record with "
+            "`--storage-preset-profile zstd_fast`"
+        )
+    return file

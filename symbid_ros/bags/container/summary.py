@@ -1,0 +1,119 @@
+"""The end of an MCAP file, checked: what the writer says the file holds."""
+
+import zlib
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from operator import itemgetter
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.opcode import Opcode
+from mcap.records import ChunkIndex, DataEnd, Footer, Statistics
+
+from symbid_ros.bags.container.catalogue import Catalogue, UnknownSchemaError, parsed
+from symbid_ros.bags.container.framing import FOOTER_SIZE, MAGIC, RECORD, checked_size
+from symbid_ros.bags.limits import MAX_CATALOGUE, MAX_EXTENTS, MAX_RECORD, within
+
+DATA_END_SIZE = RECORD.size + 4
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What stands behind the data of a finished file.
+
+    Attributes
+    ----------
+    catalogue : Catalogue
+        Schemas, and the channels whose schema the summary repeats too.
+    statistics : mcap Statistics or None
+    chunks : tuple of mcap ChunkIndex
+        Empty unless asked for.
+    data_end : int
+        Byte behind the data end record.
+    data_crc : int
+        CRC-32 of the file up to its data end record; 0 where the writer gave none.
+    """
+
+    catalogue: Catalogue
+    statistics: Statistics | None
+    chunks: tuple[ChunkIndex, ...]
+    data_end: int
+    data_crc: int
+
+    @property
+    def tells_topics(self) -> bool:
+        """Whether it tells all topics and how many messages each has."""
+        told = self.statistics
+        return (
+            told is not None
+            and told.channel_count == len(self.catalogue.channels)
+            and told.message_count == sum(told.channel_message_counts.values())
+        )
+
+
+def read_summary(file: Path, *, with_chunks: bool = False) -> Summary:
+    """Return what the end of a finished file says, checked against its checksum.
+
+    A long recording's summary is mostly chunk indexes, which reading from
+    beginning to end has no need of.
+    """
+    end = checked_size(file) - FOOTER_SIZE - len(MAGIC)
+    announced: list[tuple[int, bytes]] = []
+    size = 0
+    statistics = None
+    chunks: list[ChunkIndex] = []
+    with file.open("rb") as stream:
+        stream.seek(end)
+        tail = stream.read(FOOTER_SIZE)
+        if RECORD.unpack_from(tail) != (Opcode.FOOTER, FOOTER_SIZE - RECORD.size):
+            raise ValueError("its footer is no footer")
+        footer = parsed(Footer.read, tail[RECORD.size :])
+        start = footer.summary_start or end
+        if not len(MAGIC) <= start <= end:
+            raise ValueError("its footer points beyond its end")
+        data_crc = _data_crc(stream, start)
+        stream.seek(start)
+        crc = 0
+        while (position := stream.tell()) < end:
+            head = stream.read(RECORD.size)
+            opcode, length = RECORD.unpack(head)
+            within("a record", length, MAX_RECORD)
+            if position + RECORD.size + length > end:
+                raise ValueError("a record of its summary is cut short")
+            body = stream.read(length)
+            crc = zlib.crc32(body, zlib.crc32(head, crc))
+            if opcode == Opcode.STATISTICS:
+                statistics = parsed(Statistics.read, body)
+            elif opcode == Opcode.CHUNK_INDEX and with_chunks:
+                chunks.append(parsed(ChunkIndex.read, body))
+                within("a number of chunks", len(chunks), MAX_EXTENTS)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                size = within("a catalogue of topics", size + length, MAX_CATALOGUE)
+                announced.append((opcode, body))
+    crc = zlib.crc32(tail[:-4], crc)  # up to the checksum itself
+    if footer.summary_start and footer.summary_crc not in (0, crc):
+        raise ValueError("its summary does not match its checksum")
+    return Summary(_catalogue(announced), statistics, tuple(chunks), start, data_crc)
+
+
+def _catalogue(announced: Iterable[tuple[int, bytes]]) -> Catalogue:
+    """Return schemas and channels, whose groups may stand in any order, and one without the other.
+
+    A channel whose schema only the data tell is left to them.
+    """
+    catalogue = Catalogue()
+    for opcode, body in sorted(announced, key=itemgetter(0)):
+        with suppress(UnknownSchemaError):
+            catalogue.add(opcode, body)
+    return catalogue
+
+
+def _data_crc(stream: BinaryIO, end: int) -> int:
+    """Return the checksum in the data end record, which is the last before ``end``."""
+    stream.seek(max(0, end - DATA_END_SIZE))
+    record = stream.read(DATA_END_SIZE)
+    if RECORD.unpack_from(record) != (Opcode.DATA_END, DATA_END_SIZE - RECORD.size):
+        return 0  # one with fields of a later version, or none at all: whoever reads on will see
+    crc: int = parsed(DataEnd.read, record[RECORD.size :]).data_section_crc
+    return crc

@@ -1,0 +1,289 @@
+"""What a bag is: its files, topics and times, whether or not its recording was finished."""
+
+from collections import Counter
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from mcap.opcode import Opcode
+from mcap.records import Header, Metadata, Statistics
+
+from symbid_ros.bags.container.attachment import Attachment
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.container.catalogue import Catalogue, parsed
+from symbid_ros.bags.container.files import bag_metadata, files_present
+from symbid_ros.bags.container.framing import MAGIC, MESSAGE, RECORD, checked_size, damage_named
+from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, sqlite_contents
+from symbid_ros.bags.container.summary import Summary, read_summary
+from symbid_ros.bags.limits import MAX_QOS, within
+from symbid_ros.bags.metadata import OfferedQos
+from symbid_ros.bags.rescue.salvage import Salvage, Stretch
+from symbid_ros.errors import BagError
+
+
+@dataclass(frozen=True)
+class FileInfo:
+    """One file of a bag.
+
+    Attributes
+    ----------
+    name : str
+    size : int
+        Bytes.
+    storage : str
+        ``mcap`` or ``sqlite3``.
+    compression : tuple of str
+        Of its chunks; empty where none is compressed, or nothing tells.
+    recorded_by : str
+        Library that wrote it, as it says itself; empty where it does not.
+    is_finished, is_indexed : bool
+        Whether it has its end, and whether that tells where messages are.
+    fault : str
+        What is wrong with it and what to do; empty if nothing was seen.
+    start, end : int or None
+        First and last log time, nanoseconds; None without a message.
+    counts : dict of Topic to int
+        Messages.
+    attachments, metadata : int
+        Records of these kinds.
+    """
+
+    name: str
+    size: int
+    storage: str
+    compression: tuple[str, ...]
+    recorded_by: str
+    is_finished: bool
+    is_indexed: bool
+    fault: str
+    start: int | None
+    end: int | None
+    counts: dict[Topic, int]
+    attachments: int
+    metadata: int
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """A topic of a bag.
+
+    Attributes
+    ----------
+    name, msgtype : str
+    count : int
+        Messages.
+    rate : float or None
+        Messages per second of the whole bag; None where it has no duration.
+    qos : tuple of OfferedQos
+        What the publishers offered.
+    """
+
+    name: str
+    msgtype: str
+    count: int
+    rate: float | None
+    qos: tuple[OfferedQos, ...]
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """A bag: its files in order, its topics by name, first and last log time in nanoseconds."""
+
+    bag: Path
+    files: tuple[FileInfo, ...]
+    topics: tuple[TopicInfo, ...]
+    start: int | None
+    end: int | None
+    ros_distro: str
+
+    @property
+    def size(self) -> int:
+        """Bytes of all files."""
+        return sum(file.size for file in self.files)
+
+    @property
+    def count(self) -> int:
+        """Messages of all topics."""
+        return sum(topic.count for topic in self.topics)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last message."""
+        return 0.0 if self.start is None or self.end is None else (self.end - self.start) * 1e-9
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether all files have their end."""
+        return all(file.is_finished for file in self.files)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what ``--json`` prints."""
+        files = []
+        for file in self.files:
+            counts = {topic.name: count for topic, count in file.counts.items()}
+            files.append({**vars(file), "counts": counts})
+        return {
+            "bag": str(self.bag),
+            "size": self.size,
+            "duration": self.duration,
+            "start": self.start,
+            "end": self.end,
+            "count": self.count,
+            "is_finished": self.is_finished,
+            "ros_distro": self.ros_distro,
+            "files": files,
+            "topics": [asdict(topic) for topic in self.topics],
+        }
+
+
+def bag_info(bag: Path) -> BagInfo:
+    """Return what a bag's files say of themselves; those without an end are read through.
+
+    Raises
+    ------
+    BagError
+        When there is no such bag.
+    """
+    qos: dict[Topic, tuple[OfferedQos, ...]] = {}
+    present = files_present(bag)
+    files = tuple(
+        _sqlite_file(file, qos)
+        if file.suffix == SQLITE_SUFFIX
+        else _mcap_file(file, qos, is_alone=len(present) == 1)
+        for file in present
+    )
+    counts: Counter[Topic] = Counter()
+    for file in files:
+        counts.update(file.counts)
+    start = min((file.start for file in files if file.start is not None), default=None)
+    end = max((file.end for file in files if file.end is not None), default=None)
+    duration = 0 if start is None or end is None else end - start
+    topics = tuple(
+        TopicInfo(
+            topic.name,
+            topic.msgtype,
+            counts[topic],
+            counts[topic] / duration * 1e9 if duration else None,
+            qos.get(topic, ()),
+        )
+        for topic in sorted(counts, key=lambda topic: topic.name)
+    )
+    return BagInfo(bag, files, topics, start, end, _ros_distro(bag))
+
+
+def _ros_distro(bag: Path) -> str:
+    try:
+        return str(bag_metadata(bag / "metadata.yaml").get("ros_distro") or "")
+    except BagError:
+        return ""
+
+
+def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone: bool) -> FileInfo:
+    fault = ""
+    try:
+        with damage_named(file):
+            summary = read_summary(file, with_chunks=True)
+    except BagError as error:
+        if is_alone and not _begins_well(file):
+            raise
+        fault = str(error).removeprefix(f"{file}: ")
+        summary = Summary(Catalogue(), None, (), data_end=0, data_crc=0)
+    catalogue = summary.catalogue
+    told = summary.statistics if summary.tells_topics else _counted(file, catalogue)
+    assert told is not None
+    counts: Counter[Topic] = Counter()
+    for number, channel in catalogue.channels.items():
+        topic = Topic(channel.topic, catalogue.msgtype(channel))
+        counts[topic] += told.channel_message_counts.get(number, 0)
+        with suppress(ValueError):
+            qos[topic] = qos.get(topic) or catalogue.offers(channel)
+    is_filled = counts.total() > 0
+    return FileInfo(
+        name=file.name,
+        size=file.stat().st_size,
+        storage="mcap",
+        compression=tuple(sorted({chunk.compression for chunk in summary.chunks} - {""})),
+        recorded_by=_library(file),
+        is_finished=_has_end(file),
+        is_indexed=any(chunk.message_index_offsets for chunk in summary.chunks),
+        fault=fault,
+        start=told.message_start_time if is_filled else None,
+        end=told.message_end_time if is_filled else None,
+        counts=dict(counts),
+        attachments=told.attachment_count,
+        metadata=told.metadata_count,
+    )
+
+
+def _counted(file: Path, catalogue: Catalogue) -> Statistics:
+    """Read a file to its end and return what its statistics ought to be."""
+    counts: Counter[int] = Counter()
+    records: Counter[type] = Counter()
+    first, last = 1 << 64, 0
+    for piece in Salvage(file, catalogue).pieces():
+        records[type(piece)] += 1
+        if isinstance(piece, Stretch):
+            for start in piece.starts:
+                channel, _, log_time, _ = MESSAGE.unpack_from(piece.data, start + RECORD.size)
+                counts[channel] += 1
+                first, last = min(first, log_time), max(last, log_time)
+    return Statistics(
+        attachment_count=records[Attachment],
+        channel_count=len(catalogue.channels),
+        channel_message_counts=counts,
+        chunk_count=records[Stretch],
+        message_count=counts.total(),
+        message_start_time=first,
+        message_end_time=last,
+        metadata_count=records[Metadata],
+        schema_count=len(catalogue.schemas),
+    )
+
+
+def _begins_well(file: Path) -> bool:
+    try:
+        with file.open("rb") as stream:
+            return stream.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
+
+
+def _has_end(file: Path) -> bool:
+    with suppress(BagError):
+        checked_size(file)
+        return True
+    return False
+
+
+def _library(file: Path) -> str:
+    """Return which library wrote a file; empty where its first record does not tell."""
+    with file.open("rb") as stream:
+        stream.seek(len(MAGIC))
+        head = stream.read(RECORD.size)
+        if len(head) == RECORD.size and RECORD.unpack(head)[0] == Opcode.HEADER:
+            with suppress(BagError), damage_named(file):
+                length = within("a header", RECORD.unpack(head)[1], MAX_QOS)
+                return str(parsed(Header.read, stream.read(length)).library)
+    return ""
+
+
+def _sqlite_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]]) -> FileInfo:
+    held = sqlite_contents(file)
+    for topic, offers in held.qos.items():
+        qos[topic] = qos.get(topic) or offers
+    return FileInfo(
+        name=file.name,
+        size=file.stat().st_size,
+        storage="sqlite3",
+        compression=(),
+        recorded_by="",
+        is_finished=held.is_finished,
+        is_indexed=True,
+        fault="",
+        start=held.start,
+        end=held.end,
+        counts=dict(held.counts),
+        attachments=0,
+        metadata=0,
+    )

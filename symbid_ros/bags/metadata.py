@@ -1,0 +1,156 @@
+"""What rosbag2 writes about a bag: metadata.yaml, and a record in its files."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import yaml
+
+METADATA_VERSION = 9  # ROS 2 Jazzy's
+ENCODING = "cdr"
+UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True)
+class OfferedQos:
+    """What a publisher offers, in rosbag2's words."""
+
+    depth: int = 10
+    history: str = "keep_last"
+    reliability: str = "reliable"
+    durability: str = "volatile"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of ``offered_qos_profiles``; unnamed policies are unlimited."""
+        return {
+            "history": self.history,
+            "depth": self.depth,
+            "reliability": self.reliability,
+            "durability": self.durability,
+            "deadline": dict(UNLIMITED),
+            "lifespan": dict(UNLIMITED),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(UNLIMITED),
+            "avoid_ros_namespace_conventions": False,
+        }
+
+
+@dataclass(frozen=True)
+class TopicMetadata:
+    """A topic as rosbag2 describes it.
+
+    Attributes
+    ----------
+    name, msgtype : str
+    qos : tuple of OfferedQos
+        One entry per publisher.
+    type_hash : str
+        RIHS01 hash of the type; empty if unknown.
+    encoding : str
+        Of its messages.
+    """
+
+    name: str
+    msgtype: str
+    qos: tuple[OfferedQos, ...]
+    type_hash: str
+    encoding: str = ENCODING
+
+    def channel(self) -> dict[str, str]:
+        """Return the metadata of the topic's MCAP channel."""
+        profiles = _dumped([entry.as_dict() for entry in self.qos])
+        return {"offered_qos_profiles": profiles.strip(), "topic_type_hash": self.type_hash}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of ``topics_with_message_count``."""
+        return {
+            "name": self.name,
+            "type": self.msgtype,
+            "serialization_format": self.encoding,
+            "offered_qos_profiles": [entry.as_dict() for entry in self.qos],
+            "type_description_hash": self.type_hash,
+        }
+
+
+@dataclass(frozen=True)
+class FileMetadata:
+    """One file of a bag.
+
+    Attributes
+    ----------
+    name : str
+    start, end : int
+        First and last log time, nanoseconds; both 0 without a message.
+    counts : dict of int to int
+        Messages by channel.
+    """
+
+    name: str
+    start: int
+    end: int
+    counts: Mapping[int, int]
+
+    @property
+    def count(self) -> int:
+        """Messages of all channels."""
+        return sum(self.counts.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of ``files``."""
+        return {
+            "path": self.name,
+            "starting_time": {"nanoseconds_since_epoch": self.start},
+            "duration": {"nanoseconds": self.end - self.start},
+            "message_count": self.count,
+        }
+
+
+def bag_information(
+    topics: Mapping[int, TopicMetadata], files: Sequence[FileMetadata], compression_mode: str = ""
+) -> dict[str, Any]:
+    """Return what stands under ``rosbag2_bagfile_information``; topics by channel.
+
+    ``compression_mode`` is ``MESSAGE`` where each message is compressed by itself.
+    """
+    filled = [file for file in files if file.count]
+    start = min((file.start for file in filled), default=0)
+    end = max((file.end for file in filled), default=0)
+    return {
+        "version": METADATA_VERSION,
+        "storage_identifier": "mcap",
+        "duration": {"nanoseconds": end - start},
+        "starting_time": {"nanoseconds_since_epoch": start},
+        "message_count": sum(file.count for file in files),
+        "topics_with_message_count": [
+            {
+                "topic_metadata": topic.as_dict(),
+                "message_count": sum(file.counts.get(channel, 0) for file in files),
+            }
+            for channel, topic in topics.items()
+        ],
+        "compression_format": "zstd" if compression_mode else "",
+        "compression_mode": compression_mode,
+        "relative_file_paths": [file.name for file in files],
+        "files": [file.as_dict() for file in files],
+        "custom_data": None,
+        "ros_distro": "jazzy",
+    }
+
+
+def metadata_file(information: Mapping[str, Any]) -> str:
+    """Return the text of metadata.yaml."""
+    return _dumped({"rosbag2_bagfile_information": dict(information)})
+
+
+def metadata_record(information: Mapping[str, Any]) -> dict[str, str]:
+    """Return the content of the MCAP metadata record ``rosbag2``.
+
+    rosbag2 reads topics and counts from it when metadata.yaml is lost.
+    """
+    return {"serialized_metadata": _dumped(dict(information))}
+
+
+def _dumped(content: object) -> str:
+    # A bag of many files is described anew with each of them: libyaml takes a tenth of the time.
+    text: str = yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False)
+    return text

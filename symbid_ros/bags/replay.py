@@ -1,0 +1,135 @@
+"""The messages of bags as they were recorded, in order of log time."""
+
+from bisect import bisect_left
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from operator import attrgetter, itemgetter
+from pathlib import Path
+from typing import NamedTuple
+
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.container.files import bag_files
+from symbid_ros.bags.container.index import FileIndex, RecordedTopic, read_index
+from symbid_ros.bags.streams.selection import listing
+from symbid_ros.errors import BagError
+
+CDR = "cdr"
+
+
+class RecordedMessage(NamedTuple):
+    """One message as it was recorded.
+
+    Attributes
+    ----------
+    log_time : int
+        Nanoseconds.
+    topic : str
+        Name as recorded.
+    payload : bytes
+        Serialised, with its encapsulation header.
+    """
+
+    log_time: int
+    topic: str
+    payload: bytes
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Bags to replay as one.
+
+    Attributes
+    ----------
+    source : str
+        Names of the bags, for messages to the user.
+    topics : dict of str to RecordedTopic
+        All topics by name.
+    start, end : int
+        First and last log time, nanoseconds.
+    """
+
+    source: str
+    topics: dict[str, RecordedTopic]
+    start: int
+    end: int
+    _files: tuple[FileIndex, ...]
+
+    @classmethod
+    def of(cls, bags: Sequence[Path]) -> "Recording":
+        """Return what bag folders or .mcap files hold together.
+
+        Raises
+        ------
+        BagError
+            When a bag is missing or damaged or holds no message, or a topic has two types.
+        """
+        if not bags:
+            raise BagError("no bag given; name at least one")
+        source = ", ".join(str(bag) for bag in bags)
+        files = tuple(read_index(file) for bag in bags for file in bag_files(bag))
+        topics: dict[str, RecordedTopic] = {}
+        for topic in (topic for file in files for topic in file.topics.values()):
+            known = topics.setdefault(topic.name, topic)
+            if known.msgtype != topic.msgtype:
+                raise BagError(
+                    f"{source}: topic {topic.name} is both {known.msgtype} and {topic.msgtype}; "
+                    "give the bags separately"
+                )
+        extents = [extent for file in files for extent in file.extents]
+        if not extents:
+            raise BagError(f"{source}: no message in it; record it again")
+        start, end = min(extent.start for extent in extents), max(extent.end for extent in extents)
+        return cls(source, topics, start, end, files)
+
+    def select(self, names: Sequence[str]) -> tuple[RecordedTopic, ...]:
+        """Return the named topics; a leading slash may be left out.
+
+        Raises
+        ------
+        BagError
+            When there is no such topic, or its messages are not ROS 2's.
+        """
+        by_name = {name.lstrip("/"): topic for name, topic in self.topics.items()}
+        for name in names:
+            if name.lstrip("/") not in by_name:
+                held = listing(Topic(topic.name, topic.msgtype) for topic in self.topics.values())
+                raise BagError(
+                    f"{self.source}: no topic {name}, it holds {held}; name one of these"
+                )
+        chosen = tuple(dict.fromkeys(by_name[name.lstrip("/")] for name in names))
+        for topic in chosen:
+            if topic.encoding != CDR:
+                raise BagError(
+                    f"{self.source}: messages on {topic.name} are encoded as "
+                    f"{topic.encoding or 'nothing known'}, not {CDR}; leave the topic out"
+                )
+        return chosen
+
+    def messages(self, topics: Collection[str], start: int, stop: int) -> Iterator[RecordedMessage]:
+        """Yield the messages of some topics with start ≤ log time < stop, by log time.
+
+        Equal times keep the order of recording. No more is held in memory than the
+        chunks whose times overlap.
+        """
+        extents = sorted(
+            (
+                (extent, number)
+                for number, file in enumerate(self._files)
+                for extent in file.extents
+                if extent.start < stop and start <= extent.end
+            ),
+            key=lambda place: (place[0].start, place[1], place[0].offset),
+        )
+        waiting: list[RecordedMessage] = []
+        for extent, number in extents:
+            ready = bisect_left(waiting, extent.start, key=itemgetter(0))
+            yield from waiting[:ready]
+            file = self._files[number]
+            names = {c: topic.name for c, topic in file.topics.items() if topic.name in topics}
+            waiting = waiting[ready:] + [
+                RecordedMessage(message.log_time, names[message.channel], message.payload)
+                for message in file.messages(extent)
+                if message.channel in names and start <= message.log_time < stop
+            ]
+            waiting.sort(key=attrgetter("log_time"))
+        yield from waiting

@@ -1,0 +1,1 @@
+"""Whole bags from damaged ones."""

@@ -1,0 +1,102 @@
+"""What a recovery kept and what is missing."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class LostStretch:
+    """A hole in a recording.
+
+    Attributes
+    ----------
+    file : str
+        Name of the damaged file.
+    offset, length : int
+        Bytes of it that cannot be used; both 0 for a file that is not there.
+    fault : str
+        What is wrong with them.
+    after, before : int or None
+        Log times of the messages kept on either side, nanoseconds; None at an end.
+    messages : int
+        Messages that were in it at least.
+    is_counted : bool
+        Whether there can have been no more.
+    """
+
+    file: str
+    offset: int
+    length: int
+    fault: str
+    after: int | None = None
+    before: int | None = None
+    messages: int = 0
+    is_counted: bool = False
+
+
+@dataclass(frozen=True)
+class TopicRecovery:
+    """What became of a topic: messages kept, and messages known to be lost."""
+
+    name: str
+    msgtype: str
+    kept: int
+    lost: int
+
+
+@dataclass(frozen=True)
+class RecordCount:
+    """What became of the records of one kind that are no messages."""
+
+    kept: int
+    lost: int
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What became of a bag.
+
+    Attributes
+    ----------
+    source, out : Path
+        The bag as it was, which is left as it is, and the new one.
+    topics : tuple of TopicRecovery
+    holes : tuple of LostStretch
+    attachments, metadata : RecordCount
+        rosbag2's own metadata record, which is written anew, does not count.
+    repeated : int
+        Chunks that were there twice.
+    is_counted : bool
+        Whether all that is lost is counted: False if a hole may have held more.
+    """
+
+    source: Path
+    out: Path
+    topics: tuple[TopicRecovery, ...]
+    holes: tuple[LostStretch, ...]
+    attachments: RecordCount
+    metadata: RecordCount
+    repeated: int
+    is_counted: bool
+
+    @property
+    def kept(self) -> int:
+        """Messages kept."""
+        return sum(topic.kept for topic in self.topics)
+
+    @property
+    def lost(self) -> int:
+        """Messages known to be lost."""
+        return sum(topic.lost for topic in self.topics)
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing was lost."""
+        records_lost = self.attachments.lost + self.metadata.lost
+        return self.is_counted and not self.lost and not records_lost
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return what ``--json`` prints."""
+        totals = {"kept": self.kept, "lost": self.lost, "is_whole": self.is_whole}
+        return {**asdict(self), "source": str(self.source), "out": str(self.out), **totals}

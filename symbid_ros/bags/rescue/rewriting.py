@@ -1,0 +1,152 @@
+"""Messages of other bags into a new one, with the schemas and channels they came with."""
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, Self
+
+from mcap.records import Channel, Metadata
+
+from symbid_ros.bags.container.attachment import Attachment
+from symbid_ros.bags.container.catalogue import Catalogue
+from symbid_ros.bags.limits import MIB
+from symbid_ros.bags.metadata import (
+    FileMetadata,
+    OfferedQos,
+    TopicMetadata,
+    bag_information,
+    metadata_file,
+    metadata_record,
+)
+from symbid_ros.bags.writing.chunks import ChunkWriter
+
+CHUNK_SIZE = MIB
+ROSBAG2 = "rosbag2"  # name of the metadata record that rosbag2 keeps about a file
+
+
+@dataclass(frozen=True)
+class _Origin:
+    """A channel as it came, whatever number it had."""
+
+    topic: str
+    encoding: str
+    schema: tuple[str, bytes, str] | None  # name, definition and its encoding
+    metadata: tuple[tuple[str, str], ...]
+    qos: tuple[OfferedQos, ...]
+
+    def announce(self, writer: ChunkWriter) -> int:
+        schema = 0 if self.schema is None else writer.add_schema(*self.schema)
+        return writer.add_channel(self.topic, schema, dict(self.metadata), self.encoding)
+
+    def described(self) -> TopicMetadata:
+        name = "" if self.schema is None else self.schema[0]
+        type_hash = dict(self.metadata).get("topic_type_hash", "")
+        return TopicMetadata(self.topic, name, self.qos, type_hash, self.encoding)
+
+
+@dataclass
+class RewrittenBag:
+    """Writes the files of a bag's folder; a topic has the same channel in all of them.
+
+    Attributes
+    ----------
+    folder : Path
+        Where to write.
+    name : str
+        Of the bag, after which its files are named.
+    compression_mode : str
+        ``MESSAGE`` where each message is compressed by itself, which it then remains.
+    """
+
+    folder: Path
+    name: str
+    compression_mode: str = ""
+    _channels: dict[_Origin, int] = field(default_factory=dict)
+    _files: list[FileMetadata] = field(default_factory=list)
+    _stream: BinaryIO | None = None
+    _writer: ChunkWriter | None = None
+
+    def channel(self, catalogue: Catalogue, channel: Channel) -> int:
+        """Return the number of another file's channel here."""
+        schema = catalogue.schema(channel)
+        try:
+            qos = catalogue.offers(channel)
+        except ValueError:
+            qos = ()
+        origin = _Origin(
+            channel.topic,
+            channel.message_encoding,
+            None if schema is None else (schema.name, schema.data, schema.encoding),
+            tuple(channel.metadata.items()),
+            qos,
+        )
+        if origin not in self._channels:
+            self._channels[origin] = origin.announce(self._output())
+        return self._channels[origin]
+
+    def write(
+        self, channel: int, log_time: int, publish_time: int, payload: bytes, sequence: int
+    ) -> None:
+        """Append a message to the current file; times in nanoseconds."""
+        self._output().add_message(channel, log_time, publish_time, payload, sequence)
+
+    def add_metadata(self, record: Metadata) -> None:
+        """Write a metadata record."""
+        self._output().add_metadata(record.name, record.metadata)
+
+    def add_attachment(self, attachment: Attachment, source: BinaryIO) -> None:
+        """Copy an attachment from the file in which it lies."""
+        self._output().add_attachment(attachment, source)
+
+    def add_private(self, parts: Iterable[bytes]) -> None:
+        """Write an application's own record as it was."""
+        self._output().add_record(parts)
+
+    def end_file(self) -> None:
+        """Finish the current file, if anything was written to it."""
+        if self._writer is None or self._stream is None:
+            return
+        self._writer.end_chunk()
+        name = Path(self._stream.name).name
+        counts = self._writer.counts
+        self._files.append(FileMetadata(name, self._writer.start, self._writer.end, counts))
+        self._writer.add_metadata(ROSBAG2, metadata_record(self._information()))
+        self._writer.finish()
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
+        self._stream.close()
+        self._writer = None
+
+    def finish(self) -> None:
+        """Write metadata.yaml; the bag is complete afterwards."""
+        with (self.folder / "metadata.yaml").open("x", encoding="utf-8") as stream:
+            stream.write(metadata_file(self._information()))
+            stream.flush()
+            os.fsync(stream.fileno())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._stream is not None:
+            self._stream.close()
+
+    def _output(self) -> ChunkWriter:
+        """Return the writer of the current file, begun when there is something to write."""
+        if self._writer is None:
+            self._stream = (self.folder / f"{self.name}_{len(self._files)}.mcap").open("xb")
+            self._writer = ChunkWriter(self._stream, CHUNK_SIZE)
+            for origin in self._channels:
+                origin.announce(self._writer)
+        return self._writer
+
+    def _information(self) -> dict[str, object]:
+        topics = {number: origin.described() for origin, number in self._channels.items()}
+        return bag_information(topics, self._files, self.compression_mode)

@@ -1,0 +1,232 @@
+"""What can be trusted in a damaged MCAP file, and where it cannot be.
+
+A chunk is trusted if it unpacks to its stated size, matches its checksum and is
+made of whole records. Behind a fault the search goes on for the next such chunk.
+"""
+
+import struct
+from array import array
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import zstandard
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Metadata
+
+from symbid_ros.bags.container.attachment import Attachment
+from symbid_ros.bags.container.catalogue import Catalogue, parsed
+from symbid_ros.bags.container.compression import ChunkRecord
+from symbid_ros.bags.container.framing import (
+    FOOTER_SIZE,
+    MAGIC,
+    PRIVATE,
+    RECORD,
+    Buffer,
+    damage_named,
+    message_starts,
+)
+from symbid_ros.bags.limits import MAX_CHUNK, MIB, within
+from symbid_ros.bags.rescue import resync
+from symbid_ros.bags.rescue.resync import is_record, read_at
+
+FAULTS = (struct.error, ValueError, McapError, zstandard.ZstdError, RuntimeError)
+PATIENCE = 4  # bytes tried as chunks, for each byte of the file: crafted ones could take for ever
+CUT_OFF = "cut off"
+
+
+class Stretch(NamedTuple):
+    """Messages that can be trusted: bytes, and where message records begin in them."""
+
+    data: Buffer
+    starts: "array[int]"
+
+
+class Hole(NamedTuple):
+    """Bytes of a file that cannot be trusted.
+
+    Attributes
+    ----------
+    offset, length : int
+        Place in the file.
+    fault : str
+        What is wrong.
+    messages : dict of int to int
+        Messages by channel that were there at least.
+    is_counted : bool
+        Whether there can have been no more.
+    """
+
+    offset: int
+    length: int
+    fault: str
+    messages: dict[int, int]
+    is_counted: bool
+
+
+class Private(NamedTuple):
+    """A record of an application's own kind: where it lies, bytes."""
+
+    offset: int
+    length: int
+
+
+Piece = Stretch | Hole | Metadata | Attachment | Private
+
+
+@dataclass
+class Salvage:
+    """Goes through one file from beginning to end, past all faults.
+
+    Attributes
+    ----------
+    file : Path
+    catalogue : Catalogue
+        Known beforehand from an intact summary, and learned on the way.
+    repeated : int
+        Chunks that lie in the file once more; they are passed over.
+    damaged : Counter of int
+        Records by opcode that begin where a hole does.
+    """
+
+    file: Path
+    catalogue: Catalogue
+    repeated: int = 0
+    damaged: Counter[int] = field(default_factory=Counter)
+    _size: int = 0
+    _patience: int = 0
+    _has_chunks: bool = False
+    _seen: set[tuple[int, int, int, int]] = field(default_factory=set)
+
+    def pieces(self) -> Iterator[Piece]:
+        """Yield what there is in the order of the file."""
+        with damage_named(self.file), self.file.open("rb") as stream:
+            self._size = stream.seek(0, 2)
+            self._patience = PATIENCE * self._size + MIB
+            position = len(MAGIC) if read_at(stream, 0, len(MAGIC)) == MAGIC else 0
+            while position < self._size:
+                tail = read_at(stream, position, FOOTER_SIZE + len(MAGIC))
+                if tail[:1] == bytes([Opcode.FOOTER]) and tail[FOOTER_SIZE:] == MAGIC:
+                    end = position + len(tail)
+                    if end < self._size:
+                        yield Hole(end, self._size - end, "other bytes behind its end", {}, True)
+                    return
+                piece, position = self._piece(stream, position)
+                if piece is not None:
+                    yield piece
+
+    def _piece(self, stream: BinaryIO, position: int) -> tuple[Piece | None, int]:
+        """Return what lies at ``position``, if it matters, and where to go on."""
+        head = read_at(stream, position, RECORD.size)
+        if len(head) < RECORD.size:
+            return Hole(position, len(head), CUT_OFF, {}, True), self._size
+        opcode, length = RECORD.unpack(head)
+        end = position + RECORD.size + length
+        is_inside = end <= self._size
+        is_followed = is_inside and (
+            is_record(stream, end, self._size)
+            # What an index says of its own length twice is right, whatever comes behind it.
+            or resync.following_index(stream, position, self._size) >= end
+        )
+        fault = "overwritten" if is_inside else CUT_OFF
+        if is_followed or (is_inside and opcode == Opcode.CHUNK):
+            try:
+                return self._record(stream, position, opcode, length), end
+            except FAULTS as error:
+                fault = str(error) or "it ends early"
+        self.damaged[opcode] += 1
+        if not is_followed:
+            return self._search(stream, position, fault)
+        messages = resync.indexed_messages(
+            stream, end, resync.following_index(stream, end, self._size)
+        )
+        is_counted = bool(messages) or opcode not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
+        return Hole(position, end - position, fault, messages, is_counted), end
+
+    def _record(
+        self, stream: BinaryIO, position: int, opcode: int, length: int
+    ) -> Stretch | Metadata | Attachment | Private | None:
+        """Return what a whole record holds, if it is more than an announcement or an index."""
+        start = position + RECORD.size
+        if opcode == Opcode.CHUNK:
+            return self._chunk(read_at(stream, start, within("a chunk", length, MAX_CHUNK)))
+        if opcode == Opcode.MESSAGE_INDEX:
+            if resync.following_index(stream, position, self._size) == position:
+                raise ValueError("a message index is none")
+        elif read_at(stream, start + length, 1) == bytes([Opcode.MESSAGE_INDEX]):
+            raise ValueError("a message index follows no chunk")
+        if opcode == Opcode.MESSAGE:
+            within("a message", length, MAX_CHUNK)
+            record = read_at(stream, position, RECORD.size + length)
+            return Stretch(record, message_starts(record, self.catalogue.add))
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self.catalogue.add(opcode, read_at(stream, start, length))
+        elif opcode == Opcode.METADATA:
+            metadata: Metadata = parsed(Metadata.read, read_at(stream, start, length))
+            return metadata
+        elif opcode == Opcode.ATTACHMENT:
+            return Attachment.at(stream, position, RECORD.size + length)
+        elif opcode >= PRIVATE:
+            return Private(position, RECORD.size + length)
+        return None
+
+    def _chunk(self, body: bytes) -> Stretch | None:
+        self._patience -= len(body)
+        chunk = ChunkRecord.of(body)
+        data = chunk.records()
+        starts = message_starts(data, self.catalogue.add)
+        self._has_chunks = True
+        key = chunk.start, chunk.end, chunk.size, chunk.crc
+        if chunk.crc and key in self._seen:
+            self.repeated += 1
+            return None
+        self._seen.add(key)
+        return Stretch(data, starts)
+
+    def _search(self, stream: BinaryIO, position: int, fault: str) -> tuple[Hole, int]:
+        """Return the hole up to what can be trusted again, and where that begins."""
+        following = self._next_chunk(stream, position + 1)
+        messages = resync.indexed_messages(stream, position, following)
+        if following == self._size and not messages and not self._has_chunks:
+            following = self._next_message(stream, position)
+        for opcode, body in resync.announcements(stream, position, following):
+            self._learn(opcode, body)
+        # Indexes tell of some chunks; how many there were in all, nothing does.
+        return Hole(position, following - position, fault, messages, is_counted=False), following
+
+    def _next_chunk(self, stream: BinaryIO, position: int) -> int:
+        for start in resync.candidates(stream, resync.CHUNK, position, self._size):
+            _, length = RECORD.unpack(read_at(stream, start, RECORD.size))
+            if length > MAX_CHUNK or start + RECORD.size + length > self._size:
+                continue
+            if self._patience < 0:
+                break
+            self._patience -= length
+            try:
+                chunk = ChunkRecord.of(read_at(stream, start + RECORD.size, length))
+                # The catalogue learns from it when its turn comes.
+                message_starts(chunk.records(), lambda *_: None)
+            except FAULTS:
+                continue
+            return start
+        return self._size
+
+    def _next_message(self, stream: BinaryIO, position: int) -> int:
+        """Return where messages outside of chunks go on."""
+        if read_at(stream, position, 1) == bytes([Opcode.CHUNK]):
+            return self._size  # what lies in a damaged chunk is no better than the chunk
+        channels = set(self.catalogue.channels)
+        for start in resync.candidates(stream, resync.MESSAGES, position + 1, self._size):
+            if resync.message_chain(stream, start, self._size, channels):
+                return start
+        return self._size
+
+    def _learn(self, opcode: int, body: bytes) -> None:
+        """Take what may be a schema or channel, unless it contradicts what is known."""
+        try:
+            self.catalogue.add(opcode, body)
+        except FAULTS:
+            return

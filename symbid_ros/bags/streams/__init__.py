@@ -1,0 +1,1 @@
+"""Sensor messages as arrays, in order and slice by slice."""

@@ -1,0 +1,242 @@
+"""Decoded messages into sensor streams, without what would spoil an identification."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.messages import read_stamp
+from symbid_ros.bags.streams.decoder import Piece, TopicDecoder
+from symbid_ros.bags.streams.selection import SelectedTopics
+from symbid_ros.bags.streams.stamps import kept_in_order, seconds
+from symbid_ros.bags.streams.tally import Defect, DefectError, Tally
+from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
+
+AXES = ("x", "y", "z")
+MOST = 0.5  # a topic of which such a share has no finite values is of no use
+
+
+def sensor_streams(
+    source: str,
+    chosen: SelectedTopics,
+    decoders: Mapping[Topic, TopicDecoder],
+    tallies: Mapping[Topic, Tally],
+) -> Streams:
+    """Return the streams of a robot's topics, none of which may be silent.
+
+    What is wrong with messages is counted in their topic's tally.
+    """
+    joints, imus, wrenches = chosen.joints, chosen.imus, chosen.wrenches
+    return Streams(
+        source=source,
+        joints=joint_stream(decoders[joints], tallies[joints]),
+        imus=tuple(imu_stream(decoders[topic], tallies[topic]) for topic in imus),
+        wrenches=tuple(wrench_stream(decoders[topic], tallies[topic]) for topic in wrenches),
+    )
+
+
+def stamps(decoder: TopicDecoder) -> IntArray:
+    """Return (N,) header stamps in order of recording."""
+    stamp = np.empty(decoder.count, dtype=np.int64)
+    for piece in decoder.pieces:
+        stamp[_rows(piece)] = read_stamp(piece.records)
+    return stamp
+
+
+def column(decoder: TopicDecoder, path: str) -> FloatArray:
+    """Return one field of all messages, (N, width)."""
+    width = decoder.pieces[0].records[path].shape[1]
+    values = np.empty((decoder.count, width))
+    for piece in decoder.pieces:
+        values[_rows(piece)] = piece.records[path]
+    return values
+
+
+def _rows(piece: Piece) -> IntArray | slice:
+    """Return where a piece's messages stand; a slice, which copies faster, if they are in a row."""
+    first, last = int(piece.index[0]), int(piece.index[-1])
+    if last - first == len(piece.index) - 1:
+        return slice(first, last + 1)
+    return piece.index
+
+
+def joint_stream(decoder: TopicDecoder, tally: Tally) -> JointStream:
+    """Return joint states of the joints that most messages name, as the first of these orders them.
+
+    Messages of other joints alone, as a gripper's driver may publish beside an arm's, and those
+    with a position or effort that is not finite are left out; what is wrong with others is counted.
+    """
+    topic = decoder.topic.name
+    names = _joint_names(decoder)
+    place = {name: column for column, name in enumerate(names)}
+    fields = {
+        name: np.full((decoder.count, len(names)), np.nan)
+        for name in ("position", "velocity", "effort")
+    }
+    stamp = stamps(decoder)
+    # Values that are absent are another fault than values that are no numbers.
+    finite = np.ones((decoder.count, 2 * len(names)), dtype=bool)
+    unknown = np.zeros(decoder.count, dtype=bool)
+    reordered = np.zeros(decoder.count, dtype=bool)
+    foreign = np.zeros(decoder.count, dtype=bool)
+    for piece in decoder.pieces:
+        given, rows = piece.layout.text["name"], _rows(piece)
+        if len(set(given)) != len(given):
+            raise DefectError(
+                topic,
+                Defect.NAMED_TWICE,
+                f"{decoder.source}: {topic}: a joint is named twice at "
+                f"{seconds(stamp[piece.index[0]])}; repair the driver",
+            )
+        sources = [column for column, name in enumerate(given) if name in place]
+        targets = [place[given[column]] for column in sources]
+        foreign[rows] = len(given) > 0 and not sources
+        unknown[rows] = 0 < len(sources) < len(given)
+        reordered[rows] = targets != sorted(targets)
+        for name, values in fields.items():
+            read = piece.records[name]
+            if read.shape[1] != len(given):  # empty or short: no value belongs to a name
+                continue
+            if given == names:
+                values[rows] = read
+            else:
+                values[piece.index[:, None], targets] = read[:, sources]
+            if name != "velocity" and not np.isfinite(read).all():
+                columns = [target + len(names) * (name == "effort") for target in targets]
+                finite[piece.index[:, None], columns] = np.isfinite(read[:, sources])
+    tally.add(Defect.OTHER_JOINTS, stamp, foreign)
+    tally.add(Defect.UNKNOWN_JOINT, stamp, unknown)
+    tally.add(Defect.REORDERED_JOINTS, stamp, reordered)
+    usable = _usable(
+        tally,
+        stamp,
+        finite,
+        lambda: np.hstack([fields["position"], fields["effort"]]),
+        [f"{name} of {joint}" for name in ("position", "effort") for joint in names],
+    )
+    is_whole = np.logical_and.reduce(finite, axis=1)
+    for name, defect in (("position", Defect.NO_POSITION), ("effort", Defect.NO_EFFORT)):
+        absent = np.isnan(fields[name]).any(axis=1)
+        tally.add(defect, stamp, absent & is_whole & ~foreign)
+    kept = _in_order(usable[~foreign[usable]], stamp, tally)
+    ordered = {name: values[kept] for name, values in fields.items()}
+    return JointStream(topic=topic, names=names, stamp=stamp[kept], **ordered)
+
+
+def imu_stream(decoder: TopicDecoder, tally: Tally) -> ImuStream:
+    """Return an IMU's messages; the orientation is None where REP-145 says it is absent."""
+    topic = decoder.topic.name
+    frame_id = _frame_id(decoder)
+    stamp = stamps(decoder)
+    readings = {}
+    for name in ("angular_velocity", "linear_acceleration"):
+        if (column(decoder, f"{name}_covariance")[:, 0] == -1).any():
+            raise DefectError(
+                topic,
+                Defect.ABSENT,
+                f"{decoder.source}: {topic}: {name} is marked absent (covariance -1); "
+                "leave the topic out",
+            )
+        readings[name] = column(decoder, name)
+    usable = _usable_vectors(tally, stamp, readings)
+    orientation = column(decoder, "orientation")
+    absent = column(decoder, "orientation_covariance")[:, 0] == -1
+    orientation[absent] = np.nan
+    if not absent.all():
+        tally.add(Defect.NO_ORIENTATION, stamp, absent)
+    kept = _in_order(usable, stamp, tally)
+    return ImuStream(
+        topic=topic,
+        frame_id=frame_id,
+        stamp=stamp[kept],
+        orientation=None if absent.all() else orientation[kept],
+        **{name: values[kept] for name, values in readings.items()},
+    )
+
+
+def wrench_stream(decoder: TopicDecoder, tally: Tally) -> WrenchStream:
+    """Return a wrench sensor's messages."""
+    topic = decoder.topic.name
+    frame_id = _frame_id(decoder)
+    stamp = stamps(decoder)
+    force, torque = column(decoder, "wrench.force"), column(decoder, "wrench.torque")
+    usable = _usable_vectors(tally, stamp, {"wrench.force": force, "wrench.torque": torque})
+    kept = _in_order(usable, stamp, tally)
+    return WrenchStream(
+        topic=topic,
+        frame_id=frame_id,
+        stamp=stamp[kept],
+        force=force[kept],
+        torque=torque[kept],
+    )
+
+
+def _joint_names(decoder: TopicDecoder) -> tuple[str, ...]:
+    first: dict[frozenset[str], tuple[str, ...]] = {}
+    counts: Counter[frozenset[str]] = Counter()
+    for piece in sorted(decoder.pieces, key=lambda piece: int(piece.index[0])):
+        if names := piece.layout.text["name"]:
+            first.setdefault(frozenset(names), names)
+            counts[frozenset(names)] += len(piece.index)
+    if counts:
+        return first[max(counts, key=counts.__getitem__)]
+    raise DefectError(
+        decoder.topic.name,
+        Defect.NO_POSITION,
+        f"{decoder.source}: {decoder.topic.name}: no message names its joints; "
+        "let the driver fill JointState.name",
+    )
+
+
+def _frame_id(decoder: TopicDecoder) -> str:
+    frames = {piece.layout.text["header.frame_id"][0] for piece in decoder.pieces}
+    if len(frames) > 1:
+        raise DefectError(
+            decoder.topic.name,
+            Defect.OTHER_FRAME,
+            f"{decoder.source}: {decoder.topic.name}: header.frame_id changes between "
+            f"{', '.join(sorted(frames))}; give every sensor a topic of its own",
+        )
+    return frames.pop()
+
+
+def _usable_vectors(tally: Tally, stamp: IntArray, readings: dict[str, FloatArray]) -> IntArray:
+    finite = np.hstack([np.isfinite(values) for values in readings.values()])
+    labels = [f"{name}.{axis}" for name in readings for axis in AXES]
+    return _usable(tally, stamp, finite, lambda: np.hstack(list(readings.values())), labels)
+
+
+def _usable(
+    tally: Tally,
+    stamp: IntArray,
+    finite: BoolArray,
+    values: Callable[[], FloatArray],
+    labels: Sequence[str],
+) -> IntArray:
+    """Return the places of the messages of which all values (N, c) are finite."""
+    if finite.all():
+        return np.arange(len(stamp))
+    wrong = np.logical_or.reduce(~finite, axis=1)
+    if np.count_nonzero(wrong) >= MOST * len(stamp):
+        row, bad = np.argwhere(~finite)[0]
+        raise DefectError(
+            tally.topic,
+            Defect.NOT_FINITE,
+            f"{tally.source}: {tally.topic}: {labels[bad]} is {values()[row, bad]} at "
+            f"{seconds(stamp[row])}, as in half of the messages or more; repair the driver or "
+            "leave the topic out",
+        )
+    bad_labels = [labels[column] for column in np.flatnonzero(~finite.all(axis=0)).tolist()]
+    tally.add(Defect.NOT_FINITE, stamp, wrong, bad_labels)
+    places: IntArray = np.flatnonzero(~wrong)
+    return places
+
+
+def _in_order(usable: IntArray, stamp: IntArray, tally: Tally) -> IntArray | slice:
+    """Return which messages to keep in which order; of a clean log all, without a copy."""
+    kept = usable[kept_in_order(stamp[usable], tally)]
+    if len(kept) == len(stamp) and np.all(np.diff(kept) == 1):
+        return slice(None)
+    return kept

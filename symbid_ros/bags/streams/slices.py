@@ -1,0 +1,200 @@
+"""Bags into streams of arrays, slice by slice of time, so that a long log need not be held."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.arrays import IntArray
+from symbid_ros.bags.container.blocks import Block
+from symbid_ros.bags.container.contents import all_blocks, bag_names, contents
+from symbid_ros.bags.streams.backlog import Backlog
+from symbid_ros.bags.streams.selection import SelectedTopics, Selector, TopicSelection
+from symbid_ros.bags.streams.sensors import sensor_streams, stamps
+from symbid_ros.bags.streams.stamps import CLOCK_JUMP, seconds
+from symbid_ros.bags.streams.tally import ALWAYS, Defect, Tally
+from symbid_ros.errors import BagError
+from symbid_ros.signals.streams import Streams
+
+# Beyond both ends of a slice, ns: what a spline needs that resamples a slower topic.
+MARGIN = 100_000_000
+# Bytes that may wait for a topic that lags; it is silent or recorded behind the others.
+MOST_WAITING = 256 << 20
+
+
+@dataclass(frozen=True)
+class TimeRange:
+    """A part of a recording, in seconds after its first joint state."""
+
+    start: float = 0.0
+    stop: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.start < self.stop:
+            raise BagError(
+                f"from {self.start:g} s to {self.stop:g} s is no part of a recording; give a start "
+                "from 0 on and a later stop, seconds after the first joint state"
+            )
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A slice of a recording.
+
+    Attributes
+    ----------
+    start, stop : int
+        From where up to where, ns of header.stamp.
+    streams : Streams or None
+        Of that time, and of a margin at both ends; None where a topic was silent.
+    stamps : dict of str to (N,) int64
+        By topic the stamps of that time as they were recorded, ns.
+    tallies : tuple of Tally
+        What was mended so far, one for each topic; they go on counting.
+    fault : str
+        Which was silent; empty where none was.
+    """
+
+    start: int
+    stop: int
+    streams: Streams | None
+    stamps: Mapping[str, IntArray]
+    tallies: tuple[Tally, ...]
+    fault: str = ""
+
+
+ALL_OF_IT = TimeRange()
+DEFAULT_SELECTION = TopicSelection()
+
+
+def iterate_slices(
+    bags: Sequence[Path],
+    topics: TopicSelection = DEFAULT_SELECTION,
+    *,
+    span: int | None = None,
+    part: TimeRange = ALL_OF_IT,
+    warn: bool = True,
+) -> Iterator[Slice]:
+    """Yield the sensor topics of one recording.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+        Bag folders or files that continue one another; separate runs are to be read separately.
+    topics : TopicSelection
+        Topics to read.
+    span : int, optional
+        Length of the slices, ns: they end at multiples of it. One slice of everything without.
+    part : TimeRange
+        What to read.
+    warn : bool
+        Whether to tell at the end what was mended on the way.
+
+    Raises
+    ------
+    BagError, DataError
+        When a bag or what it holds cannot be used.
+    """
+    source = bag_names(bags)
+    slicer = _Slicer(source, Selector(source, topics, contents(bags)).selected(), span, part)
+    for block in all_blocks(bags):
+        slicer.add(block)
+        yield from slicer.whole()
+        if slicer.is_done:
+            break
+    else:
+        yield from slicer.rest()
+    if warn:
+        slicer.report()
+
+
+class _Slicer:
+    """What has been read and waits, and how far slices have been given out."""
+
+    def __init__(
+        self, source: str, chosen: SelectedTopics, span: int | None, part: TimeRange
+    ) -> None:
+        self._source, self._chosen, self._span, self._part = source, chosen, span, part
+        self._backlogs = {topic: Backlog.of(source, topic) for topic in chosen.all}
+        self._joints = self._backlogs[chosen.joints]
+        self._until, self._end = ALWAYS
+        self._has_begun = False
+
+    @property
+    def is_done(self) -> bool:
+        """Whether nothing that follows is wanted."""
+        return self._until >= self._end
+
+    def add(self, block: Block) -> None:
+        """Take the messages of a block."""
+        for topic, backlog in self._backlogs.items():
+            if topic in block.spans:
+                backlog.add(block.data, block.spans[topic], self._until)
+        first = self._joints.first_from(ALWAYS[0])
+        if not self._has_begun and first is not None:
+            self._has_begun = True
+            if self._part.start > 0:
+                self._until = first + round(1e9 * self._part.start)
+            if np.isfinite(self._part.stop):
+                self._end = first + round(1e9 * self._part.stop)
+
+    def whole(self) -> Iterator[Slice]:
+        """Yield the slices that nothing will be added to."""
+        while self._span is not None and (stop := self._stop()) is not None:
+            newest = min(backlog.newest or ALWAYS[0] for backlog in self._backlogs.values())
+            waiting = sum(backlog.size for backlog in self._backlogs.values())
+            if newest < stop + MARGIN + CLOCK_JUMP and waiting < MOST_WAITING:
+                return
+            yield self._slice(stop)
+
+    def rest(self) -> Iterator[Slice]:
+        """Yield what is left at the end of the bags."""
+        while (stop := self._stop()) is not None:
+            yield self._slice(stop)
+
+    def report(self) -> None:
+        """Warn of what was mended."""
+        for backlog in self._backlogs.values():
+            backlog.tally.report()
+
+    def _stop(self) -> int | None:
+        """Return where the slice ends that the next joint state belongs to, ns."""
+        first = None if self.is_done else self._joints.first_from(self._until)
+        if first is None or first >= self._end:
+            return None
+        if self._span is None:
+            return self._end
+        return min((first // self._span + 1) * self._span, self._end)
+
+    def _slice(self, stop: int) -> Slice:
+        start, self._until = self._until, stop
+        for backlog in self._backlogs.values():
+            backlog.tally.during = (start, stop)
+        decoders = {
+            topic: backlog.between(start - MARGIN, stop + MARGIN)
+            for topic, backlog in self._backlogs.items()
+        }
+        for backlog in self._backlogs.values():
+            backlog.drop_before(stop - MARGIN)
+        tallies = {topic: backlog.tally for topic, backlog in self._backlogs.items()}
+        for topic, tally in tallies.items():
+            if singly := self._backlogs[topic].decoder.decoded_singly:
+                tally.counts[Defect.OTHER_LAYOUT] = singly
+        recorded = {
+            topic.name: _during(stamps(decoder), start, stop) for topic, decoder in decoders.items()
+        }
+        silent = [topic.name for topic, decoder in decoders.items() if not decoder.count]
+        streams, fault = None, ""
+        if silent:
+            fault = (
+                f"{self._source}: {', '.join(silent)} was silent up to {seconds(stop)}, or is "
+                "stamped by another clock; record it again or leave it out"
+            )
+        else:
+            streams = sensor_streams(self._source, self._chosen, decoders, tallies)
+        return Slice(start, stop, streams, recorded, tuple(tallies.values()), fault)
+
+
+def _during(stamp: IntArray, start: int, stop: int) -> IntArray:
+    return stamp[(stamp >= start) & (stamp < stop)]

@@ -1,0 +1,66 @@
+"""Header stamps in order: what is sorted, dropped and refused."""
+
+import numpy as np
+
+from symbid_ros.arrays import IntArray
+from symbid_ros.bags.streams.tally import Defect, DefectError, Tally
+
+CLOCK_JUMP = 1_000_000_000  # ns; messages overtake each other by milliseconds, clocks jump further
+
+
+def seconds(stamp: int | np.int64) -> str:
+    """Return a stamp as the user sees it."""
+    return f"{int(stamp) / 1e9:.3f} s"
+
+
+def check_clock(source: str, topic: str, stamp: IntArray) -> None:
+    """Refuse stamps (N,), ns in order of recording, that jump back to another time.
+
+    Raises
+    ------
+    DefectError
+        Where they do.
+    """
+    step = np.diff(stamp)
+    jumps = np.flatnonzero(step < -CLOCK_JUMP)
+    if len(jumps):
+        at = jumps[0]
+        raise DefectError(
+            topic,
+            Defect.CLOCK_JUMP,
+            f"{source}: {topic}: header stamps jump back by {seconds(-step[at])} after "
+            f"{seconds(stamp[at])}; give each run separately",
+        )
+
+
+def kept_in_order(stamp: IntArray, tally: Tally) -> IntArray:
+    """Return the places of the messages to keep, by strictly increasing stamp.
+
+    Messages that overtook each other are sorted, repeated stamps dropped behind
+    the first; both are counted.
+
+    Parameters
+    ----------
+    stamp : (N,) int64
+        Nanoseconds, in order of recording.
+    tally : Tally
+        Of their topic.
+
+    Returns
+    -------
+    (K,) int64
+    """
+    check_clock(tally.source, tally.topic, stamp)
+    order: IntArray = np.argsort(stamp, kind="stable")
+    repeated = np.concatenate([[False], np.diff(stamp[order]) == 0])
+    if len(stamp) > 1 and repeated[1:].all():
+        raise DefectError(
+            tally.topic,
+            Defect.DUPLICATE,
+            f"{tally.source}: {tally.topic}: all header stamps are {seconds(stamp[0])}; "
+            "let the driver fill header.stamp",
+        )
+    tally.add(Defect.DISORDER, stamp[1:], np.diff(stamp) < 0)
+    tally.add(Defect.DUPLICATE, stamp[order], repeated)
+    kept: IntArray = order[~repeated]
+    return kept

@@ -1,0 +1,1 @@
+"""Messages into new bags, and what a crash or a full disk leaves of them."""

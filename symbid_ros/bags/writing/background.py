@@ -1,0 +1,219 @@
+"""A bag written by threads of its own, so that nobody who has data waits for a disk."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from threading import Condition, Event, Thread
+from typing import NamedTuple
+
+from symbid_ros.bags.definitions import find_definition
+from symbid_ros.bags.metadata import OfferedQos
+from symbid_ros.bags.writing.writer import CHUNK_SIZE, BagWriter
+
+
+class QueuedMessage(NamedTuple):
+    """A message on its way into a bag: topic's number, times in nanoseconds, bytes."""
+
+    topic: int
+    log_time: int
+    publish_time: int
+    payload: bytes
+
+
+@dataclass(frozen=True)
+class WriterState:
+    """How far a bag has come.
+
+    Attributes
+    ----------
+    messages : int
+        Handed to the operating system.
+    size : int
+        Bytes of the files.
+    queued : int
+        Bytes of messages that wait to be written.
+    dropped : int
+        Messages that found the queue full.
+    sync_age : float
+        Seconds; what is older than these lies on the disk.
+    """
+
+    messages: int
+    size: int
+    queued: int
+    dropped: int
+    sync_age: float
+
+
+@dataclass(frozen=True)
+class _Announcement:
+    name: str
+    msgtype: str
+    qos: tuple[OfferedQos, ...]
+
+
+class BackgroundWriter:
+    """Queues messages for a thread that compresses and writes them; another one syncs the disk.
+
+    After the first failed write nothing is accepted any more, and `failure` says why.
+
+    Parameters
+    ----------
+    bag : BagWriter
+        Used by no one else until this is closed.
+    flush_period : float
+        Seconds that a message waits at most to be handed to the operating system,
+        which keeps it should the process be killed.
+    sync_period : float
+        Seconds that data then wait at most to be forced onto the disk, which keeps
+        them should the power be cut.
+    capacity : int
+        Bytes that may wait; messages beyond are dropped and counted.
+    """
+
+    def __init__(
+        self, bag: BagWriter, *, flush_period: float, sync_period: float, capacity: int
+    ) -> None:
+        self.failure: Exception | None = None
+        self._bag = bag
+        self._flush_period, self._sync_period = flush_period, sync_period
+        self._capacity = capacity
+        self._names: list[str] = []
+        self._received: list[int] = []
+        self._latest = 0
+        self._jobs: deque[_Announcement | Sequence[QueuedMessage]] = deque()
+        self._queued = self._dropped = self._messages = 0
+        self._changed = Condition()
+        self._ended = Event()
+        self._is_closing = False
+        self._synced = time.monotonic()
+        self._threads = [
+            Thread(target=self._guard, args=(work,), name=name, daemon=True)
+            for name, work in (("bag writer", self._write), ("bag sync", self._sync))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    @property
+    def state(self) -> WriterState:
+        """How far the bag has come."""
+        age = time.monotonic() - self._synced
+        return WriterState(self._messages, self._bag.size, self._queued, self._dropped, age)
+
+    @property
+    def received(self) -> int:
+        """Messages handed over."""
+        return sum(self._received)
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """Messages handed over that are not in the closed bag, by topic; only where there are."""
+        counts = self._bag.counts
+        missing = {
+            name: received - counts.get(name, 0)
+            for name, received in zip(self._names, self._received, strict=True)
+        }
+        return {name: count for name, count in missing.items() if count}
+
+    @property
+    def latest(self) -> int:
+        """Largest log time handed over, nanoseconds."""
+        return self._latest
+
+    def add_topic(self, name: str, msgtype: str, qos: Sequence[OfferedQos]) -> int:
+        """Announce a topic and return its number.
+
+        Raises
+        ------
+        BagError
+            When its type is not known.
+        """
+        find_definition(msgtype)  # here, where the caller can still do without the topic
+        with self._changed:
+            self._jobs.append(_Announcement(name, msgtype, tuple(qos)))
+        self._names.append(name)
+        self._received.append(0)
+        return len(self._names) - 1
+
+    def put(self, messages: Sequence[QueuedMessage]) -> None:
+        """Hand messages over, in order of arrival; never waits."""
+        size = 0
+        for message in messages:
+            self._received[message.topic] += 1
+            self._latest = max(self._latest, message.log_time)
+            size += len(message.payload)
+        with self._changed:
+            if self._queued and self._queued + size > self._capacity:
+                self._dropped += len(messages)
+                return
+            self._jobs.append(messages)
+            self._queued += size
+            if self._queued >= CHUNK_SIZE:
+                self._changed.notify()
+
+    def close(self) -> None:
+        """Write what is queued and complete the bag, after a failure with what it holds by then.
+
+        Raises
+        ------
+        BagError
+            When not even that succeeds.
+        """
+        self._end()
+        if self.failure is None:
+            self._guard(self._bag.close)
+        if self.failure is not None:
+            self._bag.salvage()
+
+    def discard(self) -> None:
+        """Remove the bag."""
+        self._end()
+        self._bag.discard()
+
+    def _end(self) -> None:
+        with self._changed:
+            self._is_closing = True
+            self._changed.notify()
+        self._ended.set()
+        for thread in self._threads:
+            thread.join()
+
+    def _guard(self, work: Callable[[], None]) -> None:
+        try:
+            work()
+        except Exception as failure:
+            # The first tells why; the writer's own is a consequence of the other's.
+            self.failure = self.failure or failure
+
+    def _write(self) -> None:
+        channels: list[int] = []
+        is_last = False
+        while not is_last and self.failure is None:
+            with self._changed:
+                self._changed.wait_for(
+                    lambda: self._is_closing or self._queued >= CHUNK_SIZE, self._flush_period
+                )
+                is_last = self._is_closing
+                jobs, self._jobs = self._jobs, deque()
+            while jobs:
+                self._write_job(jobs.popleft(), channels)
+            self._bag.flush()
+
+    def _write_job(self, job: _Announcement | Sequence[QueuedMessage], channels: list[int]) -> None:
+        if isinstance(job, _Announcement):
+            channels.append(self._bag.add_topic(job.name, job.msgtype, job.qos))
+            return
+        for message in job:
+            self._bag.write(
+                channels[message.topic], message.log_time, message.payload, message.publish_time
+            )
+        self._messages += len(job)
+        with self._changed:
+            self._queued -= sum(len(message.payload) for message in job)
+
+    def _sync(self) -> None:
+        while not self._ended.wait(self._sync_period):
+            began = time.monotonic()
+            self._bag.sync()
+            self._synced = began

@@ -1,0 +1,143 @@
+"""A bag behind a queue: slow disks, full queues, failures."""
+
+import resource
+import time
+from collections.abc import Callable
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+from whole_bags import whole_messages
+
+from symbid_ros.bags.messages import IMU, WRENCH
+from symbid_ros.bags.metadata import OfferedQos
+from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage
+from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.errors import BagError
+
+PAYLOAD = np.random.default_rng(0).bytes(320)
+DEADLINE = 60.0  # s; only a hang takes as long
+
+
+class SlowDisk(BagWriter):
+    """A bag whose disk answers when it is told to."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.writes, self.syncs, self.asked = Event(), Event(), Event()
+
+    def flush(self) -> None:
+        self.asked.set()
+        assert self.writes.wait(DEADLINE)
+        super().flush()
+
+    def sync(self) -> None:
+        assert self.syncs.wait(DEADLINE)
+        super().sync()
+
+
+def in_background(bag: BagWriter, *, capacity: int = 10**9) -> BackgroundWriter:
+    return BackgroundWriter(bag, flush_period=0.01, sync_period=0.05, capacity=capacity)
+
+
+def messages(topic: int, numbers: range) -> list[QueuedMessage]:
+    return [QueuedMessage(topic, number, number + 1, PAYLOAD) for number in numbers]
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < deadline, "the condition did not come about"
+        time.sleep(0.001)
+
+
+def test_slow_disk_loses_nothing_and_holds_nobody_up(tmp_path: Path) -> None:
+    bag = SlowDisk(tmp_path / "log")
+    writer = in_background(bag)
+    imu = writer.add_topic("/imu", IMU, [OfferedQos()])
+    writer.put(messages(imu, range(10)))
+    assert bag.asked.wait(DEADLINE)
+    for start in range(10, 5000, 10):  # returns, though nothing is written
+        writer.put(messages(imu, range(start, start + 10)))
+    assert writer.state.queued >= 4990 * len(PAYLOAD)
+    bag.writes.set()
+    bag.syncs.set()
+    writer.close()
+    assert [time for _, time, _ in whole_messages(tmp_path / "log")] == list(range(5000))
+    assert (writer.lost, writer.state.dropped, writer.state.queued) == ({}, 0, 0)
+
+
+def test_slow_sync_does_not_hold_the_writing_up(tmp_path: Path) -> None:
+    bag = SlowDisk(tmp_path / "log")
+    bag.writes.set()
+    writer = in_background(bag)
+    imu = writer.add_topic("/imu", IMU, [OfferedQos()])
+    writer.put(messages(imu, range(1000)))
+    wait_until(lambda: writer.state.messages == 1000)
+    age = writer.state.sync_age
+    bag.syncs.set()
+    wait_until(lambda: writer.state.sync_age < age)
+    writer.close()
+    assert len(whole_messages(tmp_path / "log")) == 1000
+
+
+def test_full_queue_drops_and_counts(tmp_path: Path) -> None:
+    bag = SlowDisk(tmp_path / "log")
+    writer = in_background(bag, capacity=100 * len(PAYLOAD))
+    imu, plate = (
+        writer.add_topic(name, kind, [OfferedQos()]) for name, kind in (("/i", IMU), ("/p", WRENCH))
+    )
+    assert bag.asked.wait(DEADLINE)
+    for start in range(0, 300, 10):
+        writer.put(
+            messages(imu, range(start, start + 9)) + messages(plate, range(start, start + 1))
+        )
+    assert writer.state.dropped == 200
+    bag.writes.set()
+    bag.syncs.set()
+    writer.close()
+    found = whole_messages(tmp_path / "log")
+    assert [time for topic, time, _ in found if topic == "/p"] == list(range(0, 100, 10))
+    assert writer.lost == {"/i": 180, "/p": 20}
+    assert writer.failure is None
+
+
+def test_message_larger_than_the_queue_passes_alone(tmp_path: Path) -> None:
+    writer = in_background(BagWriter(tmp_path / "log"), capacity=10)
+    writer.put(messages(writer.add_topic("/imu", IMU, [OfferedQos()]), range(1)))
+    writer.close()
+    assert whole_messages(tmp_path / "log") == [("/imu", 0, PAYLOAD)]
+
+
+def test_failed_write_ends_it_and_all_that_is_missing_is_counted(tmp_path: Path) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
+    try:
+        writer = in_background(BagWriter(tmp_path / "log"))
+        imu = writer.add_topic("/imu", IMU, [OfferedQos()])
+        payloads = np.random.default_rng(1).bytes(320 * 4000)
+        sent = 0
+        while writer.failure is None:
+            payload = payloads[320 * (sent % 4000) :][:320]
+            writer.put([QueuedMessage(imu, sent, sent, payload)])
+            sent += 1
+        writer.put(messages(imu, range(sent, sent + 7)))
+        writer.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert isinstance(writer.failure, BagError)
+    assert "File too large" in str(writer.failure)
+    found = whole_messages(tmp_path / "log")
+    assert [time for _, time, _ in found] == list(range(len(found)))
+    assert writer.lost == {"/imu": sent + 7 - len(found)}
+    assert writer.latest == sent + 6
+
+
+def test_unknown_type_is_refused_before_anything_is_queued(tmp_path: Path) -> None:
+    writer = in_background(BagWriter(tmp_path / "log"))
+    with pytest.raises(BagError, match="foo_msgs/msg/Bar"):
+        writer.add_topic("/x", "foo_msgs/msg/Bar", [OfferedQos()])
+    assert writer.add_topic("/imu", IMU, [OfferedQos()]) == 0
+    writer.discard()
+    assert list(tmp_path.iterdir()) == []

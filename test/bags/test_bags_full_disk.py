@@ -1,0 +1,138 @@
+"""What is left when a disk is full: a whole bag of all that had been written."""
+
+import os
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from small_disks import small_disk
+from whole_bags import whole_messages
+
+from symbid_ros.bags.messages import IMU
+from symbid_ros.bags.writing.chunks import ChunkWriter
+from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.errors import BagError
+
+PAYLOADS = [np.random.default_rng(0).bytes(320) for _ in range(64)]
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    with small_disk(tmp_path / "disk") as folder:
+        yield folder
+
+
+@contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """Let this process write no larger file: the kernel then cuts a write short, too."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def write_until_full(bag: BagWriter) -> list[tuple[str, int, bytes]]:
+    """Write until it fails; return what was accepted."""
+    accepted: list[tuple[str, int, bytes]] = []
+    with pytest.raises(BagError, match=r"cannot write: (No space left|File too large)"):
+        write_into(bag, accepted)
+    return accepted
+
+
+def write_into(bag: BagWriter, accepted: list[tuple[str, int, bytes]]) -> None:
+    channels = {name: bag.add_topic(name, IMU) for name in ("/left", "/right")}
+    for number in range(100_000):
+        topic = ("/left", "/right")[number % 2]
+        payload = PAYLOADS[number % 64][: 200 + number % 100]
+        bag.write(channels[topic], number, payload)
+        accepted.append((topic, number, payload))
+        if number % 50 == 0:
+            bag.flush()
+
+
+@pytest.mark.parametrize("limits", [{}, {"split_size": 300_000}, {"split_size": 20_000}], ids=str)
+def test_full_disk_leaves_a_whole_bag(disk: Path, limits: dict[str, int]) -> None:
+    bag = BagWriter(disk / "log", **limits)
+    accepted = write_until_full(bag)
+    bag.salvage()
+    found = whole_messages(disk / "log")
+    assert found == accepted[: len(found)]
+    assert sum(bag.counts.values()) == len(found)
+    # Nothing that lay on the disk in whole chunks had to give way to the index.
+    assert len(accepted) - len(found) <= 50
+    assert {file.suffix for file in (disk / "log").iterdir()} == {".mcap", ".yaml"}
+
+
+@pytest.mark.parametrize("size", range(100_000, 300_000, 20_011))
+def test_file_at_its_largest_makes_room_for_its_index(tmp_path: Path, size: int) -> None:
+    with largest_file(size):
+        bag = BagWriter(tmp_path / "log", chunk_size=4096)
+        accepted = write_until_full(bag)
+        bag.salvage()
+    found = whole_messages(tmp_path / "log")
+    assert found == accepted[: len(found)]
+    assert len(found) > 0.7 * len(accepted)
+    assert list(bag.counts.values()) == [-(-len(found) // 2), len(found) // 2]
+
+
+def test_nothing_is_accepted_after_a_failed_write(tmp_path: Path) -> None:
+    with largest_file(100_000):
+        bag = BagWriter(tmp_path / "log")
+        write_until_full(bag)
+    for refused in (
+        lambda: bag.write(1, 0, b"late"),
+        bag.flush,
+        bag.close,
+        lambda: bag.add_topic("/late", IMU),
+    ):
+        with pytest.raises(BagError, match="a write has failed, nothing follows"):
+            refused()
+    assert not (tmp_path / "log" / "metadata.yaml").exists()
+
+
+def test_disk_without_room_for_a_bag_is_left_as_it_was(disk: Path) -> None:
+    room = os.statvfs(disk)
+    (disk / "other").write_bytes(bytes(room.f_bavail * room.f_frsize - 20_000))
+    with pytest.raises(BagError, match="cannot create the bag: No space left on device"):
+        BagWriter(disk / "log")
+    assert [file.name for file in disk.iterdir()] == ["other"]
+
+
+def test_room_for_the_index_is_held_and_given_back(disk: Path) -> None:
+    before = os.statvfs(disk).f_bfree
+    bag = BagWriter(disk / "log")
+    channel = bag.add_topic("/imu", IMU)
+    bag.write(channel, 0, PAYLOADS[0])
+    bag.flush()
+    block = os.statvfs(disk).f_frsize
+    held = (before - os.statvfs(disk).f_bfree) * block
+    bag.close()
+    used = (before - os.statvfs(disk).f_bfree) * block
+    assert held > 60_000 > used
+
+
+class Dribble(BytesIO):
+    """A stream that takes 100 bytes at a time, as the kernel may."""
+
+    def write(self, data: bytes) -> int:
+        return super().write(data[:100])
+
+
+def test_writes_cut_short_are_continued() -> None:
+    stream = Dribble()
+    writer = ChunkWriter(stream, 1000)
+    channel = writer.add_channel("/imu", writer.add_schema(IMU, b"text"), {})
+    for number, payload in enumerate(PAYLOADS):
+        writer.add_message(channel, number, number, payload)
+    writer.finish()
+    assert len(stream.getvalue()) == writer.size
+    stream.seek(0)
+    messages = make_reader(stream, validate_crcs=True).iter_messages()
+    assert [message.data for _, _, message in messages] == PAYLOADS

@@ -1,0 +1,202 @@
+"""Messages as they were recorded, in order of log time, whoever wrote the bag."""
+
+import tracemalloc
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from foreign_bags import write_rosbags
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+
+from symbid_ros.bags.messages import IMU, JOINT_STATE
+from symbid_ros.bags.replay import RecordedMessage, Recording
+from symbid_ros.bags.writing.writer import BagWriter, OfferedQos
+from symbid_ros.errors import BagError
+
+STRING = "std_msgs/msg/String"
+TYPES = {"/a": JOINT_STATE, "/b": IMU, "/c": STRING}
+WRITERS = {
+    "zstd": {},
+    "lz4": {"compression": CompressionType.LZ4},
+    "plain": {"compression": CompressionType.NONE},
+    "unchunked": {"use_chunking": False},
+    "unindexed": {"index_types": IndexType.NONE},
+    "no message index": {"index_types": IndexType.ALL & ~IndexType.MESSAGE},
+    "no statistics": {"use_statistics": False},
+    "no channels": {"repeat_channels": False, "repeat_schemas": False},
+    "no summary": {
+        "index_types": IndexType.NONE,
+        "repeat_channels": False,
+        "repeat_schemas": False,
+        "use_statistics": False,
+        "use_summary_offsets": False,
+    },
+}
+
+
+def random_messages(count: int, seed: int = 0) -> list[RecordedMessage]:
+    """Messages that overtake each other by up to 40 periods, far beyond a chunk; no two times."""
+    draw = np.random.default_rng(seed)
+    times = np.argsort(np.argsort(np.arange(count) + draw.uniform(0, 40, count)))
+    return [
+        RecordedMessage(
+            1_000_000 + 1000 * int(time),
+            str(draw.choice(list(TYPES))),
+            b"\0\1\0\0" + draw.bytes(int(draw.integers(20, 120))),
+        )
+        for time in times
+    ]
+
+
+def write_mcap(
+    file: Path, messages: Sequence[RecordedMessage], encoding: str = "cdr", **options: Any
+) -> Path:
+    with file.open("wb") as stream:
+        writer = McapWriter(stream, **({"chunk_size": 2000} | options))
+        writer.start("ros2")
+        channels = {
+            topic: writer.register_channel(
+                topic, encoding, writer.register_schema(kind, "ros2msg", b"")
+            )
+            for topic, kind in TYPES.items()
+        }
+        for message in messages:
+            writer.add_message(
+                channels[message.topic], message.log_time, message.payload, message.log_time
+            )
+        writer.finish()
+    return file
+
+
+def everything(recording: Recording) -> list[RecordedMessage]:
+    return list(recording.messages(recording.topics, recording.start, recording.end + 1))
+
+
+@pytest.mark.parametrize("options", WRITERS.values(), ids=WRITERS)
+def test_messages_come_in_order_and_unchanged(tmp_path: Path, options: dict[str, Any]) -> None:
+    messages = random_messages(600)
+    recording = Recording.of([write_mcap(tmp_path / "log.mcap", messages, **options)])
+    assert {name: topic.msgtype for name, topic in recording.topics.items()} == TYPES
+    assert (recording.start, recording.end) == (1_000_000, 1_599_000)
+    assert everything(recording) == sorted(messages)
+
+
+def test_equal_times_keep_the_order_of_recording(tmp_path: Path) -> None:
+    messages = [
+        RecordedMessage(1000 + step // 50, "/a", b"\0\1\0\0" + step.to_bytes(4, "little") * 10)
+        for step in range(500)
+    ]
+    recording = Recording.of([write_mcap(tmp_path / "log.mcap", messages, chunk_size=500)])
+    assert everything(recording) == messages
+
+
+def test_files_are_merged(tmp_path: Path) -> None:
+    messages = random_messages(600)
+    files = [write_mcap(tmp_path / f"{n}.mcap", messages[n::3]) for n in range(3)]
+    assert everything(Recording.of(files)) == sorted(messages)
+
+
+@pytest.mark.parametrize("options", [{}, {"use_chunking": False}], ids=["indexed", "unindexed"])
+def test_part_of_the_time_and_of_the_topics(tmp_path: Path, options: dict[str, Any]) -> None:
+    messages = random_messages(600)
+    recording = Recording.of([write_mcap(tmp_path / "log.mcap", messages, **options)])
+    start, stop = 1_100_000, 1_333_000
+    part = list(recording.messages(["/a", "/c"], start, stop))
+    assert part == sorted(m for m in messages if m.topic != "/b" and start <= m.log_time < stop)
+
+
+def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
+    draw, count = np.random.default_rng(0), 400
+    with BagWriter(tmp_path / "bag") as bag:
+        channel = bag.add_topic("/c", STRING)
+        for step in range(count):
+            bag.write(channel, step, b"\0\1\0\0" + draw.bytes(50_000))
+    tracemalloc.start()
+    try:
+        recording = Recording.of([tmp_path / "bag"])
+        read = sum(len(message.payload) for message in recording.messages({"/c"}, 0, count))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert read == count * 50_004
+    assert peak < read / 10
+
+
+def test_quality_of_service_is_what_publishers_offered(tmp_path: Path) -> None:
+    offers = (OfferedQos(1, "keep_last", "reliable", "transient_local"), OfferedQos(7))
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write(bag.add_topic("/c", STRING, offers), 1, b"\0\1\0\0")
+    assert Recording.of([tmp_path / "bag"]).topics["/c"].qos == offers
+    other = write_rosbags(tmp_path / "other", [("/c", STRING, b"\0\1\0\0")])
+    assert Recording.of([other]).topics["/c"].qos == ()
+
+
+def test_topics_are_named_with_or_without_slash(tmp_path: Path) -> None:
+    recording = Recording.of([write_mcap(tmp_path / "log.mcap", random_messages(9))])
+    assert [topic.name for topic in recording.select(["b", "/a", "/b"])] == ["/b", "/a"]
+    with pytest.raises(BagError, match=r"no topic /d, it holds /a \(sensor_msgs.*; name one"):
+        recording.select(["/d"])
+
+
+def test_foreign_encoding_is_refused_when_wanted(tmp_path: Path) -> None:
+    recording = Recording.of(
+        [write_mcap(tmp_path / "log.mcap", random_messages(9), encoding="json")]
+    )
+    with pytest.raises(BagError, match="messages on /a are encoded as json, not cdr; leave"):
+        recording.select(["/a"])
+
+
+def test_a_topic_of_two_types_is_refused(tmp_path: Path) -> None:
+    bags = [
+        write_rosbags(tmp_path / kind[:3], [("/a", kind, b"\0\1\0\0")]) for kind in (IMU, STRING)
+    ]
+    with pytest.raises(BagError, match="topic /a is both sensor_msgs/msg/Imu and std_msgs/msg/Str"):
+        Recording.of(bags)
+
+
+@pytest.mark.parametrize(
+    ("content", "line"),
+    [
+        (None, "no such bag; give a bag's folder or an .mcap file"),
+        (b"", "empty; record it again"),
+        (b"no bag at all", "not an MCAP file"),
+        (b"\x89MCAP0\r\n", "the recording was interrupted"),
+    ],
+    ids=["missing", "empty", "other", "cut"],
+)
+def test_what_is_no_bag_is_refused(tmp_path: Path, content: bytes | None, line: str) -> None:
+    file = tmp_path / "log.mcap"
+    if content is not None:
+        file.write_bytes(content)
+    with pytest.raises(BagError, match=line):
+        Recording.of([file])
+
+
+def test_a_bag_without_messages_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="no message in it; record it again"):
+        Recording.of([write_mcap(tmp_path / "log.mcap", [])])
+    with pytest.raises(BagError, match="no bag given"):
+        Recording.of([])
+
+
+def test_flipped_bytes_are_found_or_do_no_harm(tmp_path: Path) -> None:
+    """Payloads behind a checksum are right or refused, and nothing raises but our own error."""
+    messages = random_messages(60)
+    good = write_mcap(tmp_path / "good.mcap", messages, enable_crcs=True).read_bytes()
+    draw, refusals = np.random.default_rng(1), []
+    for number in range(300):
+        damaged = bytearray(good)
+        damaged[int(draw.integers(8, len(good) - 8))] ^= int(draw.integers(1, 256))
+        file = tmp_path / f"{number}.mcap"
+        file.write_bytes(damaged)
+        try:
+            read = everything(Recording.of([file]))
+        except BagError as error:
+            refusals.append(str(error))
+        else:
+            assert {message.payload for message in read} <= {m.payload for m in messages}
+    assert len(refusals) > 100
+    assert all(line.startswith(str(tmp_path)) and "\n" not in line for line in refusals)

@@ -1,0 +1,115 @@
+"""A bag with its messages changed: decoded, given to a surgeon, and written anew."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from symbid_ros.bags.container.contents import all_blocks
+from symbid_ros.bags.layout import Layout
+from symbid_ros.bags.messages import (
+    IMU,
+    JOINT_STATE,
+    NANO,
+    imu_layout,
+    joint_state_layout,
+    read_stamp,
+    wrench_layout,
+)
+from symbid_ros.bags.streams.decoder import TopicDecoder
+from symbid_ros.bags.writing.writer import BagWriter
+
+PER_JOINT = ("position", "velocity", "effort")
+
+
+@dataclass
+class Messages:
+    """All messages of one topic in order of recording.
+
+    Numbers are changed in place in ``records``; ``order`` says which messages are written and in
+    which order, ``log_time`` (ns) when each was recorded.
+    """
+
+    msgtype: str
+    text: dict[str, tuple[str, ...]]
+    records: Any
+    order: np.ndarray
+    log_time: np.ndarray
+    rewritten: list[tuple[np.ndarray, Layout, list[int]]] = field(default_factory=list)
+
+    @property
+    def stamp(self) -> np.ndarray:
+        return read_stamp(self.records)
+
+    @stamp.setter
+    def stamp(self, stamp: np.ndarray) -> None:
+        self.records["header.stamp.sec"] = stamp // NANO
+        self.records["header.stamp.nanosec"] = stamp % NANO
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        return self.text["name"]
+
+    def between(self, start: float, stop: float) -> np.ndarray:
+        """Tell which messages lie so many seconds after the first."""
+        after = (self.stamp - self.stamp[0]) * 1e-9
+        return (after >= start) & (after < stop)
+
+    def rename(self, rows: np.ndarray, columns: Sequence[int], names: Sequence[str]) -> None:
+        """Give some messages these of their joints, under these names."""
+        self.rewritten.append((rows, joint_state_layout(tuple(names)), list(columns)))
+
+    def reframe(self, frame: str) -> None:
+        """Give all messages another frame."""
+        layout = imu_layout(frame) if self.msgtype == IMU else wrench_layout(frame)
+        self.rewritten.append((np.ones(len(self.records), dtype=bool), layout, []))
+
+    def payloads(self) -> list[bytes]:
+        """Return the messages as they are to be written, before they are put in order."""
+        payloads = [record.tobytes() for record in self.records]
+        for rows, layout, columns in self.rewritten:
+            records = layout.records(int(rows.sum()))
+            for path in records.dtype.names:
+                values = self.records[path][rows]
+                is_chosen = self.msgtype == JOINT_STATE and path in PER_JOINT
+                records[path] = values[:, columns] if is_chosen else values
+            for row, record in zip(np.flatnonzero(rows), records, strict=True):
+                payloads[row] = record.tobytes()
+        return payloads
+
+
+Surgery = Callable[[Messages], None]
+
+
+def operate(bag: Path, out: Path, surgeries: dict[str, Surgery]) -> Path:
+    """Write a simulated bag's sensor topics into a new one, those named changed on the way."""
+    decoders: dict[str, TopicDecoder] = {}
+    for block in all_blocks([bag]):
+        for topic, spans in block.spans.items():
+            if "ground_truth" not in topic.name:
+                decoder = decoders.setdefault(topic.name, TopicDecoder(str(bag), topic))
+                decoder.add(block.data, spans)
+    assert set(surgeries) <= set(decoders)
+    written: list[tuple[int, int, bytes]] = []
+    with BagWriter(out) as writer:
+        for name, decoder in decoders.items():
+            channel = writer.add_topic(name, decoder.topic.msgtype)
+            layout = decoder.pieces[0].layout
+            records = layout.records(decoder.count)
+            for piece in decoder.pieces:
+                for path in records.dtype.names:
+                    records[path][piece.index] = piece.records[path]
+            stamp, order = read_stamp(records), np.arange(len(records))
+            patient = Messages(decoder.topic.msgtype, layout.text, records, order, stamp)
+            surgeries.get(name, lambda _: None)(patient)
+            payloads = patient.payloads()
+            times = patient.log_time.tolist()
+            written += [
+                (times[place], channel, payloads[row]) for place, row in enumerate(patient.order)
+            ]
+        # As a recorder would: by time of arrival, each topic in its own order.
+        for time, channel, payload in sorted(written, key=lambda each: each[0]):
+            writer.write(channel, time, payload)
+    return out
