@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
-from symbid_ros.model.inertia import com_from_phi
+from symbid_ros.simulation.inertia import drop_shortcuts, set_body_phi
 from symbid_ros.simulation.plant import model_name
 
 
@@ -46,16 +46,8 @@ def believed_model(
                 f"{model_name(model)}: body {name} has mass {phi[0]:g} kg and first moment "
                 f"{phi[1:4]} kg m, hence no centre of mass; give finite numbers and a mass"
             )
-        _set_inertia(model, body, phi)
-    # Shortcuts that the compiler took where frames coincided and inertia was diagonal.
-    for shortcut in (
-        model.body_sameframe,
-        model.geom_sameframe,
-        model.site_sameframe,
-        model.body_simple,
-        model.dof_simplenum,
-    ):
-        shortcut[:] = 0
+        set_body_phi(model, body, phi)
+    drop_shortcuts(model)
     model.body_subtreemass[:] = model.body_mass
     for body in range(model.nbody - 1, 0, -1):
         model.body_subtreemass[model.body_parentid[body]] += model.body_subtreemass[body]
@@ -65,13 +57,3 @@ def believed_model(
             "give the robot's links mass"
         )
     return model
-
-
-def _set_inertia(model: mujoco.MjModel, body: int, phi: FloatArray) -> None:
-    mass, com, central = com_from_phi(phi)
-    moments, axes = np.linalg.eigh(central)
-    if np.linalg.det(axes) < 0.0:
-        axes = -axes
-    model.body_mass[body], model.body_ipos[body] = mass, com
-    model.body_inertia[body] = moments
-    mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())

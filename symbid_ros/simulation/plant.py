@@ -1,5 +1,6 @@
 """The simulated robot: MuJoCo's model, its state, and the true quantities of one instant."""
 
+import copy
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -7,7 +8,10 @@ import mujoco
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.errors import SimulationError
+from symbid_ros.errors import ModelError, SimulationError
+from symbid_ros.model.mjcf_source import require_files_inside
+from symbid_ros.simulation.inertia import copy_inertias
+from symbid_ros.simulation.payload import Payload, add_payload
 
 # MuJoCo has quaternions as wxyz and wrenches as (moment; force); messages the other way round.
 SCALAR_LAST = np.array([1, 2, 3, 0])
@@ -68,11 +72,14 @@ class Truth:
 def load_model(path: Path, text: str | None = None) -> mujoco.MjModel:
     """Compile an MJCF file, or a text in its place, with the file named in any error."""
     try:
+        require_files_inside(path)
         if text is None:
             return mujoco.MjModel.from_xml_path(str(path))
         spec = mujoco.MjSpec.from_string(text)
         spec.modelfiledir = str(path.parent)  # where relative mesh paths begin
         return spec.compile()
+    except ModelError as error:
+        raise SimulationError(str(error)) from None
     except ValueError as error:
         reason = " ".join(str(error).split())
         raise SimulationError(f"{path}: MuJoCo refuses the model ({reason})") from error
@@ -128,6 +135,10 @@ class Plant:
         The floating body.
     driven : (n_actuated,) int64
         Degrees of freedom with a drive, in actuator order.
+    drive_names : tuple of str
+        The joint of each drive, in actuator order.
+    torque_limits : (n_actuated, 2) float64
+        Lowest and highest torque of each drive, Nm.
     period : float
         Seconds.
     """
@@ -140,10 +151,14 @@ class Plant:
         self.text = path.read_text(encoding="utf-8") if text is None else text
         self.data = mujoco.MjData(self.model)
         self._require(path)
+        self._bare = copy.copy(self.model)
         model, data = self.model, self.data
         self.joint_names = tuple(model.joint(i).name for i in range(1, model.njnt))
         self.base_frame = str(model.body(model.jnt_bodyid[0]).name)
         self.driven = driven_dofs(model)
+        drives = model.actuator_trnid[:, 0]
+        self.drive_names = tuple(model.joint(int(joint)).name for joint in drives)
+        self.torque_limits: FloatArray = model.actuator_ctrlrange.copy()
         self.period = float(model.opt.timestep)
         self._contact_frames = [
             (data.cfrc_ext[model.site_bodyid[site]], data.site_xpos[site], data.site_xmat[site])
@@ -187,6 +202,29 @@ class Plant:
     def com(self) -> FloatArray:
         """(3,) centre of mass in the world at the state last observed, m."""
         return np.array(self._com)
+
+    def attach(self, payload: Payload) -> None:
+        """Fasten a payload to a link, in place of any other, from the next `observe` on.
+
+        State and velocities stay as they are: the payload arrives with those of its link.
+
+        Raises
+        ------
+        SimulationError
+            When the robot has no such link.
+        """
+        loaded = copy.copy(self._bare)
+        add_payload(loaded, payload)
+        self._set_inertias(loaded)
+
+    def detach(self) -> None:
+        """Take the payload off again, if there is one."""
+        self._set_inertias(self._bare)
+
+    def _set_inertias(self, source: mujoco.MjModel) -> None:
+        copy_inertias(source, self.model)
+        # Sums of masses and the like; in data of its own, as this moves the robot.
+        mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
     def observe(self) -> State:
         """Compute all that follows from the state alone and return the state."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from symbid_ros.bags.writer import BagWriter
+from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.topics import sensor_topics, truth_topics

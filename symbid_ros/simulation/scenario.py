@@ -1,5 +1,6 @@
 """The motions that can be simulated, and what each of them needs."""
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -63,6 +64,9 @@ SQUAT_TURNS = MoveRange(
     shortest=0.07,
     rest=0.5,
 )
+
+# Those that stand on their balance alone.
+STANDING = {"smooth": (COM_MOVES, TRUNK_TURNS), "squat": (SQUAT_MOVES, SQUAT_TURNS)}
 
 # Suspended: rad and rad/s. The hook rocks by up to 15 degrees, sideways by less and never fast:
 # the undriven ankle joints hang plumb like pendulums and must keep off their end stops.
@@ -150,7 +154,9 @@ def standing_task(
 
 
 def _standing(plant: Plant, task: BalanceTask, gains: BalanceGains) -> Scenario:
-    return Scenario(BalanceController(plant.model, task, SOLES, gains), None, task.duration)
+    # A copy: what the plant is loaded with later is nothing that the controller knows of.
+    belief = copy.copy(plant.model)
+    return Scenario(BalanceController(belief, task, SOLES, gains), None, task.duration)
 
 
 def _smooth(plant: Plant, moves: int, seed: int) -> Scenario:
@@ -158,7 +164,7 @@ def _smooth(plant: Plant, moves: int, seed: int) -> Scenario:
 
 
 def _squat(plant: Plant, moves: int, seed: int) -> Scenario:
-    task = standing_task(plant, moves, seed, SQUAT_MOVES, SQUAT_TURNS)
+    task = standing_task(plant, moves, seed, *STANDING["squat"])
     return _standing(plant, task, BalanceGains())
 
 

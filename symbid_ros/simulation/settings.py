@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from symbid_ros.documents import load_yaml
 from symbid_ros.errors import SimulationError
 
 
@@ -19,12 +18,11 @@ def read_mapping(path: Path) -> dict[str, Any]:
         When the file is missing or holds anything else.
     """
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
+        content = load_yaml(path)
+    except OSError as error:
         raise SimulationError(f"{path}: cannot be read ({error}); name an existing file") from error
-    except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise SimulationError(f"{path}: not valid YAML ({reason}); mend that line") from error
+    except ValueError as error:
+        raise SimulationError(f"{path}: {error}; mend that line") from None
     if not isinstance(content, dict):
         raise SimulationError(f"{path}: not a mapping; give one line 'name: value' for each entry")
     return {str(name): value for name, value in content.items()}

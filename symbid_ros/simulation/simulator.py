@@ -1,17 +1,20 @@
 """The simulated robot as a source of instants: what bags and topics are made from."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.share import config_file
 from symbid_ros.simulation.errors import draw_errors, parse_errors
 from symbid_ros.simulation.friction import JointFriction, load_friction
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.noise import load_noise
+from symbid_ros.simulation.payload import Payload, link_index
 from symbid_ros.simulation.plant import Plant
 from symbid_ros.simulation.run import Run
 from symbid_ros.simulation.scenario import HOIST_FRAME, SCENARIOS, SOLES, require_seed
@@ -69,6 +72,12 @@ class Simulator:
         Standard deviations; None for config/noise.yaml.
     friction_path : Path or None
         Friction and armature; None for config/friction.yaml.
+    payload : Payload or None
+        Fastened to the robot while it moves; the scenario's controller does not know of it.
+    payload_time : float
+        When, in seconds of the motion.
+    is_commanded : bool
+        Whether torques come from outside, once the scenario's controller has let the robot settle.
 
     Attributes
     ----------
@@ -86,6 +95,10 @@ class Simulator:
         As drawn, zero where not asked for.
     sample_rates : SampleRates
         Of its topics, part of these errors.
+    drive_names : tuple of str
+        The joint of each drive, order of torques.
+    torque_limits : (n_actuated, 2) float64
+        Lowest and highest torque of each drive, Nm.
     """
 
     def __init__(
@@ -103,6 +116,9 @@ class Simulator:
         model_path: Path | None = None,
         noise_path: Path | None = None,
         friction_path: Path | None = None,
+        payload: Payload | None = None,
+        payload_time: float = 0.0,
+        is_commanded: bool = False,
     ) -> None:
         if scenario not in SCENARIOS:
             raise SimulationError(
@@ -143,31 +159,82 @@ class Simulator:
         self.steps = self._run.steps
         driven = np.isin(np.arange(6, plant.model.nv), plant.driven)
         self._sensors = Sensors(driven, len(self.wrench_sensors), noise, noise_seed, self.errors)
+        self.drive_names, self.torque_limits = plant.drive_names, plant.torque_limits
+        self._is_commanded = is_commanded
+        self._scheduled = _scheduled(plant, payload, payload_time)
         self._taken = 0
         for truth in self._run.settle():
             self._sensors.watch(truth)
 
     @property
     def robot(self) -> str:
-        """MJCF of the robot as simulated, with its friction and lengths."""
+        """MJCF of the robot as simulated, with its friction and lengths, without payload."""
         return self._plant.text
 
-    def step(self) -> Instant:
-        """Advance one period and return the instant at its beginning.
+    def attach(self, payload: Payload | None) -> None:
+        """Fasten a payload in place of any other, from the next period on; None takes it off.
 
         Raises
         ------
+        SimulationError
+            When the robot has no such link; what is fastened stays.
+        """
+        if payload is None:
+            self._plant.detach()
+        else:
+            self._plant.attach(payload)
+
+    def step(self, torques: FloatArray | None = None) -> Instant:
+        """Advance one period and return the instant at its beginning.
+
+        Parameters
+        ----------
+        torques : (n_actuated,) float64 or None
+            Of the drives during this period, Nm, cut off at their limits; given to a commanded
+            robot only, which without them keeps those of the period before. They can be the
+            answer to the instant before this one at best: a real drive is late too.
+
+        Raises
+        ------
+        SimulationError
+            When torques are given to a robot that is not commanded, or are no such vector.
         BreakdownError
             When the robot falls or a joint runs into its end stop.
         """
-        truth = self._run.advance(self._taken)
+        if torques is not None:
+            self._require(torques)
+        elif self._is_commanded:
+            torques = self._run.torques
+        if self._scheduled is not None and self._taken >= self._scheduled[0]:
+            self.attach(self._scheduled[1])
+            self._scheduled = None
+        truth = self._run.advance(self._taken, torques)
         self._taken += 1
         return self._sensors.measure(truth, self._taken * self.period_ns)
+
+    def _require(self, torques: FloatArray) -> None:
+        if not self._is_commanded:
+            raise SimulationError("torques for a robot that is not commanded; pass is_commanded")
+        drives = len(self.drive_names)
+        if np.shape(torques) != (drives,) or not np.all(np.isfinite(torques)):
+            raise SimulationError(
+                f"torques {torques} for {drives} drives; give that many finite numbers, Nm"
+            )
 
     def __iter__(self) -> Iterator[Instant]:
         """Yield the instants that are left of the motion."""
         while self._taken < self.steps:
             yield self.step()
+
+
+def _scheduled(plant: Plant, payload: Payload | None, time: float) -> tuple[int, Payload] | None:
+    """Return the step at which a payload is to be fastened, and the payload."""
+    if not (math.isfinite(time) and time >= 0.0):
+        raise SimulationError(f"payload time {time:g} s; give a finite number, 0 or more")
+    if payload is None:
+        return None
+    link_index(plant.model, payload.link)
+    return round(time / plant.period), payload
 
 
 def _variant(

@@ -43,7 +43,7 @@ def test_drives_stop_at_their_limits():
 def test_unreadable_model_is_named(tmp_path):
     path = tmp_path / "robot.xml"
     path.write_text("<mujoco><worldbody><body></mujoco>")
-    with pytest.raises(SimulationError, match=r"robot\.xml: MuJoCo refuses"):
+    with pytest.raises(SimulationError, match=r"robot\.xml: not well-formed"):
         Plant(path, SOLES)
 
 

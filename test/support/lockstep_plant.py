@@ -1,0 +1,36 @@
+"""A simulated robot commanded over UDP, as a process: prints its port, then how it went."""
+
+import json
+import sys
+from dataclasses import asdict
+from threading import Event
+
+from symbid_ros.simulation.breakdown import BreakdownError
+from symbid_ros.simulation.command import Drives
+from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.simulation.udp_commands import UdpCommands
+
+
+def main(steps: int, options: dict[str, object]) -> None:
+    robot = Simulator(**options, is_commanded=True)
+    drives = Drives(robot.joint_names, robot.drive_names, robot.torque_limits)
+    stop, safe, heights, end = Event(), 0, [], "stands"
+    # A busy machine may well let a process wait for longer than the usual time-out.
+    with UdpCommands("127.0.0.1", 0, drives, command_timeout=5.0) as commands:
+        print(commands.address[1], flush=True)
+        commands.await_controller(stop)
+        instant = robot.step()
+        try:
+            for _ in range(steps):
+                command = commands.exchange(instant, stop)
+                safe += command.is_safe
+                instant = robot.step(command.torques)
+                heights.append(instant.base_position[2])
+        except BreakdownError as error:
+            end = str(error)
+        counts = asdict(commands.counts)
+    print(json.dumps({"end": end, "safe": safe, "sunk": heights[0] - min(heights)} | counts))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), json.loads(sys.argv[2]))
