@@ -1,10 +1,12 @@
 """information.npz: what a run knows, so that the next can go on from it."""
 
+import math
 import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from tokenize import TokenError
+from typing import IO, Any
 
 import numpy as np
 
@@ -15,7 +17,9 @@ from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
 
-FORMAT = 1
+FORMAT = 2
+MAX_ARRAYS = 10_000
+MAX_BYTES = 512 << 20  # of all arrays, unpacked
 
 
 def write_archive(
@@ -40,6 +44,7 @@ def write_archive(
         "structure": layout.structure,
         "window": np.array([one.window for one in observations]),
         "inflation": np.array([one.inflation for one in observations]),
+        "kept": np.array([one.kept for one in observations]),
     }
     upper = np.triu_indices(layout.width)
     for index, one in enumerate(observations):
@@ -77,9 +82,10 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
                 counts=_counts(content[f"counts_{i}"], layout),
                 window=float(window),
                 inflation=float(inflation),
+                kept=_share(kept),
             )
-            for i, (window, inflation) in enumerate(
-                zip(content["window"], content["inflation"], strict=True)
+            for i, (window, inflation, kept) in enumerate(
+                zip(content["window"], content["inflation"], content["kept"], strict=True)
             )
         )
     except (KeyError, ValueError, TypeError, IndexError) as error:
@@ -97,15 +103,28 @@ def load_deviation_factor(path: Path) -> FloatArray | None:
         When the file is missing or is none.
     """
     factor = _read(path).get("deviation_factor")
-    return None if factor is None else np.asarray(factor, dtype=np.float64)
+    if factor is None:
+        return None
+    if factor.ndim != 2 or factor.dtype != np.float64 or not np.all(np.isfinite(factor)):
+        raise EstimateError(f"{path}: its deviation_factor is none; identify the log again")
+    return factor
 
 
 def _information(layout: RowLayout, triangle: FloatArray, samples: int) -> Information:
+    if triangle.shape != (layout.width * (layout.width + 1) // 2,):
+        raise ValueError("a factor is not as wide as its layout")
     factor = np.zeros((layout.width, layout.width), order="F")
     factor[np.triu_indices(layout.width)] = triangle
-    if not np.all(np.isfinite(factor)):
+    count = float(samples)
+    if not (np.all(np.isfinite(factor)) and np.isfinite(count)):
         raise ValueError("a number is not finite")
-    return Information(layout, factor, int(samples))
+    return Information(layout, factor, count)
+
+
+def _share(kept: float) -> float:
+    if not 0 <= kept <= 1:
+        raise ValueError("a share is none")
+    return float(kept)
 
 
 def _layout(content: dict[str, np.ndarray]) -> RowLayout:
@@ -127,6 +146,7 @@ def _counts(counts: np.ndarray, layout: RowLayout) -> FloatArray:
 def _read(path: Path) -> dict[str, np.ndarray]:
     try:
         # A lone array is no context: that is the TypeError below.
+        _check_sizes(path)
         with np.load(path, allow_pickle=False) as stored:
             return dict(stored)
     except OSError as error:
@@ -137,3 +157,32 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise EstimateError(
             f"{path}: no information.npz of symbid identify; give the file that a run wrote"
         ) from None
+
+
+def _check_sizes(path: Path) -> None:
+    """Refuse arrays that are larger than their bytes or than any run's, before they are made."""
+    with zipfile.ZipFile(path) as archive:
+        members = archive.infolist()
+        if len(members) > MAX_ARRAYS or sum(one.file_size for one in members) > MAX_BYTES:
+            raise EstimateError(
+                f"{path}: more than {MAX_ARRAYS} arrays or {MAX_BYTES >> 20} MiB unpacked, the "
+                "limits; identify fewer logs at a time"
+            )
+        for member in members:
+            with archive.open(member) as stream:
+                shape, kind = _stated(stream)
+                if math.prod(shape) * kind.itemsize != member.file_size - stream.tell():
+                    raise ValueError("an array is not as large as it says")
+
+
+def _stated(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Return the shape and type that an array's header states."""
+    npy = np.lib.format
+    is_first = npy.read_magic(stream) == (1, 0)
+    read = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
+    try:
+        shape, _, kind = read(stream)
+    except (SyntaxError, TokenError, RecursionError, MemoryError):
+        # Of a header that is no Python literal NumPy lets the parser's own errors through.
+        raise ValueError("an array has no header") from None
+    return shape, kind

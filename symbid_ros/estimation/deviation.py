@@ -13,6 +13,10 @@ TERM_STD: dict[Term, float] = {"viscous": 1.0, "coulomb": 2.0, "armature": 0.1, 
 _SLIDE_LEVER = 0.1
 # Share of a parameter's own scale below which its deviation does not fall.
 _FLOOR = 0.01
+# Deviation of a payload's mass, of the robot's: what people and robots pick up; and the extent that
+# its link is given at least, m: it may stick out.
+PAYLOAD = 0.1
+_LEAST_EXTENT = 0.05
 # The scale of a link that the file gives no mass or no extent.
 _BARE_MASS, _BARE_EXTENT = 1.0, 0.1
 
@@ -60,12 +64,26 @@ def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:
     floor = np.empty(len(parameters))
     floor[parameters.inertial :] = unit * _term_scale(parameters)
     for index, phi in enumerate(parameters.link_phi(parameters.values)):
-        mass = abs(phi[0])
-        extent = np.sqrt(max(np.trace(second_moments(phi)), 0.0) / mass) if mass > 0 else 0.0
-        mass, extent = mass or _BARE_MASS, extent or _BARE_EXTENT
+        mass, extent = abs(phi[0]) or _BARE_MASS, link_extent(phi) or _BARE_EXTENT
         scale = np.repeat([mass, mass * extent, mass * extent**2], [1, 3, 6])
         floor[10 * index : 10 * index + 10] = unit * scale
     return floor
+
+
+def link_extent(phi: FloatArray) -> float:
+    """Return a link's root-mean-square extent about its origin, m; 0 where φ (10,) tells none."""
+    mass = abs(phi[0])
+    return float(np.sqrt(max(np.trace(second_moments(phi)), 0.0) / mass)) if mass > 0 else 0.0
+
+
+def payload_std(parameters: ParameterSet, mean: FloatArray) -> FloatArray:
+    """Return by how much a payload may change each link of a robot like ``mean``, (links, 10)."""
+    means = parameters.link_phi(mean[: len(parameters)])
+    mass = PAYLOAD * means[:, 0].sum()
+    extents = np.maximum([link_extent(phi) for phi in means], _LEAST_EXTENT)
+    powers = np.repeat([0, 1, 2], [1, 3, 6])
+    std: FloatArray = mass * extents[:, None] ** powers
+    return std
 
 
 def is_stated(parameters: ParameterSet) -> BoolArray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.atomic import write_text
+from symbid_ros.documents import load_json
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.verdict import Quantity, Verdict
 
@@ -113,7 +114,7 @@ def load_estimate(path: Path) -> Estimate:
         When the file is missing or is not an estimate.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = load_json(path)
     except OSError as error:
         raise EstimateError(f"{path}: cannot read it ({error.strerror}); check the path") from None
     except ValueError as error:
@@ -122,7 +123,7 @@ def load_estimate(path: Path) -> Estimate:
         entries = list(document["parameters"].values())
         stds = [entry["std"] for entry in entries]
         verdicts = [entry["determined"] for entry in entries]
-        return Estimate(
+        estimate = Estimate(
             method=document["method"],
             model=document["model"],
             names=tuple(document["parameters"]),
@@ -140,11 +141,16 @@ def load_estimate(path: Path) -> Estimate:
             software=document["software"],
             verdict=_verdict(document["verdict"]),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(
             f"{path}: not an estimate.json ({type(error).__name__}: {error}); write one with "
             "`symbid identify`"
         ) from None
+    for kind, numbers in (("value", estimate.value), ("prior", estimate.prior)):
+        if not np.all(np.isfinite(numbers)):
+            name = estimate.names[int(np.argmin(np.isfinite(numbers)))]
+            raise EstimateError(f"{path}: {kind} of {name} is not finite; identify the log again")
+    return estimate
 
 
 def _verdict(document: dict[str, Any] | None) -> Verdict | None:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import lapack, qr
+from scipy.linalg import blas, lapack, qr
 from scipy.sparse import csr_array
 
 from symbid_ros.arrays import FloatArray
@@ -30,13 +30,13 @@ class Information:
         What the flat row holds.
     factor : (w, w) float64
         Upper triangular R with RᵀR = Σ rowᵀ row.
-    samples : int
-        Number of samples folded in.
+    samples : float
+        Number of samples folded in; where old ones fade, what is left of it.
     """
 
     layout: RowLayout
     factor: FloatArray
-    samples: int
+    samples: float
 
     @classmethod
     def empty(cls, layout: RowLayout) -> "Information":
@@ -59,6 +59,10 @@ class Information:
             factor = _updated(factor, flat)
             samples += len(flat)
         return Information(self.layout, factor, samples)
+
+    def faded(self, share: float) -> "Information":
+        """Return the information with every row's weight times ``share``, from 0 to 1."""
+        return Information(self.layout, np.sqrt(share) * self.factor, share * self.samples)
 
     def merge(self, other: "Information") -> "Information":
         """Return the information of both records together.
@@ -140,7 +144,9 @@ class Information:
     def _products(self) -> csr_array:
         """((p+1)(p+1), n n) the moments of [K y], by pairs of coordinates."""
         layout = self.layout
-        gram = self.factor.T @ self.factor
+        # Half of a symmetric product is enough to know it.
+        half = blas.dsyrk(1.0, self.factor, trans=True)
+        gram = half + np.triu(half, 1).T
         shape = (len(layout.parameters) + 1) ** 2, len(layout.coordinates) ** 2
         places = layout.moment_places, layout.coordinate_pairs
         return csr_array((gram.ravel(), places), shape=shape)

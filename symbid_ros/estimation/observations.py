@@ -43,6 +43,8 @@ class Observations:
         s.
     inflation : float
         By how much overlapping windows make the rows look more than they are.
+    kept : float
+        Share of the first rows' weight that has not faded.
     """
 
     rows: Information
@@ -50,6 +52,7 @@ class Observations:
     counts: FloatArray
     window: float
     inflation: float = INFLATION
+    kept: float = 1.0
 
     @classmethod
     def empty(cls, layout: RowLayout, window: float) -> "Observations":
@@ -88,14 +91,25 @@ class Observations:
         """Return the observations with more rows in them."""
         kept = list(blocks)
         counts = self.counts
+        noisy = [block.noise for block in kept if block.noise.K.any() or block.noise.y.any()]
         for block in kept:
             valid = block.valid.astype(np.float64)
             counts = counts + valid.T @ valid
         return replace(
             self,
             rows=self.rows.fold(block.mean for block in kept),
-            noise=self.noise.fold(block.noise for block in kept),
+            noise=self.noise.fold(noisy) if noisy else self.noise,
             counts=counts,
+        )
+
+    def faded(self, share: float) -> "Observations":
+        """Return the observations with every row's weight times ``share``, from 0 to 1."""
+        return replace(
+            self,
+            rows=self.rows.faded(share),
+            noise=self.noise.faded(share),
+            counts=share * self.counts,
+            kept=share * self.kept,
         )
 
     def merge(self, other: "Observations") -> "Observations":
@@ -118,6 +132,7 @@ class Observations:
             rows=self.rows.merge(other.rows),
             noise=self.noise.merge(other.noise),
             counts=self.counts + other.counts,
+            kept=min(self.kept, other.kept),
         )
 
     def residual_covariance(self, phi: FloatArray) -> FloatArray:
@@ -159,7 +174,8 @@ class Observations:
     def _coupled(self) -> BoolArray:
         """(n, n) pairs of coordinates seen together often enough to tell their covariance."""
         n = len(self.counts)
-        full = np.diag(self.counts) == self.rows.samples
+        # Counts that have faded are equal but for rounding.
+        full = np.diag(self.counts) > (1 - 1e-9) * self.rows.samples
         full &= self.rows.samples > SAMPLES_PER_COORDINATE * n * self.inflation
         return np.asarray(np.outer(full, full) | np.eye(n, dtype=bool))
 

@@ -1,10 +1,10 @@
 """prior.json, read for the columns in use."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 
+from symbid_ros.documents import load_json
 from symbid_ros.errors import PriorError
 from symbid_ros.estimation.prior import Prior, model_prior
 from symbid_ros.model.parameters import TERMS, ParameterSet
@@ -23,7 +23,7 @@ def load_prior(path: Path, parameters: ParameterSet) -> Prior:
         When the file is missing, malformed, for another model, or no distribution.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = load_json(path)
     except OSError as error:
         raise PriorError(f"{path}: cannot read it ({error.strerror}); check the path") from None
     except ValueError as error:
@@ -36,7 +36,7 @@ def load_prior(path: Path, parameters: ParameterSet) -> Prior:
         kind, seed = str(document["kind"]), document["seed"]
         rows = document.get("covariance_factor")
         factor = None if rows is None else np.array(rows, dtype=float)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise PriorError(
             f"{path}: not a prior.json ({type(error).__name__}: {error}); write one with "
             "`symbid prior`"

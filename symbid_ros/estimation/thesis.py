@@ -38,7 +38,7 @@ class ScaledProblem:
         V, one singular direction of φ̃ per column.
     unexplained : float
         ‖ỹ‖² that no parameters can explain.
-    samples : int
+    samples : float
         Number of samples N.
     """
 
@@ -48,7 +48,7 @@ class ScaledProblem:
     singular_values: FloatArray
     directions: FloatArray
     unexplained: float
-    samples: int
+    samples: float
 
     @cached_property
     def rank(self) -> int:
@@ -93,12 +93,12 @@ class ScaledRows:
     ----------
     factor : (p + 1, p + 1) float64
         Their triangular factor.
-    samples : int
+    samples : float
         Number of samples N.
     """
 
     factor: FloatArray
-    samples: int
+    samples: float
 
     @classmethod
     def of(cls, information: Information, deviation: FloatArray | None = None) -> "ScaledRows":

@@ -146,7 +146,7 @@ def judge(
         prior_scale=posterior.prior_scale,
         whiteness=whiteness,
         noise_share=posterior.noise_share,
-        alarms=tuple(_alarms(posterior, whiteness)),
+        alarms=alarms(posterior, whiteness),
         effective=known.effective,
         gain=known.gain,
         link_gain=known.link_gain,
@@ -164,22 +164,23 @@ def _square(factor: FloatArray) -> FloatArray:
     return triangle.T
 
 
-def _alarms(posterior: Posterior, whiteness: float) -> list[str]:
-    alarms = []
+def alarms(posterior: Posterior, whiteness: float) -> tuple[str, ...]:
+    """Return what is wrong with an estimate, one line each; ``whiteness`` as in `Verdict`."""
+    found = []
     if posterior.prior_scale > SUSPICIOUS_SCALE:
-        alarms.append(
+        found.append(
             f"the data would have the prior {posterior.prior_scale:.1f} times wider: the prior, "
             "the kinematics or a sensor's calibration is wrong"
         )
     if whiteness > SUSPICIOUS_WHITENESS:
-        alarms.append(
+        found.append(
             f"residuals last longer than noise would (whiteness {whiteness:.1f}, at most 1 for "
             "noise): the model or a sensor's calibration is wrong; add --tare, --sensor-errors "
             "typical or the joint terms that are missing"
         )
     if posterior.noise_share > SUSPICIOUS_NOISE:
-        alarms.append(
+        found.append(
             f"{100 * posterior.noise_share:.0f} % of what some direction seems to be told is noise "
             "in the motion: move more, or use longer windows"
         )
-    return alarms
+    return tuple(found)

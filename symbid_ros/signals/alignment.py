@@ -6,8 +6,9 @@ across a gap: there the record is cut into segments.
 """
 
 import logging
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -56,6 +57,34 @@ class Segment:
 
     def __len__(self) -> int:
         return len(self.stamp)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Where the sensors are, IMUs first."""
+        return (*self.imu_frames, *self.wrench_frames)
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the arrays."""
+        return sum(
+            value.nbytes
+            for entry in fields(self)
+            if isinstance(value := getattr(self, entry.name), np.ndarray)
+        )
+
+    def is_continued_by(self, later: "Segment") -> bool:
+        """Tell whether another stretch begins where this one ends."""
+        step = int(later.stamp[0] - self.stamp[-1])
+        return self.frames == later.frames and 0 < step * self.rate < 1.5e9
+
+    def joined(self, later: "Segment") -> "Segment":
+        """Return this stretch and the one that continues it as one."""
+        arrays: dict[str, Any] = {
+            entry.name: np.concatenate([value, getattr(later, entry.name)])
+            for entry in fields(self)
+            if isinstance(value := getattr(self, entry.name), np.ndarray)
+        }
+        return replace(self, **arrays)
 
     def cut(self, start: int, stop: int) -> "Segment":
         """Return the instants from ``start`` up to ``stop``."""
@@ -109,16 +138,15 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
             f"{streams.source}: the log is too short, no stretch of {SHORTEST_SEGMENT} samples has "
             "data on every topic; record longer"
         )
-    kept = sum(len(segment.stamp) for segment in segments)
-    expected = int((stop - start) / period) + 1
-    if kept < expected:
-        logger.warning(
-            "%s: %d of %d instants lie in gaps and are left out",
-            streams.source,
-            expected - kept,
-            expected,
-        )
     return segments
+
+
+def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segment]:
+    """Yield what of stretches lies between two stamps, ns."""
+    for segment in segments:
+        first, last = np.searchsorted(segment.stamp, [start, stop]).tolist()
+        if last > first:
+            yield segment.cut(first, last)
 
 
 def _period(joints: _Channel) -> float:
@@ -214,15 +242,23 @@ def _joint_channel(streams: Streams, model: RobotModel) -> _Channel:
             )
             effort[:, index] = 0.0
     values = np.concatenate([streams.joints.position[:, columns], effort], axis=1)
-    if not np.all(np.isfinite(values)):
+    whole = np.logical_and.reduce(np.isfinite(values), axis=1)
+    if 2 * np.count_nonzero(whole) <= len(whole):
         row, column = np.argwhere(~np.isfinite(values))[0]
         field = "position" if column < len(columns) else "effort"
         name = model.joint_names[column % len(columns)]
         raise DataError(
             f"{streams.source}: {streams.joints.topic} has no finite {field} of joint {name!r} at "
-            f"{streams.joints.stamp[row] * 1e-9:.3f} s; mend or cut the bag"
+            f"{streams.joints.stamp[row] * 1e-9:.3f} s, as in half of the messages or more; mend "
+            "or cut the bag"
         )
-    return _Channel(streams.joints.topic, streams.joints.stamp, values)
+    if not whole.all():
+        logger.warning(
+            "%s: messages on %s that lack a value of a joint are left out",
+            streams.source,
+            streams.joints.topic,
+        )
+    return _Channel(streams.joints.topic, streams.joints.stamp[whole], values[whole])
 
 
 def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntArray:

@@ -14,26 +14,29 @@ from symbid_ros.signals.readings import at_base, smoothed
 from symbid_ros.signals.streams import Streams
 
 
-def build_samples(streams: Streams, model: RobotModel, smoothing: Smoothing) -> Samples:
+def build_samples(
+    segments: Sequence[Segment], model: RobotModel, smoothing: Smoothing, source: str
+) -> Samples:
     """Return the samples that the equation of motion is written for.
 
     Parameters
     ----------
-    streams : Streams
-        Sensor streams of one recording.
+    segments : sequence of Segment
+        Aligned stretches of one recording.
     model : RobotModel
         Kinematics and frames; its inertias are not looked at.
     smoothing : Smoothing
         Filter and differentiator of the measured channels.
+    source : str
+        The recording's name, for messages.
 
     Raises
     ------
     DataError
-        When a floating robot has no IMU or the record is too short.
+        When the record is too short.
     ModelError
-        When a joint or a sensor's frame is not in the model.
+        When a sensor's frame is not in the model.
     """
-    segments = moving_segments(streams, model)
     parts = []
     for segment in segments:
         samples = at_base(smoothed(segment, smoothing), model)
@@ -41,7 +44,7 @@ def build_samples(streams: Streams, model: RobotModel, smoothing: Smoothing) -> 
     samples = joined(parts)
     if len(samples) == 0:
         raise DataError(
-            f"{streams.source}: the log is too short for this filter ({smoothing}), nothing is "
+            f"{source}: the log is too short for this filter ({smoothing}), nothing is "
             "left once it has settled; record longer or let more through"
         )
     return samples
@@ -52,8 +55,10 @@ def moving_segments(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
 
     Raises
     ------
-    DataError, ModelError
-        As :func:`build_samples`.
+    DataError
+        When a floating robot has no IMU or the record is too short.
+    ModelError
+        When a joint is not in the model.
     """
     if model.floating and not streams.imus:
         raise DataError(

@@ -123,6 +123,12 @@ def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
     return valid
 
 
+def prefilter(rate: float) -> tuple[LowPass, int]:
+    """Return the low-pass for a rate, Hz, and the readings at either end that feel the edge."""
+    low_pass = LowPass(min(PREFILTER, PREFILTER_SHARE * rate), passes=1)
+    return low_pass, int(np.ceil(SETTLING * rate / low_pass.cutoff))
+
+
 def windowed_rows(
     segment: Segment,
     build: RowBuilder,
@@ -142,8 +148,7 @@ def windowed_rows(
     noisy_channels : sequence of str
         Whose noise enters the regressor; none for half the time and its bias.
     """
-    low_pass = LowPass(min(PREFILTER, PREFILTER_SHARE * segment.rate), passes=1)
-    edge = int(np.ceil(SETTLING * segment.rate / low_pass.cutoff))
+    low_pass, edge = prefilter(segment.rate)
     blocks = segment.stamp // BLOCK
     edges = np.searchsorted(blocks, np.arange(blocks[0], blocks[-1] + 2))
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):

@@ -1,6 +1,8 @@
 """information.npz: written and read bit for bit, and refused in one line when it is none."""
 
+import io
 import pickle
+import tracemalloc
 import zipfile
 from dataclasses import replace
 
@@ -13,6 +15,7 @@ from hypothesis import strategies as st
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import (
     FORMAT,
+    MAX_BYTES,
     load_archive,
     load_deviation_factor,
     write_archive,
@@ -216,3 +219,46 @@ def test_a_failed_write_leaves_what_was_there(stored, tmp_path, monkeypatch):
         write_archive(path, observed())
     assert path.read_bytes() == stored.read_bytes()
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_arrays_are_not_made_larger_than_their_bytes(stored, tmp_path):
+    path = tmp_path / "lying.npz"
+    with zipfile.ZipFile(stored) as good, zipfile.ZipFile(path, "w") as bad:
+        for name in good.namelist():
+            content = good.read(name)
+            if name == "rows_0.npy":
+                header = io.BytesIO()
+                np.lib.format.write_array_header_1_0(
+                    header, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
+                )
+                content = header.getvalue() + content[128:]
+            bad.writestr(name, content)
+    with pytest.raises(EstimateError, match="no information"):
+        load_archive(path)
+
+
+def test_an_archive_that_unpacks_to_more_than_any_run_writes_is_refused(stored, tmp_path):
+    path = tmp_path / "bomb.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("rows_0.npy", "w", force_zip64=True) as stream,
+    ):
+        np.lib.format.write_array_header_1_0(
+            stream, {"descr": "<f8", "fortran_order": False, "shape": (MAX_BYTES // 8,)}
+        )
+        for _ in range(MAX_BYTES >> 24):
+            stream.write(bytes(1 << 24))
+    assert path.stat().st_size < 1 << 20
+    tracemalloc.start()
+    with pytest.raises(EstimateError, match="512 MiB unpacked"):
+        load_archive(path)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 22
+    tracemalloc.stop()
+
+
+def test_a_deviation_factor_is_a_finite_matrix(stored, tmp_path):
+    path = tmp_path / "factor.npz"
+    for factor in (np.zeros(3), np.full((2, 2), np.nan), np.array([["a"]])):
+        rewritten(stored, path, deviation_factor=factor)
+        with pytest.raises(EstimateError, match=r"deviation_factor is none; identify"):
+            load_deviation_factor(path)

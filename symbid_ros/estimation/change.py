@@ -1,0 +1,115 @@
+"""Whether new rows still are of the robot that earlier ones were of, and which link is not.
+
+With A and b the whitened new rows and φ ~ N(φ̂, P) what earlier rows tell, the innovation
+e = b - A φ̂ has covariance C = 1 + A P Aᵀ as long as nothing changes. A link l whose parameters
+have changed by δ adds A E_l δ. With δ ~ N(0, S) the logarithm of the ratio of both likelihoods,
+the evidence for that change, is ½ gᵀ H⁻¹ g - ½ log det H, where M = C^(-1/2) A E_l S^(1/2),
+H = 1 + Mᵀ M and g = Mᵀ C^(-1/2) e (Willsky and Jones 1976, IEEE Trans. Automatic Control 21(1),
+with the change's size integrated out).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cholesky, solve_triangular
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.deviation import payload_std
+from symbid_ros.estimation.information import stacked_factor
+from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.weak_form import INFLATION, WindowedRows
+
+
+@dataclass(frozen=True)
+class LinkChange:
+    """One link's change, as the new rows would have it.
+
+    Attributes
+    ----------
+    link : str
+    evidence : float
+        That this link has changed and no other, against no change at all, nat.
+    phi : (10,) float64
+        What was added to its parameters, about its origin.
+    std : (10,) float64
+        Standard deviations of these.
+    """
+
+    link: str
+    evidence: float
+    phi: FloatArray
+    std: FloatArray
+
+
+@dataclass(frozen=True)
+class Innovation:
+    """New rows against what earlier ones led to expect.
+
+    Attributes
+    ----------
+    misfit : float
+        Mean square of what was not expected over its variance: 1 where nothing has changed.
+    links : tuple of LinkChange
+        Most evident first.
+    """
+
+    misfit: float
+    links: tuple[LinkChange, ...]
+
+
+def innovation(
+    earlier: Posterior,
+    recent: Sequence[WindowedRows],
+    parameters: ParameterSet,
+    inflation: float = INFLATION,
+) -> Innovation:
+    """Return what new rows tell of a change.
+
+    Parameters
+    ----------
+    earlier : Posterior
+        By rows that came before, over windows of the same length.
+    recent : sequence of WindowedRows
+        The new rows, one of them at least.
+    parameters : ParameterSet
+        The robot's columns, the posterior's.
+    inflation : float
+        By how much overlapping windows make the rows look more than they are.
+    """
+    count = len(earlier.mean)
+    root = cholesky(earlier.covariance, lower=True)
+    whitening = np.asarray(np.linalg.inv(root), dtype=np.float64)
+    factor = _whitened_factor(recent, whitening)
+    A, b = factor[:count, :count], factor[:count, count]
+    spread = A @ earlier.deviation_factor
+    root = cholesky(np.eye(count) + spread @ spread.T, lower=True)
+    unexpected = solve_triangular(root, b - A @ earlier.mean, lower=True)
+    response = solve_triangular(root, A, lower=True)
+    changes = []
+    for index, scale in enumerate(payload_std(parameters, earlier.prior.mean)):
+        M = response[:, 10 * index : 10 * index + 10] * scale
+        H = np.eye(10) + M.T @ M
+        g = M.T @ unexpected
+        delta = np.linalg.solve(H, g)
+        changes.append(
+            LinkChange(
+                parameters.link_names[index],
+                float(g @ delta - np.linalg.slogdet(H)[1]) / 2,
+                scale * delta,
+                scale * np.sqrt(np.linalg.inv(H).diagonal()),
+            )
+        )
+    return Innovation(
+        # Σ is made larger for the overlap of windows, of which the innovation does not know.
+        misfit=float(unexpected @ unexpected) * inflation / count,
+        links=tuple(sorted(changes, key=lambda change: -change.evidence)),
+    )
+
+
+def _whitened_factor(recent: Sequence[WindowedRows], whitening: FloatArray) -> FloatArray:
+    """Return the triangular factor (p + 1, p + 1) of all rows G [K y]."""
+    flat = [np.concatenate([part.mean.K, part.mean.y[:, :, None]], axis=2) for part in recent]
+    rows = whitening @ np.concatenate(flat)
+    return stacked_factor(rows.reshape(-1, rows.shape[2]))

@@ -1,0 +1,1 @@
+"""Whole jobs on messages as they arrive: identify, forget, notice changes."""

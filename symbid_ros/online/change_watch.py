@@ -1,0 +1,125 @@
+"""A robot that is not any more what it was: noticed as its rows come in."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from symbid_ros.estimation.change import Innovation, LinkChange, innovation
+from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.online.block_rows import BlockRows
+
+# Evidence for a change, nat, over the misfit that has been usual: by chance it is never that large.
+ALARMING = 30.0
+# Looks that tell what is usual, and how many there must be before an alarm.
+USUAL, FEWEST_USUAL = 30, 8
+# New rows are those of so many looks. The change may lie within them, so that who has changed is
+# asked of those that come after.
+RECENT = 2
+# Pieces that are asked who has changed: a robot that goes on must not fill the memory.
+LONGEST_AFTER = 30
+# Quiet looks after which a change is over: the estimate has followed it.
+QUIET = 10
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change that has been noticed.
+
+    Attributes
+    ----------
+    since : int
+        Stamp of the first rows that showed it, ns.
+    suspect : LinkChange
+        The link that explains best what has come since, and by how much it has changed.
+    """
+
+    since: int
+    suspect: LinkChange
+
+    def __str__(self) -> str:
+        """Return what an alarm says of it."""
+        phi, std = self.suspect.phi, self.suspect.std
+        gain = f"{phi[0]:+.2f} ± {std[0]:.2f} kg"
+        place = ""
+        if abs(phi[0]) > 3 * std[0]:
+            x, y, z = phi[1:4] / phi[0]
+            place = f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
+        return f"{self.suspect.link} has changed since {self.since * 1e-9:.1f} s: {gain}{place}"
+
+
+class ChangeWatch:
+    """Compares the rows of each look with what was known some looks ago.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        The robot's columns.
+
+    Attributes
+    ----------
+    change : Change or None
+        What stands.
+    evidence : float
+        Of the last look, over what has been usual; nan before the first.
+    """
+
+    def __init__(self, parameters: ParameterSet) -> None:
+        self._parameters = parameters
+        self._usual: deque[float] = deque(maxlen=USUAL)
+        self.evidence = float("nan")
+        self.begin_again()
+
+    def begin_again(self) -> None:
+        """Let go of rows and knowledge: those to come are over another length of windows."""
+        self._past: deque[Posterior] = deque(maxlen=RECENT)
+        self._rows: deque[tuple[BlockRows, ...]] = deque(maxlen=RECENT)
+        self._before: Posterior | None = None
+        self.change: Change | None = None
+        self._since = self._quiet = 0
+        self._after: list[BlockRows] = []
+
+    def look(self, rows: Sequence[BlockRows], posterior: Posterior) -> None:
+        """Take the rows that are new at this look, and what is known with them.
+
+        Parameters
+        ----------
+        rows : sequence of BlockRows
+            Since the last look, all over the same length of windows.
+        posterior : Posterior
+            By all rows up to now.
+        """
+        self._rows.append(tuple(rows))
+        if len(self._past) == RECENT:
+            recent = [block for some in self._rows for block in some]
+            found = self._innovation(self._past[0], recent)
+            if found is not None:
+                self._judge(found, recent, rows)
+        self._past.append(posterior)
+
+    def _judge(
+        self, found: Innovation, recent: Sequence[BlockRows], rows: Sequence[BlockRows]
+    ) -> None:
+        usual = max([1.0, *self._usual])
+        self.evidence = found.links[0].evidence / usual
+        is_loud = self.evidence > ALARMING and len(self._usual) >= FEWEST_USUAL
+        if self._before is None:
+            if is_loud:
+                self._before, self._since = self._past[0], recent[0].start
+                self._after, self._quiet = [], 0
+            else:
+                self._usual.append(found.misfit)
+            return
+        self._quiet = 0 if is_loud else self._quiet + 1
+        if self._quiet >= QUIET:
+            self._before = self.change = None
+            return
+        if len(self._after) < LONGEST_AFTER:
+            self._after += rows
+        after = self._innovation(self._before, self._after)
+        if after is not None:
+            self.change = Change(self._since, after.links[0])
+
+    def _innovation(self, known: Posterior, blocks: Sequence[BlockRows]) -> Innovation | None:
+        rows = [part for block in blocks for part in block.of_window(0) if len(part.valid)]
+        return innovation(known, rows, self._parameters) if rows else None

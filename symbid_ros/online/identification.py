@@ -1,0 +1,292 @@
+"""The online job: messages in as they arrive, at any time an estimate out.
+
+Whole blocks of the clock are worked on exactly as an offline run works on them, so that the two
+know the same at every block's end. What has come since then is taken in at once, for estimates
+that are up to date, and worked on again with its block.
+"""
+
+import logging
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.gaps import stamp_of
+from symbid_ros.bags.streams.selection import SelectedTopics
+from symbid_ros.estimation.fading import released
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.offline.identification import Identification, Solver, most_telling
+from symbid_ros.offline.problem import Problem, Truncation
+from symbid_ros.online.beginning import Beginning
+from symbid_ros.online.block_rows import BlockRows, block_rows
+from symbid_ros.online.block_work import BlockWork
+from symbid_ros.online.change_watch import Change, ChangeWatch
+from symbid_ros.online.live_streams import LiveStreams
+from symbid_ros.online.memory import Memory, Whole
+from symbid_ros.online.timeline import Stretch, Timeline
+from symbid_ros.online.weight import check_weight
+from symbid_ros.signals.weak_form import equation_rows
+
+logger = logging.getLogger(__name__)
+
+# Windows are compared again when there are so many times more blocks than at the last time.
+COMPARE_AGAIN = 2
+RECENT_FAULTS = 10
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How the past is forgotten and the present waited for.
+
+    Attributes
+    ----------
+    memory : float
+        Time in which a row loses all but 1/e of its weight, s.
+    lag : float
+        How long a topic may lag behind the joint states before a block is worked on without what
+        is missing, s.
+    share : float
+        Of a core that the rows of whole blocks may take.
+    """
+
+    memory: float = np.inf
+    lag: float = 0.5
+    share: float = 0.15
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """An estimate and up to when it knows the robot.
+
+    Attributes
+    ----------
+    found : Identification
+        The estimate, with the observations behind it; its verdict only if solved exactly.
+    until : int
+        Stamp of the newest data in it, ns.
+    window : float
+        Length of the rows' windows, s.
+    alarms : tuple of str
+        What is wrong, one line each.
+    change : Change or None
+        What the robot has changed in, if it has.
+    """
+
+    found: Identification
+    until: int
+    window: float
+    alarms: tuple[str, ...]
+    change: Change | None
+
+
+class OnlineIdentification:
+    """What is known of a robot, by the messages that have come.
+
+    Parameters
+    ----------
+    beginning : Beginning
+        The job, and what is known already.
+    selected : SelectedTopics
+        The robot's sensors.
+    pace : Pace
+        Of forgetting and waiting.
+
+    Attributes
+    ----------
+    faults : deque of str
+        What has been wrong with the latest faulty blocks.
+    lost_blocks : int
+        How many brought nothing for it.
+    clock_jumps : int
+        How often a topic's clock has jumped back.
+    """
+
+    def __init__(self, beginning: Beginning, selected: SelectedTopics, pace: Pace) -> None:
+        self._beginning, self._pace = beginning, pace
+        self._job, self._parameters = beginning.job, beginning.problem.parameters
+        self._windows = beginning.job.processing.windows
+        self._build = equation_rows(self._parameters)
+        topics = tuple(topic.name for topic in selected.all)
+        self._problem = replace(beginning.problem, inputs=(*beginning.problem.inputs, *topics))
+        self._timeline = Timeline(selected, self._parameters.model, pace.lag, "live topics")
+        self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
+        self.lost_blocks = self.clock_jumps = 0
+        self._posterior: Posterior | None = None
+        self._released: set[str] = set()
+        self._compared_at = self._until = 0
+        self._watch = ChangeWatch(self._parameters)
+        # The middle one will do until whole blocks tell which is best.
+        middle = len(self._windows) // 2
+        known = Whole(beginning.observations, pace.memory)
+        self._memory = Memory(known, middle)
+        self._work = BlockWork(self._build, self._windows, pace.share, known)
+
+    @property
+    def streams(self) -> LiveStreams:
+        """What has come."""
+        return self._timeline.streams
+
+    @property
+    def has_news(self) -> bool:
+        """Whether there is something that the last estimate did not know."""
+        complete = self.streams.complete_until
+        return complete is not None and complete > self._until
+
+    @property
+    def evidence(self) -> float:
+        """For a change at the last look, over what has been usual; nan before there was one."""
+        return self._watch.evidence
+
+    def feed(self, topic: Topic, payload: bytes) -> None:
+        """Take a serialised message of one of the topics."""
+        streams, stamp = self._timeline.streams, stamp_of(payload)
+        if streams.jumps_back(topic, stamp):
+            logger.warning(
+                "%s: its clock jumps back from %.3f s; alignment begins again, nothing learnt is "
+                "lost",
+                topic.name,
+                (streams.buffers[topic].newest or 0) * 1e-9,
+            )
+            self.clock_jumps += 1
+            self._put(self._timeline.restart())
+            self._settle(self._work.finish())
+            self._begin_time(self._memory.whole.new_time())
+        streams.add(topic, stamp, payload)
+
+    def advance(self) -> None:
+        """Put blocks in line that are whole, take in those that have been worked on."""
+        for stretch in self._timeline.whole():
+            self._put(stretch)
+        self._settle(self._work.done())
+
+    def solve(self, *, exactly: bool = False) -> Outcome | None:
+        """Return the estimate by what has come; None while that is too little.
+
+        Parameters
+        ----------
+        exactly : bool
+            Do what an offline run up to now would do: wait for blocks that are in line, work on
+            the open one as on a log's last, and compare all windows.
+
+        Raises
+        ------
+        DataError
+            When the measured forces do not carry the robot.
+        """
+        self.advance()
+        new = [self._piece(stretch) for stretch in self._timeline.pieces() if stretch.segments]
+        for piece in new:
+            self._memory.add(piece)
+            self._until = piece.stop - 1
+        return self._solve_exactly() if exactly else self._solve_roughly(new)
+
+    def _solve_exactly(self) -> Outcome | None:
+        self._settle(self._work.finish())
+        whole, rest = self._memory.whole, self._timeline.rest()
+        if rest is not None and rest.segments:
+            whole = whole.with_block(block_rows(rest, self._build, self._windows))
+            self._until = rest.stop - 1
+        problem = self._problem_of(whole)
+        if not problem.observations:
+            return None
+        self._check_weight(problem.observations[0])
+        return self._outcome(Solver.of(problem), judged=True)
+
+    def _solve_roughly(self, new: Sequence[BlockRows]) -> Outcome | None:
+        problem = self._problem_of(self._memory.whole)
+        if self._memory.whole.blocks >= COMPARE_AGAIN * self._compared_at and problem.observations:
+            self._compare_windows(problem)
+        now = self._memory.now
+        if now.rows.samples == 0:
+            return None
+        self._check_weight(now)
+        near = self._posterior
+        start = None if near is None else near.mean
+        # Before the first whole block there is nothing to compare what has come with.
+        problem = replace(problem, observations=problem.observations or (now,))
+        solver = Solver.roughly(problem, now, start)
+        self._posterior = solver.posterior
+        if new:
+            self._watch.look(new, solver.posterior)
+            self._release()
+        return self._outcome(solver, judged=False)
+
+    def _release(self) -> None:
+        """Let the prior of a link go that has changed, where old data are forgotten as well."""
+        change = self._watch.change
+        if change is None or np.isinf(self._pace.memory):
+            return
+        link = change.suspect.link
+        if link not in self._released:
+            self._released.add(link)
+            prior = released(self._problem.prior, self._parameters, link)
+            self._problem = replace(self._problem, prior=prior)
+
+    def _problem_of(self, whole: Whole) -> Problem:
+        told = tuple(one for one in whole.observations if one.rows.samples > 0)
+        return replace(self._problem, observations=told)
+
+    def _compare_windows(self, problem: Problem) -> None:
+        self._compared_at = max(self._memory.whole.blocks, 1)
+        best, _ = most_telling(problem)
+        window = self._windows.index(best.window)
+        if window != self._memory.window:
+            self._memory.track(self._memory.whole, window)
+            self._watch.begin_again()
+
+    def _outcome(self, solver: Solver, *, judged: bool) -> Outcome:
+        found = self._identified(solver, judged=judged)
+        window = solver.chosen.window
+        return Outcome(found, self._until, window, solver.alarms, self._watch.change)
+
+    def reset(self) -> None:
+        """Forget all but the prior."""
+        self._settle(self._work.finish())
+        self._timeline.restart()
+        self._posterior, self._compared_at = None, 0
+        self._released.clear()
+        self._problem = replace(self._problem, prior=self._beginning.problem.prior)
+        self._watch = ChangeWatch(self._parameters)
+        self._begin_time(Whole(self._beginning.nothing, self._pace.memory))
+
+    def close(self) -> None:
+        """Give up blocks that are in line."""
+        self._work.close()
+
+    def _begin_time(self, whole: Whole) -> None:
+        self._work.begin(whole)
+        self._memory.track(whole, self._memory.window)
+        self._until = 0
+
+    def _put(self, stretch: Stretch | None) -> None:
+        if stretch is None:
+            return
+        if stretch.fault:
+            self.lost_blocks += 1
+            self.faults.append(stretch.fault)
+            logger.warning("%s; the block from %.0f s is lost", stretch.fault, stretch.start * 1e-9)
+            return
+        self._work.put(stretch)
+
+    def _settle(self, whole: Whole | None) -> None:
+        if whole is not None:
+            self._memory.settle(whole)
+
+    def _piece(self, stretch: Stretch) -> BlockRows:
+        # It is not searched for noise: that takes as long again, and its block will be.
+        return block_rows(stretch, self._build, [self._windows[self._memory.window]], ())
+
+    def _check_weight(self, shortest: Observations) -> None:
+        if not self._job.unchecked:
+            check_weight(shortest.rows, self._parameters, self._problem.prior)
+
+    def _identified(self, solver: Solver, *, judged: bool) -> Identification:
+        method = self._job.method
+        if method == "map_lmi":
+            return solver.map_lmi(judged=judged)
+        if method == "map":
+            return solver.map(judged=judged)
+        return solver.truncated(method, Truncation(self._job.rank))

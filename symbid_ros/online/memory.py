@@ -1,0 +1,106 @@
+"""What live messages have told so far: whole blocks for good, newer pieces for the time being."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.online.block_rows import BlockRows
+from symbid_ros.signals.weak_form import WindowedRows
+
+
+@dataclass(frozen=True)
+class Whole:
+    """What whole blocks have told.
+
+    Attributes
+    ----------
+    observations : tuple of Observations
+        For each length of window.
+    span : float
+        Time in which a row loses all but 1/e of its weight, s.
+    until : int or None
+        End of the last block, ns; None where a new time begins.
+    blocks : int
+        How many there were.
+    """
+
+    observations: tuple[Observations, ...]
+    span: float
+    until: int | None = None
+    blocks: int = 0
+
+    def with_block(self, block: BlockRows) -> "Whole":
+        """Return what is known with one block more."""
+        share = self.kept(block.stop, block.start)
+        folded = tuple(
+            _folded(one, share, block.of_window(index))
+            for index, one in enumerate(self.observations)
+        )
+        return replace(self, observations=folded, until=block.stop, blocks=self.blocks + 1)
+
+    def new_time(self) -> "Whole":
+        """Return the same for a clock that begins again."""
+        return replace(self, until=None)
+
+    def kept(self, stop: int, start: int) -> float:
+        """Return what is left at ``stop`` of these rows' weight; a new time begins at ``start``."""
+        return _kept(stop - (start if self.until is None else self.until), self.span)
+
+
+class Memory:
+    """Whole blocks, and over one length of windows the pieces that have come since.
+
+    Parameters
+    ----------
+    whole : Whole
+        What is known at the beginning.
+    window : int
+        Index of that length.
+
+    Attributes
+    ----------
+    whole : Whole
+        Of whole blocks alone.
+    now : Observations
+        With pieces.
+    window : int
+        Index of the length of windows of ``now``.
+    """
+
+    def __init__(self, whole: Whole, window: int) -> None:
+        self.track(whole, window)
+
+    def track(self, whole: Whole, window: int) -> None:
+        """Begin with what is known, over another length of windows; pieces are let go of."""
+        self.whole, self.window = whole, window
+        self.now = whole.observations[window]
+        self._until = whole.until
+        self._pieces: list[BlockRows] = []
+
+    def add(self, piece: BlockRows) -> None:
+        """Take a piece, of one length of windows, until its block is whole."""
+        self._pieces.append(piece)
+        self._append(piece)
+
+    def settle(self, whole: Whole) -> None:
+        """Take what is known with the next whole block, in place of its pieces."""
+        later = [piece for piece in self._pieces if piece.start >= (whole.until or 0)]
+        self.track(whole, self.window)
+        for piece in later:
+            self.add(piece)
+
+    def _append(self, piece: BlockRows) -> None:
+        since = piece.start if self._until is None else self._until
+        share = _kept(piece.stop - since, self.whole.span)
+        self.now = _folded(self.now, share, piece.of_window(0))
+        self._until = piece.stop
+
+
+def _kept(elapsed: int, span: float) -> float:
+    return float(np.exp(-elapsed * 1e-9 / span))
+
+
+def _folded(one: Observations, share: float, rows: Sequence[WindowedRows]) -> Observations:
+    return (one if share == 1.0 else one.faded(share)).fold(rows)

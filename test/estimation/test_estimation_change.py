@@ -1,0 +1,83 @@
+"""Evidence for a change, against the likelihoods it stands for."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gaussian_logs import gaussian_log, prior_of
+from scipy.stats import multivariate_normal
+
+from symbid_ros.estimation.change import innovation
+from symbid_ros.estimation.deviation import PAYLOAD, link_extent
+from symbid_ros.estimation.posterior import posterior
+from symbid_ros.model.inertia import phi_from_com
+
+
+def logs(seed, *, change=None):
+    """Return an earlier log of a robot, a later one, and the prior; the change is the later's."""
+    log = gaussian_log(seed, count=400)
+    earlier, later = log[:250], log[250:]
+    if change is not None:
+        later = replace(later, y=later.y + later.K @ change)
+    return earlier, later, prior_of(log, seed)
+
+
+def payload(log, index, mass):
+    """Return what a payload on one link adds to the parameters."""
+    phi = np.zeros(len(log.parameters))
+    inertia = mass * 1e-3 * np.eye(3)
+    phi[10 * index : 10 * index + 10] = phi_from_com(mass, np.array([0.05, -0.1, 0.1]), inertia)
+    return phi
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_evidence_is_the_ratio_of_likelihoods(seed) -> None:
+    earlier, later, prior = logs(seed)
+    known = posterior(earlier.observations(), prior)
+    found = innovation(known, [later.rows()], earlier.parameters, 1.0)
+    # Dense: all rows of all coordinates, their covariance with and without one link's change.
+    count, _, p = later.K.shape
+    K, y = later.K.reshape(-1, p), later.y.ravel()
+    noise = np.kron(np.eye(count), known.covariance)
+    spread = K @ known.deviation_factor
+    unchanged = noise + spread @ spread.T
+    mean = K @ known.mean
+    total = earlier.parameters.link_phi(prior.mean)[:, 0].sum()
+    for change in found.links:
+        index = earlier.parameters.link_names.index(change.link)
+        extent = max(link_extent(earlier.parameters.link_phi(prior.mean)[index]), 0.05)
+        scale = PAYLOAD * total * np.repeat([1, extent, extent**2], [1, 3, 6])
+        moved = K[:, 10 * index : 10 * index + 10] * scale
+        with_change = multivariate_normal.logpdf(y, mean, unchanged + moved @ moved.T)
+        without = multivariate_normal.logpdf(y, mean, unchanged)
+        assert change.evidence == pytest.approx(with_change - without, rel=1e-6, abs=1e-6)
+
+
+def test_nothing_has_changed_where_nothing_has() -> None:
+    misfits, evidence = [], []
+    for seed in range(12):
+        earlier, later, prior = logs(seed)
+        # The truth is the prior's draw away from its mean, as the posterior has it.
+        found = innovation(
+            posterior(earlier.observations(), prior), [later.rows()], earlier.parameters, 1.0
+        )
+        misfits.append(found.misfit)
+        evidence.append(found.links[0].evidence)
+    assert np.mean(misfits) == pytest.approx(1.0, abs=0.15)
+    assert max(evidence) < 5.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_the_link_that_has_changed_is_named_and_weighed(seed, index) -> None:
+    plain, _, _ = logs(seed)
+    added = payload(plain, index, 0.05 * plain.parameters.link_phi(plain.truth)[:, 0].sum())
+    earlier, later, prior = logs(seed, change=added)
+    found = innovation(
+        posterior(earlier.observations(), prior), [later.rows()], earlier.parameters, 1.0
+    )
+    suspect = found.links[0]
+    assert suspect.link == earlier.parameters.link_names[index]
+    assert suspect.evidence > 30.0
+    error = (suspect.phi - added[10 * index : 10 * index + 10]) / suspect.std
+    assert np.sqrt(np.mean(error**2)) < 3.0

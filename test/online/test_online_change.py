@@ -1,0 +1,66 @@
+"""A payload fastened to a running robot is noticed, laid at the right link's door, and followed."""
+
+import pytest
+from live_feed import feed_of
+
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.facts import PriorChoice
+from symbid_ros.offline.job import Job
+from symbid_ros.online.beginning import Beginning
+from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.share import config_file
+from symbid_ros.simulation.payload import Payload
+
+MODEL = config_file("symbitron.xml")
+BEGUN, MASS = 13.3, 2.0
+PLACE = (0.2, 0.0, 0.05)
+
+
+@pytest.fixture(scope="module")
+def looks(simulated):
+    """Return, second by second, the time and what was known, through a change at 13.3 s."""
+    bag = simulated(
+        "smooth",
+        moves=11,
+        motion_seed=61,
+        noise_seed=62,
+        payload=Payload("R_thigh", MASS, PLACE),
+        payload_time=BEGUN,
+    )
+    feed = feed_of(bag)
+    job = Job((), MODEL, prior=PriorChoice(percent=25.0))
+    live = OnlineIdentification(Beginning.of(job), feed.selected, Pace(memory=4.0, share=1.0))
+    outcomes = feed.into(live, solving=1.0)
+    live.close()
+    return [(outcome.until * 1e-9, outcome) for outcome in outcomes if outcome is not None]
+
+
+def test_there_is_no_alarm_before_the_change_and_one_soon_after(looks) -> None:
+    alarms = [(time, outcome.change) for time, outcome in looks if outcome.change is not None]
+    first, change = alarms[0]
+    assert BEGUN < first < BEGUN + 5.0
+    assert change.suspect.link == "R_thigh"
+    assert abs(change.since * 1e-9 - BEGUN) < 2.0
+    assert str(change).startswith("R_thigh has changed since 1")
+
+
+def test_what_was_added_is_told_with_the_alarm(looks) -> None:
+    within = [outcome.change for time, outcome in looks if BEGUN + 3.0 < time < BEGUN + 6.0]
+    suspect = within[-1].suspect
+    assert suspect.phi[0] == pytest.approx(MASS, abs=max(3 * suspect.std[0], 0.1))
+    for moment, deviation, place in zip(suspect.phi[1:3], suspect.std[1:3], PLACE, strict=False):
+        assert moment == pytest.approx(MASS * place, abs=max(4 * deviation, 0.03))
+
+
+def test_the_estimate_follows_within_three_memories(looks) -> None:
+    parameters = ParameterSet(load_model(MODEL))
+    index = parameters.names.index("R_thigh/m")
+    time, outcome = looks[-1]
+    assert time > BEGUN + 12.0
+    estimate = outcome.found.estimate
+    truth = parameters.values[index] + MASS
+    near = max(0.1 * truth, 2 * estimate.std[index])
+    assert estimate.value[index] == pytest.approx(truth, abs=near)
+    total = parameters.link_phi(estimate.value)[:, 0].sum()
+    assert total == pytest.approx(41.05 + MASS, abs=0.3)

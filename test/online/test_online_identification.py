@@ -1,0 +1,236 @@
+"""Live messages tell what a bag of them tells, whatever happens between."""
+
+import logging
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_feed import feed_of
+
+from symbid_ros.errors import DataError, EstimateError
+from symbid_ros.estimation.archive import write_archive
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.facts import Facts, PriorChoice
+from symbid_ros.offline.identification import Solver
+from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.record import Processing
+from symbid_ros.online.beginning import Beginning
+from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.share import config_file
+from symbid_ros.signals.filters import LowPass
+
+MODEL = config_file("symbitron.xml")
+LOG = {"scenario": "smooth", "moves": 3, "motion_seed": 51, "noise_seed": 52}
+HURRIED = Pace(share=1.0)
+
+
+@pytest.fixture(scope="module")
+def parameters():
+    return ParameterSet(load_model(MODEL))
+
+
+@pytest.fixture(scope="module")
+def bag(simulated) -> Path:
+    return simulated(**LOG)
+
+
+@pytest.fixture(scope="module")
+def feed(bag):
+    return feed_of(bag)
+
+
+@pytest.fixture(scope="module")
+def offline(bag):
+    return prepare(job((bag,)))
+
+
+@pytest.fixture
+def start(feed):
+    """Begin an online identification, and give it up at the test's end."""
+    begun = []
+
+    def begin(pace=HURRIED, **options):
+        begun.append(OnlineIdentification(Beginning.of(job(**options)), feed.selected, pace))
+        return begun[-1]
+
+    yield begin
+    for one in begun:
+        one.close()
+
+
+def job(bags=(), **options):
+    return Job(bags, MODEL, prior=PriorChoice(percent=25.0), method="map", **options)
+
+
+def gram(observations):
+    """Return RᵀR of the rows and of the noise in them."""
+    return [one.factor.T @ one.factor for one in (observations.rows, observations.noise)]
+
+
+def assert_same(online, offline, *, rel=1e-9):
+    """Compare what was observed over every window: information 1e-9 relative to its size."""
+    assert [one.window for one in online] == [one.window for one in offline]
+    for one, other in zip(online, offline, strict=True):
+        assert one.rows.samples == other.rows.samples
+        np.testing.assert_array_equal(one.counts, other.counts)
+        for found, expected in zip(gram(one), gram(other), strict=True):
+            scale = np.sqrt(np.diag(expected))
+            assert np.all(np.abs(found - expected) <= rel * np.outer(scale, scale))
+
+
+def test_a_log_fed_live_tells_what_its_bag_tells(start, feed, offline) -> None:
+    live = start()
+    outcomes = feed.into(live, solving=1.0)
+    # Estimates on the way know what is new, whole block or not.
+    late = [feed.messages[-1][0] - outcomes[-1].until, 0.0]
+    assert max(late) < 1e9
+    known = [outcome.found.estimate.std for outcome in outcomes]
+    assert np.min(known[-1] / known[0]) < 0.5
+
+    exact = live.solve(exactly=True)
+    solver = offline.solver
+    assert_same(exact.found.observations, solver.problem.observations)
+    value, expected = exact.found.estimate.value, solver.posterior.mean
+    assert np.all(np.abs(value - expected) <= 1e-7 * solver.posterior.std)
+    assert exact.found.estimate.verdict.window == solver.chosen.window
+    assert exact.until == feed.messages[-1][0]
+
+
+def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
+    from symbid_ros.bags.streams.reader import read_streams
+    from symbid_ros.offline.record import fold_record
+    from symbid_ros.signals.samples import moving_segments
+
+    streams = read_streams([bag])
+    live, done = start(), 0.0
+    for stop in (3.0, 4.0, 7.3, 8.0):
+        feed.between(done, stop).into(live)
+        done = stop
+        segments = moving_segments(_cut(streams, stop), parameters.model)
+        cut = fold_record(segments, [bag], parameters, Processing())
+        assert_same(live.solve(exactly=True).found.observations, cut.observations)
+
+
+def _cut(streams, stop):
+    """Return the streams up to ``stop``, s."""
+
+    def part(stream, *names):
+        kept = stream.stamp * 1e-9 < stop
+        return replace(stream, **{name: getattr(stream, name)[kept] for name in names})
+
+    joints = part(streams.joints, "stamp", "position", "velocity", "effort")
+    imus = tuple(
+        part(one, "stamp", "orientation", "angular_velocity", "linear_acceleration")
+        for one in streams.imus
+    )
+    wrenches = tuple(part(one, "stamp", "force", "torque") for one in streams.wrenches)
+    return replace(streams, joints=joints, imus=imus, wrenches=wrenches)
+
+
+def test_bursts_and_overtaking_change_nothing(start, feed, offline) -> None:
+    live = start()
+    # Each topic comes in bursts of a quarter of a second, and within it backwards in pairs.
+    shuffled = sorted(
+        enumerate(feed.messages),
+        key=lambda entry: (entry[1][0] // 250_000_000, entry[1][1].name, -entry[0] // 8),
+    )
+    replace(feed, messages=tuple(message for _, message in shuffled)).into(live, solving=0.7)
+    observations = live.solve(exactly=True).found.observations
+    assert_same(observations, offline.solver.problem.observations)
+
+
+def test_a_clock_that_jumps_back_begins_anew_and_loses_nothing(
+    start, feed, offline, caplog: pytest.LogCaptureFixture
+) -> None:
+    live = start()
+    with caplog.at_level(logging.WARNING):
+        feed.into(live, solving=2.0)
+        # What is left over of the old time comes late, behind the first of the new one.
+        first, *others = feed.messages
+        *_, straggler = (m for m in feed.messages if m[1] != first[1])
+        replace(feed, messages=(first, straggler, *others)).into(live, solving=2.0)
+    assert [record for record in caplog.records if "jumps back" in record.message]
+    assert (live.clock_jumps, live.streams.stale) == (1, 1)
+    twice = [one.merge(one) for one in offline.solver.problem.observations]
+    assert_same(live.solve(exactly=True).found.observations, twice)
+
+
+def test_a_run_goes_on_where_an_earlier_one_ended(start, feed, offline, tmp_path: Path) -> None:
+    first = start()
+    feed.between(0.0, 8.0).into(first)
+    saved = first.solve(exactly=True).found
+    write_archive(tmp_path / "information.npz", saved.observations)
+    second = start(information=tmp_path / "information.npz")
+    feed.between(8.0, np.inf).into(second)
+    observations = second.solve(exactly=True).found.observations
+    assert_same(observations, offline.solver.problem.observations)
+
+
+def test_old_rows_fade_and_with_them_the_prior(start, feed, offline) -> None:
+    live = start(Pace(memory=2.0, share=1.0))
+    feed.into(live)
+    faded = live.solve(exactly=True)
+    (known,) = (o for o in faded.found.observations if o.window == 0.161)
+    seconds = (feed.messages[-1][0] // 4_000_000_000 * 4) + 1e-9  # whole blocks, then the rest
+    kept = np.exp(-(feed.messages[-1][0] + 1) * 1e-9 / 2.0)
+    assert known.kept == pytest.approx(kept, rel=1e-9)
+    assert known.rows.samples < seconds * 1e9
+    # A steady state of rows at one rate keeps as many as come in one memory.
+    rate = 2 / 0.161
+    assert known.rows.samples == pytest.approx(2.0 * rate, rel=0.7)
+    unfaded = Solver.of(replace(offline.solver.problem, observations=(known,)))
+    widened = faded.found.estimate.std / faded.found.estimate.prior
+    assert np.all(np.isfinite(widened))
+    assert unfaded.posterior.prior.std == pytest.approx(2 * offline.prior.std)
+
+
+def test_a_silent_topic_costs_blocks_and_is_named(start, feed) -> None:
+    live = start(Pace(lag=0.3, share=1.0))
+    feed.between(0.0, 2.0).into(live)
+    feed.between(2.0, np.inf).without("/left_foot/wrench").into(live)
+    live.advance()
+    assert live.lost_blocks == (feed.messages[-1][0] * 1e-9 - 0.3) // 4 - 1 > 0
+    # A block is looked at with some of its surroundings.
+    assert "/left_foot/wrench was silent from 3.900 s to 8.100 s" in live.faults[0]
+
+
+def test_late_and_missing_messages_are_counted(start, feed) -> None:
+    live = start()
+    some = feed.between(0.0, 6.0)
+    dropped = [m for m in some.messages if not 1.0 < m[0] * 1e-9 < 1.0045 or "imu" not in m[1].name]
+    replace(some, messages=tuple(dropped)).into(live)
+    live.advance()
+    by_name = {topic.name: buffer for topic, buffer in live.streams.buffers.items()}
+    assert by_name["/imu/data"].missing == 4
+    assert by_name["/joint_states"].missing == 0
+    _, topic, payload = feed.messages[0]
+    live.feed(topic, payload)  # another 6 s back: a new time, not a late message
+    assert live.clock_jumps == 1
+    live.feed(topic, payload)
+    assert by_name[topic.name].late == 0
+
+
+def test_a_robot_whose_forces_do_not_carry_it_is_refused(feed) -> None:
+    gone = feed.selected.wrenches[0]
+    halved = replace(feed.selected, wrenches=feed.selected.wrenches[1:])
+    other = OnlineIdentification(Beginning.of(job()), halved, HURRIED)
+    feed.between(0.0, 3.0).without(gone.name).into(other)
+    with pytest.raises(DataError, match=r"differ by \d+ % of the prior's weight"):
+        other.solve()
+    other.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"processing": Processing(LowPass())}, "leave the filter out"),
+        ({"facts": Facts(sensor_errors=("plate_offset",))}, "several passes"),
+        ({"rank": 3}, "cuts off no singular values"),
+    ],
+    ids=["filter", "sensor errors", "rank"],
+)
+def test_what_takes_a_whole_log_is_refused(start, options, says) -> None:
+    with pytest.raises(EstimateError, match=says):
+        start(**options)
