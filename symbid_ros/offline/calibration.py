@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.bags.reader import read_streams
-from symbid_ros.bags.selection import TopicSelection
+from symbid_ros.bags.streams.reader import read_streams
+from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
@@ -143,7 +143,7 @@ def calibrate(
     known : SoftRows, optional
         What else is known of the robot.
     """
-    segment = record.segments[0]
+    segment = next(iter(record.segments))
     errors = SensorErrors.of(
         wanted.kinds, parameters.model, segment.wrench_frames, segment.imu_frames
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.bags.reader import read_streams, read_truth
+from symbid_ros.bags.streams.reader import read_streams, read_truth
 from symbid_ros.dynamics.centroid import first_moment_regressor, momentum_regressor
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, generalised_force

@@ -9,6 +9,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.fading import faded_prior, faded_rows
 from symbid_ros.estimation.knowledge import Bounds
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.physical import consistent_minimum
@@ -16,7 +17,7 @@ from symbid_ros.estimation.posterior import SETTLED, Posterior, posterior
 from symbid_ros.estimation.thesis import LeastSquares
 from symbid_ros.estimation.thesis import Method as TruncatedMethod
 from symbid_ros.estimation.truncation import informative_rank, select_rank
-from symbid_ros.estimation.verdict import DETERMINED, SUSPICIOUS_NOISE, judge
+from symbid_ros.estimation.verdict import DETERMINED, SUSPICIOUS_NOISE, alarms, judge
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.offline.problem import Method, Problem, Truncation
 
@@ -67,31 +68,13 @@ class Solver:
         Where noise is most of what some direction is told, its estimate leaves a bias larger than
         the deviations: such windows are passed over for others.
         """
-        parameters = problem.parameters
-        candidates = problem.observations[-1:] if problem.longest else problem.observations
+        best, near = most_telling(problem)
+        return cls(problem, best, _solved(problem, best, near, SETTLED))
 
-        def solved(one: Observations, start: FloatArray | None, *, rough: bool) -> Posterior:
-            return posterior(
-                one,
-                problem.prior,
-                problem.known,
-                empirical=problem.empirical,
-                count=parameters.inertial,
-                settled=COMPARABLE if rough else SETTLED,
-                start=start,
-                rough=rough,
-            )
-
-        if len(candidates) == 1:
-            return cls(problem, candidates[0], solved(candidates[0], None, rough=False))
-        # Which of them it is shows long before weights and solution have settled.
-        found: list[Posterior] = []
-        for one in candidates:
-            found.append(solved(one, found[-1].mean if found else None, rough=True))
-        best = _telling(found, len(parameters))
-        return cls(
-            problem, candidates[best], solved(candidates[best], found[best].mean, rough=False)
-        )
+    @classmethod
+    def roughly(cls, problem: Problem, chosen: Observations, start: FloatArray | None) -> "Solver":
+        """Solve over one window to a hundredth of a deviation, from parameters that are near."""
+        return cls(problem, chosen, _solved(problem, chosen, start, COMPARABLE, rough=True))
 
     @property
     def whiteness(self) -> float:
@@ -101,13 +84,18 @@ class Solver:
             return 0.0
         return whiteness(observations[0], observations[-1], self.posterior.mean)
 
-    def map(self) -> Identification:
-        """Return the most probable parameters."""
-        return self._gaussian("map", self.posterior.mean)
+    @property
+    def alarms(self) -> tuple[str, ...]:
+        """What is wrong, one line each."""
+        return alarms(self.posterior, self.whiteness)
 
-    def map_lmi(self) -> Identification:
-        """Return the most probable parameters of physically possible links."""
-        return self._gaussian("map_lmi", self.possible())
+    def map(self, *, judged: bool = True) -> Identification:
+        """Return the most probable parameters, with or without a verdict."""
+        return self._gaussian("map", self.posterior.mean, judged=judged)
+
+    def map_lmi(self, *, judged: bool = True) -> Identification:
+        """Return the most probable parameters of physically possible links, likewise."""
+        return self._gaussian("map_lmi", self.possible(), judged=judged)
 
     def possible(self) -> FloatArray:
         """Return the most probable unknowns with physically possible links, (p,) and more.
@@ -123,18 +111,20 @@ class Solver:
             Bounds.nonnegative(parameters) if parameters.terms else None,
         ).value
 
-    def _gaussian(self, method: Method, value: FloatArray) -> Identification:
+    def _gaussian(self, method: Method, value: FloatArray, *, judged: bool) -> Identification:
         found, problem = self.posterior, self.problem
         p = len(problem.parameters)
         singular = np.linalg.svd(found.factor * found.prior.std, compute_uv=False)
-        verdict = judge(
-            found,
-            value,
-            problem.parameters,
-            window=self.chosen.window,
-            whiteness=self.whiteness,
-            sensors=(problem.sensor_names, problem.sensors),
-        )
+        verdict = None
+        if judged:
+            verdict = judge(
+                found,
+                value,
+                problem.parameters,
+                window=self.chosen.window,
+                whiteness=self.whiteness,
+                sensors=(problem.sensor_names, problem.sensors),
+            )
         estimate = self._estimate(
             method,
             value[:p],
@@ -221,7 +211,7 @@ class Solver:
             determined=np.asarray(std < DETERMINED * prior.std[:p]),
             rank=rank,
             condition=condition,
-            samples=self.chosen.rows.samples,
+            samples=round(self.chosen.rows.samples),
             residual_rmse=residuals,
             consistent={
                 link: is_consistent(phi)
@@ -230,6 +220,41 @@ class Solver:
             inputs=self.problem.inputs,
             software=f"symbid_ros {version('symbid_ros')}",
         )
+
+
+def most_telling(problem: Problem) -> tuple[Observations, FloatArray | None]:
+    """Return the window as of `Solver.of`, and parameters near its solution if they are known."""
+    candidates = problem.observations[-1:] if problem.longest else problem.observations
+    if len(candidates) == 1:
+        return candidates[0], None
+    # Which of them it is shows long before weights and solution have settled.
+    found: list[Posterior] = []
+    for one in candidates:
+        near = found[-1].mean if found else None
+        found.append(_solved(problem, one, near, COMPARABLE, rough=True))
+    best = _telling(found, len(problem.parameters))
+    return candidates[best], found[best].mean
+
+
+def _solved(
+    problem: Problem,
+    one: Observations,
+    start: FloatArray | None,
+    settled: float,
+    *,
+    rough: bool = False,
+) -> Posterior:
+    # Nothing has faded unless old rows have, and 1 changes no digit.
+    return posterior(
+        one,
+        faded_prior(problem.prior, one.kept),
+        faded_rows(problem.known, one.kept),
+        empirical=problem.empirical,
+        count=problem.parameters.inertial,
+        settled=settled,
+        start=start,
+        rough=rough,
+    )
 
 
 def _telling(found: Sequence[Posterior], count: int) -> int:

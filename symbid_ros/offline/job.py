@@ -4,6 +4,7 @@ import logging
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from symbid_ros.bags.streams.slices import ALL_OF_IT
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.observations import Observations
@@ -15,10 +16,11 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet, Term, neglected_terms
 from symbid_ros.model.urdf import Base
 from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
+from symbid_ros.offline.examination import examine
 from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.identification import Identification, Solver
 from symbid_ros.offline.problem import GAUSSIAN, METHODS, Method, Problem, Truncation
-from symbid_ros.offline.record import Processing, Record, check_weight, read_record
+from symbid_ros.offline.record import Processing, Record, read_record
 
 logger = logging.getLogger(__name__)
 
@@ -55,6 +57,8 @@ class Job:
         What to choose it by.
     sensors : SensorDeviation or None
         Weigh rows of the truncated methods by sensor noise (Eq. 28), not residuals (Eq. 29).
+    unchecked : bool
+        Do not hold the data against the model before they are believed.
     """
 
     bags: tuple[Path, ...]
@@ -70,6 +74,7 @@ class Job:
     validation: Path | None = None
     criterion: Criterion = "gen_force"
     sensors: SensorDeviation | None = None
+    unchecked: bool = False
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -127,24 +132,18 @@ def prepare(job: Job) -> Prepared:
     SymbidError
         When a file, its data or the job itself does not serve.
     """
-    _check(job)
-    parameters = ParameterSet(load_model(job.model, job.base), job.terms)
-    for term, joints in neglected_terms(parameters).items():
-        logger.warning(
-            "%s states %s of %s, which is not identified and taken as zero",
-            job.model,
-            term,
-            ", ".join(joints),
-        )
+    check(job)
+    parameters = load_parameters(job)
     prior = job.prior.load(parameters)
     known = job.facts.rows(parameters, prior)
     record = read_record(job.bags, parameters, job.processing)
     validation = None
     if job.validation is not None:
-        validation = read_record([job.validation], parameters, job.processing)
-    if job.processing.topics.wrenches is None:
+        whole = replace(job.processing, part=ALL_OF_IT)
+        validation = read_record([job.validation], parameters, whole)
+    if not job.unchecked:
         for one in filter(None, (record, validation)):
-            check_weight(one, parameters, prior)
+            examine(one, parameters, prior, job.processing.topics)
     return Prepared(
         job,
         parameters,
@@ -155,8 +154,33 @@ def prepare(job: Job) -> Prepared:
     )
 
 
-def _check(job: Job) -> None:
-    """Refuse what the method cannot take: an option without effect is a misunderstanding."""
+def load_parameters(job: Job) -> ParameterSet:
+    """Return the columns of a job's robot, and warn of what its file states beside them.
+
+    Raises
+    ------
+    ModelError
+        When the file does not serve.
+    """
+    parameters = ParameterSet(load_model(job.model, job.base), job.terms)
+    for term, joints in neglected_terms(parameters).items():
+        logger.warning(
+            "%s states %s of %s, which is not identified and taken as zero",
+            job.model,
+            term,
+            ", ".join(joints),
+        )
+    return parameters
+
+
+def check(job: Job) -> None:
+    """Refuse what the method cannot take: an option without effect is a misunderstanding.
+
+    Raises
+    ------
+    EstimateError
+        When an option is of no use with another.
+    """
     if job.method not in METHODS:
         raise EstimateError(f"no method {job.method!r}; choose one of {', '.join(METHODS)}")
     if job.rank is not None and job.validation is not None:

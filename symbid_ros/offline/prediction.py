@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.bags.reader import read_streams, read_truth
+from symbid_ros.bags.streams.reader import read_streams, read_truth
 from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regressor
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.imu import BaseMotion, base_motion

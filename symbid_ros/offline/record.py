@@ -1,21 +1,21 @@
 """From bags to information: everything that happens before a method is chosen."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from symbid_ros.bags.reader import read_streams
-from symbid_ros.bags.selection import TopicSelection
+from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.bags.streams.slices import ALL_OF_IT, TimeRange
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.estimation.prior import Prior
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.offline.sensor_log import SensorLog
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import (
     Channels,
@@ -26,8 +26,7 @@ from symbid_ros.signals.filters import (
 )
 from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.readings import at_base, smoothed
-from symbid_ros.signals.samples import build_samples, joined, moving_segments
-from symbid_ros.signals.streams import Streams
+from symbid_ros.signals.samples import build_samples, joined
 from symbid_ros.signals.weak_form import (
     WINDOWS,
     RowBuilder,
@@ -38,10 +37,8 @@ from symbid_ros.signals.weak_form import (
 
 BLOCK = 1024  # samples whose rows are built at once
 
-# Share of the expected weight by which forces may miss it before a plate is thought missing.
-WEIGHT_TOLERANCE = 0.35
-# Instants at which that is looked at, and sensor noise carried over to the rows.
-PROBES = 1000
+# Seconds between instants at which sensor noise is carried over to the rows.
+PROBE_PERIOD = 0.05
 
 
 @dataclass(frozen=True)
@@ -57,11 +54,14 @@ class Processing:
         Lengths of those windows to try, s.
     topics : TopicSelection
         Which topics are the robot's sensors.
+    part : TimeRange
+        Which part of the log.
     """
 
     smoothing: Smoothing | None = None
     windows: tuple[float, ...] = WINDOWS
     topics: TopicSelection = field(default_factory=TopicSelection)
+    part: TimeRange = ALL_OF_IT
 
     def __str__(self) -> str:
         """Return what a report says of it."""
@@ -77,6 +77,8 @@ def processing(
     cutoff: float | None,
     channels: Channels | None,
     topics: TopicSelection,
+    *,
+    part: TimeRange = ALL_OF_IT,
 ) -> Processing:
     """Return the processing that options ask for; None leaves them as they are by default.
 
@@ -93,10 +95,13 @@ def processing(
         if window is not None:
             raise DataError("butterworth has no window; give a cutoff, or another filter")
         filtered = LowPass() if cutoff is None else LowPass(cutoff)
-        return Processing(replace(filtered, channels=channels or filtered.channels), topics=topics)
+        smoothing: Smoothing = replace(filtered, channels=channels or filtered.channels)
+        return Processing(smoothing, topics=topics, part=part)
     if name == "savitzky_golay":
-        return Processing(SavitzkyGolay(window or SavitzkyGolay.window), topics=topics)
-    return Processing(windows=WINDOWS if window is None else (window,), topics=topics)
+        smoothing = SavitzkyGolay(window or SavitzkyGolay.window)
+        return Processing(smoothing, topics=topics, part=part)
+    windows = WINDOWS if window is None else (window,)
+    return Processing(windows=windows, topics=topics, part=part)
 
 
 @dataclass(frozen=True)
@@ -107,8 +112,8 @@ class Record:
     ----------
     bags : tuple of Path
         Where it came from.
-    segments : tuple of Segment
-        Aligned sensor channels, as they were recorded.
+    segments : iterable of Segment
+        Aligned sensor channels, as they were recorded; a long log is read again for them.
     samples : Samples
         Motion and forces after filtering, at instants far enough apart to be few.
     observations : tuple of Observations
@@ -116,7 +121,7 @@ class Record:
     """
 
     bags: tuple[Path, ...]
-    segments: tuple[Segment, ...]
+    segments: Iterable[Segment]
     samples: Samples
     observations: tuple[Observations, ...]
 
@@ -124,7 +129,7 @@ class Record:
 def read_record(
     bags: Sequence[Path], parameters: ParameterSet, processing: Processing | None = None
 ) -> Record:
-    """Read bags, build samples and fold their rows.
+    """Read bags piece by piece, build samples and fold their rows.
 
     Raises
     ------
@@ -132,13 +137,18 @@ def read_record(
         When a bag, its data or the model does not serve; the message says which.
     """
     processing = processing or Processing()
-    return fold_record(read_streams(bags, processing.topics), bags, parameters, processing)
+    log = SensorLog(bags, parameters.model, processing.topics, processing.part)
+    segments = log if processing.smoothing is None else log.whole_stretches()
+    return fold_record(segments, bags, parameters, processing)
 
 
 def fold_record(
-    streams: Streams, bags: Sequence[Path], parameters: ParameterSet, processing: Processing
+    segments: Iterable[Segment],
+    bags: Sequence[Path],
+    parameters: ParameterSet,
+    processing: Processing,
 ) -> Record:
-    """Do the same with streams that have been read from these bags.
+    """Do the same with stretches that have been read from these bags.
 
     Raises
     ------
@@ -146,27 +156,32 @@ def fold_record(
         When the data or the model does not serve; the message says which.
     """
     model, smoothing = parameters.model, processing.smoothing
-    segments = moving_segments(streams, model)
+    source = ", ".join(map(str, bags))
     if smoothing is None:
         layout = RowLayout.of(parameters)
-        observations = observe(segments, equation_rows(parameters), layout, processing.windows)
-        samples = _probes(segments, model)
+        probes: list[Samples] = []
+        observations = observe(
+            _probed(segments, model, probes), equation_rows(parameters), layout, processing.windows
+        )
+        samples = joined(probes)
         observations = tuple(one for one in observations if one.rows.samples > 0)
         if not observations:
             raise DataError(
-                f"{streams.source}: the log is too short, not even a window of "
+                f"{source}: the log is too short, not even a window of "
                 f"{1e3 * min(processing.windows):g} ms fits into it; record longer"
             )
     else:
-        samples = build_samples(streams, model, smoothing)
-        inflation = row_inflation(smoothing, segments[0].rate)
+        stretches = tuple(segments)
+        samples = build_samples(stretches, model, smoothing, source)
+        inflation = row_inflation(smoothing, stretches[0].rate)
         rows = (sampled_rows(parameters, block) for block in samples.blocks(BLOCK))
         observations = (Observations.unwindowed(RowLayout.of(parameters), rows, inflation),)
+        segments = stretches
     return Record(tuple(bags), segments, samples, observations)
 
 
 def observe(
-    segments: Sequence[Segment],
+    segments: Iterable[Segment],
     build: RowBuilder,
     layout: RowLayout,
     windows: Sequence[float],
@@ -182,37 +197,13 @@ def observe(
     return tuple(observations)
 
 
-def _probes(segments: Sequence[Segment], model: RobotModel) -> Samples:
-    """Return unfiltered samples at few instants."""
-    stride = max(1, sum(map(len, segments)) // PROBES)
-    return joined([at_base(smoothed(s, LowPass(0))[::stride], model) for s in segments])
-
-
-def check_weight(record: Record, parameters: ParameterSet, prior: Prior) -> None:
-    """Refuse a floating robot whose measured forces do not carry it.
-
-    A forgotten plate leaves an equation of motion that is wrong by tens of percent, which no
-    method notices by itself. Nothing is checked when the wrench topics were named
-    by hand.
-
-    Raises
-    ------
-    DataError
-        When the base's force rows miss what the prior expects by more than
-        ``WEIGHT_TOLERANCE`` times its weight.
-    """
-    model = parameters.model
-    if not model.floating:
-        return
-    rows = record.observations[0].rows
-    moment = rows.residual_moment(prior.mean).diagonal() / max(rows.samples, 1)
-    weight = np.linalg.norm(model.gravity) * parameters.link_phi(prior.mean)[:, 0].sum()
-    missing = np.sqrt(moment[3:6].sum()) / weight
-    if missing > WEIGHT_TOLERANCE:
-        bags = ", ".join(map(str, record.bags))
-        frames = ", ".join(record.samples.wrench_frames) or "none"
-        raise DataError(
-            f"{bags}: the wrenches measured (frames: {frames}) differ by {100 * missing:.0f} % of "
-            "the prior's weight from what the motion needs; record the wrench of every contact, or "
-            "name the wrench topics yourself to go on with these"
-        )
+def _probed(
+    segments: Iterable[Segment], model: RobotModel, probes: list[Samples]
+) -> Iterator[Segment]:
+    """Pass stretches on and keep unfiltered samples at few of their instants."""
+    for segment in segments:
+        stride = max(1, int(PROBE_PERIOD * segment.rate))
+        # Chosen by index, not by slice: a view would hold the whole stretch in memory.
+        few = np.arange(0, len(segment), stride)
+        probes.append(at_base(smoothed(segment, LowPass(0))[few], model))
+        yield segment

@@ -1,12 +1,12 @@
 """What can be evaluated: the folder of an identification, its estimate.json, a prior.json."""
 
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.documents import load_json
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import load_deviation_factor
 from symbid_ros.estimation.estimate import Estimate, load_estimate
@@ -88,7 +88,7 @@ def _ordered(estimate: Estimate, order: list[int]) -> Estimate:
 def _is_prior(file: Path) -> bool:
     """Tell prior.json by its kind; whatever cannot be read is left to the estimate's reader."""
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = load_json(file)
     except (OSError, ValueError):
         return False
     return isinstance(document, dict) and "kind" in document and "method" not in document

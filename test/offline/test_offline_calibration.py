@@ -10,7 +10,7 @@ from foreign_bags import imu, joint_state, wrench, write_rosbags
 from random_robots import CONFIG, random_robot
 
 from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
-from symbid_ros.bags.selection import TopicSelection
+from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.errors import DataError, EstimateError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
@@ -145,7 +145,7 @@ class TestCure:
 
     def test_the_sensors_errors_are_found_within_their_uncertainty(self, cured, wrong):
         verdict = cured.solve("map_lmi").estimate.verdict
-        segment = cured.record.segments[0]
+        segment = next(iter(cured.record.segments))
         errors = SensorErrors.of(
             KINDS, cured.parameters.model, segment.wrench_frames, segment.imu_frames
         )

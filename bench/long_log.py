@@ -1,0 +1,90 @@
+"""How much memory a long log takes: it is read slice by slice, so hardly more than a short one.
+
+One simulated Symbitron log is written again and again with later stamps until it has the length
+asked for, and identified in a process of its own. Shown are the time and the peak memory.
+
+    .venv/bin/python bench/long_log.py [--minutes 2 20 60]
+
+Takes about 12 s a minute of log, and 30 MB of disk.
+"""
+
+import argparse
+import multiprocessing
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from reading import peak_memory
+
+from symbid_ros.bags.container.contents import all_blocks
+from symbid_ros.bags.messages import fill_stamp, read_stamp
+from symbid_ros.bags.streams.decoder import TopicDecoder
+from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.offline.facts import PriorChoice
+from symbid_ros.offline.job import Job, prepare
+from symbid_ros.share import config_file
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+MODEL = config_file("symbitron.xml")
+
+
+def lengthened(log: Path, out: Path, minutes: float) -> None:
+    """Write the sensor messages of a log until they last so long."""
+    decoders: dict[str, TopicDecoder] = {}
+    for block in all_blocks([log]):
+        for topic, spans in block.spans.items():
+            if "ground_truth" not in topic.name:
+                decoder = decoders.setdefault(topic.name, TopicDecoder(str(log), topic))
+                decoder.add(block.data, spans)
+    pieces = {name: decoder.pieces for name, decoder in decoders.items()}
+    stamps = {name: [read_stamp(p.records) for p in parts] for name, parts in pieces.items()}
+    length = max(int(part[-1]) for parts in stamps.values() for part in parts)
+    with BagWriter(out) as bag:
+        channels = {
+            name: bag.add_topic(name, decoder.topic.msgtype) for name, decoder in decoders.items()
+        }
+        for round_number in range(int(np.ceil(minutes * 60e9 / length))):
+            for number in range(len(next(iter(pieces.values())))):
+                for name, parts in pieces.items():
+                    piece, stamp = parts[number], stamps[name][number] + round_number * length
+                    fill_stamp(piece.layout.columns(piece.records), stamp)
+                    for row, at in enumerate(stamp.tolist()):
+                        bag.write(channels[name], at, piece.records[row].tobytes())
+
+
+def identify(bag: Path) -> tuple[float, float]:
+    """Return seconds and peak memory in MB of one identification."""
+    begun = time.perf_counter()
+    job = Job((bag,), MODEL, prior=PriorChoice(percent=25.0), method="map")
+    prepare(job).solve("map")
+    took = time.perf_counter() - begun
+    return took, peak_memory()
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--minutes", type=float, nargs="+", default=[2.0, 20.0, 60.0])
+    arguments = parser.parse_args()
+    spawn = multiprocessing.get_context("spawn")
+    print("minutes   MB of bag       s   peak MB")
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder) / "log"
+        record(Simulator(moves=20, motion_seed=1, noise_seed=2), log)
+        for minutes in arguments.minutes:
+            bag = Path(folder) / "long"
+            lengthened(log, bag, minutes)
+            size = sum(file.stat().st_size for file in bag.iterdir()) * 1e-6
+            with ProcessPoolExecutor(1, mp_context=spawn) as pool:
+                took, peak = pool.submit(identify, bag).result()
+            print(f"{minutes:7g} {size:11.0f} {took:7.0f} {peak:9.0f}", flush=True)
+            for file in bag.iterdir():
+                file.unlink()
+            bag.rmdir()
+
+
+if __name__ == "__main__":
+    main()

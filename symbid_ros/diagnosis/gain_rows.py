@@ -1,0 +1,203 @@
+"""Rows of the equation of motion in which the sensors' gains are unknowns.
+
+A gain is what readings must be multiplied by to become what the robot felt: a 3×3 matrix A on
+both vectors of a wrench, M on an IMU's specific force, a number g on a joint's effort. With the
+delay d of each of them against the joints' positions, x(t) = gain x'(t + d) for a reading x',
+and the equation of motion
+
+    K φ + Σ ∂(K φ)/∂a (M - 1) a' = Σ Jᵀ A f' + g τ' + delays times what changes
+
+is linear in φ, A - 1, M - 1, g - 1 and the delays together, but for the product of the errors of
+φ and M: a sign, a wrong frame and a wrong unit are as exact in it as a small error. What the
+model's inertias and its joints' friction may be wrong by is φ's to say, not theirs.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.imu import BaseMotion
+from symbid_ros.dynamics.kinematics import LinkPoses, joint_axes, link_poses
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.readings import Readings, at_base
+from symbid_ros.signals.weak_form import RowBuilder, SampledRows
+
+CHUNK = 512
+PER_SENSOR = 10  # unknowns of a wrench sensor or an IMU: its matrix row by row, then its delay
+
+
+@dataclass(frozen=True)
+class SensorGains:
+    """The unknowns of a log's sensors: wrenches, IMUs, efforts of driven joints, their delay.
+
+    Attributes
+    ----------
+    wrench_frames, imu_frames : tuple of str
+        F and I sensors.
+    driven : tuple of int
+        Which D of the model's joints are driven.
+    joint_names : tuple of str
+        Theirs.
+    """
+
+    wrench_frames: tuple[str, ...]
+    imu_frames: tuple[str, ...]
+    driven: tuple[int, ...]
+    joint_names: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, model: RobotModel, wrench_frames: tuple[str, ...], imu_frames: tuple[str, ...]
+    ) -> "SensorGains":
+        """Return those of the sensors that a log has; a fixed base needs no IMU."""
+        driven = tuple(place for place, joint in enumerate(model.joints) if joint.effort > 0)
+        names = tuple(model.joint_names[place] for place in driven)
+        return cls(wrench_frames, imu_frames if model.floating else (), driven, names)
+
+    def __len__(self) -> int:
+        return self.effort_delay + 1
+
+    def wrench(self, index: int) -> slice:
+        """Return the places of a wrench sensor's A."""
+        return slice(PER_SENSOR * index, PER_SENSOR * index + 9)
+
+    def imu(self, index: int) -> slice:
+        """Return the places of an IMU's M."""
+        return self.wrench(len(self.wrench_frames) + index)
+
+    @property
+    def efforts(self) -> slice:
+        """The places of the driven joints' g."""
+        first = PER_SENSOR * (len(self.wrench_frames) + len(self.imu_frames))
+        return slice(first, first + len(self.driven))
+
+    @property
+    def effort_delay(self) -> int:
+        """The place of the delay of all efforts."""
+        return int(self.efforts.stop)
+
+    @cached_property
+    def is_delay(self) -> BoolArray:
+        """(r,) which unknowns are delays."""
+        delay = np.zeros(len(self), dtype=bool)
+        delay[PER_SENSOR - 1 : self.efforts.start : PER_SENSOR] = delay[self.effort_delay] = True
+        return delay
+
+    @cached_property
+    def is_imu(self) -> BoolArray:
+        """(r,) which unknowns belong to an IMU's matrix."""
+        place = np.arange(len(self))
+        first = PER_SENSOR * len(self.wrench_frames)
+        is_imu: BoolArray = (place >= first) & (place < self.efforts.start) & ~self.is_delay
+        return is_imu
+
+    def structure(self, model: RobotModel) -> BoolArray:
+        """Return which coordinates (n, r) each unknown can reach."""
+        first = 6 * model.floating
+        reach = np.zeros((model.dof, len(self)), dtype=bool)
+        for index, frame in enumerate(self.wrench_frames):
+            columns = slice(PER_SENSOR * index, PER_SENSOR * (index + 1))
+            reach[:first, columns] = True
+            reach[first:, columns] = model.ancestors[:, model.frame(frame).link][:, None]
+        reach[:, PER_SENSOR * len(self.wrench_frames) : self.efforts.start] = True
+        rows, columns_ = self._efforts(model)
+        reach[rows, columns_] = reach[rows, self.effort_delay] = True
+        return reach
+
+    def _efforts(self, model: RobotModel) -> tuple[IntArray, IntArray]:
+        """Return the coordinates of the driven joints and the places of their gains."""
+        driven = np.array(self.driven, dtype=np.int64)
+        return 6 * model.floating + driven, self.efforts.start + np.arange(len(driven))
+
+    def columns(self, parameters: ParameterSet, readings: Readings) -> FloatArray:
+        """Return C (N, n, r): what a unit of each unknown adds to y."""
+        model, count, sensors = parameters.model, len(readings), len(self.wrench_frames)
+        C = np.zeros((count, model.dof, len(self)))
+        poses = link_poses(model, readings.position)
+        time = (readings.stamp - readings.stamp[0]) * 1e-9
+
+        def slope(values: FloatArray) -> FloatArray:
+            return np.gradient(values, time, axis=0) if count > 1 else np.zeros_like(values)
+
+        parts = C[:, :, : self.efforts.start].reshape(count, model.dof, -1, PER_SENSOR)
+        if sensors:
+            felt = contact_jacobian(model, self.wrench_frames, poses).transpose(0, 2, 1)
+            felt = felt.reshape(count, model.dof, sensors, 2, 3)
+            read = readings.wrenches.reshape(count, sensors, 2, 3)
+            matrix = np.einsum("tnfci,tfck->tnfik", felt, read, optimize=True)
+            parts[:, :, :sensors, :9] = matrix.reshape(count, model.dof, sensors, 9)
+            parts[:, :, :sensors, 9] = np.einsum(
+                "tnfci,tfci->tnf", felt, slope(read), optimize=True
+            )
+        if self.imu_frames:
+            pulled = pull(parameters, poses)
+            for index, frame in enumerate(self.imu_frames):
+                mount = model.frame(frame)
+                axes = poses.rotation[:, mount.link] @ mount.rotation / len(self.imu_frames)
+                read = readings.imus[index].specific_force
+                matrix = np.einsum("tnc,tci,tk->tnik", pulled, axes, read, optimize=True)
+                parts[:, :, sensors + index, :9] = -matrix.reshape(count, model.dof, 9)
+                late = _late_imu(readings, index, slope)
+                rows = equation_of_motion(parameters, at_base(late, model))
+                parts[:, :, sensors + index, 9] = -rows.K @ parameters.values
+        C[:, :, : self.efforts.start] = parts.reshape(count, model.dof, -1)
+        rows_, columns_ = self._efforts(model)
+        effort = readings.effort[:, list(self.driven)]
+        C[:, rows_, columns_] = effort
+        C[:, rows_, self.effort_delay] = slope(effort)
+        return C
+
+
+def pull(parameters: ParameterSet, poses: LinkPoses) -> FloatArray:
+    """Return ∂(K φ)/∂a (N, n, 3): what a unit of specific force, in base axes, asks for.
+
+    A joint carries masses M with first moment c about the base's origin: its axis (s; v) feels
+    s·(c × a) + M v·a.
+    """
+    model = parameters.model
+    mass = model.phi[:, 0]
+    first = mass[:, None] * poses.position + np.einsum(
+        "nlij,lj->nli", poses.rotation, model.phi[:, 1:4]
+    )
+    axes = joint_axes(model, poses)
+    carries = model.ancestors.astype(np.float64)
+    carried = np.einsum("jl,nli->nji", carries, first)
+    felt = np.cross(axes[..., :3], carried) + (carries @ mass)[:, None] * axes[..., 3:]
+    if not model.floating:
+        return felt
+    unit = np.broadcast_to(np.eye(3), (len(felt), 3, 3))
+    moment = np.cross(unit, first.sum(axis=1)[:, None])
+    return np.concatenate([moment, mass.sum() * unit, felt], axis=1)
+
+
+def _late_imu(
+    readings: Readings, index: int, slope: Callable[[FloatArray], FloatArray]
+) -> Readings:
+    """Return what changes in a second of an IMU's accelerations, all else at rest."""
+    nothing = np.zeros_like(readings.position)
+    still = np.zeros_like(readings.imus[index].specific_force)
+    imus = [BaseMotion(still, still, still)] * len(readings.imus)
+    imu = readings.imus[index]
+    imus[index] = BaseMotion(still, slope(imu.angular_acceleration), slope(imu.specific_force))
+    return replace(readings, velocity=nothing, acceleration=nothing, imus=tuple(imus))
+
+
+def gain_rows(parameters: ParameterSet, gains: SensorGains) -> RowBuilder:
+    """Return what builds rows of [K, -C] [φ; θ] = y from readings."""
+    model = parameters.model
+
+    def build(readings: Readings) -> Iterator[SampledRows]:
+        for start in range(0, len(readings), CHUNK):
+            part = readings[start : start + CHUNK]
+            rows = equation_of_motion(parameters, at_base(part, model))
+            K = np.concatenate([rows.K, -gains.columns(parameters, part)], axis=2)
+            valid = np.ones(rows.y.shape, dtype=bool)
+            yield SampledRows(part.stamp, Rows(K, rows.y), valid)
+
+    return build

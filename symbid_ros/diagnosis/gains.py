@@ -1,0 +1,224 @@
+"""The sensors' gains from rows in which they are unknowns, under a model that may be wrong."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.coordinate_rows import CoordinateRows
+from symbid_ros.diagnosis.gain_rows import SensorGains
+from symbid_ros.diagnosis.turned import Turned, nearest_turn
+from symbid_ros.estimation.information import stacked_factor
+from symbid_ros.model.parameters import ParameterSet, Term
+from symbid_ros.signals.weak_form import INFLATION
+
+# Share of a load below which nothing is asked of the rows. Gains that all shrink together with
+# the inertias explain any log but for its noise; what is left of that must count for nothing.
+FLOOR = 0.02
+# How far off the model's inertias make its loads, roughly: weights of the very first solution.
+OFF = 0.3
+TURNS = 3
+# Before the data: an element of A or M, and g, may be off by several times themselves and a
+# stream be late by a tenth of a second.
+GAIN_STD, DELAY_STD = 2.0, 0.1
+PINNED = 1e-6  # standard deviation of what is held at its prior
+# Standard deviation to which gains are held where delays alone are asked for.
+NEARLY_PINNED = 1e-2
+# Share of a load below which a residual is rounding.
+LEAST = 1e-4
+# Standard deviation of each term of a joint's drive, as a share of what its row carries.
+DRIVE: dict[Term, float] = {"viscous": 0.3, "coulomb": 0.3, "armature": 0.3, "offset": 0.1}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Rows of [K, -C] [φ; θ] = y and what is believed of the unknowns.
+
+    Attributes
+    ----------
+    rows : CoordinateRows
+        Of n coordinates.
+    mean, std : (p,) float64
+        Of the parameters φ alone.
+    gains : SensorGains
+        What the r unknowns θ after them are.
+    """
+
+    rows: CoordinateRows
+    mean: FloatArray
+    std: FloatArray
+    gains: SensorGains
+
+    @classmethod
+    def of(
+        cls, rows: CoordinateRows, parameters: ParameterSet, std: FloatArray, gains: SensorGains
+    ) -> "Problem":
+        """Believe inertias to deviations (inertial,), and of drives that they are no load."""
+        mean = parameters.values
+        std = np.concatenate([std, np.zeros(len(mean) - len(std))])
+        first = parameters.model.dof - len(parameters.model.joints)
+        load = loads(rows, np.append(mean, np.zeros(len(gains))))[first:]
+        for term, columns in parameters.term_columns.items():
+            for joint, column in enumerate(range(columns.start, columns.stop)):
+                size = np.sqrt(rows.column_squares(first + joint, column))
+                std[column] = DRIVE[term] * load[joint] / max(size, 1e-9) + PINNED
+        return cls(rows, mean, std, gains)
+
+    @property
+    def expected(self) -> FloatArray:
+        """(p + r,) unknowns of the model with gains of one."""
+        return np.append(self.mean, np.zeros(len(self.gains)))
+
+    def solve(self, std: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the most probable unknowns (p + r,) and L of their covariance L Lᵀ.
+
+        Parameters
+        ----------
+        std : (r,) float64
+            Deviations of the gains and delays.
+        left : (n,) float64
+            Mean squares by which the rows may miss.
+        """
+        scale = np.append(self.std, std)
+        mean, q = self.expected, len(scale)
+        rows = self.rows.whitened(np.sqrt(INFLATION * left))
+        square = stacked_factor(
+            np.column_stack([rows[:, :-1] * scale, rows[:, -1] - rows[:, :-1] @ mean]),
+            np.eye(q, q + 1),
+        )
+        R = square[:q, :q]
+        deviation: FloatArray = scale[:, None] * solve_triangular(R, np.eye(q))
+        return mean + scale * solve_triangular(R, square[:q, q]), deviation
+
+
+@dataclass(frozen=True)
+class Gains:
+    """Gains, delays and inertias that make the equation of motion hold.
+
+    Attributes
+    ----------
+    sensors : SensorGains
+        What the unknowns are.
+    mean : (r,) float64
+        Each unknown, less what it should be.
+    covariance : (r, r) float64
+        Of these, whatever the inertias are.
+    left : (n,) float64
+        Mean squares of what is left of each coordinate.
+    before, after : float
+        Root mean square of what is left of the base's force, N: of the model itself with
+        all gains one, and with these.
+    """
+
+    sensors: SensorGains
+    mean: FloatArray
+    covariance: FloatArray
+    left: FloatArray
+    before: float
+    after: float
+
+    def matrix(self, place: slice) -> tuple[FloatArray, FloatArray]:
+        """Return A or M (3, 3) of a sensor and the covariance (9, 9) of its rows."""
+        return self.mean[place].reshape(3, 3) + np.eye(3), self.covariance[place, place]
+
+    def delay(self, place: int) -> tuple[float, float]:
+        """Return how late a sensor is and the standard deviation of that, s."""
+        return float(self.mean[place]), float(np.sqrt(self.covariance[place, place]))
+
+    def effort(self, index: int) -> tuple[float, float]:
+        """Return g of a driven joint and its standard deviation."""
+        place = self.sensors.efforts.start + index
+        return 1 + float(self.mean[place]), float(np.sqrt(self.covariance[place, place]))
+
+
+def find_gains(problem: Problem) -> Gains:
+    """Return the most probable gains of wrenches and efforts; IMUs are believed.
+
+    Rows of one coordinate are weighed by what is left of them, no less than `FLOOR` of the load:
+    the first time with gains of one, so that what does not fit at all says little.
+    """
+    rows, gains = problem.rows, problem.gains
+    scale = loads(rows, problem.expected)
+    pinned = np.full(len(gains), PINNED)
+    at, _ = problem.solve(pinned, (OFF * scale) ** 2)
+    left = rows.residual_squares(at)
+    free = np.where(gains.is_imu, PINNED, _free(gains))
+    for _ in range(TURNS):
+        at, deviation = problem.solve(free, left + (FLOOR * scale) ** 2)
+        left = rows.residual_squares(at)
+    return _gains(problem, at, deviation, left)
+
+
+def find_delays(problem: Problem) -> Gains:
+    """Return the most probable delays with gains that are one.
+
+    As no gain can shrink, what is left weighs the rows as it is.
+    """
+    rows, gains = problem.rows, problem.gains
+    std = np.where(gains.is_delay, DELAY_STD, np.where(gains.is_imu, PINNED, NEARLY_PINNED))
+    scale = loads(rows, problem.expected)
+    left = (OFF * scale) ** 2
+    for _ in range(TURNS):
+        at, deviation = problem.solve(std, left + (LEAST * scale) ** 2)
+        left = rows.residual_squares(at)
+    return _gains(problem, at, deviation, left)
+
+
+def find_turn(problem: Problem, gains: Gains, index: int) -> Turned:
+    """Return the rotation, or its reverse, of an IMU that explains the forces best.
+
+    How long its readings are is known from gravity, and left as it is: gains that all shrink
+    together, this one among them, would explain anything.
+    """
+    scale = loads(problem.rows, problem.expected)
+    place = problem.gains.imu(index)
+    free = _free(problem.gains)
+    pinned = problem.gains.is_imu.copy()
+    pinned[place] = False
+    std = np.where(pinned, PINNED, free)
+    left = gains.left
+    for _ in range(TURNS):
+        at, deviation = problem.solve(std, left + (FLOOR * scale) ** 2)
+        own = _gains(problem, at, deviation, left)
+        turn = nearest_turn(*own.matrix(place), is_scaled=False)
+        held = at.copy()
+        held[len(problem.mean) :][place] = (turn.sign * turn.rotation - np.eye(3)).ravel()
+        # What the others are if the IMU is turned like that.
+        theta = np.arange(len(at))[len(problem.mean) :][place]
+        spread = deviation @ deviation[theta].T
+        gain = np.linalg.solve(spread[theta], held[theta] - at[theta])
+        left = problem.rows.residual_squares(at + spread @ gain)
+    return turn
+
+
+def loads(rows: CoordinateRows, expected: FloatArray) -> FloatArray:
+    """Return the largest root mean square (n,) of what acts on coordinates of one kind.
+
+    What acts is what is measured, or what unknowns (q,) expect beyond that: a force that nobody
+    measured is one all the same.
+    """
+    names = rows.coordinates
+    kinds = np.array([name.split("_")[0] if name.startswith("base/") else "" for name in names])
+    squares = np.maximum(rows.target_squares, rows.residual_squares(expected))
+    largest = np.array([squares[kinds == kind].max() for kind in kinds])
+    mean = np.maximum(largest, LEAST**2 * largest.max())
+    return np.sqrt(mean) if mean.any() else np.ones(len(mean))
+
+
+def _free(gains: SensorGains) -> FloatArray:
+    return np.where(gains.is_delay, DELAY_STD, GAIN_STD)
+
+
+def _gains(problem: Problem, at: FloatArray, deviation: FloatArray, left: FloatArray) -> Gains:
+    p = len(problem.mean)
+    before = problem.rows.residual_squares(problem.expected)
+    forces = [name.startswith("base/force") for name in problem.rows.coordinates]
+    return Gains(
+        problem.gains,
+        at[p:],
+        deviation[p:] @ deviation[p:].T,
+        left,
+        float(np.sqrt(before[forces].sum())),
+        float(np.sqrt(left[forces].sum())),
+    )

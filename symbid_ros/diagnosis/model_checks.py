@@ -1,0 +1,210 @@
+"""The checks against a model in an order in which one fault is not taken for another.
+
+An IMU's mounting is seen by kinematics alone, so it comes first. Signs, frames and gains of
+forces are found together. Delays and excitation are asked of what is right so far.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from symbid_ros.diagnosis.excitation import FEWEST, excitation
+from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.diagnosis.forces import FURTHEST, PLAINER, judge_forces
+from symbid_ros.diagnosis.gains import Gains, Problem, find_delays, find_gains, find_turn
+from symbid_ros.diagnosis.lateness import late_streams
+from symbid_ros.diagnosis.model_watch import ModelWatch
+from symbid_ros.diagnosis.mounting import (
+    LARGEST_ANGLE,
+    delay_finding,
+    is_told,
+    mounting_findings,
+    reversed_finding,
+    turned_finding,
+)
+from symbid_ros.diagnosis.standing_rate import agreement
+
+# Delays that differ by no more than this share of themselves are one delay.
+ALIKE = 0.5
+REST_ON_IMU = (
+    "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation: they rest on the "
+    "IMU, whose mounting or unit is wrong"
+)
+
+
+@dataclass
+class ModelChecks:
+    """Findings, figures and what was left out and why."""
+
+    findings: list[Finding] = field(default_factory=list)
+    figures: dict[str, float] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+
+
+def check_model(
+    watch: ModelWatch, joints: str, imus: Sequence[str], wrenches: Mapping[str, str]
+) -> ModelChecks:
+    """Judge what was gathered.
+
+    Parameters
+    ----------
+    watch : ModelWatch
+        Of a whole log.
+    joints : str
+        Topic of the joint states.
+    imus : sequence of str
+        Topics of the IMUs.
+    wrenches : mapping of str to str
+        Topic of each wrench frame.
+    """
+    checks = ModelChecks()
+    _check_imus(checks, watch, imus)
+    if any(one.kind in (Kind.IMU_MOUNTING, Kind.UNIT) for one in checks.findings):
+        checks.left_out.append(REST_ON_IMU)
+        return checks
+    if watch.rows.samples < 1:
+        checks.left_out.append(
+            "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation: no stretch "
+            "without a gap is long enough"
+        )
+        return checks
+    problem = watch.problem
+    gains = find_gains(problem)
+    judged = judge_forces(watch, gains, joints, imus, wrenches)
+    if judged.findings and checks.findings:
+        checks.left_out.append(
+            "wrench_sign, wrench_frame, torque_sign, torque_gain, excitation: they rest on the "
+            "IMU, which is late or early"
+        )
+        return checks
+    if judged.findings:
+        _check_turns(checks, problem, gains, imus)
+        if any(one.kind is Kind.IMU_MOUNTING for one in checks.findings):
+            checks.left_out.append(REST_ON_IMU)
+            return checks
+    checks.findings += judged.findings
+    checks.figures |= judged.figures
+    if judged.blamed:
+        checks.left_out.append(f"delay, excitation: they would repeat {judged.blamed}")
+        return checks
+    _check_delays(checks, watch, joints, imus, wrenches)
+    _check_excitation(checks, watch, gains)
+    return checks
+
+
+def _check_imus(checks: ModelChecks, watch: ModelWatch, imus: Sequence[str]) -> None:
+    for topic, rates in zip(imus, watch.standing, strict=False):
+        found = agreement(rates)
+        if found is None or not is_told(found):
+            checks.left_out.append(
+                f"imu_mounting of {topic} by its rate of turn: no foot stands that turns"
+            )
+            continue
+        checks.figures |= {
+            f"{topic}/angle_deg": float(np.degrees(found.angle)),
+            f"{topic}/angle_std_deg": float(np.degrees(found.angle_std)),
+            f"{topic}/delay_ms": 1e3 * found.delay,
+            f"{topic}/delay_std_ms": 1e3 * found.delay_std,
+            f"{topic}/rate_left": found.left,
+        }
+        wrong = list(mounting_findings(topic, found))
+        checks.findings += wrong
+        if not wrong:
+            checks.findings += delay_finding(
+                topic, found.delay, found.delay_std, "the joint states"
+            )
+
+
+def _check_turns(checks: ModelChecks, problem: Problem, gains: Gains, imus: Sequence[str]) -> None:
+    """Judge the accelerometers' axes by the forces that seem wrong."""
+    for index in range(len(problem.gains.imu_frames)):
+        turn = find_turn(problem, gains, index)
+        topic, told = imus[index], turn.plain - turn.cost
+        checks.figures[f"{topic}/force_angle_deg"] = float(np.degrees(turn.angle))
+        if told <= PLAINER or turn.cost > FURTHEST:
+            continue
+        if turn.sign < 0 and turn.angle < LARGEST_ANGLE:
+            checks.findings.append(reversed_finding([topic]))
+        elif turn.sign > 0 and turn.angle > LARGEST_ANGLE:
+            checks.findings.append(turned_finding(topic, turn, told))
+
+
+def _check_delays(
+    checks: ModelChecks,
+    watch: ModelWatch,
+    joints: str,
+    imus: Sequence[str],
+    wrenches: Mapping[str, str],
+) -> None:
+    """Judge the delays of efforts, IMUs and of wrench sensors that carry something."""
+    delays, gains = find_delays(watch.problem), watch.gains
+    late = late_streams(delays)
+    streams = {joints: ("the efforts", gains.effort_delay)} if gains.driven else {}
+    for index in range(len(gains.imu_frames)):
+        # Above a foot that stands the rates of turn tell it better.
+        if f"{imus[index]}/delay_ms" not in checks.figures:
+            streams[imus[index]] = ("", gains.imu(index).stop)
+    for topic, (what, place) in streams.items():
+        delay, std = delays.delay(place)
+        name = f"{topic}/effort_delay" if what else f"{topic}/delay"
+        checks.figures |= {f"{name}_ms": 1e3 * delay, f"{name}_std_ms": 1e3 * std}
+        if place in late:
+            checks.findings += delay_finding(topic, *late[place], "motion and forces", what)
+    for index, frame in enumerate(watch.gains.wrench_frames):
+        if not watch.is_loaded[index]:
+            checks.left_out.append(
+                f"wrench_sign, wrench_frame, delay of {wrenches[frame]}: it carries "
+                f"{watch.loads[index]:.2g} N of {watch.weight:.0f} N"
+            )
+            continue
+        place = gains.wrench(index).stop
+        delay, std = delays.delay(place)
+        checks.figures |= {f"{frame}/delay_ms": 1e3 * delay, f"{frame}/delay_std_ms": 1e3 * std}
+        if place in late:
+            checks.findings += delay_finding(wrenches[frame], *late[place], "efforts and motion")
+    _blame_the_joints(checks, joints, {*imus, *wrenches.values()})
+
+
+def _blame_the_joints(checks: ModelChecks, joints: str, others: set[str]) -> None:
+    """Replace findings that all say it is the joint states that are late.
+
+    Those of all other streams, early alike, or of an IMU's rates against positions and of
+    forces against efforts.
+    """
+    found = {
+        one.stream: one.figures["delay_ms"] * (1 if one.stream == joints else -1)
+        for one in checks.findings
+        if one.kind is Kind.DELAY
+    }
+    if len(found) < 2 or not (joints in found or set(found) == others):
+        return
+    delays = np.array(list(found.values()))
+    if np.ptp(delays) > ALIKE * abs(delays.mean()):
+        return
+    checks.findings = [one for one in checks.findings if one.kind is not Kind.DELAY]
+    checks.findings += delay_finding(
+        joints, 1e-3 * float(delays.mean()), 1e-3 * float(delays.std()), "the other streams"
+    )
+
+
+def _check_excitation(checks: ModelChecks, watch: ModelWatch, gains: Gains) -> None:
+    found = excitation(watch, gains.left)
+    checks.figures |= {
+        "directions_determined": found.determined,
+        "directions_at_rest": found.at_rest,
+        "information_bit": found.gain,
+    }
+    moved = found.determined - found.at_rest
+    if moved < FEWEST:
+        checks.findings.append(
+            Finding(
+                Kind.EXCITATION,
+                "",
+                Severity.WARNING,
+                f"{found.determined} directions of the parameters would be determined beyond "
+                f"±25 %, {found.at_rest} of them by the mean pose alone; move all joints and turn "
+                "the base",
+                {"determined": found.determined, "at_rest": found.at_rest},
+            )
+        )

@@ -1,0 +1,158 @@
+"""What a log's streams say together under a model, gathered stretch by stretch."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.diagnosis.coordinate_rows import CoordinateRows
+from symbid_ros.diagnosis.gain_rows import SensorGains, gain_rows
+from symbid_ros.diagnosis.gains import Problem
+from symbid_ros.diagnosis.standing_rate import StandingRate
+from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.prior import Prior, model_prior
+from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.alignment import Segment, cut_to
+from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.weak_form import BLOCK, WINDOWS, windowed_rows
+
+# Long enough to average a vibration away, short enough for the shortest of logs.
+WINDOW = WINDOWS[1]
+# Rate that those windows make do with, Hz, and the share of it that is let through.
+RATE, PASSED = 250.0, 0.2
+# A wrench sensor carries something if it is this share, in the mean square, of what the most loaded
+# one does, and of the weight.
+LEAST_LOAD, LEAST_SHARE = 0.1, 0.01
+# Blocks of which rows are built: all of the first, and of a long log ever fewer.
+DENSE = 25
+
+
+class ModelWatch:
+    """Gathers what the checks against a model need, in memory that does not grow.
+
+    Parameters
+    ----------
+    model : RobotModel
+        The robot as its maker describes it.
+    wrench_frames, imu_frames : sequence of str
+        The log's sensors.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+        Of the model's links, and of its joints' drives: friction, rotors and offsets.
+    prior : Prior
+        Of the links: the model's values, each to ±25 %.
+    gains : SensorGains
+        Unknowns beside them.
+    rows : CoordinateRows
+        In which all are unknown.
+    standing : tuple of StandingRate
+        One for each IMU.
+    """
+
+    def __init__(
+        self, model: RobotModel, wrench_frames: Sequence[str], imu_frames: Sequence[str]
+    ) -> None:
+        self.model = model
+        self.parameters = ParameterSet(model, TERMS)
+        self.prior: Prior = model_prior(ParameterSet(model))
+        self.gains = SensorGains.of(model, tuple(wrench_frames), tuple(imu_frames))
+        structure = RowLayout.of(self.parameters).structure
+        self.rows = CoordinateRows(
+            model.coordinates, np.hstack([structure, self.gains.structure(model)])
+        )
+        self.standing = tuple(
+            StandingRate(model, index) for index in range(len(imu_frames) if model.floating else 0)
+        )
+        self._build = gain_rows(self.parameters, self.gains)
+        self._row_sum = np.zeros((model.dof, len(self.prior.names)))
+        self._instants = self._blocks = 0
+        self._force_square = np.zeros(len(wrench_frames))
+        self._force_sum = np.zeros((len(wrench_frames), 3))
+
+    def add(self, segment: Segment) -> None:
+        """Take a stretch; stretches must be cut at multiples of a block."""
+        for one in self.standing:
+            one.add(segment)
+        force = segment.wrenches[:, :, 3:]
+        self._instants += len(segment)
+        self._force_square += np.sum(force**2, axis=(0, 2))
+        self._force_sum += force.sum(axis=0)
+        segment = _decimated(segment)
+        for block in range(int(segment.stamp[0]) // BLOCK, int(segment.stamp[-1]) // BLOCK + 1):
+            self._blocks += 1
+            if not _is_taken(self._blocks):
+                continue
+            for part in cut_to([segment], block * BLOCK, (block + 1) * BLOCK):
+                for (rows,) in windowed_rows(part, self._build, (WINDOW,), ()):
+                    self.rows.fold(rows.mean)
+                    self._row_sum += rows.mean.K[:, :, : len(self.prior.names)].sum(axis=0)
+
+    @property
+    def problem(self) -> Problem:
+        """What there is to solve."""
+        return Problem.of(self.rows, self.parameters, self.prior.std, self.gains)
+
+    @property
+    def weight(self) -> float:
+        """What the model weighs, N."""
+        return float(np.linalg.norm(self.model.gravity) * self.model.phi[:, 0].sum())
+
+    @property
+    def loads(self) -> FloatArray:
+        """Root mean square force (F,) of each wrench sensor, N."""
+        return np.sqrt(self._force_square / max(self._instants, 1))
+
+    @property
+    def is_loaded(self) -> BoolArray:
+        """Which of F wrench sensors carry enough to be judged.
+
+        In the wrong unit all of them may seem to carry little.
+        """
+        largest = min(float(self.loads.max(initial=0.0)), self.weight)
+        return np.asarray(self.loads > max(LEAST_LOAD * largest, LEAST_SHARE * self.weight))
+
+    @property
+    def mean_forces(self) -> FloatArray:
+        """Mean force (F, 3) of each wrench sensor in its frame, N."""
+        return self._force_sum / max(self._instants, 1)
+
+    @property
+    def mean_row(self) -> FloatArray:
+        """Mean (n, p) of the regressor: all that a robot would tell that never moved."""
+        return self._row_sum / max(self.rows.samples, 1)
+
+
+def _decimated(segment: Segment) -> Segment:
+    """Return a stretch at a rate that windows of this length make do with."""
+    stride = int(segment.rate / RATE)
+    if stride < 2:
+        return segment
+    low_pass = LowPass(PASSED * segment.rate / stride)
+
+    def few(signal: FloatArray) -> FloatArray:
+        return low_pass(signal, segment.rate)[::stride]
+
+    return replace(
+        segment,
+        stamp=segment.stamp[::stride],
+        rate=segment.rate / stride,
+        position=few(segment.position),
+        effort=few(segment.effort),
+        angular_velocity=few(segment.angular_velocity),
+        linear_acceleration=few(segment.linear_acceleration),
+        wrenches=few(segment.wrenches),
+    )
+
+
+def _is_taken(block: int) -> bool:
+    """Tell whether rows are built of a block, counted from 1."""
+    return _taken_before(block + 1) > _taken_before(block)
+
+
+def _taken_before(block: int) -> int:
+    return block if block <= DENSE else int(DENSE * (1 + math.log(block / DENSE)))

@@ -1,0 +1,136 @@
+"""A topic's stamps, judged slice by slice in memory that does not grow."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from symbid_ros.arrays import IntArray
+from symbid_ros.bags.gaps import find_gaps
+from symbid_ros.diagnosis.diagnosis import StreamFigures
+from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+
+# Periods that vary by more than this share of themselves are arrival times, no sampling times.
+JITTER = 0.25
+# Hz; the shortest windows over which rows are averaged last 81 ms and need a few messages.
+SLOWEST = 50.0
+# A recorder finds its topics one after the other; what begins or ends so much apart, s, is a fault.
+APART = 1.0
+# A topic of which more than this share is missing is none.
+MOST_MISSING = 0.5
+
+
+@dataclass
+class Timing:
+    """The stamps of one topic.
+
+    Attributes
+    ----------
+    topic : str
+    first, last : int or None
+        Stamps, ns.
+    """
+
+    topic: str
+    first: int | None = None
+    last: int | None = None
+    messages: int = 0
+    gaps: int = 0
+    missing: int = 0
+    longest: int = 0
+    _periods: list[int] = field(default_factory=list)
+    _deviations: float = 0.0
+    _steps: int = 0
+
+    def add(self, stamps: IntArray) -> None:
+        """Take the stamps (N,), ns, of the slice that follows; sorted or not."""
+        self.messages += len(stamps)
+        if not len(stamps):
+            return
+        ordered = np.unique(stamps)
+        if self.last is not None:
+            ordered = np.append(self.last, ordered[ordered > self.last])
+        self.first = int(ordered[0]) if self.first is None else self.first
+        self.last = int(ordered[-1])
+        found = find_gaps(ordered)
+        if not found.period:
+            return
+        self._periods.append(found.period)
+        self.gaps += found.gaps
+        self.missing += found.missing
+        self.longest = max(self.longest, found.longest)
+        steps = np.diff(ordered)
+        regular = steps[2 * steps < 3 * found.period] / found.period - 1
+        self._deviations += float(np.sum(regular**2))
+        self._steps += len(regular)
+
+    @property
+    def period(self) -> float:
+        """Median of the slices' median periods, s; 0 below two messages."""
+        return float(np.median(self._periods)) * 1e-9 if self._periods else 0.0
+
+    @property
+    def figures(self) -> StreamFigures:
+        """The topic in numbers."""
+        first, last = self.first or 0, self.last or 0
+        return StreamFigures(
+            topic=self.topic,
+            messages=self.messages,
+            duration_s=(last - first) * 1e-9,
+            rate_hz=1 / self.period if self.period else 0.0,
+            jitter=float(np.sqrt(self._deviations / max(self._steps, 1))),
+            gaps=self.gaps,
+            missing=self.missing,
+            longest_gap_s=self.longest * 1e-9,
+        )
+
+    def findings(self, first: int, last: int) -> list[Finding]:
+        """Return what is wrong, given where the recording begins and ends, ns."""
+        told, found = self.figures, []
+        if self.missing:
+            share = self.missing / (self.missing + self.messages)
+            found.append(
+                Finding(
+                    Kind.GAP,
+                    self.topic,
+                    Severity.UNUSABLE if share > MOST_MISSING else Severity.WARNING,
+                    f"{self.topic}: {self.missing} messages are missing in {self.gaps} gaps, "
+                    f"{100 * share:.2g} % of them, the longest gap lasts {told.longest_gap_s:.3g} "
+                    "s; record closer to the sensor, with a deeper queue",
+                    {
+                        "gaps": self.gaps,
+                        "missing": self.missing,
+                        "longest_gap_s": told.longest_gap_s,
+                    },
+                )
+            )
+        late = max((self.first or first) - first, 0) * 1e-9
+        early = max(last - (self.last or last), 0) * 1e-9
+        if max(late, early) > max(APART, 5 * self.period):
+            found.append(
+                Finding(
+                    Kind.GAP,
+                    self.topic,
+                    Severity.WARNING,
+                    f"{self.topic}: begins {late:.3g} s after and ends {early:.3g} s before the "
+                    "other topics, what they tell alone is left out; start and stop all together",
+                    {"late_s": late, "early_s": early},
+                )
+            )
+        slow, unsteady = 0 < told.rate_hz < SLOWEST, told.jitter > JITTER
+        if slow or unsteady:
+            what = (
+                f"comes at {told.rate_hz:.3g} Hz, below {SLOWEST:g} Hz; raise the driver's rate"
+                if slow
+                else f"has periods that vary by {100 * told.jitter:.0f} %, more than "
+                f"{100 * JITTER:.0f} %; stamp messages when they are sampled, not when they arrive"
+            )
+            found.append(
+                Finding(
+                    Kind.RATE,
+                    self.topic,
+                    Severity.WARNING,
+                    f"{self.topic}: {what}",
+                    {"rate_hz": told.rate_hz, "jitter": told.jitter},
+                )
+            )
+        return found

@@ -1,0 +1,96 @@
+"""Which sign and rotation a wrench sensor's gain matrix is nearest to."""
+
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from symbid_ros.arrays import FloatArray
+
+STARTS = 4  # of the 24 rotations of a cube, those that fit best are refined
+# Squared deviations by which an explanation may be worse than the best and still be as good.
+ALIKE = 9.0
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A ≈ scale · sign · rotation.
+
+    Attributes
+    ----------
+    sign : int
+        1 or -1.
+    rotation : (3, 3) float64
+        From the axes in which the sensor reports to those of its frame in the model.
+    angle : float
+        Of that rotation, rad.
+    scale : float
+        What readings are to be multiplied by.
+    cost : float
+        Squared distance to A in standard deviations.
+    plain : float
+        The same of the sensor as it is named, turned not at all.
+    """
+
+    sign: int
+    rotation: FloatArray
+    angle: float
+    scale: float
+    cost: float
+    plain: float
+
+
+def nearest_turn(matrix: FloatArray, covariance: FloatArray, *, is_scaled: bool = True) -> Turned:
+    """Return the rotation and sign nearest to A (3, 3) under its rows' covariance (9, 9).
+
+    And the scale, unless it is known to be one.
+    """
+    weight = np.linalg.inv(np.linalg.cholesky(covariance))
+    target = weight @ matrix.ravel()
+
+    def scaled(unit: FloatArray) -> tuple[float, float]:
+        """Return the best positive scale of a matrix and its cost."""
+        row = weight @ unit.ravel()
+        scale = max(float(row @ target) / float(row @ row), 1e-3) if is_scaled else 1.0
+        return scale, float(np.sum((scale * row - target) ** 2))
+
+    plain_scale, plain = scaled(np.eye(3))
+    found = [Turned(1, np.eye(3), 0.0, plain_scale, plain, plain)]
+    if plain < ALIKE:
+        return found[0]
+    scale, cost = scaled(-np.eye(3))
+    found.append(Turned(-1, np.eye(3), 0.0, scale, cost, plain))
+    for sign in (1, -1):
+        starts = sorted(_cube(), key=lambda turn: scaled(sign * turn)[1])[:STARTS]
+        for start in starts:
+            guess = np.append(np.zeros(3), np.log(scaled(sign * start)[0]))[: 3 + is_scaled]
+
+            def residual(x: FloatArray, start: FloatArray = start, sign: int = sign) -> FloatArray:
+                size = np.exp(x[3]) if is_scaled else 1.0
+                unit = sign * size * Rotation.from_rotvec(x[:3]).as_matrix() @ start
+                left: FloatArray = weight @ unit.ravel() - target
+                return left
+
+            fit = least_squares(residual, guess, method="lm")
+            turn = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ start
+            size = float(np.exp(fit.x[3])) if is_scaled else 1.0
+            angle = float(Rotation.from_matrix(turn).magnitude())
+            found.append(Turned(sign, turn, angle, size, 2 * float(fit.cost), plain))
+    # The plainest of those that explain the data alike: what the data do not tell is not turned.
+    best = min(one.cost for one in found)
+    alike = [one for one in found if one.cost < best + ALIKE]
+    return min(alike, key=lambda one: (one.angle > 1e-6, one.sign < 0, one.cost))
+
+
+def _cube() -> list[FloatArray]:
+    """Return the 24 rotations that map axes to axes."""
+    found = []
+    for order in permutations(range(3)):
+        for signs in product((1.0, -1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if np.linalg.det(matrix) > 0:
+                found.append(matrix)
+    return found

@@ -1,0 +1,189 @@
+"""A recording as aligned stretches, read piece by piece as often as they are wanted."""
+
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.bags.streams.slices import ALL_OF_IT, TimeRange, iterate_slices
+from symbid_ros.diagnosis.finding import Finding
+from symbid_ros.diagnosis.masking import masked
+from symbid_ros.errors import DataError
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.alignment import Segment, cut_to
+from symbid_ros.signals.samples import moving_segments
+from symbid_ros.signals.weak_form import BLOCK
+
+# Slices are of whole blocks, over which no window reaches: where they are cut makes no difference.
+SPAN = 15 * BLOCK
+# Bytes of aligned channels that are kept rather than read again: five minutes of Symbitron.
+MOST_KEPT = 128 << 20
+
+logger = logging.getLogger(__name__)
+
+
+class SensorLog:
+    """The stretches of a recording at which every sensor spoke; iterate as often as needed.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+        Bags that continue one another.
+    model : RobotModel
+        Kinematics and frames.
+    topics : TopicSelection
+        Which are the robot's sensors.
+    part : TimeRange
+        Which part of the recording.
+    span : int
+        Length of the slices that are in memory at a time, ns.
+    most_kept : int
+        Bytes of stretches that are kept rather than read again.
+
+    Raises
+    ------
+    BagError, DataError, ModelError
+        While iterating, when a bag, its data or the model does not serve.
+    """
+
+    def __init__(
+        self,
+        bags: Sequence[Path],
+        model: RobotModel,
+        topics: TopicSelection,
+        part: TimeRange = ALL_OF_IT,
+        *,
+        span: int = SPAN,
+        most_kept: int = MOST_KEPT,
+    ) -> None:
+        self._bags, self._model, self._topics, self._part = tuple(bags), model, topics, part
+        self._span, self._most_kept = span, most_kept
+        self._kept: tuple[Segment, ...] | None = None
+        self._has_been_read = False
+
+    def __iter__(self) -> Iterator[Segment]:
+        if self._kept is not None:
+            yield from self._kept
+            return
+        kept: list[Segment] | None = []
+        for segment in self._read(warn=not self._has_been_read):
+            if kept is not None:
+                kept.append(segment)
+                if sum(one.nbytes for one in kept) > self._most_kept:
+                    kept = None
+            yield segment
+        self._has_been_read = True
+        self._kept = None if kept is None else tuple(kept)
+
+    def whole_stretches(self) -> tuple[Segment, ...]:
+        """Return the stretches as long as they are, all at once."""
+        whole: list[Segment] = []
+        for segment in self:
+            if whole and whole[-1].is_continued_by(segment):
+                whole[-1] = whole[-1].joined(segment)
+            else:
+                whole.append(segment)
+        return tuple(whole)
+
+    def _read(self, *, warn: bool) -> Iterator[Segment]:
+        slices = iterate_slices(
+            self._bags, self._topics, span=self._span, part=self._part, warn=warn
+        )
+        coverage = _Coverage(", ".join(map(str, self._bags)))
+        told: set[tuple[str, str]] = set()
+        with _told_once(muted=not warn):
+            for piece in slices:
+                if piece.streams is None:
+                    coverage.lose(DataError(piece.fault))
+                    continue
+                streams, findings = masked(piece.streams)
+                if warn:
+                    _warn_once(findings, told)
+                try:
+                    segments = moving_segments(streams, self._model)
+                except DataError as error:
+                    coverage.lose(error)
+                    continue
+                for segment in cut_to(segments, piece.start, piece.stop):
+                    coverage.take(segment)
+                    yield segment
+        coverage.check(warn=warn)
+
+
+@dataclass
+class _Coverage:
+    """How much of a recording is in its stretches."""
+
+    source: str
+    first: Segment | None = None
+    until: int = 0
+    instants: int = 0
+    faults: list[DataError] = field(default_factory=list)
+
+    def take(self, segment: Segment) -> None:
+        if self.first is None:
+            self.first = segment
+        elif segment.frames != self.first.frames:
+            raise DataError(
+                f"{self.source}: header.frame_id of a sensor changes from "
+                f"{', '.join(self.first.frames)} to {', '.join(segment.frames)}; give each run "
+                "separately"
+            )
+        self.until = int(segment.stamp[-1])
+        self.instants += len(segment)
+
+    def lose(self, fault: DataError) -> None:
+        self.faults.append(fault)
+
+    def check(self, *, warn: bool) -> None:
+        """Refuse a recording without any stretch, and tell what is left out of another."""
+        if self.first is None:
+            raise (
+                self.faults[0]
+                if self.faults
+                else DataError(
+                    f"{self.source}: holds nothing of the time asked for; give an earlier start"
+                )
+            )
+        if not warn:
+            return
+        for fault in self.faults[:1]:
+            logger.warning("%s; %d slices of the log are left out", fault, len(self.faults))
+        length = (self.until - int(self.first.stamp[0])) * 1e-9
+        expected = round(length * self.first.rate) + 1
+        if self.instants < expected:
+            logger.warning(
+                "%s: %d of %d instants lie in gaps and are left out",
+                self.source,
+                expected - self.instants,
+                expected,
+            )
+
+
+def _warn_once(findings: Iterable[Finding], told: set[tuple[str, str]]) -> None:
+    """Say of each kind and topic once that its messages are left out."""
+    for finding in findings:
+        if (finding.kind.value, finding.stream) not in told:
+            told.add((finding.kind.value, finding.stream))
+            logger.warning("%s; those messages are left out", finding.message)
+
+
+@contextmanager
+def _told_once(*, muted: bool) -> Iterator[None]:
+    """Let alignment say but once, or not at all, what it would say of every slice."""
+    told: set[str] = set()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        message = record.getMessage()
+        is_first = message not in told
+        told.add(message)
+        return is_first and not muted
+
+    alignment = logging.getLogger("symbid_ros.signals.alignment")
+    alignment.addFilter(is_new)
+    try:
+        yield
+    finally:
+        alignment.removeFilter(is_new)

@@ -1,0 +1,64 @@
+"""Nothing is found in logs in which nothing is wrong."""
+
+import pytest
+from random_robots import CONFIG, random_robot
+from tree_simulation import TreeSimulation
+
+from symbid_ros.diagnosis.doctor import diagnose
+from symbid_ros.diagnosis.finding import Kind, Severity
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.simulation.recording import record
+
+MODEL = load_model(CONFIG / "symbitron.xml")
+
+
+def believed(kind: str, seed: int):
+    """The robot as its maker believes it: its inertias are off by up to a quarter."""
+    parameters = ParameterSet(MODEL)
+    return MODEL.with_phi(parameters.link_phi(draw_prior(parameters, kind, 25, seed).mean))
+
+
+MOVING = [
+    ("smooth", {"moves": 3, "motion_seed": 21, "noise_seed": 5}),
+    ("smooth", {"moves": 2, "motion_seed": 32, "ideal": True}),
+    ("squat", {"moves": 2, "motion_seed": 34, "errors": "typical,quantisation"}),
+    ("vibrating", {"moves": 2, "motion_seed": 35}),
+    ("suspended", {"moves": 2, "motion_seed": 36}),
+]
+
+
+@pytest.mark.parametrize(("scenario", "options"), MOVING, ids=str)
+def test_nothing_is_found_in_a_clean_log(simulated, scenario, options) -> None:
+    bag = simulated(scenario, **options)
+    seed = options["motion_seed"]
+    for model in (believed("percent", seed), believed("consistent", seed)):
+        diagnosis = diagnose([bag], model)
+        assert [one.message for one in diagnosis.findings] == []
+        assert diagnosis.severity is Severity.CLEAN
+        is_standing = scenario != "suspended"
+        told = diagnosis.figures.get("/imu/data/angle_deg")
+        assert (told is not None) is is_standing
+        assert any("no foot stands" in reason for reason in diagnosis.left_out) is not is_standing
+
+
+@pytest.mark.parametrize("options", [{"noise_seed": 41}, {"ideal": True}], ids=["noisy", "ideal"])
+def test_a_tare_excites_nothing_and_has_no_other_fault(simulated, options) -> None:
+    bag = simulated("tare", **options)
+    (found,) = diagnose([bag], believed("percent", 7)).findings
+    assert found.kind is Kind.EXCITATION
+    assert found.severity is Severity.WARNING
+    alone = diagnose([bag])
+    assert alone.severity is Severity.CLEAN
+    assert alone.left_out == ("all checks against a model: none is given",)
+
+
+@pytest.mark.parametrize(("seed", "floating"), [(0, True), (1, True), (4, True), (2, False)])
+def test_nothing_is_found_in_the_log_of_any_tree(tmp_path, seed, floating) -> None:
+    robot = random_robot(seed, links=5, floating=floating, wrench_frames=seed)
+    (tmp_path / "robot.xml").write_text(mjcf_text(robot))
+    record(TreeSimulation(robot, 2.5, seed), tmp_path / "log")
+    diagnosis = diagnose([tmp_path / "log"], load_model(tmp_path / "robot.xml"))
+    assert [one.message for one in diagnosis.findings] == []

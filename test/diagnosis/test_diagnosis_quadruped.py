@@ -1,0 +1,168 @@
+"""A robot on point feet whose drives rub: nothing is found, and each fault at its own sensor."""
+
+import copy
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
+from scipy.spatial.transform import Rotation
+
+from symbid_ros.diagnosis.diagnosis import Diagnosis
+from symbid_ros.diagnosis.doctor import diagnose
+from symbid_ros.diagnosis.finding import Kind, Severity
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+
+JOINTS, IMU, FIRST, SECOND = "/joint_states", "/imu", "/LF_foot/wrench", "/RF_foot/wrench"
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "quadruped.urdf"
+    path.write_text(quadruped_urdf())
+    return load_model(path)
+
+
+@pytest.fixture(scope="module")
+def log(model):
+    """What the real robot says, whose inertias are not the model's."""
+    parameters = ParameterSet(model)
+    real = parameters.link_phi(draw_prior(parameters, "consistent", 20, 3).mean)
+    return standing_log(model.with_phi(real), 8.0, 3)
+
+
+@pytest.fixture
+def judged(log, model, tmp_path) -> Callable[..., Diagnosis]:
+    def judge(spoil: Callable[[dict], None] = lambda log: None) -> Diagnosis:
+        spoilt = copy.deepcopy(log)
+        spoil(spoilt)
+        return diagnose([record_log(spoilt, model, tmp_path / "bag")], model)
+
+    return judge
+
+
+def found(diagnosis: Diagnosis) -> list[tuple[Kind, str]]:
+    return [(one.kind, one.stream) for one in diagnosis.findings]
+
+
+def test_nothing_is_found_though_drives_rub(judged) -> None:
+    diagnosis = judged()
+    assert [one.message for one in diagnosis.findings] == []
+    assert diagnosis.left_out == ()
+    assert diagnosis.figures["/imu/angle_deg"] < 1
+
+
+def test_nothing_is_found_at_a_low_rate(judged) -> None:
+    def spoil(log) -> None:
+        for columns in log.values():
+            for name in columns:
+                columns[name] = columns[name][::2]
+
+    assert [one.message for one in judged(spoil).findings] == []
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [("x", 10), ("z", 90), ("x", 180)])
+def test_a_turned_imu(judged, axis, degrees) -> None:
+    turn = Rotation.from_euler(axis, degrees, degrees=True)
+
+    def spoil(log) -> None:
+        imu = log[IMU]
+        imu["orientation"] = (Rotation.from_quat(imu["orientation"]) * turn).as_quat()
+        for name in ("angular_velocity", "linear_acceleration"):
+            imu[name] = turn.apply(imu[name], inverse=True)
+
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.IMU_MOUNTING, IMU)]
+    assert diagnosis.findings[0].figures["angle_deg"] == pytest.approx(degrees, abs=1)
+
+
+@pytest.mark.parametrize("milliseconds", [5, -20, 90])
+def test_a_late_imu(judged, milliseconds) -> None:
+    def spoil(log) -> None:
+        log[IMU]["time"] = log[IMU]["time"] + 1e-3 * milliseconds
+
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.DELAY, IMU)]
+    assert diagnosis.findings[0].figures["delay_ms"] == pytest.approx(milliseconds, abs=1)
+
+
+def test_late_joint_states(judged) -> None:
+    def spoil(log) -> None:
+        log[JOINTS]["time"] = log[JOINTS]["time"] + 0.02
+
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.DELAY, JOINTS)]
+    assert diagnosis.findings[0].figures["delay_ms"] == pytest.approx(20, rel=0.2)
+
+
+def test_late_efforts(judged) -> None:
+    def spoil(log) -> None:
+        effort = log[JOINTS]["effort"]
+        log[JOINTS]["effort"] = np.concatenate([np.repeat(effort[:1], 5, axis=0), effort[:-5]])
+
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.DELAY, JOINTS)]
+    assert "efforts" in diagnosis.findings[0].message
+    assert diagnosis.findings[0].figures["delay_ms"] == pytest.approx(20, rel=0.2)
+
+
+@pytest.mark.parametrize("factor", [1000.0, 0.05])
+def test_efforts_in_another_unit(judged, factor) -> None:
+    def spoil(log) -> None:
+        log[JOINTS]["effort"] *= factor
+
+    (finding,) = judged(spoil).findings
+    assert (finding.kind, finding.stream) == (Kind.TORQUE_GAIN, JOINTS)
+    assert "all joints" in finding.message
+    assert finding.figures["reads"] == pytest.approx(factor, rel=0.4)
+
+
+def test_efforts_that_are_not_filled(judged) -> None:
+    def spoil(log) -> None:
+        log[JOINTS]["effort"] *= 0
+
+    assert found(judged(spoil)) == [(Kind.MISSING_JOINT, JOINTS)]
+
+
+def test_a_gyroscope_in_degrees_without_an_orientation(judged) -> None:
+    def spoil(log) -> None:
+        log[IMU]["orientation"] = np.tile([0.0, 0, 0, 1], (len(log[IMU]["time"]), 1))
+        log[IMU]["angular_velocity"] *= 180 / np.pi
+
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.UNIT, IMU)]
+    assert diagnosis.findings[0].figures["rate_ratio"] == pytest.approx(57.3, rel=0.1)
+
+
+def test_positions_in_degrees(judged) -> None:
+    def spoil(log) -> None:
+        for name in ("position", "velocity"):
+            log[JOINTS][name] *= 180 / np.pi
+
+    assert found(judged(spoil)) == [(Kind.UNIT, JOINTS)]
+
+
+@pytest.mark.parametrize("topics", [(FIRST, SECOND), (FIRST, "/RH_foot/wrench")])
+def test_exchanged_feet(judged, topics) -> None:
+    def spoil(log) -> None:
+        one, other = topics
+        log[one]["wrench"], log[other]["wrench"] = log[other]["wrench"], log[one]["wrench"]
+
+    diagnosis = judged(spoil)
+    assert diagnosis.severity is Severity.UNUSABLE, [one.message for one in diagnosis.findings]
+    assert found(diagnosis) == [(Kind.CONTRADICTION, "")]
+
+
+def test_a_foot_without_its_sensor(judged) -> None:
+    (finding,) = judged(lambda log: log.pop(FIRST)).findings
+    assert finding.kind in (Kind.CONTRADICTION, Kind.WEIGHT)
+
+
+@pytest.mark.parametrize("topic", [f"/{foot}/wrench" for foot in FEET[::3]])
+def test_a_wrench_with_its_sign_reversed(judged, topic) -> None:
+    def spoil(log) -> None:
+        log[topic]["wrench"] *= -1
+
+    assert found(judged(spoil)) == [(Kind.WRENCH_SIGN, topic)]

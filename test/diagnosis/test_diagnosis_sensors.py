@@ -1,0 +1,145 @@
+"""What an IMU and the joint states say of themselves: units, gravity, signs."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from symbid_ros.diagnosis.finding import Kind, Severity
+from symbid_ros.diagnosis.inertial import Inertial
+from symbid_ros.diagnosis.joint_motion import JointMotion
+from symbid_ros.signals.streams import ImuStream, JointStream
+
+TIME = np.arange(0, 6, 0.005)
+STAMP = np.round(TIME * 1e9).astype(np.int64)
+NAMES = ("hip", "knee", "foot")
+
+
+@pytest.fixture
+def imu() -> dict[str, np.ndarray]:
+    """A body that rocks about all axes under gravity, seen by noisy sensors."""
+    rng = np.random.default_rng(1)
+    angles = 0.3 * np.sin(np.outer(TIME, [2.1, 3.3, 4.0]) + np.arange(3))
+    rotation = Rotation.from_rotvec(angles)
+    middle = Rotation.from_rotvec(
+        0.3 * np.sin(np.outer(TIME + 1e-6, [2.1, 3.3, 4.0]) + np.arange(3))
+    )
+    rate = (rotation.inv() * middle).as_rotvec() / 1e-6
+    return {
+        "orientation": rotation.as_quat(),
+        "angular_velocity": rate + 0.01 * rng.standard_normal(rate.shape) + 0.02,
+        "linear_acceleration": rotation.inv().apply([0, 0, 9.81])
+        + 0.1 * rng.standard_normal(rate.shape),
+    }
+
+
+def told(columns):
+    watch = Inertial("/imu")
+    for part in (slice(0, 600), slice(600, None)):
+        watch.add(ImuStream("/imu", "imu", STAMP[part], **{k: v[part] for k, v in columns.items()}))
+    return watch.findings()
+
+
+def test_an_honest_imu_is_clean(imu) -> None:
+    assert told(imu) == []
+
+
+def test_an_imu_at_rest_has_no_axes(imu) -> None:
+    imu["orientation"][:] = imu["orientation"][0]
+    imu["angular_velocity"] = 0.01 * np.random.default_rng(2).standard_normal((len(TIME), 3))
+    assert told(imu) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "kind"),
+    [
+        ("linear_acceleration", 1 / 9.81, Kind.UNIT),
+        ("linear_acceleration", 100.0, Kind.UNIT),
+        ("linear_acceleration", 0.01, Kind.GRAVITY),
+        ("angular_velocity", 180 / np.pi, Kind.UNIT),
+        ("angular_velocity", -1.0, Kind.IMU_MOUNTING),
+    ],
+)
+def test_a_scaled_reading(imu, name, factor, kind) -> None:
+    imu[name] *= factor
+    (finding,) = told(imu)
+    assert (finding.kind, finding.severity) == (kind, Severity.UNUSABLE)
+    assert name in finding.message
+
+
+def test_acceleration_without_gravity(imu) -> None:
+    upright = Rotation.from_quat(imu["orientation"])
+    imu["linear_acceleration"] -= upright.inv().apply([0, 0, 9.81])
+    (finding,) = told(imu)
+    assert finding.kind is Kind.GRAVITY
+
+
+def test_a_quaternion_in_another_order(imu) -> None:
+    imu["orientation"] = np.roll(imu["orientation"], 1, axis=1)
+    (finding,) = told(imu)
+    assert (finding.kind, finding.severity) == (Kind.ORIENTATION, Severity.WARNING)
+
+
+def test_exchanged_axes_of_a_gyroscope(imu) -> None:
+    imu["angular_velocity"] = imu["angular_velocity"][:, [1, 2, 0]]
+    (finding,) = told(imu)
+    assert finding.kind is Kind.IMU_MOUNTING
+    assert finding.figures["angle_deg"] == pytest.approx(120, abs=1)
+
+
+@pytest.fixture
+def joints() -> JointStream:
+    position = 0.5 * np.sin(np.outer(TIME, [2.0, 3.0, 1.0]) + np.arange(3))
+    velocity = np.gradient(position, TIME, axis=0)
+    noise = np.random.default_rng(4).standard_normal((2, *position.shape))
+    return JointStream(
+        "/joints",
+        NAMES,
+        STAMP,
+        position + 1e-5 * noise[0],
+        velocity + 0.02 * noise[1],
+        5 * position,
+    )
+
+
+def of(joints: JointStream):
+    motion = JointMotion(joints.topic, joints.names)
+    motion.add(joints)
+    return motion.findings(None)
+
+
+def test_honest_joints_are_clean(joints) -> None:
+    assert of(joints) == []
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_velocities_that_are_not_filled_are_no_fault(joints, value) -> None:
+    joints.velocity[:] = value
+    assert of(joints) == []
+
+
+def test_a_joint_that_counts_backwards(joints) -> None:
+    joints.position[:, 1] *= -1
+    (finding,) = of(joints)
+    assert (finding.kind, finding.severity) == (Kind.VELOCITY, Severity.UNUSABLE)
+    assert "knee" in finding.message
+    assert "hip" not in finding.message
+
+
+def test_positions_in_degrees(joints) -> None:
+    joints.position[:] *= 180 / np.pi
+    (finding,) = of(joints)
+    assert (finding.kind, finding.severity) == (Kind.UNIT, Severity.UNUSABLE)
+    assert "positions of all joints" in finding.message
+
+
+def test_velocities_in_degrees(joints) -> None:
+    joints.velocity[:, 2] *= 180 / np.pi
+    (finding,) = of(joints)
+    assert (finding.kind, finding.severity) == (Kind.UNIT, Severity.WARNING)
+    assert "velocities of foot" in finding.message
+
+
+def test_efforts_that_are_all_zero(joints) -> None:
+    joints.effort[:] = 0
+    (finding,) = of(joints)
+    assert (finding.kind, finding.severity) == (Kind.MISSING_JOINT, Severity.UNUSABLE)

@@ -1,0 +1,64 @@
+"""What is held against the model before anything is identified."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from bag_surgery import Messages, operate
+from random_robots import CONFIG
+
+from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.errors import DataError
+from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.record import Processing
+
+RIGHT = "/right_foot/wrench"
+
+
+@pytest.fixture(scope="module")
+def log(simulated):
+    return simulated("smooth", moves=2, motion_seed=31, noise_seed=5)
+
+
+def job(bag) -> Job:
+    return Job((bag,), CONFIG / "symbitron.urdf", processing=Processing(windows=(0.081,)))
+
+
+def reversed_wrench(messages: Messages) -> None:
+    messages.records["wrench.force"] *= -1
+    messages.records["wrench.torque"] *= -1
+
+
+def halved_effort(messages: Messages) -> None:
+    messages.records["effort"][:, messages.joints.index("R_hfe")] *= 0.5
+
+
+def test_a_clean_log_is_believed_without_a_word(log, caplog) -> None:
+    prepare(job(log))
+    assert caplog.messages == []
+
+
+def test_a_reversed_wrench_is_refused_and_named_unless_it_is_not_to_be_checked(
+    log, tmp_path
+) -> None:
+    bag = operate(log, tmp_path / "reversed", {RIGHT: reversed_wrench})
+    with pytest.raises(DataError, match=f"reversed: {RIGHT}: has its sign reversed") as refusal:
+        prepare(job(bag))
+    assert "--unchecked" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+    wrong = prepare(replace(job(bag), unchecked=True))
+    right = prepare(job(log))
+    assert np.array_equal(wrong.record.samples.stamp, right.record.samples.stamp)
+
+
+def test_a_contact_left_out_is_refused_although_the_others_are_named(log) -> None:
+    left_alone = TopicSelection(wrenches=("/left_foot/wrench",))
+    with pytest.raises(DataError, match="record the wrench of every contact"):
+        prepare(replace(job(log), processing=Processing(topics=left_alone)))
+
+
+def test_a_doubtful_gain_is_warned_of(log, tmp_path, caplog) -> None:
+    bag = operate(log, tmp_path / "halved", {"/joint_states": halved_effort})
+    prepare(job(bag))
+    (message,) = caplog.messages
+    assert "/joint_states: effort of R_hfe reads 0." in message

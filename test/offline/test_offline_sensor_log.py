@@ -1,0 +1,94 @@
+"""A log read slice by slice is the log read at once."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_surgery import Messages, operate
+
+from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.bags.streams.slices import TimeRange
+from symbid_ros.errors import BagError, DataError
+from symbid_ros.model.load import load_model
+from symbid_ros.offline.sensor_log import SensorLog
+from symbid_ros.share import config_file
+from symbid_ros.signals.alignment import Segment
+from symbid_ros.signals.weak_form import BLOCK
+
+ALL = TopicSelection()
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(config_file("symbitron.xml"))
+
+
+@pytest.fixture(scope="module")
+def bag(simulated) -> Path:
+    return simulated("smooth", moves=5, motion_seed=4, noise_seed=2)
+
+
+def joined(segments) -> dict[str, np.ndarray]:
+    parts = list(segments)
+    return {
+        entry.name: np.concatenate([getattr(part, entry.name) for part in parts])
+        for entry in fields(Segment)
+        if isinstance(getattr(parts[0], entry.name), np.ndarray)
+    }
+
+
+def assert_equal(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+    for name, values in expected.items():
+        np.testing.assert_array_equal(found[name], values, err_msg=name)
+
+
+def test_slices_put_together_are_the_whole(model, bag: Path) -> None:
+    (whole,) = SensorLog([bag], model, ALL)
+    sliced = SensorLog([bag], model, ALL, span=BLOCK)
+    parts = list(sliced)
+    assert len(parts) == whole.stamp[-1] // BLOCK - whole.stamp[0] // BLOCK + 1
+    assert {part.stamp[0] // BLOCK for part in parts} == {p.stamp[-1] // BLOCK for p in parts}
+    assert_equal(joined(parts), joined([whole]))
+    (again,) = sliced.whole_stretches()
+    assert_equal(joined([again]), joined([whole]))
+
+
+def test_a_log_too_long_to_keep_is_read_again(model, bag: Path, tmp_path: Path) -> None:
+    link = tmp_path / "bag"
+    link.symlink_to(bag)
+    kept, reread = (SensorLog([link], model, ALL, most_kept=most) for most in (2**30, 0))
+    first = [joined(log) for log in (kept, reread)]
+    assert_equal(joined(reread), first[0])
+    link.unlink()
+    assert_equal(joined(kept), first[1])
+    with pytest.raises(BagError, match="no such bag"):
+        list(reread)
+
+
+def test_a_part_is_cut_out(model, bag: Path) -> None:
+    (whole,) = SensorLog([bag], model, ALL)
+    begin = int(whole.stamp[0])
+    parts = SensorLog([bag], model, ALL, TimeRange(1.5, 6.25), span=BLOCK)
+    inside = (whole.stamp >= begin + 1_500_000_000) & (whole.stamp < begin + 6_250_000_000)
+    np.testing.assert_array_equal(joined(parts)["effort"], whole.effort[inside])
+    with pytest.raises(DataError, match="holds nothing of the time asked for"):
+        list(SensorLog([bag], model, ALL, TimeRange(1e5)))
+    with pytest.raises(BagError, match="from 2 s to 1 s is no part"):
+        TimeRange(2, 1)
+
+
+def test_instants_in_a_gap_are_counted_once(model, bag: Path, tmp_path: Path, caplog) -> None:
+    def silenced(messages: Messages) -> None:
+        heard = ~messages.between(4.0, 4.4)
+        messages.order, messages.log_time = messages.order[heard], messages.log_time[heard]
+
+    gappy = operate(bag, tmp_path / "gappy", {"/imu/data": silenced})
+    (whole,) = SensorLog([bag], model, ALL)
+    log = SensorLog([gappy], model, ALL, span=BLOCK, most_kept=0)
+    left = joined(log)["stamp"]
+    after = (whole.stamp - whole.stamp[0]) * 1e-9
+    np.testing.assert_array_equal(left, whole.stamp[(after < 4.0) | (after >= 4.4)])
+    joined(log)
+    told = [one for one in caplog.messages if "lie in gaps" in one]
+    assert told == [f"{gappy}: 400 of {len(whole)} instants lie in gaps and are left out"]
