@@ -1,7 +1,7 @@
 """An estimate in messages that any ROS tool can show."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -12,6 +12,7 @@ from sensor_msgs.msg import JointState
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.inertia import PARAMETERS, com_from_phi
+from symbid_ros.ros.health import OK, WARN, Health
 
 # How far a parameter is stepped, in its own deviations, to find the slope of a message's fields.
 STEP = 1e-4
@@ -42,6 +43,28 @@ def inertia_stddev_message(estimate: Estimate, link: str, stamp: Time) -> Inerti
     slopes = np.array([_central(phi + STEP * std * unit) - centre for unit in np.eye(10)]) / STEP
     deviation = np.sqrt(np.sum(slopes**2, axis=0))
     return _inertia_stamped(np.where(determined, deviation, np.nan), link, stamp)
+
+
+def estimate_health(
+    estimate: Estimate, alarms: Sequence[str], facts: Mapping[str, object]
+) -> Health:
+    """Return the health of an estimate, with further facts about it."""
+    impossible = [link for link, possible in estimate.consistent.items() if not possible]
+    faults = [f"physically impossible: {', '.join(impossible)}"] if impossible else []
+    figures: dict[str, object] = {"method": estimate.method, "samples": estimate.samples}
+    if estimate.determined is not None:
+        count = int(estimate.determined.sum())
+        figures["determined"] = f"{count} of {len(estimate.determined)}"
+    faults += alarms
+    if estimate.rank is not None:
+        figures["rank"] = estimate.rank
+    figures["condition"] = f"{estimate.condition:.6g}"
+    return Health(
+        "estimate",
+        WARN if faults else OK,
+        "; ".join(faults) or "estimate published",
+        figures | dict(facts),
+    )
 
 
 def _of_link(values: FloatArray, estimate: Estimate, link: str) -> FloatArray:
@@ -91,28 +114,10 @@ def _status(estimate: Estimate, group: str, indices: Sequence[int]) -> Diagnosti
         if estimate.std is not None:
             deviation = repr(float(estimate.std[index]))
             status.values.append(KeyValue(key=f"{key}/std", value=deviation))
+        if estimate.determined is not None:
+            word = "true" if estimate.determined[index] else "false"
+            status.values.append(KeyValue(key=f"{key}/determined", value=word))
     return status
-
-
-def health_message(estimate: Estimate, node: str, stamp: Time) -> DiagnosticArray:
-    """Return the identifier's own state for /diagnostics."""
-    impossible = [link for link, possible in estimate.consistent.items() if not possible]
-    faults = [f"physically impossible: {', '.join(impossible)}"] if impossible else []
-    if estimate.verdict is not None:
-        faults += estimate.verdict.alarms
-    status = DiagnosticStatus(name=f"{node}: estimate", hardware_id=estimate.model)
-    status.level = DiagnosticStatus.WARN if faults else DiagnosticStatus.OK
-    status.message = "; ".join(faults) or "estimate published"
-    facts = {
-        "method": estimate.method,
-        "samples": str(estimate.samples),
-        "rank": str(estimate.rank),
-        "condition": f"{estimate.condition:.6g}",
-    }
-    status.values = [KeyValue(key=key, value=value) for key, value in facts.items()]
-    message = DiagnosticArray(status=[status])
-    message.header.stamp = stamp
-    return message
 
 
 def effort_residual_message(estimate: Estimate, stamp: Time) -> JointState:
@@ -121,14 +126,14 @@ def effort_residual_message(estimate: Estimate, stamp: Time) -> JointState:
     message.header.stamp = stamp
     joints = {name: rmse for name, rmse in estimate.residual_rmse.items() if "base/" not in name}
     message.name, message.effort = list(joints), list(joints.values())
+    # They may be empty by their definition, but plotters index all arrays by the joint.
+    message.position = message.velocity = [float("nan")] * len(joints)
     return message
 
 
-def wrench_residual_message(estimate: Estimate, base: str, stamp: Time) -> WrenchStamped | None:
-    """Return the root mean square of the base's wrench residual; None for a fixed base."""
+def wrench_residual_message(estimate: Estimate, base: str, stamp: Time) -> WrenchStamped:
+    """Return the root mean square of a floating base's wrench residual."""
     residual = estimate.residual_rmse
-    if "base/force_x" not in residual:
-        return None
     message = WrenchStamped()
     message.header.stamp, message.header.frame_id = stamp, base
     for axis in "xyz":

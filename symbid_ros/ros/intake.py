@@ -4,15 +4,15 @@ An executor rebuilds its wait set for every message and loses messages where a
 plain poll that empties every queue does not.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-from symbid_ros.bags.writer import OfferedQos
+from symbid_ros.bags.metadata import OfferedQos
 from symbid_ros.ros.messages import matching, message_class, offered
 
 BATCH = 256  # messages taken from one queue before the next has its turn
@@ -26,8 +26,7 @@ class Polled(CallbackGroup):  # type: ignore[misc]
         return False
 
 
-@dataclass(frozen=True)
-class Arrival:
+class Arrival(NamedTuple):
     """One message as it came: bytes, time of receipt and of publishing in nanoseconds."""
 
     payload: bytes
@@ -68,38 +67,19 @@ def _unused(message: Any) -> None:
     """Stand where rclpy wants a callback."""
 
 
-@dataclass
-class Discovery:
-    """Subscribes to wanted topics as soon as the graph shows a publisher."""
-
-    node: Node
-    topics: tuple[str, ...]
-    depth: int
-
-    def __post_init__(self) -> None:
-        self._group = Polled()
-        self._missing = {self.node.resolve_topic_name(topic) for topic in self.topics}
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """Topics without a publisher so far."""
-        return tuple(sorted(self._missing))
-
-    def look(self, announce: Callable[[Intake], None]) -> None:
-        """Subscribe to what has appeared and announce each."""
-        for topic in self.missing:
-            publishers = self.node.get_publishers_info_by_topic(topic)
-            if not publishers:
-                continue
-            profiles = [publisher.qos_profile for publisher in publishers]
-            msgtype = publishers[0].topic_type
-            subscription = self.node.create_subscription(
-                message_class(msgtype),
-                topic,
-                _unused,
-                matching(profiles, self.depth),
-                callback_group=self._group,
-                raw=True,
-            )
-            self._missing.discard(topic)
-            announce(Intake(topic, msgtype, tuple(map(offered, profiles)), subscription))
+def subscribe(node: Node, topic: str, depth: int, group: Polled) -> Intake | None:
+    """Subscribe to a topic as its publishers offer it; None while there is none."""
+    publishers = node.get_publishers_info_by_topic(topic)
+    if not publishers:
+        return None
+    profiles = [publisher.qos_profile for publisher in publishers]
+    msgtype = publishers[0].topic_type
+    subscription = node.create_subscription(
+        message_class(msgtype),
+        topic,
+        _unused,
+        matching(profiles, depth),
+        callback_group=group,
+        raw=True,
+    )
+    return Intake(topic, msgtype, tuple(map(offered, profiles)), subscription)

@@ -11,7 +11,7 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 
-from symbid_ros.bags.writer import OfferedQos
+from symbid_ros.bags.metadata import OfferedQos
 from symbid_ros.errors import SymbidError
 
 
@@ -38,11 +38,15 @@ def reliable(depth: int) -> QoSProfile:
 
 
 def matching(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
-    """Return the strictest profile that all publishers satisfy, with a queue of ``depth``."""
+    """Return the strictest profile that all publishers satisfy.
+
+    Reliable publishers are told to wait where they can: nothing is overwritten that has been
+    acknowledged. Of others ``depth`` messages are kept.
+    """
     is_reliable = all(offer.reliability == QoSReliabilityPolicy.RELIABLE for offer in offers)
     is_latched = all(offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
     return QoSProfile(
-        history=QoSHistoryPolicy.KEEP_LAST,
+        history=QoSHistoryPolicy.KEEP_ALL if is_reliable else QoSHistoryPolicy.KEEP_LAST,
         depth=depth,
         reliability=QoSReliabilityPolicy.RELIABLE
         if is_reliable

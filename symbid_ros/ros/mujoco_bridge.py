@@ -2,168 +2,204 @@
 
 import json
 import sys
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from queue import SimpleQueue
 from threading import Event
 from typing import Any
 
 from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
 
-from symbid_ros.ros.parameters import Parameter, ParameterError
+from symbid_ros.arrays import FloatArray
+from symbid_ros.ros.bridge_health import BridgeRecord, describe, figures
+from symbid_ros.ros.bridge_parameters import PARAMETERS, PayloadParameters, simulator_from
+from symbid_ros.ros.bridge_topics import BridgeTopics
+from symbid_ros.ros.command_source import CommandSource, command_source
+from symbid_ros.ros.health import Health, HealthPublisher
+from symbid_ros.ros.pacing import Schedule
+from symbid_ros.ros.parameters import watch
 from symbid_ros.ros.process import run_node
-from symbid_ros.ros.publishing import (
-    InstantPublisher,
-    await_acknowledgement,
-    await_subscribers,
-    clock_topic,
-)
-from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.topics import sensor_topics, truth_topics
+from symbid_ros.simulation.breakdown import BreakdownError
+from symbid_ros.simulation.measurement import Instant
 
-PARAMETERS = (
-    Parameter(
-        "scenario",
-        "smooth",
-        "What the robot does.",
-        choices=("smooth", "squat", "vibrating", "suspended", "tare"),
-    ),
-    Parameter(
-        "moves",
-        20,
-        "Number of moves, of the centre of mass or the hook; a tare has none.",
-        minimum=1,
-    ),
-    Parameter("motion_seed", 0, "Draws the moves; the same seed moves the same.", minimum=0),
-    Parameter("noise_seed", 0, "Draws the sensor noise.", minimum=0),
-    Parameter("ideal", False, "Publish noise-free sensors; the motion stays the same."),
-    Parameter("friction", False, "Give the joints friction and armature, as friction.yaml says."),
-    Parameter("friction_file", "", "Other YAML file of friction; implies friction."),
-    Parameter("errors", "", "Systematic errors: typical, or names with commas; empty for none."),
-    Parameter("error_seed", 0, "Draws the systematic errors.", minimum=0),
-    Parameter("model", "", "MJCF file of the robot; empty for the package's Symbitron."),
-    Parameter("noise", "", "YAML file of sensor noise; empty for the package's noise.yaml."),
-    Parameter(
-        "real_time_factor",
-        1.0,
-        "Simulated seconds per second, if the machine keeps up.",
-        minimum=0.01,
-        maximum=100.0,
-    ),
-    Parameter(
-        "clock_rate", 100.0, "/clock messages per simulated second; 0 for none.", minimum=0.0
-    ),
-    Parameter(
-        "ground_truth_rate",
-        100.0,
-        "Messages per simulated second on each ground_truth/ topic; 0 for none.",
-        minimum=0.0,
-    ),
-    Parameter("queue_depth", 1000, "Messages a slow subscriber may lag behind.", minimum=1),
-    Parameter(
-        "wait_for_subscribers",
-        False,
-        "Start to move once every sensor topic has a subscriber, so that nothing is lost.",
-    ),
-)
-
-
-@dataclass(frozen=True)
-class Pace:
-    """How a run kept to its schedule: steps, of these late by a period or more, and seconds."""
-
-    steps: int
-    late_steps: int
-    wall_time: float
+LOOK_PERIOD = 0.02  # s between two looks at whether a pause is over
+WARNING_PERIOD = 5.0  # s between two warnings of one kind
 
 
 class MujocoBridge:
-    """Steps the simulator on schedule and publishes what it measures."""
+    """Steps the simulator on schedule and publishes what it measures.
+
+    Parameters
+    ----------
+    node : Node
+    values : dict
+        Of its parameters, declared.
+    """
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
-        self._simulator = Simulator(
-            values["scenario"],
-            moves=values["moves"],
-            motion_seed=values["motion_seed"],
-            noise_seed=values["noise_seed"],
-            ideal=values["ideal"],
-            friction=values["friction"],
-            errors=values["errors"],
-            error_seed=values["error_seed"],
-            model_path=_path(values["model"]),
-            noise_path=_path(values["noise"]),
-            friction_path=_path(values["friction_file"]),
-        )
-        self._real_time_factor: float = values["real_time_factor"]
-        self._is_patient: bool = values["wait_for_subscribers"]
-        depth = values["queue_depth"]
-        self._sensors = [
-            InstantPublisher.create(node, topic, every=topic.every, depth=depth)
-            for topic in sensor_topics(self._simulator)
-        ]
-        self._others = []
-        for rate, topics in (
-            ("clock_rate", [clock_topic()]),
-            ("ground_truth_rate", truth_topics(self._simulator)),
-        ):
-            every = self._steps_between(rate, values[rate])
-            if every:
-                self._others += [
-                    InstantPublisher.create(node, topic, every=every, depth=depth)
-                    for topic in topics
-                ]
+        self._node, self._values = node, values
+        self._simulator = simulator_from(values)
+        self._payloads = PayloadParameters(values)
+        self._payload = self._payloads.payload(values)
+        self._changes: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        self._again, self._paused = Event(), Event()
+        self._taken = 0  # instants of this motion
+        self._torques: FloatArray | None = None
+        self._is_payload_due = True
+        self._record = BridgeRecord()
+        self._schedule = Schedule(self._simulator.period_ns / values["real_time_factor"])
+        self._topics = BridgeTopics(node, self._simulator, values)
+        self._commands = command_source(node, self._simulator, self._topics, values)
+        watch(node, PARAMETERS, self._changes.put, self._payloads.require)
+        node.create_service(Trigger, "~/reset", self._on_reset)
+        node.create_service(SetBool, "~/pause", self._on_pause)
+        self._health = HealthPublisher(node, self._look)
 
     def run(self, stop: Event) -> None:
         """Play the motion to its end or until stopped, then say what was published."""
-        if self._is_patient:
-            await_subscribers(self._sensors, self._others, stop)
-        pace = self._play(stop)
-        publishers = [*self._sensors, *self._others]
-        await_acknowledgement(publishers)
-        simulated = pace.steps * self._simulator.period_ns / 1e9
-        summary = {
-            "published": {entry.publisher.topic_name: entry.count for entry in publishers},
-            "steps": pace.steps,
-            "late_steps": pace.late_steps,
-            "real_time_factor": round(simulated / pace.wall_time, 4) if pace.wall_time else 0.0,
+        if self._values["wait_for_subscribers"]:
+            self._topics.await_subscribers(stop, self._values["subscribers"])
+        self._play(stop)
+        self._topics.await_acknowledgement()
+        record = self._record
+        simulated = record.steps * self._simulator.period_ns
+        elapsed = self._schedule.elapsed_ns
+        summary: dict[str, Any] = {
+            "published": self._topics.counts,
+            "steps": record.steps,
+            "late_steps": self._schedule.late,
+            "real_time_factor": round(simulated / elapsed, 4) if elapsed else 0.0,
         }
+        if self._commands is not None:
+            given = {"starts": record.starts, "falls": record.falls, "safe": record.safe_steps}
+            summary["commands"] = given | figures(self._commands.counts)
         print(json.dumps(summary), flush=True)
 
-    def _play(self, stop: Event) -> Pace:
-        # A ROS timer skips ticks: deadlines on the monotonic clock do not.
-        period = self._simulator.period_ns / self._real_time_factor
-        publishers = [*self._sensors, *self._others]
-        late = step = 0
-        start = time.monotonic_ns()
-        while step < self._simulator.steps and not stop.is_set():
-            instant = self._simulator.step()
-            ahead = start + step * period - time.monotonic_ns()
-            if ahead > 0:
-                time.sleep(ahead / 1e9)
-            elif -ahead >= period:
-                late += 1
-            for publisher in publishers:
-                publisher.publish(step, instant)
-            step += 1
-        return Pace(step, late, (time.monotonic_ns() - start) / 1e9)
+    def _play(self, stop: Event) -> None:
+        self._begin(stop)
+        while not stop.is_set() and (
+            self._commands is not None or self._taken < self._simulator.steps
+        ):
+            if self._again.is_set():
+                self._node.get_logger().info(f"reset at {self._record.time:.3f} s, as asked")
+                self._record.last_fall = ""
+                self._begin_again(stop)
+            if self._paused.is_set():
+                self._rest(stop)
+                continue
+            self._fasten_payload()
+            try:
+                instant = self._simulator.step(self._torques)
+            except BreakdownError as fall:
+                if self._commands is None:
+                    raise
+                self._note_fall(fall)
+                self._begin_again(stop)
+                continue
+            self._schedule.wait()
+            self._publish(instant)
+            if self._commands is not None:
+                self._obey(self._commands, instant, stop)
 
-    def _steps_between(self, name: str, rate: float) -> int:
-        """Return how many steps lie between two messages, 0 for no message."""
-        if not rate:
-            return 0
-        every = 1e9 / (rate * self._simulator.period_ns)
-        if every < 1 or abs(every - round(every)) > 1e-6:
-            highest = 1e9 / self._simulator.period_ns
-            raise ParameterError(
-                f"parameter {name}: {rate:g} does not divide the simulation's rate; "
-                f"give {highest:g} divided by a whole number"
+    def _begin(self, stop: Event) -> None:
+        """Stand at the beginning of the motion until there is a controller, if one is needed."""
+        record = self._record
+        self._taken, self._torques = 0, None
+        self._is_payload_due, record.payload = True, None
+        record.starts += 1
+        record.is_safe = False
+        self._again.clear()
+        if self._commands is not None:
+            record.is_waiting = True
+            self._node.get_logger().info(f"waiting for a controller: {self._commands.place}")
+            self._commands.await_controller(stop)
+        self._schedule.restart()
+
+    def _begin_again(self, stop: Event) -> None:
+        self._simulator = simulator_from(self._values)
+        self._begin(stop)
+
+    def _rest(self, stop: Event) -> None:
+        self._record.is_paused = True
+        while self._paused.is_set() and not (stop.is_set() or self._again.is_set()):
+            stop.wait(LOOK_PERIOD)
+        self._record.is_paused = False
+        self._schedule.restart()
+
+    def _note_fall(self, fall: BreakdownError) -> None:
+        self._record.falls += 1
+        self._record.last_fall = f"{fall.cause} at {fall.time:.3f} s"
+        self._node.get_logger().error(f"{self._record.last_fall}; the motion begins anew")
+
+    def _publish(self, instant: Instant) -> None:
+        self._topics.publish(self._taken, instant)
+        self._taken += 1
+        self._record.steps += 1
+        self._record.time = instant.stamp / 1e9
+
+    def _obey(self, commands: CommandSource, instant: Instant, stop: Event) -> None:
+        """Get the torques for the next period."""
+        record = self._record
+        command = commands.exchange(instant, stop)
+        # Time stands still until the first command.
+        while record.is_waiting and command.is_safe and commands.await_controller(stop):
+            command = commands.exchange(instant, stop)
+        if record.is_waiting:
+            record.is_waiting = False
+            self._schedule.restart()
+        self._torques = command.torques
+        record.safe_steps += command.is_safe
+        if command.is_safe and not record.is_safe and not stop.is_set():
+            self._node.get_logger().warning(
+                f"no command for {self._values['command_timeout']:g} s at {record.time:.3f} s: "
+                "the drives only brake until one comes",
+                throttle_duration_sec=WARNING_PERIOD,
             )
-        return round(every)
+        record.is_safe = command.is_safe
 
+    def _fasten_payload(self) -> None:
+        """Give the robot its payload when it is due, or at once if it was set meanwhile."""
+        period = self._simulator.period_ns / 1e9
+        is_set = not self._changes.empty()
+        while not self._changes.empty():
+            self._payload = self._payloads.payload(self._changes.get())
+        is_due = self._is_payload_due and self._taken * period >= self._values["payload_time"]
+        if not (is_set or is_due):
+            return
+        self._is_payload_due = False
+        if self._payload == self._record.payload:
+            return
+        self._simulator.attach(self._payload)
+        self._record.payload = self._payload
+        self._node.get_logger().info(
+            f"payload from {(self._taken + 1) * period:.3f} s on: {describe(self._payload)}"
+        )
 
-def _path(value: str) -> Path | None:
-    return Path(value) if value else None
+    def _on_reset(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        answer.success = True
+        if self._record.is_waiting:
+            answer.message = "at the beginning already, waiting for a controller"
+        else:
+            self._again.set()
+            answer.message = "the motion begins anew"
+        return answer
+
+    def _on_pause(self, wish: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+        if wish.data:
+            self._paused.set()
+        else:
+            self._paused.clear()
+        answer.success = True
+        answer.message = "paused" if wish.data else "running"
+        return answer
+
+    def _look(self) -> list[Health]:
+        record, values = self._record, self._values
+        found = [record.simulation(values["scenario"], self._schedule.late)]
+        if self._commands is not None:
+            counts = self._commands.counts
+            found.append(record.commands(self._commands.place, self._commands.controllers, counts))
+        return found
 
 
 def main(args: Sequence[str] | None = None) -> None:

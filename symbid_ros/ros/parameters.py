@@ -1,10 +1,16 @@
-"""Node parameters: declared with description and range, checked before anything starts."""
+"""Node parameters: declared with description and range, checked before anything changes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterType,
+    SetParametersResult,
+)
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 
@@ -13,6 +19,8 @@ from symbid_ros.errors import SymbidError
 LARGE_INTEGER = 2**31 - 1
 LARGE_NUMBER = 1e9
 
+Values = Mapping[str, Any]
+
 
 class ParameterError(SymbidError):
     """A node parameter of the wrong type or outside its range."""
@@ -20,17 +28,20 @@ class ParameterError(SymbidError):
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of a node, fixed when the node starts.
+    """One parameter of a node.
 
     Attributes
     ----------
     name, description : str
-    default : bool, int, float, str or list of str
-        Also fixes the type.
+    default : bool, int, float, str, list of str or list of float
+        Also fixes the type; a list of numbers its length as well.
     minimum, maximum : float or None
-        Inclusive range of a number.
+        Inclusive range of a number, or of each of a list; None for ±10⁹ (numbers) or
+        ±(2³¹ - 1) (integers): NaN and infinity lie outside any.
     choices : tuple of str
         What a string may be; anything when empty.
+    live : bool
+        Whether it may be set while the node runs.
     """
 
     name: str
@@ -39,65 +50,181 @@ class Parameter:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    live: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
         """Return what ``ros2 param describe`` shows."""
         descriptor = ParameterDescriptor(
             name=self.name,
             description=self.description,
-            additional_constraints=f"one of {', '.join(self.choices)}" if self.choices else "",
-            read_only=True,
+            additional_constraints=self._constraints(),
+            read_only=not self.live,
         )
-        if self.minimum is not None or self.maximum is not None:
-            if isinstance(self.default, int):
-                descriptor.integer_range = [
-                    IntegerRange(
-                        from_value=int(self.minimum or 0),
-                        to_value=LARGE_INTEGER if self.maximum is None else int(self.maximum),
-                        step=1,
-                    )
-                ]
-            else:
-                descriptor.floating_point_range = [
-                    FloatingPointRange(
-                        from_value=float(self.minimum or 0.0),
-                        to_value=LARGE_NUMBER if self.maximum is None else float(self.maximum),
-                    )
-                ]
+        low, high = self._bounds()
+        if _is_integer(self.default):
+            descriptor.integer_range = [
+                IntegerRange(from_value=int(low), to_value=int(high), step=1)
+            ]
+        elif isinstance(self.default, float) or self._is_vector:
+            descriptor.floating_point_range = [
+                FloatingPointRange(from_value=float(low), to_value=float(high))
+            ]
         return descriptor
+
+    def require(self, value: Any) -> None:
+        """Refuse a value of the right type for what a descriptor cannot say.
+
+        Raises
+        ------
+        ParameterError
+            When it is none of the choices, or a list of the wrong length or with numbers out of
+            range.
+        """
+        if self.choices and value not in self.choices:
+            raise ParameterError(
+                f"parameter {self.name}: {value!r} is not known; give {self.expected}"
+            )
+        if self._is_vector:
+            low, high = self._bounds()
+            # Written so that NaN is refused.
+            if len(value) != len(self.default) or not all(low <= each <= high for each in value):
+                raise ParameterError(
+                    f"parameter {self.name}: {list(value)} is no valid value; give {self.expected}"
+                )
+
+    @property
+    def expected(self) -> str:
+        """What may be given, in words."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        kinds = {bool: "true or false", int: "an integer", float: "a number with a decimal point"}
+        kind = kinds.get(type(self.default), "text")
+        if self._is_vector:
+            kind = f"a list of {len(self.default)} numbers with decimal points"
+        elif isinstance(self.default, list):
+            kind = "a list of texts"
+        bounds = [
+            f"{word} {bound:g}"
+            for word, bound in (("at least", self.minimum), ("at most", self.maximum))
+            if bound is not None
+        ]
+        return " ".join([kind, " and ".join(bounds)]).strip()
+
+    @property
+    def _is_vector(self) -> bool:
+        return isinstance(self.default, list) and isinstance(self.default[0], float)
+
+    def _bounds(self) -> tuple[float, float]:
+        largest = LARGE_INTEGER if _is_integer(self.default) else LARGE_NUMBER
+        return (
+            -largest if self.minimum is None else self.minimum,
+            largest if self.maximum is None else self.maximum,
+        )
+
+    def _constraints(self) -> str:
+        return self.expected if self.choices or self._is_vector else ""
 
 
 def declare(node: Node, parameters: Sequence[Parameter]) -> dict[str, Any]:
-    """Declare parameters and return their values by name."""
-    return {parameter.name: _declared(node, parameter) for parameter in parameters}
+    """Declare parameters and return their values by name.
+
+    Live ones are refused to whoever sets them until they are watched.
+
+    Raises
+    ------
+    ParameterError
+        When one was given a value that it cannot take.
+    """
+    # rclpy declares it in every node, and leaves it undescribed.
+    clock = ParameterDescriptor(
+        type=ParameterType.PARAMETER_BOOL,
+        description="Take the time from /clock, not from the system.",
+    )
+    node.set_descriptor("use_sim_time", clock)
+    values = {parameter.name: _declared(node, parameter) for parameter in parameters}
+    if any(parameter.live for parameter in parameters):
+        node.add_on_set_parameters_callback(_not_yet)
+    return values
+
+
+def watch(
+    node: Node,
+    parameters: Sequence[Parameter],
+    on_change: Callable[[dict[str, Any]], None],
+    check: Callable[[dict[str, Any]], None] = lambda values: None,
+) -> None:
+    """Let the live ones among declared parameters be set while the node runs.
+
+    Both callables get all live values by name as they are after the set, and run in the thread
+    that executes the node's services.
+
+    Parameters
+    ----------
+    node : Node
+        On which they are declared.
+    parameters : sequence of Parameter
+        The live ones are watched.
+    on_change : callable
+        Told of values that were accepted and differ from those before.
+    check : callable, optional
+        Raises SymbidError, whose message the setter is told, when values do not do; it must
+        change nothing, as another parameter of the same set may still be refused.
+    """
+    live = {parameter.name: parameter for parameter in parameters if parameter.live}
+    current = {name: _plain(node.get_parameter(name).value) for name in live}
+
+    def changed(given: Sequence[Any]) -> dict[str, Any]:
+        return {entry.name: _plain(entry.value) for entry in given if entry.name in live}
+
+    def accept(given: Sequence[Any]) -> SetParametersResult:
+        values = changed(given)
+        try:
+            for name, value in values.items():
+                live[name].require(value)
+            if values:
+                check(current | values)
+        except SymbidError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def follow(given: Sequence[Any]) -> None:
+        before = dict(current)
+        current.update(changed(given))
+        if current != before:
+            on_change(dict(current))
+
+    node.remove_on_set_parameters_callback(_not_yet)
+    node.add_on_set_parameters_callback(accept)
+    node.add_post_set_parameters_callback(follow)
+
+
+def _not_yet(given: Sequence[Any]) -> SetParametersResult:
+    if all(entry.name == "use_sim_time" for entry in given):
+        return SetParametersResult(successful=True)
+    return SetParametersResult(
+        successful=False,
+        reason="not followed now: the node is still starting, or its mode has no use for it",
+    )
 
 
 def _declared(node: Node, parameter: Parameter) -> Any:
     try:
-        value = node.declare_parameter(
+        declared = node.declare_parameter(
             parameter.name, parameter.default, parameter.descriptor()
         ).value
     except ParameterException as error:
         raise ParameterError(
-            f"parameter {parameter.name}: not a valid value; give {_expected(parameter)}"
+            f"parameter {parameter.name}: not a valid value; give {parameter.expected}"
         ) from error
-    if parameter.choices and value not in parameter.choices:
-        raise ParameterError(
-            f"parameter {parameter.name}: {value!r} is not known; give {_expected(parameter)}"
-        )
+    value = _plain(declared)
+    parameter.require(value)
     return value
 
 
-def _expected(parameter: Parameter) -> str:
-    if parameter.choices:
-        return f"one of {', '.join(parameter.choices)}"
-    kinds = {bool: "true or false", int: "an integer", float: "a number with a decimal point"}
-    kind = kinds.get(type(parameter.default), "text")
-    if isinstance(parameter.default, list):
-        kind = "a list of texts"
-    bounds = [
-        f"{word} {bound:g}"
-        for word, bound in (("at least", parameter.minimum), ("at most", parameter.maximum))
-        if bound is not None
-    ]
-    return " ".join([kind, " and ".join(bounds)]).strip()
+def _plain(value: Any) -> Any:
+    """Return lists as lists: rclpy has an array.array of what it was given over a service."""
+    return value if isinstance(value, bool | int | float | str) else list(value)
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)

@@ -1,20 +1,20 @@
 """The frame of every node's process: start, stop on signals, one line for an error."""
 
 import argparse
-import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Any
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
+from symbid_ros.ending import stop_on_signals
 from symbid_ros.errors import SymbidError
 from symbid_ros.ros.parameters import Parameter, declare
 
@@ -53,16 +53,14 @@ def run_node(
         What the node declares and ``--help`` lists.
     """
     arguments = list(sys.argv if args is None else [name, *args])
-    stop = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: stop.set())
+    stop = stop_on_signals()
     try:
         _refuse_foreign_arguments(name, purpose, parameters, remove_ros_args(arguments)[1:])
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name)
         try:
             values = declare(node, parameters)
-            _work_beside_executor(node, lambda: work(node, values, stop))
+            _work_beside_executor(node, lambda: work(node, values, stop), stop)
         finally:
             node.destroy_node()
     except SymbidError as error:
@@ -92,21 +90,31 @@ def _refuse_foreign_arguments(
     ).parse_args(arguments)
 
 
-def _work_beside_executor(node: Node, work: Callable[[], None]) -> None:
+def _work_beside_executor(node: Node, work: Callable[[], None], stop: threading.Event) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    end: Future = Future()
+    failures: list[Exception] = []
 
     def spin() -> None:
-        with suppress(ExternalShutdownException):
-            executor.spin()
+        try:
+            executor.spin_until_future_complete(end)
+        except Exception as failure:
+            # A node whose services have died must not go on as if it were well.
+            failures.append(failure)
+            stop.set()
 
     spinner = threading.Thread(target=spin, name="executor", daemon=True)
     spinner.start()
     try:
         work()
     finally:
-        executor.shutdown()
+        # Shut down while it executes a callback, rclpy's executor trips over itself.
+        end.set_result(None)
         spinner.join()
+        executor.shutdown()
+    for failure in failures:
+        raise failure
 
 
 def _is_argument_error(error: Exception) -> bool:

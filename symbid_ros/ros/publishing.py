@@ -1,7 +1,7 @@
 """Publishers of simulated instants: bytes serialised once and patched in place."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from threading import Event
 
@@ -68,14 +68,36 @@ def clock_topic() -> SimulatedTopic:
 
 
 def await_subscribers(
-    needed: Sequence[InstantPublisher], others: Sequence[InstantPublisher], stop: Event
+    needed: Sequence[InstantPublisher],
+    others: Sequence[InstantPublisher],
+    stop: Event,
+    least: int = 1,
 ) -> None:
-    """Wait until every needed topic has a subscriber and no further one turns up."""
-    seen: list[int] = []
+    """Wait until every needed topic has ``least`` subscribers and no further one turns up."""
+    await_settled(
+        lambda: tuple(max(0, count - least + 1) for count in subscribers(needed)),
+        stop,
+        lambda: subscribers(others),
+    )
+
+
+def subscribers(publishers: Sequence[InstantPublisher]) -> tuple[int, ...]:
+    """Return how many subscribers each has."""
+    return tuple(entry.publisher.get_subscription_count() for entry in publishers)
+
+
+def await_settled(
+    needed: Callable[[], Sequence[int]],
+    stop: Event,
+    others: Callable[[], Sequence[int]] = tuple,
+) -> None:
+    """Wait until no count is 0 that is needed, and none has changed for a while."""
+    seen: tuple[int, ...] = ()
     since = time.monotonic()
     while not stop.is_set():
-        counts = [entry.publisher.get_subscription_count() for entry in (*needed, *others)]
-        if counts != seen or not all(counts[: len(needed)]):
+        wanted = needed()
+        counts = (*wanted, *others())
+        if counts != seen or not all(wanted):
             seen, since = counts, time.monotonic()
         elif time.monotonic() - since >= SETTLE:
             return

@@ -1,41 +1,68 @@
 """Topics into a bag, without losing a message."""
 
 import json
+import re
 import sys
 import time
-from array import array
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
-from threading import Event
+from threading import Event, Thread
 from typing import Any
 
-import numpy as np
 from rclpy.node import Node
+from rich.console import Console
 
-from symbid_ros.bags.gaps import find_gaps, has_stamp, stamp_of
-from symbid_ros.bags.writer import BagWriter
-from symbid_ros.errors import BagError
-from symbid_ros.ros.intake import Discovery, Intake
-from symbid_ros.ros.parameters import Parameter
+from symbid_ros.bags.gaps import has_stamp, stamp_of
+from symbid_ros.bags.layout import ENCAPSULATION, typestore
+from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage
+from symbid_ros.bags.writing.gap_count import GapCount
+from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.errors import BagError, SymbidError
+from symbid_ros.ros.discovery import Discovery, TopicFilter
+from symbid_ros.ros.health import HealthPublisher
+from symbid_ros.ros.intake import Intake
+from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.process import run_node
+from symbid_ros.ros.recorder_progress import RecordingProgress
 
 SENSORS = ["joint_states", "imu/data", "left_foot/wrench", "right_foot/wrench"]
 TRUTH = ["ground_truth/joints", "ground_truth/odom", "ground_truth/base_accel"]
 POLL = 0.002  # s; far below what fills a queue
 DISCOVERY_PERIOD = 0.05  # s
+MEGABYTE = 10**6
+EVERY_NAME = re.compile("")
+STAMPED = ENCAPSULATION + 8  # bytes, at least, of a message with a stamp
+SLOW = "the disk or the processor was too slow"
 
 PARAMETERS = (
     Parameter("bag", "", "Folder of the new bag; empty for log_<date>-<time> here."),
     Parameter("topics", [*SENSORS, *TRUTH], "Topics to record as soon as they are published."),
-    Parameter("queue_depth", 5000, "Messages each topic may wait to be written.", minimum=1),
+    Parameter("all_topics", False, "Record all other topics that are not hidden, too."),
+    Parameter(
+        "topics_regex", "", "Record other topics, too, in whose full name this expression is found."
+    ),
+    Parameter("exclude_regex", "", "Record no topic in whose full name this expression is found."),
+    Parameter("queue_depth", 5000, "Messages each topic may wait to be taken.", minimum=1),
+    Parameter("queue_size", 256, "MB of messages that may wait for a slow disk.", minimum=1),
     Parameter(
         "flush_period",
         0.05,
         "Seconds of data at most that a killed recorder loses.",
         minimum=0.01,
         maximum=10.0,
+    ),
+    Parameter(
+        "sync_period",
+        0.5,
+        "Seconds between forcing data onto the disk, which a power cut then spares.",
+        minimum=0.05,
+        maximum=3600.0,
+    ),
+    Parameter("split_size", 0, "MB after which a new file is begun; 0 for never.", minimum=0),
+    Parameter(
+        "split_duration", 0.0, "Seconds after which a new file is begun; 0 for never.", minimum=0.0
     ),
     Parameter(
         "stop_when_silent",
@@ -51,9 +78,8 @@ class _Recording:
     """A topic being recorded."""
 
     intake: Intake
-    channel: int
-    is_stamped: bool
-    stamps: "array[int]" = field(default_factory=lambda: array("q"))
+    topic: int
+    gaps: GapCount | None  # without stamps there is nothing to count
 
 
 class Recorder:
@@ -61,78 +87,172 @@ class Recorder:
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         name = values["bag"] or datetime.now().strftime("log_%Y_%m_%d-%H_%M_%S")
-        self._flush_period: float = values["flush_period"]
         self._silence: float = values["stop_when_silent"]
-        self._discovery = Discovery(node, tuple(values["topics"]), values["queue_depth"])
+        self._discovery = Discovery(node, _wanted(values), values["queue_depth"])
         self._recordings: list[_Recording] = []
-        self._bag = BagWriter(Path(name))
+        self._refusal: Exception | None = None
+        self._bag = BagWriter(
+            Path(name),
+            split_size=values["split_size"] * MEGABYTE,
+            split_duration=round(values["split_duration"] * 1e9),
+        )
+        self._writer = BackgroundWriter(
+            self._bag,
+            flush_period=values["flush_period"],
+            sync_period=values["sync_period"],
+            capacity=values["queue_size"] * MEGABYTE,
+        )
+        self._progress = RecordingProgress(name, Console(stderr=True, highlight=False))
+        self._health = HealthPublisher(
+            node, lambda: [self._progress.health(self._writer.state, self._writer.failure)]
+        )
 
     def run(self, stop: Event) -> None:
-        """Record, complete the bag and say what it holds."""
+        """Record, complete the bag and say what it holds.
+
+        Raises
+        ------
+        BagError
+            When nothing was received, or not all of it could be written.
+        """
         try:
-            self._record(stop)
+            with self._progress:
+                self._record(stop)
         finally:
-            if any(self._bag.counts.values()):
-                self._bag.close()
-            else:
-                self._bag.discard()
-        if not any(self._bag.counts.values()):
-            raise BagError(
+            self._complete()
+        if not self._writer.received:
+            names = ", ".join(self._discovery.wanted.names)
+            raise self._writer.failure or BagError(
                 f"{self._bag.path}: no message received, nothing recorded; check topic names "
-                f"and ROS_DOMAIN_ID, wanted were {', '.join(self._discovery.topics)}"
+                f"and ROS_DOMAIN_ID, wanted were {names or 'those that match'}"
             )
         for topic in self._discovery.missing:
-            print(f"recorder: {topic}: never published", file=sys.stderr)
+            _warn(f"{topic}: never published")
         print(json.dumps(self._summary()), flush=True)
+        self._judge()
 
     def _record(self, stop: Event) -> None:
-        now = time.monotonic()
-        looked = flushed = 0.0
+        # To load a message type takes tenths of a second, which no topic must wait for.
+        ended = Event()
+        watch = Thread(target=self._watch, args=(ended,), name="discovery", daemon=True)
+        watch.start()
+        try:
+            self._take(stop)
+        finally:
+            ended.set()
+            watch.join()
+        if self._refusal is not None:
+            raise self._refusal
+
+    def _watch(self, ended: Event) -> None:
+        try:
+            while not self._discovery.is_complete and not ended.wait(DISCOVERY_PERIOD):
+                self._discovery.look(self._announce, self._refuse)
+        except Exception as refusal:
+            self._refusal = refusal
+
+    def _take(self, stop: Event) -> None:
         heard = None
-        while not stop.is_set():
-            if self._discovery.missing and now - looked >= DISCOVERY_PERIOD:
-                self._discovery.look(self._announce)
-                looked = now
-            count = self._drain()
+        while not stop.is_set() and self._writer.failure is None and self._refusal is None:
+            messages = self._drain()
             now = time.monotonic()
-            if now - flushed >= self._flush_period:
-                self._bag.flush()
-                flushed = now
-            if count:
+            self._progress.show(self._writer.state)
+            if messages:
                 heard = now
             elif self._silence and heard is not None and now - heard >= self._silence:
                 return
             else:
                 time.sleep(POLL)
-        while self._drain():  # what arrived before the signal
+        until = time.time_ns()
+        while any(message.log_time <= until for message in self._drain()):
             pass
 
     def _announce(self, intake: Intake) -> None:
-        channel = self._bag.add_topic(intake.topic, intake.msgtype, intake.qos)
-        self._recordings.append(_Recording(intake, channel, has_stamp(intake.msgtype)))
+        topic = self._writer.add_topic(intake.topic, intake.msgtype, intake.qos)
+        is_stamped = intake.msgtype in typestore().fielddefs and has_stamp(intake.msgtype)
+        self._recordings.append(_Recording(intake, topic, GapCount() if is_stamped else None))
 
-    def _drain(self) -> int:
-        count = 0
-        for recording in self._recordings:
+    def _refuse(self, topic: str, error: SymbidError) -> None:
+        _warn(f"{topic}: not recorded: {error}")
+
+    def _drain(self) -> list[QueuedMessage]:
+        messages = []
+        for recording in tuple(self._recordings):
             for arrival in recording.intake.arrivals():
-                self._bag.write(
-                    recording.channel, arrival.received, arrival.payload, arrival.published
+                messages.append(
+                    QueuedMessage(
+                        recording.topic, arrival.received, arrival.published, arrival.payload
+                    )
                 )
-                if recording.is_stamped:
-                    recording.stamps.append(stamp_of(arrival.payload))
-                count += 1
-        return count
+                # Publishers are not trusted to send whole messages.
+                if recording.gaps is not None and len(arrival.payload) >= STAMPED:
+                    recording.gaps.add(stamp_of(arrival.payload))
+        if messages:
+            self._writer.put(messages)
+        return messages
+
+    def _complete(self) -> None:
+        if self._writer.received:
+            self._writer.close()
+        else:
+            self._writer.discard()
+
+    def _judge(self) -> None:
+        """Raise what went wrong, with what it cost; warn of messages dropped."""
+        lost = self._writer.lost
+        told = ", ".join(f"{topic} {count}" for topic, count in lost.items())
+        if isinstance(self._writer.failure, BagError):
+            missing = "what was written last may be missing"
+            if lost:
+                missing = (
+                    f"{sum(lost.values())} messages from {_clock_time(self._bag.end)} to "
+                    f"{_clock_time(self._writer.latest)} are missing ({told})"
+                )
+            raise BagError(f"{self._writer.failure}: {missing}") from self._writer.failure
+        if self._writer.failure is not None:
+            raise self._writer.failure
+        if lost:
+            _warn(f"{self._bag.path}: {sum(lost.values())} messages dropped ({told}); {SLOW}")
 
     def _summary(self) -> dict[str, object]:
         return {
             "bag": str(self._bag.path),
+            "files": self._bag.files,
+            "bytes": self._bag.size,
             "recorded": self._bag.counts,
+            "lost": self._writer.lost,
             "gaps": {
-                recording.intake.topic: asdict(find_gaps(np.array(recording.stamps)))
+                recording.intake.topic: asdict(recording.gaps.gaps)
                 for recording in self._recordings
-                if recording.is_stamped
+                if recording.gaps is not None
             },
         }
+
+
+def _wanted(values: dict[str, Any]) -> TopicFilter:
+    include = _expression("topics_regex", values)
+    return TopicFilter(
+        tuple(name for name in values["topics"] if name),
+        EVERY_NAME if values["all_topics"] else include,
+        _expression("exclude_regex", values),
+    )
+
+
+def _expression(name: str, values: dict[str, Any]) -> re.Pattern[str] | None:
+    try:
+        return re.compile(values[name]) if values[name] else None
+    except re.error as error:
+        raise ParameterError(
+            f"parameter {name}: no regular expression ({error}); give one such as ^/camera/"
+        ) from error
+
+
+def _clock_time(nanoseconds: int) -> str:
+    return datetime.fromtimestamp(nanoseconds / 1e9).isoformat(timespec="milliseconds")
+
+
+def _warn(text: str) -> None:
+    print(f"recorder: {text}", file=sys.stderr)
 
 
 def main(args: Sequence[str] | None = None) -> None:

@@ -16,7 +16,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-DEADLINE = 60.0  # s; only a hang takes as long
+DEADLINE = 300.0  # s; only a hang takes as long, on a machine that others use as well
 DOMAINS_PER_WORKER = 20
 _domains = itertools.count()
 
@@ -62,6 +62,15 @@ class NodeProcess:
         out, err = self._process.communicate(timeout=DEADLINE)
         return Ended(self._process.returncode, out, err)
 
+    def aborted(self) -> str:
+        """End the process and return how it was and what it said last."""
+        status = self._process.poll()
+        if status is None:
+            self._process.send_signal(signal.SIGABRT)  # tells where each thread was
+        # Who has waited for its end has read its pipes.
+        err = "" if self._process.stderr.closed else self._process.communicate()[1]
+        return f"{Path(self._process.args[0]).name} (status {status}): {err[-5000:]}"
+
     def kill(self) -> None:
         if self._process.poll() is None:
             self._process.kill()
@@ -74,6 +83,7 @@ class Graph:
     def __init__(self, env: dict[str, str]):
         self._env = env
         self._processes: list[NodeProcess] = []
+        self.witness: Callable[[], object] = tuple  # what it knows is told when a wait fails
         self._context = Context()
         rclpy.init(context=self._context, domain_id=int(env["ROS_DOMAIN_ID"]))
         self.node = Node("observer", context=self._context)
@@ -87,11 +97,16 @@ class Graph:
     def wait_until(self, condition: Callable[[], object]) -> None:
         deadline = time.monotonic() + DEADLINE
         while not condition():
-            assert time.monotonic() < deadline, "the condition did not come about"
+            assert time.monotonic() < deadline, self._post_mortem()
             self._executor.spin_once(timeout_sec=0.02)
 
     def wait_for_node(self, name: str) -> None:
         self.wait_until(lambda: name in self.node.get_node_names())
+
+    def _post_mortem(self) -> str:
+        """What the nodes said until now; ends them."""
+        told = [process.aborted() for process in self._processes]
+        return "\n".join(["the condition did not come about", str(self.witness()), *told])
 
     def close(self) -> None:
         for process in self._processes:
@@ -108,6 +123,7 @@ def graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+    monkeypatch.setenv("PYTHONFAULTHANDLER", "1")
     graph = Graph(dict(os.environ))
     try:
         yield graph

@@ -1,22 +1,24 @@
 """The simulated robot as its topics show it, between real processes."""
 
 import json
+import re
 import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rcl_interfaces.srv import DescribeParameters
+from graph_probes import RELIABLE, Health, descriptors, parameter, set_parameters
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from symbid_ros.bags.reader import read_streams, topic_counts
+from symbid_ros.bags.streams.reader import read_streams, topic_counts
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.rotation import rotation_from_xyzw
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.ros import mujoco_bridge
 from symbid_ros.share import config_file
 from symbid_ros.signals.streams import Streams
 from symbid_ros.simulation.recording import record
@@ -154,20 +156,93 @@ def test_rates_of_zero_publish_nothing(graph) -> None:
     assert not any(name == "/clock" or "ground_truth" in name for name in topics)
 
 
-def test_parameters_are_described_and_fixed(graph) -> None:
+def test_parameters_are_described_and_fixed_but_for_the_payload(graph) -> None:
     bridge = graph.start("mujoco_bridge", wait_for_subscribers=True)
-    client = graph.node.create_client(DescribeParameters, "/mujoco_bridge/describe_parameters")
-    graph.wait_until(client.service_is_ready)
-    names = ["scenario", "real_time_factor", "moves", "ground_truth_rate"]
-    answer = client.call_async(DescribeParameters.Request(names=names))
-    graph.wait_until(answer.done)
-    scenario, factor, moves, _ = answer.result().descriptors
-    assert all(each.description and each.read_only for each in answer.result().descriptors)
-    assert "smooth" in scenario.additional_constraints
-    assert factor.floating_point_range[0].to_value == 100.0
-    assert moves.integer_range[0].from_value == 1
+    health = Health(graph)
+    graph.wait_until(lambda: health.received)
+    names = [parameter.name for parameter in mujoco_bridge.PARAMETERS]
+    found = {each.name: each for each in descriptors(graph, "/mujoco_bridge", names)}
+    assert all(each.description for each in found.values())
+    live = {"payload_link", "payload_mass", "payload_position"}
+    assert {name for name, each in found.items() if not each.read_only} == live
+    assert "smooth" in found["scenario"].additional_constraints
+    assert found["real_time_factor"].floating_point_range[0].to_value == 100.0
+    assert found["moves"].integer_range[0].from_value == 1
+
+    refused = set_parameters(
+        graph,
+        "/mujoco_bridge",
+        moves=3,
+        payload_mass=-1.0,
+        payload_link="tail",
+        payload_position=[0.0, 0.0],
+    )
+    assert not any(each.successful for each in refused)
+    for each, says in zip(
+        refused, ("read-only", "out of range", "'tail'", "3 numbers"), strict=True
+    ):
+        assert says in each.reason
+        assert "\n" not in each.reason
+    assert "R_thigh" in refused[2].reason, "what there is instead"
+    for value in ("heavy", 2, float("nan"), 1000.0):
+        assert not set_parameters(graph, "/mujoco_bridge", payload_mass=value)[0].successful
+    assert parameter(graph, "/mujoco_bridge", "payload_mass").double_value == 0.0
     bridge.send(signal.SIGINT)
-    assert bridge.ended().status == 0
+    ended = bridge.ended()
+    assert (ended.status, ended.err) == (0, "")
+
+
+def test_a_payload_set_while_it_moves_weighs_on_the_feet(graph, tmp_path: Path) -> None:
+    """At rest at the end, the feet bear the payload's weight more than without it."""
+    clock: list[int] = []
+    graph.node.create_subscription(Clock, "/clock", lambda m: clock.append(m.clock.sec), RELIABLE)
+    health = Health(graph)
+    recorder = graph.start("recorder", bag=tmp_path / "live", topics=ALL_TOPICS)
+    bridge = graph.start(
+        "mujoco_bridge", moves=1, motion_seed=3, ideal=True, wait_for_subscribers=True
+    )
+    graph.wait_until(lambda: clock)
+    results = set_parameters(
+        graph, "/mujoco_bridge", payload_link="R_thigh", payload_position=[0.2, 0.0, 0.0]
+    )
+    assert all(each.successful for each in results)
+    assert set_parameters(graph, "/mujoco_bridge", payload_mass=2.0)[0].successful
+    simulation = "/mujoco_bridge: simulation"
+    graph.wait_until(lambda: "2 kg on R_thigh" in health.value(simulation, "payload"))
+    told = bridge.ended()
+    recorder.send(signal.SIGINT)
+    assert recorder.ended().status == told.status == 0
+    assert re.search(r"payload from [\d.]+ s on: 2 kg on R_thigh at \(0\.2, 0, 0\) m\n", told.err)
+
+    record(Simulator("smooth", moves=1, motion_seed=3, ideal=True), tmp_path / "without")
+    robot = load_model(config_file("symbitron.xml"))
+    live, without = read_streams([tmp_path / "live"]), read_streams([tmp_path / "without"])
+    last = slice(-300, None)
+    more = supporting_force(robot, live, last) - supporting_force(robot, without, last)
+    np.testing.assert_allclose(more, [0, 0, 2.0 * 9.81], atol=0.02 * 2.0 * 9.81)
+
+
+def test_a_payload_given_at_the_start_comes_at_its_time(graph, tmp_path: Path) -> None:
+    topics = "[joint_states, imu/data, left_foot/wrench, right_foot/wrench, suspension/wrench]"
+    recorder = graph.start("recorder", bag=tmp_path / "live", topics=topics)
+    bridge = graph.start(
+        "mujoco_bridge",
+        scenario="tare",
+        ideal=True,
+        payload_mass=3.0,
+        payload_time=1.5,
+        wait_for_subscribers=True,
+    )
+    told = bridge.ended()
+    recorder.send(signal.SIGINT)
+    assert recorder.ended().status == told.status == 0
+    assert "payload from 1.501 s on: 3 kg on base_link at (0, 0, 0) m" in told.err
+    hook = read_streams([tmp_path / "live"]).wrenches[-1]
+    assert hook.frame_id == "suspension"
+    pull = np.linalg.norm(hook.force, axis=1)
+    before, after = pull[hook.stamp <= 1_500_000_000], pull[-500:]
+    np.testing.assert_allclose(before, before[0], rtol=1e-3)
+    assert after.mean() - before.mean() == pytest.approx(3.0 * 9.81, rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -183,6 +258,12 @@ def test_parameters_are_described_and_fixed(graph) -> None:
         ({"clock_rate": 300.0}, "parameter clock_rate: 300 does not divide the simulation's rate"),
         ({"ground_truth_rate": 4000.0}, "parameter ground_truth_rate: 4000 does not divide"),
         ({"model": "/nowhere.xml"}, "/nowhere.xml"),
+        ({"payload_link": "tail"}, "no link 'tail' for a payload; name one of base_link, "),
+        ({"payload_position": "[0.0, 3.0, 0.0]"}, "parameter payload_position: [0.0, 3.0, 0.0]"),
+        (
+            {"command_source": "udp", "udp_host": "192.0.2.1"},
+            "udp 192.0.2.1:5005: cannot listen",
+        ),
         ({"errors": "rust"}, "no systematic error 'rust'; give typical or any of plate_gain, "),
         ({"friction_file": "/nowhere.yaml"}, "/nowhere.yaml: cannot be read"),
     ],

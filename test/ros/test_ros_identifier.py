@@ -15,7 +15,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from symbid_ros.bags.reader import topic_counts
+from symbid_ros.bags.streams.reader import topic_counts
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -54,7 +54,7 @@ def command(bag: Path, out: Path, *options: object) -> dict[str, Any]:
         ],
         check=True,
         capture_output=True,
-        timeout=120,
+        timeout=300,
     )
     return json.loads((out / "estimate.json").read_text())
 
@@ -104,13 +104,14 @@ def test_the_loop_over_topics_gives_what_the_command_gives(graph, tmp_path: Path
     assert heard["robot_description"].data == (tmp_path / "node" / "model.urdf").read_text()
 
     told = {
-        f"{status.name}/{entry.key}": float(entry.value)
+        f"{status.name}/{entry.key}": json.loads(entry.value)
         for status in heard["estimate"].status
         for entry in status.values
     }
     for name, entry in document["parameters"].items():
         assert told[name] == entry["value"]
         assert told[f"{name}/std"] == entry["std"]
+        assert told[f"{name}/determined"] is entry["determined"]
     values = {name: entry["value"] for name, entry in document["parameters"].items()}
     for link in links:
         inertia = heard[f"inertia/{link}"].inertia

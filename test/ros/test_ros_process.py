@@ -1,5 +1,7 @@
 """What every node's process does before there is a graph."""
 
+import math
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -7,14 +9,30 @@ from pathlib import Path
 import pytest
 import yaml
 
-from symbid_ros.ros import identifier, mujoco_bridge, recorder
+from symbid_ros.ros import (
+    balance_controller,
+    identifier,
+    monitor,
+    mujoco_bridge,
+    player,
+    recorder,
+)
+from symbid_ros.ros.parameters import Parameter
 from symbid_ros.share import config_file
 
 NODES = {
     "mujoco_bridge": mujoco_bridge.PARAMETERS,
+    "balance_controller": balance_controller.PARAMETERS,
     "recorder": recorder.PARAMETERS,
     "identifier": identifier.PARAMETERS,
+    "player": player.PARAMETERS,
+    "monitor": monitor.PARAMETERS,
 }
+EVERY_PARAMETER = [
+    pytest.param(parameter, id=f"{name}-{parameter.name}")
+    for name, parameters in NODES.items()
+    for parameter in parameters
+]
 
 
 def run(executable: str, *arguments: str) -> subprocess.CompletedProcess[str]:
@@ -23,7 +41,7 @@ def run(executable: str, *arguments: str) -> subprocess.CompletedProcess[str]:
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=300,
     )
 
 
@@ -33,6 +51,21 @@ def test_help_tells_every_parameter(name: str) -> None:
     assert (ended.returncode, ended.stderr) == (0, "")
     for parameter in NODES[name]:
         assert f"{parameter.name} ({parameter.default!r}): {parameter.description}" in ended.stdout
+
+
+@pytest.mark.parametrize("name", NODES)
+def test_an_interruption_while_libraries_load_leaves_no_traceback(name: str) -> None:
+    command = [Path(sys.executable).parent / name, "--help"]
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as process:
+        libraries = Path(f"/proc/{process.pid}/maps")
+        while process.poll() is None and "rclpy" not in libraries.read_text():
+            pass
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=300)
+    assert process.returncode in (0, 130)
+    assert err == ""
 
 
 @pytest.mark.parametrize("name", NODES)
@@ -59,11 +92,29 @@ def test_malformed_ros_arguments_end_without_traceback(arguments: tuple[str, ...
     assert "Traceback" not in ended.stderr
 
 
-@pytest.mark.parametrize("name", NODES)
+# The monitor shows a terminal; nothing about it is kept in a file.
+@pytest.mark.parametrize("name", [name for name in NODES if name != "monitor"])
 def test_shipped_parameter_file_names_only_real_parameters(name: str) -> None:
-
     file = config_file({"mujoco_bridge": "bridge.yaml"}.get(name, f"{name}.yaml"))
     values = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
     declared = {parameter.name: parameter.default for parameter in NODES[name]}
     for key, value in values.items():
         assert type(value) is type(declared[key])
+
+
+@pytest.mark.parametrize("parameter", EVERY_PARAMETER)
+def test_every_parameter_tells_what_it_does_and_what_it_may_be(parameter: Parameter) -> None:
+    shown = parameter.descriptor()
+    assert shown.description.endswith(".")
+    assert shown.read_only != parameter.live
+    default = parameter.default
+    numbers = default if isinstance(default, list) else [default]
+    if isinstance(numbers[0], bool | str):
+        assert not shown.integer_range
+        assert not shown.floating_point_range
+        assert all(choice in shown.additional_constraints for choice in parameter.choices)
+        return
+    (bounds,) = shown.integer_range if isinstance(default, int) else shown.floating_point_range
+    assert all(bounds.from_value <= number <= bounds.to_value for number in numbers)
+    assert math.isfinite(bounds.from_value)
+    assert math.isfinite(bounds.to_value)

@@ -1,15 +1,25 @@
 """The recorder among publishers of every kind."""
 
 import json
+import random
+import re
 import signal
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from geometry_msgs.msg import PoseStamped
+from graph_probes import Health
 from mcap.reader import make_reader
+from nav_msgs.msg import Goals
+from rcl_interfaces.srv import GetParameters
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
+from small_disks import small_disk
 from std_msgs.msg import String
+from whole_bags import whole_messages
 
 RELIABLE = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.RELIABLE)
 BEST_EFFORT = QoSProfile(depth=1000, reliability=QoSReliabilityPolicy.BEST_EFFORT)
@@ -18,6 +28,12 @@ LATCHED = QoSProfile(
     reliability=QoSReliabilityPolicy.RELIABLE,
     durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
 )
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    with small_disk(tmp_path / "disk") as folder:
+        yield folder
 
 
 def joint_state(milliseconds: int) -> JointState:
@@ -110,9 +126,119 @@ def test_nothing_received_is_an_error_and_leaves_nothing(graph, tmp_path: Path) 
     assert not (tmp_path / "bag").exists()
 
 
+def test_topics_are_taken_up_by_expression_whenever_they_appear(graph, tmp_path: Path) -> None:
+    node = graph.node
+    early = [node.create_publisher(JointState, name, RELIABLE) for name in ("arm/left", "leg")]
+    recorder = graph.start(
+        "recorder",
+        bag=tmp_path / "bag",
+        topics="[leg]",
+        topics_regex="^/arm/",
+        exclude_regex="secret$",
+    )
+    graph.wait_until(lambda: all(each.get_subscription_count() for each in early))
+    late = [
+        node.create_publisher(JointState, name, RELIABLE)
+        for name in ("arm/secret", "arm/_hidden", "head", "arm/right")
+    ]
+    graph.wait_until(late[-1].get_subscription_count)
+    for publisher in [*early, *late]:
+        publisher.publish(joint_state(1))
+        assert publisher.wait_for_all_acked()
+    recorder.send(signal.SIGINT)
+    ended = recorder.ended()
+    assert (ended.status, ended.err) == (0, "")
+    recorded = json.loads(ended.out)["recorded"]
+    assert recorded == {"/leg": 1, "/arm/left": 1, "/arm/right": 1}
+
+
+def test_all_topics_are_recorded_but_those_of_unknown_types(graph, tmp_path: Path) -> None:
+    installed = graph.node.create_publisher(Goals, "goals", RELIABLE)
+    unknown = graph.node.create_publisher(GetParameters.Request, "odd", RELIABLE)
+    recorder = graph.start("recorder", bag=tmp_path / "bag", topics="['']", all_topics=True)
+    health = Health(graph)
+    graph.wait_until(installed.get_subscription_count)
+    installed.publish(Goals(goals=[PoseStamped()]))
+    graph.wait_until(lambda: health.count("/recorder: recording", "messages"))
+    recorder.send(signal.SIGINT)
+    ended = recorder.ended()
+    assert ended.status == 0
+    (line,) = ended.err.splitlines()
+    assert line.startswith("recorder: /odd: not recorded: message type rcl_interfaces/srv/GetPara")
+    recorded = json.loads(ended.out)["recorded"]
+    assert recorded["/goals"] == 1
+    assert "/rosout" in recorded
+    assert "/odd" not in recorded
+    assert unknown.get_subscription_count() == 0
+    with AnyReader([tmp_path / "bag"]) as reader:
+        ((connection, _, raw),) = reader.messages([c for c in reader.connections if "goal" in c[1]])
+        assert len(reader.deserialize(raw, connection.msgtype).goals) == 1
+
+
+def test_topic_that_was_named_must_be_of_a_known_type(graph, tmp_path: Path) -> None:
+    graph.node.create_publisher(GetParameters.Request, "odd", RELIABLE)
+    ended = graph.start("recorder", bag=tmp_path / "bag", topics="[odd]").ended()
+    assert ended.status == 2
+    assert ended.err.startswith("recorder: message type rcl_interfaces/srv/GetParameters_Request")
+    assert list(tmp_path.glob("bag*")) == []
+
+
+def test_files_are_split_and_none_lacks_a_message(graph, tmp_path: Path) -> None:
+    publisher = graph.node.create_publisher(JointState, "joint_states", RELIABLE)
+    recorder = graph.start("recorder", bag=tmp_path / "bag", topics="[joint_states]", split_size=1)
+    graph.wait_until(publisher.get_subscription_count)
+    draw = random.Random(0)
+    for n in range(400):
+        message = joint_state(n)
+        message.effort = [draw.random() for _ in range(1000)]
+        publisher.publish(message)
+    assert publisher.wait_for_all_acked()
+    recorder.send(signal.SIGTERM)
+    summary = json.loads(recorder.ended().out)
+    assert summary["files"] == ["bag_0.mcap", "bag_1.mcap", "bag_2.mcap"]
+    assert (summary["recorded"], summary["lost"]) == ({"/joint_states": 400}, {})
+    sizes = [(tmp_path / "bag" / name).stat().st_size for name in summary["files"]]
+    assert summary["bytes"] == sum(sizes)
+    with AnyReader([tmp_path / "bag"]) as reader:
+        read = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()]
+    assert [message.position[0] for message in read] == list(range(400))
+
+
+def test_full_disk_ends_the_recording_with_a_whole_bag(graph, disk: Path) -> None:
+    publisher = graph.node.create_publisher(JointState, "joint_states", RELIABLE)
+    bag = disk / "bag"
+    recorder = graph.start("recorder", bag=bag, topics="[joint_states]")
+    graph.wait_until(publisher.get_subscription_count)
+    draw = random.Random(0)
+    sent = 0
+    while publisher.get_subscription_count():
+        message = joint_state(sent)
+        message.effort = [draw.random() for _ in range(1000)]
+        publisher.publish(message)
+        time.sleep(0.001)  # as fast as a robot, not as fast as can be
+        sent += 1
+    ended = recorder.ended()
+    assert ended.status == 2
+    (line,) = ended.err.splitlines()
+    told = re.fullmatch(
+        rf"recorder: {bag}/bag_0.mcap: cannot write: No space left on device; the bag is "
+        r"incomplete: (\d+) messages from \S+ to \S+ are missing \(/joint_states (\d+)\)",
+        line,
+    )
+    summary = json.loads(ended.out)
+    recorded = summary["recorded"]["/joint_states"]
+    assert int(told[1]) == int(told[2]) == summary["lost"]["/joint_states"] > 0
+    found = whole_messages(bag)
+    with AnyReader([bag]) as reader:
+        read = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()]
+    assert [message.position[0] for message in read] == list(range(recorded))
+    assert len(found) == recorded <= sent - summary["lost"]["/joint_states"]
+
+
 @pytest.mark.parametrize(
     ("parameters", "line"),
     [
+        ({"topics_regex": "("}, "recorder: parameter topics_regex: no regular expression (missin"),
         ({"queue_depth": 0}, "recorder: parameter queue_depth: not a valid value; give an integer"),
         ({"flush_period": 99.0}, "recorder: parameter flush_period: not a valid value; give a num"),
         ({"topics": 3}, "recorder: parameter topics: not a valid value; give a list of texts"),

@@ -1,0 +1,224 @@
+"""A payload is fastened to a moving robot: is it noticed, is the link named, is its mass followed?
+
+Each row of the table is one simulated Symbitron whose messages an online identification reads with
+a finite memory. Some 30 s after the start 2 kg are fastened to its body or a thigh. Shown are the
+time from then to the alarm, the link it names 5 s after the change, and the mass three memories
+after it, of the estimate and in truth. ``--quiet`` asks how often there is an alarm without a
+change, ``--plot`` draws one run.
+
+    .venv/bin/python bench/payload.py [--seeds 10] [--quiet MINUTES] [--plot FILE.png]
+
+Takes about half a minute a row and process.
+"""
+
+import argparse
+import multiprocessing
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing.pool import Pool
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.replay import Recording
+from symbid_ros.bags.streams.selection import Selector, TopicSelection
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.facts import PriorChoice
+from symbid_ros.offline.job import Job
+from symbid_ros.online.beginning import Beginning
+from symbid_ros.online.identification import OnlineIdentification, Outcome, Pace
+from symbid_ros.share import config_file
+from symbid_ros.simulation.payload import Payload
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+
+MODEL = config_file("symbitron.xml")
+MASS = 2.0  # kg
+PLACES = {
+    "base_link": (0.0, 0.0, 0.2),
+    "L_thigh": (0.2, 0.0, 0.05),
+    "R_thigh": (0.2, 0.0, 0.05),
+}
+MEMORY = 10.0  # s
+BEFORE = 30.0  # s
+NAMED_AFTER = 5.0  # s
+PROCESSES = 2
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was known at one time: s, alarm or none, masses (links,) and their deviations."""
+
+    time: float
+    alarm: str
+    mass: np.ndarray
+    std: np.ndarray
+
+
+def main() -> None:
+    """Print the table and what else is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--quiet", type=float, default=0.0, metavar="MINUTES")
+    parser.add_argument("--plot", type=Path)
+    asked = parser.parse_args()
+    threadpool_limits(1)
+    if asked.plot is not None:
+        plot(asked.plot)
+    with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
+        if asked.seeds:
+            table(pool, asked.seeds)
+        if asked.quiet:
+            pieces = PROCESSES
+            alarms = pool.map(partial(quiet, minutes=asked.quiet / pieces), range(pieces))
+            print(f"{asked.quiet:g} minutes without a change: {sum(alarms)} alarms")
+
+
+def table(pool: Pool, seeds: int) -> None:
+    """Print one row for each seed and link, and what they have in common."""
+    runs = [
+        (seed, link)
+        for seed in range(seeds)
+        for link in ("base_link", "L_thigh" if seed % 2 else "R_thigh")
+    ]
+    print(f"{'seed':>4}  {'payload on':<10} {'alarm after':>11}  {'named':<10} {'mass':>20}  truth")
+    rows = []
+    for (seed, link), row in zip(runs, pool.imap(_row, runs), strict=True):
+        rows.append((link, *row))
+        after, named, mass, std, truth = row
+        print(
+            f"{seed:>4}  {link:<10} {after:>9.2f} s  {named:<10} {mass:>8.2f} ± {std:.2f} kg"
+            f"  {truth:>8.2f}",
+            flush=True,
+        )
+    for place, links in (("body", ("base_link",)), ("thigh", ("L_thigh", "R_thigh"))):
+        some = [row for row in rows if row[0] in links]
+        in_time = sum(row[1] <= NAMED_AFTER for row in some)
+        right = sum(row[2] == row[0] for row in some)
+        near = sum(abs(row[3] - row[5]) <= max(0.1 * row[5], 2 * row[4]) for row in some)
+        print(
+            f"{place}: {in_time} of {len(some)} noticed within {NAMED_AFTER:g} s, {right} links "
+            f"named, {near} masses within 10 % or 2 deviations after {3 * MEMORY:g} s"
+        )
+
+
+def _row(run: tuple[int, str]) -> tuple[float, str, float, float, float]:
+    """Return when the alarm came, what it named, the mass found, its deviation and the truth."""
+    seed, link = run
+    threadpool_limits(1)
+    begun = BEFORE + float(np.random.default_rng(seed).uniform(0.0, 4.0))
+    looks = list(followed(seed, Payload(link, MASS, PLACES[link]), begun))
+    alarms = [look.time for look in looks if look.alarm]
+    named = [look.alarm for look in looks if look.time <= begun + NAMED_AFTER and look.alarm]
+    parameters = ParameterSet(load_model(MODEL))
+    index = parameters.link_names.index(link)
+    last = next(look for look in looks if look.time >= begun + 3 * MEMORY)
+    truth = float(parameters.link_phi(parameters.values)[index, 0]) + MASS
+    after = alarms[0] - begun if alarms else np.inf
+    return after, named[-1] if named else "nothing", last.mass[index], last.std[index], truth
+
+
+def followed(seed: int, payload: Payload, begun: float) -> Iterator[Look]:
+    """Yield what is known second by second until three memories after the change."""
+    seconds = begun + 3 * MEMORY + 2.0
+    simulator = Simulator(
+        "smooth",
+        moves=40,
+        motion_seed=seed,
+        noise_seed=seed,
+        payload=payload,
+        payload_time=begun,
+    )
+    yield from _looks(simulator, seconds, seed, MEMORY)
+
+
+def quiet(seed: int, *, minutes: float) -> int:
+    """Return the number of alarms along a run without a change."""
+    threadpool_limits(1)
+    simulator = Simulator("smooth", moves=round(30 * minutes), motion_seed=1000 + seed)
+    before, count = "", 0
+    for look in _looks(simulator, 60 * minutes, 1000 + seed, np.inf):
+        count += bool(look.alarm and not before)
+        before = look.alarm
+    return count
+
+
+def _looks(simulator: Simulator, seconds: float, seed: int, memory: float) -> Iterator[Look]:
+    simulator.steps = min(simulator.steps, round(seconds * 1e9 / simulator.period_ns))
+    parameters = ParameterSet(load_model(MODEL))
+    with tempfile.TemporaryDirectory() as folder:
+        record(simulator, Path(folder) / "bag")
+        draw_prior(parameters, "percent", 25, seed).write(Path(folder) / "prior.json")
+        recording = Recording.of([Path(folder) / "bag"])
+        selector = Selector("live", TopicSelection())
+        topics = {name: Topic(name, one.msgtype) for name, one in recording.topics.items()}
+        selector.counts = {topic: 1 for topic in topics.values() if selector.wants(topic)}
+        selected = selector.selected()
+        job = Job((), MODEL, prior=PriorChoice(Path(folder) / "prior.json"))
+        live = OnlineIdentification(Beginning.of(job), selected, Pace(memory, share=1.0))
+        due = recording.start + 1_000_000_000
+        names = {topic.name for topic in selected.all}
+        for message in recording.messages(names, recording.start, recording.end + 1):
+            live.feed(topics[message.topic], message.payload)
+            if message.log_time >= due:
+                due += 1_000_000_000
+                outcome = live.solve()
+                if outcome is not None:
+                    yield _look(message.log_time * 1e-9, outcome, parameters)
+        live.close()
+
+
+def _look(time: float, outcome: Outcome, parameters: ParameterSet) -> Look:
+    estimate = outcome.found.estimate
+    assert estimate.std is not None
+    return Look(
+        time,
+        outcome.change.suspect.link if outcome.change is not None else "",
+        parameters.link_phi(estimate.value)[:, 0],
+        parameters.link_phi(estimate.std)[:, 0],
+    )
+
+
+def plot(file: Path) -> None:
+    """Draw the masses of body and thigh through a change, as they are followed."""
+    link, begun, seed = "R_thigh", BEFORE, 4
+    parameters = ParameterSet(load_model(MODEL))
+    looks = list(followed(seed, Payload(link, MASS, PLACES[link]), begun))
+    time = np.array([look.time for look in looks])
+    alarm = next(look.time for look in looks if look.alarm)
+    truth = parameters.link_phi(parameters.values)[:, 0]
+    shown = ("base_link", link)
+    figure, axes = plt.subplots(len(shown), 1, sharex=True, figsize=(8, 5), layout="constrained")
+    for axis, name in zip(axes, shown, strict=True):
+        index = parameters.link_names.index(name)
+        mass = np.array([look.mass[index] for look in looks])
+        std = np.array([look.std[index] for look in looks])
+        true = truth[index] + MASS * (name == link) * (time >= begun)
+        axis.fill_between(time, mass - 2 * std, mass + 2 * std, color="#4477aa", alpha=0.2, lw=0)
+        axis.plot(time, mass, color="#4477aa", label="estimate, ± 2 deviations")
+        axis.step(time, true, color="#222222", ls="--", lw=1, where="post", label="truth")
+        axis.axvline(alarm, color="#cc3311", lw=1)
+        axis.set_ylabel(f"mass of {name} (kg)")
+        axis.spines[["top", "right"]].set_visible(False)
+    axes[0].legend(frameon=False, loc="lower right")
+    axes[1].annotate(
+        f"alarm: {link}",
+        (alarm, axes[1].get_ylim()[0]),
+        xytext=(4, 4),
+        textcoords="offset points",
+        color="#cc3311",
+    )
+    axes[-1].set_xlabel("time (s)")
+    figure.suptitle(f"2 kg fastened to {link} at {begun:g} s, memory {MEMORY:g} s", fontsize=11)
+    figure.savefig(file, dpi=130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,177 @@
+"""What can be set on the bridge, and the simulated robot that follows from it."""
+
+from pathlib import Path
+from typing import Any
+
+from symbid_ros.ros.parameters import Parameter, Values
+from symbid_ros.share import config_file
+from symbid_ros.simulation.payload import Payload, link_index
+from symbid_ros.simulation.plant import load_model
+from symbid_ros.simulation.simulator import Simulator
+
+INTERNAL, TOPIC, UDP = "internal", "topic", "udp"
+
+PARAMETERS = (
+    Parameter(
+        "scenario",
+        "smooth",
+        "What the robot does; in the commanded modes, how it stands when it is handed over.",
+        choices=("smooth", "squat", "vibrating", "suspended", "tare"),
+    ),
+    Parameter(
+        "moves",
+        20,
+        "Number of moves, of the centre of mass or the hook; a tare has none.",
+        minimum=1,
+        maximum=100_000,
+    ),
+    Parameter("motion_seed", 0, "Draws the moves; the same seed moves the same.", minimum=0),
+    Parameter("noise_seed", 0, "Draws the sensor noise.", minimum=0),
+    Parameter("ideal", False, "Publish noise-free sensors; the motion stays the same."),
+    Parameter("friction", False, "Give the joints friction and armature, as friction.yaml says."),
+    Parameter("friction_file", "", "Other YAML file of friction; implies friction."),
+    Parameter("errors", "", "Systematic errors: typical, or names with commas; empty for none."),
+    Parameter("error_seed", 0, "Draws the systematic errors.", minimum=0),
+    Parameter("model", "", "MJCF file of the robot; empty for the package's Symbitron."),
+    Parameter("noise", "", "YAML file of sensor noise; empty for the package's noise.yaml."),
+    Parameter("payload_link", "", "Link that carries the payload; empty for the base.", live=True),
+    Parameter(
+        "payload_mass",
+        0.0,
+        "Mass of the payload, kg; 0 for none. Set while the robot moves, it is fastened at once.",
+        minimum=0.0,
+        maximum=100.0,
+        live=True,
+    ),
+    Parameter(
+        "payload_position",
+        [0.0, 0.0, 0.0],
+        "Centre of the payload in the link's frame, m.",
+        minimum=-2.0,
+        maximum=2.0,
+        live=True,
+    ),
+    Parameter(
+        "payload_time",
+        0.0,
+        "When in the motion a payload given at the start is fastened, s.",
+        minimum=0.0,
+    ),
+    Parameter(
+        "command_source",
+        INTERNAL,
+        "Who commands the drives: the scenario's own controller, joint_command, or datagrams.",
+        choices=(INTERNAL, TOPIC, UDP),
+    ),
+    Parameter(
+        "command_timeout",
+        0.1,
+        "Real time the robot waits for a command before its drives let go, s.",
+        minimum=0.001,
+        maximum=60.0,
+    ),
+    Parameter("udp_host", "127.0.0.1", "Address on which datagrams are received."),
+    Parameter(
+        "udp_port",
+        5005,
+        "Port on which datagrams are received; 0 for any free one, told on /diagnostics.",
+        minimum=0,
+        maximum=65535,
+    ),
+    Parameter(
+        "udp_reply_port",
+        0,
+        "Port to which measurements are sent; 0 for the one that commands come from.",
+        minimum=0,
+        maximum=65535,
+    ),
+    Parameter(
+        "real_time_factor",
+        1.0,
+        "Simulated seconds per second, if the machine and the controller keep up.",
+        minimum=0.01,
+        maximum=100.0,
+    ),
+    Parameter(
+        "clock_rate",
+        100.0,
+        "/clock messages per simulated second; 0 for none.",
+        minimum=0.0,
+        maximum=1e6,
+    ),
+    Parameter(
+        "ground_truth_rate",
+        100.0,
+        "Messages per simulated second on each ground_truth/ topic; 0 for none.",
+        minimum=0.0,
+        maximum=1e6,
+    ),
+    Parameter("queue_depth", 5000, "Messages a slow subscriber may lag behind.", minimum=1),
+    Parameter(
+        "wait_for_subscribers",
+        False,
+        "Start to move once every sensor topic has its subscribers, so that nothing is lost.",
+    ),
+    Parameter(
+        "subscribers",
+        1,
+        "How many subscribers each sensor topic is to have for that.",
+        minimum=1,
+        maximum=100,
+    ),
+)
+
+
+def simulator_from(values: Values) -> Simulator:
+    """Return the robot that parameters ask for, at its start and without payload."""
+    return Simulator(
+        values["scenario"],
+        moves=values["moves"],
+        motion_seed=values["motion_seed"],
+        noise_seed=values["noise_seed"],
+        ideal=values["ideal"],
+        friction=values["friction"],
+        errors=values["errors"],
+        error_seed=values["error_seed"],
+        model_path=_path(values["model"]),
+        noise_path=_path(values["noise"]),
+        friction_path=_path(values["friction_file"]),
+        is_commanded=values["command_source"] != INTERNAL,
+    )
+
+
+class PayloadParameters:
+    """Turns parameters into the payload of one robot.
+
+    Parameters
+    ----------
+    values : mapping
+        The node's, of which the model's path is taken.
+    """
+
+    def __init__(self, values: Values) -> None:
+        self._model = load_model(_path(values["model"]) or config_file("symbitron.xml"))
+        self._base = str(self._model.body(self._model.jnt_bodyid[0]).name)
+
+    def payload(self, values: Values) -> Payload | None:
+        """Return the payload, None for a mass of 0.
+
+        Raises
+        ------
+        SimulationError
+            When the robot has no such link, whatever the mass.
+        """
+        link = values["payload_link"] or self._base
+        link_index(self._model, link)
+        if not values["payload_mass"]:
+            return None
+        x, y, z = values["payload_position"]
+        return Payload(link, values["payload_mass"], (x, y, z))
+
+    def require(self, values: dict[str, Any]) -> None:
+        """Refuse what `payload` would refuse."""
+        self.payload(values)
+
+
+def _path(value: str) -> Path | None:
+    return Path(value) if value else None

@@ -1,0 +1,104 @@
+"""The topics on which the simulated robot appears."""
+
+from threading import Event
+
+from rclpy.node import Node
+
+from symbid_ros.ros.parameters import ParameterError, Values
+from symbid_ros.ros.publishing import (
+    InstantPublisher,
+    await_acknowledgement,
+    await_subscribers,
+    clock_topic,
+    subscribers,
+)
+from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.simulation.topics import sensor_topics, truth_topics
+
+
+class BridgeTopics:
+    """Publishes instants on the topics of sensors, clock and truth.
+
+    Parameters
+    ----------
+    node : Node
+    robot : Simulator
+        Any one with these sensors.
+    values : mapping
+        Of the node's parameters.
+
+    Raises
+    ------
+    ParameterError
+        When a rate does not divide the simulation's.
+    """
+
+    def __init__(self, node: Node, robot: Simulator, values: Values) -> None:
+        self._robot = robot
+        depth = values["queue_depth"]
+        self._sensors = [
+            InstantPublisher.create(node, topic, every=topic.every, depth=depth)
+            for topic in sensor_topics(robot)
+        ]
+        self._others = [
+            InstantPublisher.create(node, topic, every=every, depth=depth)
+            for rate, topics in (
+                ("clock_rate", [clock_topic()]),
+                ("ground_truth_rate", truth_topics(robot)),
+            )
+            if (every := self._steps_between(rate, values[rate]))
+            for topic in topics
+        ]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Messages published by topic."""
+        entries = (*self._sensors, *self._others)
+        return {entry.publisher.topic_name: entry.count for entry in entries}
+
+    @property
+    def has_feedback(self) -> bool:
+        """Whether joint states and IMU, which a controller needs, speak at every instant."""
+        return all(entry.every == 1 for entry in self._feedback)
+
+    @property
+    def audience(self) -> tuple[int, ...]:
+        """Number of subscribers to joint states and to the IMU."""
+        return subscribers(self._feedback)
+
+    def publish(self, step: int, instant: Instant) -> None:
+        """Publish an instant on each topic whose turn it is."""
+        for entry in (*self._sensors, *self._others):
+            entry.publish(step, instant)
+
+    def repeat_feedback(self, instant: Instant) -> None:
+        """Publish joint states and IMU of an instant once more."""
+        for entry in self._feedback:
+            entry.publish(0, instant)
+
+    def await_subscribers(self, stop: Event, least: int) -> None:
+        """Wait until every sensor has ``least`` subscribers."""
+        await_subscribers(self._sensors, self._others, stop, least)
+
+    def await_acknowledgement(self) -> None:
+        """Give reliable subscribers time to fetch what is still on its way."""
+        await_acknowledgement([*self._sensors, *self._others])
+
+    @property
+    def _feedback(self) -> list[InstantPublisher]:
+        joint_states, imu, *_ = self._sensors
+        return [joint_states, imu]
+
+    def _steps_between(self, name: str, rate: float) -> int:
+        """Return how many steps lie between two messages, 0 for no message."""
+        if not rate:
+            return 0
+        every = 1e9 / (rate * self._robot.period_ns)
+        if every < 1 or abs(every - round(every)) > 1e-6:
+            highest = 1e9 / self._robot.period_ns
+            raise ParameterError(
+                f"parameter {name}: {rate:g} does not divide the simulation's rate; "
+                f"give {highest:g} divided by a whole number"
+            )
+        return round(every)

@@ -1,0 +1,69 @@
+"""What a node says of itself on ``/diagnostics``, once a second."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from symbid_ros.ros.messages import reliable
+
+PERIOD = 1.0  # s
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+
+
+@dataclass(frozen=True)
+class Health:
+    """One status.
+
+    Attributes
+    ----------
+    part : str
+        Of the node; the status is named ``<node>: <part>``.
+    level : bytes
+        ``OK``, ``WARN`` or ``ERROR``.
+    message : str
+    values : mapping of str to object
+        Figures in constant order.
+    """
+
+    part: str
+    level: bytes
+    message: str
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+class HealthPublisher:
+    """Publishes a node's health while its executor spins.
+
+    Parameters
+    ----------
+    node : Node
+    look : callable
+        Returns the statuses of this moment.
+    """
+
+    def __init__(self, node: Node, look: Callable[[], Sequence[Health]]) -> None:
+        self._node, self._look = node, look
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", reliable(10))
+        # Simulated time may stand still, and health is asked for then most of all.
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self._timer = node.create_timer(PERIOD, self._publish, clock=steady)
+
+    def _publish(self) -> None:
+        name = self._node.get_fully_qualified_name()
+        message = DiagnosticArray()
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.status = [
+            DiagnosticStatus(
+                level=health.level,
+                name=f"{name}: {health.part}",
+                message=health.message,
+                values=[
+                    KeyValue(key=key, value=str(value)) for key, value in health.values.items()
+                ],
+            )
+            for health in self._look()
+        ]
+        self._publisher.publish(message)

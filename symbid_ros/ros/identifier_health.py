@@ -1,0 +1,121 @@
+"""What an online identifier says of itself on ``/diagnostics``."""
+
+import time
+from collections.abc import Iterable, Sequence
+
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.online.identification import OnlineIdentification, Outcome
+from symbid_ros.ros.estimate_messages import estimate_health
+from symbid_ros.ros.health import ERROR, OK, WARN, Health
+
+# Rates are counted over this time at least, and a topic is reported that has been silent for so
+# long, s.
+LEAST_COUNTED = 0.5
+SILENT = 2.0
+
+
+class IdentifierHealth:
+    """Statuses that the identifying thread sets and the publishing one reads.
+
+    Each is replaced as a whole, so that no lock is needed.
+    """
+
+    def __init__(self) -> None:
+        self._is_enabled = True
+        self._estimate = Health("estimate", WARN, "no estimate yet")
+        self._streams = Health("streams", WARN, "no sensor topics yet")
+        self._change = Health("change", OK, "nothing known to change")
+        self._counts: dict[str, int] = {}
+        self._heard: dict[str, float] = {}
+        self._counted = self._solved = time.monotonic()
+
+    def look(self) -> Sequence[Health]:
+        """Return the statuses of this moment."""
+        estimate = self._estimate
+        if not self._is_enabled:
+            estimate = Health("estimate", WARN, "not enabled", estimate.values)
+        silence = time.monotonic() - self._solved
+        return (
+            Health(
+                estimate.part,
+                estimate.level,
+                estimate.message,
+                {**estimate.values, "since_solved": f"{silence:.2f}"},
+            ),
+            self._streams,
+            self._change,
+        )
+
+    def waiting(self, found: Iterable[Topic]) -> None:
+        """Take which topics have turned up so far, while others are waited for."""
+        names = ", ".join(sorted(topic.name for topic in found))
+        message = f"waiting for sensor topics, found {names}" if names else "no sensor topics yet"
+        self._streams = Health("streams", WARN, message)
+
+    def enabled(self, is_enabled: bool) -> None:
+        """Take whether messages are read at all."""
+        self._is_enabled = is_enabled
+
+    def refused(self, reason: str) -> None:
+        """Take why there is no estimate."""
+        self._estimate = Health("estimate", ERROR, reason)
+
+    def solved(self, live: OnlineIdentification, outcome: Outcome | None, seconds: float) -> None:
+        """Take an estimate and how long it took."""
+        self._solved = time.monotonic()
+        if outcome is None:
+            self._estimate = Health("estimate", WARN, "too little has come to tell anything")
+            return
+        newest = live.streams.joints.newest
+        age = 0.0 if newest is None else (newest - outcome.until) * 1e-9
+        self._estimate = self._estimate_health(outcome, age, seconds)
+        figures = {"evidence": f"{live.evidence:.1f}"}
+        if outcome.change is None:
+            self._change = Health("change", OK, "no change", figures)
+        else:
+            suspect = outcome.change.suspect
+            figures |= {
+                "link": suspect.link,
+                "since": f"{outcome.change.since * 1e-9:.3f}",
+                "mass": f"{suspect.phi[0]:.4f}",
+                "mass/std": f"{suspect.std[0]:.4f}",
+            }
+            self._change = Health("change", WARN, str(outcome.change), figures)
+
+    def _estimate_health(self, outcome: Outcome, age: float, seconds: float) -> Health:
+        facts = {
+            "window": f"{outcome.window:g}",
+            "age": f"{max(age, 0.0):.3f}",
+            "data_time": f"{outcome.until * 1e-9:.3f}",
+            "solve_time": f"{seconds:.3f}",
+        }
+        return estimate_health(outcome.found.estimate, outcome.alarms, facts)
+
+    def heard(self, live: OnlineIdentification) -> None:
+        """Take how the topics do."""
+        now = time.monotonic()
+        elapsed = now - self._counted
+        if elapsed < LEAST_COUNTED:
+            return
+        self._counted = now
+        figures: dict[str, object] = {}
+        silent = []
+        for topic, buffer in live.streams.buffers.items():
+            name = topic.name
+            new = buffer.received - self._counts.get(name, 0)
+            self._counts[name] = buffer.received
+            if new:
+                self._heard[name] = now
+            elif now - self._heard.setdefault(name, now) > SILENT:
+                silent.append(name)
+            figures[f"{name}/rate"] = f"{new / elapsed:.1f}"
+            figures[f"{name}/received"] = buffer.received
+            figures[f"{name}/missing"] = buffer.missing
+            figures[f"{name}/late"] = buffer.late
+            figures[f"{name}/disordered"] = buffer.disordered
+        figures |= {"clock_jumps": live.clock_jumps, "stale": live.streams.stale}
+        figures["lost_blocks"] = live.lost_blocks
+        faults = [f"silent: {', '.join(silent)}"] if silent else []
+        faults += list(live.faults)[-1:]
+        level = WARN if faults else OK
+        self._streams = Health("streams", level, "; ".join(faults) or "in order", figures)

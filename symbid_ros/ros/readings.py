@@ -1,0 +1,140 @@
+"""What a balance controller reads from the topics: joints and IMU of one instant."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from rclpy.node import Node
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.bags.gaps import stamp_of
+from symbid_ros.bags.layout import Layout
+from symbid_ros.bags.messages import IMU, JOINT_STATE
+from symbid_ros.errors import DataError
+from symbid_ros.ros.mailbox import Letter, Mailbox, wait_for_any
+
+DEPTH = 1000  # messages
+KEPT = 100  # stamps of one topic that the other may lag behind
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Joints and IMU of one instant.
+
+    Attributes
+    ----------
+    stamp : int
+        ns.
+    joint_position, joint_velocity : (J,) float64
+        rad and rad/s.
+    imu_orientation : (4,) float64
+        Quaternion xyzw of the IMU in the world.
+    imu_angular_velocity : (3,) float64
+        In the IMU's axes, rad/s.
+    """
+
+    stamp: int
+    joint_position: FloatArray
+    joint_velocity: FloatArray
+    imu_orientation: FloatArray
+    imu_angular_velocity: FloatArray
+
+
+class ReadingsIntake:
+    """Subscribes to ``joint_states`` and ``imu/data`` and pairs them by their stamps.
+
+    Parameters
+    ----------
+    node : Node
+    joint_names : sequence of str
+        Order of joint arrays; messages are read by name.
+
+    Attributes
+    ----------
+    passed_over : int
+        Instants that were never the newest: others came with them.
+    """
+
+    def __init__(self, node: Node, joint_names: Sequence[str]) -> None:
+        self._node, self._joint_names = node, tuple(joint_names)
+        self._joints = Mailbox(node, "joint_states", JOINT_STATE, DEPTH)
+        self._imu = Mailbox(node, "imu/data", IMU, DEPTH)
+        self._waiting: tuple[dict[int, bytes], dict[int, bytes]] = ({}, {})
+        self._layout: Layout | None = None
+        self.passed_over = 0
+        self._places: IntArray = np.arange(len(self._joint_names))
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until a message comes, for so many seconds at most."""
+        wait_for_any(self._node, [self._joints, self._imu], seconds)
+
+    def newest(self) -> Readings | None:
+        """Return the readings last stamped of those that have arrived, if they are new.
+
+        Those stamped before and after a clock that jumped back are never mixed up: whatever
+        arrived before the last jump is forgotten.
+
+        Raises
+        ------
+        DataError
+            When they are not this robot's, or not all numbers.
+        """
+        for mailbox, waiting in zip((self._joints, self._imu), self._waiting, strict=True):
+            for payload in mailbox.payloads():
+                _keep(waiting, payload)
+        joints, imu = self._waiting
+        stamp = max(joints.keys() & imu.keys(), default=None)
+        if stamp is None:
+            return None
+        pair = joints[stamp], imu[stamp]
+        self.passed_over += sum(each < stamp for each in joints)
+        for waiting in self._waiting:
+            for done in [each for each in waiting if each <= stamp]:
+                del waiting[done]
+        return self._readings(stamp, self._joints.read(pair[0]), self._imu.read(pair[1]))
+
+    def _readings(self, stamp: int, joints: Letter, imu: Letter) -> Readings:
+        if joints.layout is not self._layout:
+            self._places = self._find(joints.layout)
+            self._layout = joints.layout
+        readings = Readings(
+            stamp,
+            joints.record["position"][0, self._places],
+            joints.record["velocity"][0, self._places],
+            imu.record["orientation"][0],
+            imu.record["angular_velocity"][0],
+        )
+        if not all(
+            np.isfinite(values).all()
+            for values in (
+                readings.joint_position,
+                readings.joint_velocity,
+                readings.imu_orientation,
+                readings.imu_angular_velocity,
+            )
+        ):
+            raise DataError(f"joint_states, imu/data: not all numbers at {stamp / 1e9:.3f} s")
+        return readings
+
+    def _find(self, layout: Layout) -> IntArray:
+        """Return where each joint lies in messages of a layout."""
+        names = layout.text["name"]
+        missing = sorted(set(self._joint_names) - set(names))
+        if missing:
+            raise DataError(
+                f"joint_states: no joint {', '.join(missing)}; publish it or choose another model"
+            )
+        if {layout.dtype[field].shape for field in ("position", "velocity")} != {(len(names),)}:
+            raise DataError(
+                "joint_states: positions and velocities are not one for each name; publish both"
+            )
+        return np.array([names.index(name) for name in self._joint_names])
+
+
+def _keep(waiting: dict[int, bytes], payload: bytes) -> None:
+    stamp = stamp_of(payload)
+    if waiting and stamp < max(waiting):
+        waiting.clear()
+    waiting[stamp] = payload
+    if len(waiting) > KEPT:
+        del waiting[min(waiting)]

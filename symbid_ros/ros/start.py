@@ -1,0 +1,42 @@
+"""The executables: one that is interrupted while its libraries still load ends quietly, too."""
+
+import signal
+import sys
+from importlib import import_module
+
+
+def mujoco_bridge() -> None:
+    """Run the node ``mujoco_bridge``."""
+    _run("mujoco_bridge")
+
+
+def balance_controller() -> None:
+    """Run the node ``balance_controller``."""
+    _run("balance_controller")
+
+
+def recorder() -> None:
+    """Run the node ``recorder``."""
+    _run("recorder")
+
+
+def player() -> None:
+    """Run the node ``player``."""
+    _run("player")
+
+
+def identifier() -> None:
+    """Run the node ``identifier``."""
+    _run("identifier")
+
+
+def monitor() -> None:
+    """Run the node ``monitor``."""
+    _run("monitor")
+
+
+def _run(node: str) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: sys.exit(128 + number))
+    # Loading takes seconds; the node then has handlers of its own.
+    import_module(f"{__package__}.{node}").main()

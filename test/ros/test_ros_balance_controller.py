@@ -1,0 +1,221 @@
+"""Plant and controller as two processes that share nothing but topics."""
+
+import json
+import signal
+
+import numpy as np
+import pytest
+from graph_probes import RELIABLE, Health, call, descriptors
+from nav_msgs.msg import Odometry
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+
+from symbid_ros.simulation.simulator import Simulator
+
+COMMANDS, SIMULATION = "/mujoco_bridge: commands", "/mujoco_bridge: simulation"
+CONTROL = "/balance_controller: control"
+# A busy machine may well let a process wait for longer than the usual time-out.
+PATIENT = {"command_source": "topic", "command_timeout": 20.0, "real_time_factor": 100.0}
+
+
+def nanoseconds(stamp) -> int:
+    return stamp.sec * 10**9 + stamp.nanosec
+
+
+class Clocked:
+    """The stamps of /clock as they came."""
+
+    def __init__(self, graph) -> None:
+        self.stamps: list[int] = []
+        graph.node.create_subscription(Clock, "/clock", self._keep, RELIABLE)
+
+    def _keep(self, message: Clock) -> None:
+        self.stamps.append(nanoseconds(message.clock))
+
+    @property
+    def now(self) -> float:
+        return self.stamps[-1] / 1e9 if self.stamps else 0.0
+
+    @property
+    def jumps(self) -> int:
+        return int(np.count_nonzero(np.diff(self.stamps) < 0))
+
+
+def test_it_moves_the_robot_as_the_scenario_does(graph) -> None:
+    clock, places = Clocked(graph), {}
+    graph.node.create_subscription(
+        Odometry,
+        "ground_truth/odom",
+        lambda message: places.setdefault(
+            nanoseconds(message.header.stamp), message.pose.pose.position
+        ),
+        RELIABLE,
+    )
+    robot = Simulator("smooth", moves=1, motion_seed=3)
+    end = robot.steps * robot.period_ns
+    # The controller comes first and waits for a robot; the robot waits for the controller.
+    controller = graph.start("balance_controller", moves=1, motion_seed=3)
+    graph.wait_for_node("balance_controller")
+    bridge = graph.start("mujoco_bridge", moves=1, motion_seed=3, **PATIENT)
+    for second in range(1 + end // 10**9):  # however slow, it goes on
+        graph.wait_until(lambda s=second: clock.now > s)
+    graph.wait_until(lambda: clock.stamps[-1] >= end)
+    graph.wait_until(lambda: places and max(places) > end - 10 * robot.period_ns)
+    for process in (controller, bridge):
+        process.send(signal.SIGINT)
+    answers, told = controller.ended(), bridge.ended()
+    assert (answers.status, told.status) == (0, 0)
+    assert "WARN" not in answers.err
+    commands = json.loads(told.out)["commands"]
+    assert (commands["starts"], commands["falls"], commands["timeouts"]) == (1, 0, 0)
+    assert not any(n for key, n in commands.items() if key.startswith("rejected/"))
+    assert json.loads(answers.out)["restarts"] == 0
+
+    alone = {instant.stamp: instant.base_position for instant in robot}
+    away = [
+        np.linalg.norm([place.x, place.y, place.z] - alone[stamp])
+        for stamp, place in places.items()
+        if stamp <= end
+    ]
+    # The robot waits for no onlooker, but from the first message on it misses none.
+    heard = np.array(sorted(stamp for stamp in places if stamp <= end))
+    assert set(np.diff(heard)) == {10 * robot.period_ns}
+    assert heard[0] < end / 2
+    # The moves go 8 cm far; sensor noise and the period of delay cost millimetres of them.
+    assert max(away) < 0.01
+
+
+def test_each_picks_up_the_other_after_a_kill(graph) -> None:
+    clock, health = Clocked(graph), Health(graph)
+    bridge = graph.start("mujoco_bridge", **PATIENT | {"command_timeout": 1.0})
+    graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
+    assert not clock.stamps, "time stands still without a controller"
+
+    controller = graph.start("balance_controller")
+    graph.wait_until(lambda: clock.now > 0.3)
+    jumps = clock.jumps
+    controller.kill()
+    # Drives that only brake do not keep it standing: it falls and stands again, waiting.
+    graph.wait_until(lambda: health.count(SIMULATION, "falls") == 1)
+    graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
+    assert health.count(COMMANDS, "timeouts") >= 1
+    assert health.count(COMMANDS, "safe_steps") >= 10
+    assert "began anew" in health.message(SIMULATION)
+
+    controller = graph.start("balance_controller")
+    graph.wait_until(lambda: clock.jumps == jumps + 1 and clock.now > 0.3)
+    graph.wait_until(lambda: health.message(COMMANDS) == "commands are followed")
+
+    jumps = clock.jumps
+    bridge.kill()
+    graph.wait_until(lambda: health.message(CONTROL).startswith("no measurements"))
+    bridge = graph.start("mujoco_bridge", **PATIENT)
+    graph.wait_until(lambda: clock.jumps == jumps + 1 and clock.now > 0.3)
+    for process in (controller, bridge):
+        process.send(signal.SIGTERM)
+    answers, told = controller.ended(), bridge.ended()
+    assert (answers.status, told.status) == (0, 0)
+    assert "Traceback" not in answers.err + told.err
+    assert answers.err.count("the clock jumped back") == 1
+    assert json.loads(answers.out)["restarts"] == 1
+
+
+def test_reset_and_pause(graph) -> None:
+    clock, health = Clocked(graph), Health(graph)
+    bridge = graph.start("mujoco_bridge", **PATIENT)
+    controller = graph.start("balance_controller")
+    graph.wait_until(lambda: clock.now > 0.3)
+    assert call(graph, Trigger, "/mujoco_bridge/reset").success
+    graph.wait_until(lambda: clock.jumps == 1 and clock.now > 0.2)
+    assert call(graph, SetBool, "/mujoco_bridge/pause", data=True).success
+    graph.wait_until(lambda: health.message(SIMULATION) == "paused")
+    received, paused = health.received, len(clock.stamps)
+    graph.wait_until(lambda: health.received >= received + 2)
+    assert len(clock.stamps) == paused
+    assert call(graph, SetBool, "/mujoco_bridge/pause", data=False).success
+    graph.wait_until(lambda: len(clock.stamps) > paused + 10)
+    for process in (controller, bridge):
+        process.send(signal.SIGINT)
+    assert (controller.ended().status, bridge.ended().status) == (0, 0)
+    assert clock.jumps == 1
+
+
+def test_bad_commands_are_reported_and_move_nothing(graph) -> None:
+    states, health = [], Health(graph)
+    graph.node.create_subscription(JointState, "joint_states", states.append, RELIABLE)
+    commands = graph.node.create_publisher(JointState, "joint_command", RELIABLE)
+    bridge = graph.start("mujoco_bridge", **PATIENT)
+    graph.wait_until(lambda: states)
+    drives = Simulator("tare").drive_names
+    first = states[0]
+
+    def send(stamp, efforts: dict[str, float]) -> None:
+        message = JointState(name=list(efforts), effort=list(efforts.values()))
+        message.header.stamp = stamp
+        commands.publish(message)
+
+    still = dict.fromkeys(drives, 0.0)
+    later = Clock().clock
+    later.sec = 1000
+    send(first.header.stamp, still | {drives[0]: float("nan")})
+    send(first.header.stamp, still | {drives[0]: 1e6})
+    send(first.header.stamp, dict.fromkeys(drives[1:], 0.0))
+    send(first.header.stamp, still | {"tail": 0.0})
+    send(later, still)
+    expected = {"not_finite": 1, "beyond_limit": 1, "joints": 2, "future": 1}
+    graph.wait_until(
+        lambda: all(health.count(COMMANDS, f"rejected/{key}") == n for key, n in expected.items())
+    )
+    assert health.count(COMMANDS, "accepted") == 0
+    assert {nanoseconds(state.header.stamp) for state in states} == {1_000_000}
+    send(first.header.stamp, still)
+    graph.wait_until(lambda: nanoseconds(states[-1].header.stamp) == 2_000_000)
+    effort = dict(zip(states[-1].name, states[-1].effort, strict=True))
+    assert all(abs(effort[name]) < 1.0 for name in drives), "zero but for the sensors' noise"
+    bridge.send(signal.SIGINT)
+    assert bridge.ended().status == 0
+
+
+@pytest.mark.parametrize(("source", "number"), [("topic", signal.SIGINT), ("udp", signal.SIGTERM)])
+def test_signals_end_a_bridge_that_waits(graph, source: str, number: signal.Signals) -> None:
+    health = Health(graph)
+    bridge = graph.start("mujoco_bridge", command_source=source, udp_port=0)
+    graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
+    bridge.send(number)
+    ended = bridge.ended()
+    assert ended.status == 0
+    assert "Traceback" not in ended.err
+    assert json.loads(ended.out)["steps"] == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_a_controller_that_hears_nothing(graph, number: signal.Signals) -> None:
+    health = Health(graph)
+    controller = graph.start("balance_controller")
+    graph.wait_until(lambda: health.message(CONTROL).startswith("no measurements"))
+    described = descriptors(graph, "/balance_controller", ["scenario", "moves", "use_sim_time"])
+    assert all(each.description for each in described)
+    controller.send(number)
+    ended = controller.ended()
+    assert (ended.status, ended.err) == (0, "")
+    assert json.loads(ended.out)["answered"] == 0
+
+
+@pytest.mark.parametrize(
+    ("executable", "parameters", "line"),
+    [
+        ("balance_controller", {"scenario": "dance"}, "parameter scenario: 'dance' is not known"),
+        ("balance_controller", {"model": "/nowhere.xml"}, "/nowhere.xml"),
+        (
+            "mujoco_bridge",
+            {"command_source": "topic", "errors": "sample_rates"},
+            "parameter errors: sample_rates leaves instants without IMU",
+        ),
+    ],
+)
+def test_bad_parameters_end_with_one_line(graph, executable, parameters, line) -> None:
+    ended = graph.start(executable, **parameters).ended()
+    assert ended.status == 2
+    assert ended.err.startswith(f"{executable}: {line}")
+    assert ended.err.count("\n") == 1

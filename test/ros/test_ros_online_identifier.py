@@ -1,0 +1,290 @@
+"""The online identifier as a process among others: what it hears, answers and survives."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import InertiaStamped
+from rcl_interfaces.msg import Parameter, ParameterValue
+from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+from std_srvs.srv import SetBool, Trigger
+
+from symbid_ros.estimation.archive import load_archive
+from symbid_ros.share import config_file
+
+MODEL = config_file("symbitron.xml")
+SENSORS = "[joint_states, imu/data, left_foot/wrench, right_foot/wrench]"
+LATCHED = QoSProfile(depth=10, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Ears:
+    """What the identifier says: its newest estimate, and its diagnostics by part."""
+
+    def __init__(self, graph: Any) -> None:
+        self.estimates: list[DiagnosticArray] = []
+        self.health: dict[str, Any] = {}
+        graph.node.create_subscription(
+            DiagnosticArray, "/identifier/estimate", self.estimates.append, LATCHED
+        )
+        graph.node.create_subscription(DiagnosticArray, "/diagnostics", self._look, 10)
+        graph.witness = lambda: (len(self.estimates), self.health)
+
+    def _look(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            node, _, part = status.name.partition(": ")
+            if node == "/identifier":
+                self.health[part] = status
+
+    def figures(self, part: str) -> dict[str, str]:
+        return {entry.key: entry.value for entry in self.health[part].values}
+
+    def until(self) -> float:
+        """Return the time of the newest data in the newest estimate, s."""
+        stamp = self.estimates[-1].header.stamp
+        return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def call(graph: Any, kind: type, service: str, request: Any = None) -> Any:
+    client = graph.node.create_client(kind, service)
+    graph.wait_until(client.service_is_ready)
+    answer = client.call_async(kind.Request() if request is None else request)
+    graph.wait_until(answer.done)
+    return answer.result()
+
+
+def identifier(graph: Any, **parameters: object) -> Any:
+    return graph.start("identifier", model=MODEL, prior_percent=25.0, **parameters)
+
+
+def bridge(graph: Any, **parameters: object) -> Any:
+    return graph.start("mujoco_bridge", wait_for_subscribers=True, **parameters)
+
+
+def offline(bag: Path, out: Path) -> dict[str, Any]:
+    subprocess.run(
+        [
+            Path(sys.executable).parent / "symbid",
+            *("identify", bag, "--model", MODEL, "--prior-percent", "25", "--out", out),
+        ],
+        check=True,
+        capture_output=True,
+        timeout=300,
+    )
+    return json.loads((out / "estimate.json").read_text())
+
+
+def assert_same(live: Path, bag: Path) -> None:
+    """Compare what two runs know (1e-9 of its size) and found (1e-6 of a deviation)."""
+    pairs = zip(*(load_archive(out / "information.npz") for out in (live, bag)), strict=True)
+    for one, other in pairs:
+        assert (one.window, one.rows.samples) == (other.window, other.rows.samples)
+        found, expected = (x.rows.factor.T @ x.rows.factor for x in (one, other))
+        scale = np.sqrt(np.diag(expected))
+        assert np.all(np.abs(found - expected) <= 1e-9 * np.outer(scale, scale))
+    found, expected = (json.loads((out / "estimate.json").read_text()) for out in (live, bag))
+    for name, entry in expected["parameters"].items():
+        assert abs(found["parameters"][name]["value"] - entry["value"]) <= 1e-6 * entry["std"]
+
+
+def test_topics_tell_what_a_bag_of_them_tells(graph, tmp_path: Path) -> None:
+    ears = Ears(graph)
+    recorder = graph.start("recorder", bag=tmp_path / "bag", topics=SENSORS)
+    live = identifier(graph, out=tmp_path / "live")
+    inertias: list[InertiaStamped] = []
+    graph.node.create_subscription(
+        InertiaStamped, "/identifier/inertia/base_link", inertias.append, LATCHED
+    )
+    played = json.loads(bridge(graph, moves=3, motion_seed=8, subscribers=2).ended().out)
+    answer = call(graph, Trigger, "/identifier/save")
+    assert answer.success
+    assert str(tmp_path / "live") in answer.message
+    recorder.send(signal.SIGINT)
+    recorded = json.loads(recorder.ended().out)["recorded"]
+    graph.wait_until(lambda: ears.until() == played["steps"] * 1e-3 and inertias)
+    # Several on the way, each with all the robot; the last one is what was saved.
+    assert len(ears.estimates) > 3
+    offline(tmp_path / "bag", tmp_path / "offline")
+    assert_same(tmp_path / "live", tmp_path / "offline")
+    document = json.loads((tmp_path / "live" / "estimate.json").read_text())
+    assert inertias[-1].inertia.m == document["parameters"]["base_link/m"]["value"]
+    assert set(recorded) <= set(document["inputs"])
+
+    live.send(signal.SIGTERM)
+    ended = live.ended()
+    assert ended.status == 0
+    told = json.loads(ended.out.splitlines()[-1])
+    assert told["received"] == recorded == {name: played["published"][name] for name in recorded}
+    assert set(told["missing"].values()) == {0}
+
+
+def test_a_player_serves_as_well_as_a_robot(graph, simulated, tmp_path: Path) -> None:
+    bag = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
+    # Replayed as fast as can be, topics may be seconds of their stamps apart.
+    live = identifier(graph, out=tmp_path / "live", solve_period=0.2, lag=30.0)
+    player = graph.start(
+        "player", bag=f"['{bag}']", rate=0.0, topics=SENSORS, wait_for_subscribers=True
+    )
+    assert player.ended().status == 0
+    assert call(graph, Trigger, "/identifier/save").success
+    offline(bag, tmp_path / "offline")
+    assert_same(tmp_path / "live", tmp_path / "offline")
+    live.send(signal.SIGINT)
+    assert live.ended().status == 0
+
+
+def test_services(graph) -> None:
+    ears = Ears(graph)
+    live = identifier(graph, solve_period=0.5)
+    early = call(graph, Trigger, "/identifier/solve")
+    assert not early.success
+    assert "no sensor topics yet" in early.message
+    bridge(graph, moves=40)
+    graph.wait_until(lambda: ears.estimates and ears.until() > 2.0)
+
+    assert "determined by" in call(graph, Trigger, "/identifier/solve").message
+    unnamed = call(graph, Trigger, "/identifier/save")
+    assert not unnamed.success
+    assert "parameter out: empty" in unnamed.message
+
+    assert call(graph, SetBool, "/identifier/enable", SetBool.Request(data=False)).success
+    known = call(graph, Trigger, "/identifier/solve").message
+    graph.wait_until(lambda: ears.health["estimate"].message == "not enabled")
+    assert call(graph, Trigger, "/identifier/solve").message == known
+    assert call(graph, SetBool, "/identifier/enable", SetBool.Request(data=True)).success
+
+    graph.wait_until(lambda: ears.health["estimate"].message != "not enabled")
+    rows = int(ears.figures("estimate")["samples"])
+    assert call(graph, Trigger, "/identifier/reset").success
+    graph.wait_until(lambda: int(ears.figures("estimate").get("samples", rows)) < rows)
+    live.send(signal.SIGINT)
+    assert live.ended().status == 0
+
+
+def test_killed_nodes_are_taken_up_again_by_those_that_live(graph) -> None:
+    ears = Ears(graph)
+    live = identifier(graph, solve_period=0.5)
+    robot = bridge(graph, moves=40)
+    graph.wait_until(lambda: ears.estimates and ears.until() > 3.0)
+    robot.kill()
+    again = bridge(graph, moves=40)
+    graph.wait_until(lambda: ears.figures("streams").get("clock_jumps") == "1")
+    rows = int(ears.figures("estimate")["samples"])
+    graph.wait_until(lambda: int(ears.figures("estimate")["samples"]) > rows)
+
+    live.kill()
+    count = len(ears.estimates)
+    other = identifier(graph, solve_period=0.5)
+    graph.wait_until(lambda: len(ears.estimates) > count + 1)
+    for node in (other, again):
+        node.send(signal.SIGINT)
+    ended = other.ended()
+    assert (ended.status, again.ended().status) == (0, 0)
+    assert "Traceback" not in ended.err
+
+
+def test_a_wrench_that_turns_up_late_is_taken_up(graph, simulated) -> None:
+    bag = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
+    ears = Ears(graph)
+    identifier(graph, solve_period=0.3)
+    player = {"bag": f"['{bag}']", "loop": True, "wait_for_subscribers": True}
+    without = graph.start("player", topics="[joint_states, imu/data]", **player)
+    graph.wait_until(
+        lambda: (
+            "estimate" in ears.health
+            and "wrenches measured differ" in ears.health["estimate"].message
+        )
+    )
+    without.kill()
+    assert not ears.estimates
+    graph.start("player", topics=SENSORS, **player)
+    graph.wait_until(lambda: ears.estimates)
+
+
+def test_a_payload_on_the_robot_is_laid_at_its_link(graph) -> None:
+    ears = Ears(graph)
+    identifier(graph, memory=5.0)
+    bridge(graph, moves=60, motion_seed=3)
+    graph.wait_until(lambda: ears.estimates and ears.until() > 15.0)
+    assert ears.health["change"].message == "no change"
+    request = SetParameters.Request(
+        parameters=[
+            Parameter(name="payload_link", value=ParameterValue(type=4, string_value="L_thigh")),
+            Parameter(
+                name="payload_position",
+                value=ParameterValue(type=8, double_array_value=[0.2, 0.0, 0.05]),
+            ),
+            Parameter(name="payload_mass", value=ParameterValue(type=3, double_value=2.0)),
+        ]
+    )
+    attached = call(graph, SetParameters, "/mujoco_bridge/set_parameters", request)
+    assert all(result.successful for result in attached.results)
+    begun = ears.until()
+    graph.wait_until(lambda: "changed" in ears.health["change"].message)
+    assert ears.figures("change")["link"] == "L_thigh"
+    assert ears.until() < begun + 8.0  # a second each for the set, the look and the diagnostics
+    graph.wait_until(lambda: abs(float(ears.figures("change")["mass"]) - 2.0) < 0.2)
+
+
+def test_parameters_are_described_and_checked(graph) -> None:
+    ears = Ears(graph)
+    live = identifier(graph)
+    graph.wait_until(lambda: ears.health)  # only then are live ones followed
+    listed = call(graph, ListParameters, "/identifier/list_parameters").result.names
+    described = call(
+        graph,
+        DescribeParameters,
+        "/identifier/describe_parameters",
+        DescribeParameters.Request(names=listed),
+    ).descriptors
+    for descriptor in described:
+        if not descriptor.name.startswith(("qos_overrides", "start_type_description")):
+            assert descriptor.description, descriptor.name
+    period = Parameter(name="solve_period", value=ParameterValue(type=3, double_value=0.25))
+    fixed = Parameter(name="memory", value=ParameterValue(type=3, double_value=5.0))
+    wrong = Parameter(name="solve_period", value=ParameterValue(type=3, double_value=-1.0))
+    results = [
+        call(
+            graph,
+            SetParameters,
+            "/identifier/set_parameters",
+            SetParameters.Request(parameters=[one]),
+        ).results[0]
+        for one in (period, fixed, wrong)
+    ]
+    assert [result.successful for result in results] == [True, False, False]
+    live.send(signal.SIGINT)  # before any topic has turned up
+    ended = live.ended()
+    assert (ended.status, ended.err) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        ({"mode": "offline"}, "parameter bag: empty"),
+        ({"mode": "online", "bag": "[log]"}, "parameter bag: not read online"),
+        ({"bag": "[log]", "resume": "x.npz"}, "parameter resume: for topics alone"),
+        ({"mode": "sideways"}, "parameter mode: 'sideways' is not known"),
+        ({"memory": -1.0}, "parameter memory: not a valid value"),
+        ({"solve_period": 0.0}, "parameter solve_period: not a valid value"),
+    ],
+    ids=lambda value: ",".join(value) if isinstance(value, dict) else "",
+)
+def test_parameters_that_contradict_each_other(graph, parameters: dict, says: str) -> None:
+    ended = identifier(graph, **parameters).ended()
+    assert ended.status == 2
+    assert ended.err.count("\n") == 1, ended.err
+    assert says in ended.err
+
+
+def test_a_file_that_cannot_be_resumed_is_refused_at_once(graph, tmp_path: Path) -> None:
+    bridge(graph, moves=20)
+    ended = identifier(graph, resume=tmp_path / "none.npz").ended()
+    assert ended.status == 2
+    assert "none.npz: cannot read it" in ended.err

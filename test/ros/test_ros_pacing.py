@@ -1,0 +1,67 @@
+"""Deadlines of a schedule, on a clock that the test moves."""
+
+import pytest
+
+from symbid_ros.ros import pacing
+from symbid_ros.ros.pacing import Schedule
+
+MILLISECOND = 1_000_000
+
+
+class ManualClock:
+    """Time passes by sleeping and by what a test says that work takes."""
+
+    def __init__(self) -> None:
+        self.now = 5_000_000_000
+
+    def monotonic_ns(self) -> int:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += round(seconds * 1e9)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> ManualClock:
+    manual = ManualClock()
+    monkeypatch.setattr(pacing, "time", manual)
+    return manual
+
+
+def periods_taken(schedule: Schedule, clock: ManualClock, work: list[int]) -> list[float]:
+    """Return how long each period took in milliseconds, given the work (ms) in it."""
+    taken = []
+    for milliseconds in work:
+        start = clock.now
+        clock.now += round(milliseconds * MILLISECOND)
+        schedule.wait()
+        taken.append((clock.now - start) / MILLISECOND)
+    return taken
+
+
+def test_the_first_deadline_is_now_and_work_does_not_add_up(clock: ManualClock) -> None:
+    schedule = Schedule(2.0 * MILLISECOND)
+    assert periods_taken(schedule, clock, [0, 1, 0, 1.5, 1]) == [0, 2, 2, 2, 2]
+    assert (schedule.late, schedule.elapsed_ns) == (0, 8 * MILLISECOND)
+
+
+def test_a_little_delay_is_made_up_for(clock: ManualClock) -> None:
+    schedule = Schedule(2.0 * MILLISECOND)
+    assert periods_taken(schedule, clock, [0, 7, 1, 1, 1, 1, 1, 1]) == [0, 7, 1, 1, 1, 1, 1, 2]
+    assert schedule.late == 4
+    assert schedule.elapsed_ns == 14 * MILLISECOND
+
+
+def test_a_long_delay_is_not_raced_after(clock: ManualClock) -> None:
+    schedule = Schedule(2.0 * MILLISECOND)
+    assert periods_taken(schedule, clock, [0, 500, 0, 0]) == [0, 500, 2, 2]
+    assert schedule.late == 1
+
+
+def test_a_pause_is_no_delay_and_no_elapsed_time(clock: ManualClock) -> None:
+    schedule = Schedule(2.0 * MILLISECOND)
+    assert periods_taken(schedule, clock, [0, 1]) == [0, 2]
+    clock.now += 3600 * 10**9
+    schedule.restart()
+    assert periods_taken(schedule, clock, [0, 1, 1]) == [0, 2, 2]
+    assert (schedule.late, schedule.elapsed_ns) == (0, 6 * MILLISECOND)

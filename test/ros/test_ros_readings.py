@@ -1,0 +1,127 @@
+"""Joints and IMU of one instant, found by stamp and name among what the topics carry."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, JointState
+
+from symbid_ros.errors import DataError
+from symbid_ros.ros.readings import Readings, ReadingsIntake
+
+JOINTS = ("hip", "knee")
+MILLISECOND = 1_000_000
+
+
+class Robot:
+    """Publishes as a robot would and reads as a controller would, in one process."""
+
+    def __init__(self, node: Node) -> None:
+        self._joints = node.create_publisher(JointState, "joint_states", 1000)
+        self._imu = node.create_publisher(Imu, "imu/data", 1000)
+        self.intake = ReadingsIntake(node, JOINTS)
+        while not (self._joints.get_subscription_count() and self._imu.get_subscription_count()):
+            pass
+
+    def joints(self, *milliseconds: int, **changes: object) -> None:
+        for each in milliseconds:
+            message = JointState(
+                name=["toe", "knee", "hip"],
+                position=[0.0, 0.2 + each, 0.1 + each],
+                velocity=[0.0, 2.0, 1.0],
+            )
+            for name, value in changes.items():
+                setattr(message, name, value)
+            self._publish(self._joints, message, each)
+
+    def imu(self, *milliseconds: int, rate: float = 3.0) -> None:
+        for each in milliseconds:
+            message = Imu()
+            message.orientation.x, message.orientation.w = 0.6, 0.8
+            message.angular_velocity.z = rate
+            self._publish(self._imu, message, each)
+
+    @staticmethod
+    def _publish(publisher, message, milliseconds: int) -> None:
+        message.header.stamp.sec, rest = divmod(milliseconds, 1000)
+        message.header.stamp.nanosec = rest * MILLISECOND
+        publisher.publish(message)
+
+    def read(self, milliseconds: int) -> Readings:
+        """Read until the instant of a stamp comes, which must be the first that is whole."""
+        while (readings := self.intake.newest()) is None:
+            self.intake.wait(20.0)
+        assert readings.stamp == milliseconds * MILLISECOND
+        return readings
+
+
+@pytest.fixture
+def robot(tmp_path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    context = Context()
+    rclpy.init(context=context, domain_id=7)
+    node = Node("robot", context=context)
+    yield Robot(node)
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def test_joints_are_read_by_name_beside_the_imu_of_their_instant(robot: Robot) -> None:
+    robot.joints(5)
+    robot.imu(5)
+    readings = robot.read(5)
+    np.testing.assert_array_equal(readings.joint_position, [5.1, 5.2])
+    np.testing.assert_array_equal(readings.joint_velocity, [1.0, 2.0])
+    np.testing.assert_array_equal(readings.imu_orientation, [0.6, 0.0, 0.0, 0.8])
+    np.testing.assert_array_equal(readings.imu_angular_velocity, [0.0, 0.0, 3.0])
+    assert robot.intake.newest() is None
+    robot.joints(6, name=["hip", "toe", "knee"], position=[1.0, 2.0, 3.0])
+    robot.imu(6)
+    np.testing.assert_array_equal(robot.read(6).joint_position, [1.0, 3.0])
+
+
+def test_an_imu_at_half_the_rate_decides_which_instants_are_whole(robot: Robot) -> None:
+    robot.joints(1, 2, 3, 4)
+    robot.imu(1)
+    robot.read(1)
+    robot.imu(3)
+    robot.read(3)
+    robot.joints(5, 6)
+    robot.imu(5)
+    robot.read(5)
+    assert robot.intake.passed_over == 2
+
+
+def test_a_clock_that_jumps_back_begins_anew(robot: Robot) -> None:
+    robot.joints(7000, 7001)
+    robot.imu(7000)
+    robot.read(7000)
+    robot.joints(1)
+    robot.imu(1)
+    robot.read(1)
+    robot.joints(2)
+    robot.imu(7001, 2)
+    robot.read(2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"name": ["toe", "knee", "nose"]}, "no joint hip; publish it"),
+        ({"velocity": []}, "positions and velocities are not one for each name"),
+        ({"position": [0.0, float("nan"), 0.0]}, "not all numbers at 0.003 s"),
+    ],
+)
+def test_what_cannot_be_used_says_why_and_is_done_with(robot: Robot, changes, says) -> None:
+    robot.joints(3, **changes)
+    robot.imu(3)
+    with pytest.raises(DataError, match=says):
+        robot.read(3)
+    assert robot.intake.newest() is None
+    robot.joints(4)
+    robot.imu(4)
+    robot.read(4)

@@ -1,0 +1,70 @@
+"""What a recording shows while it runs."""
+
+import time
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from symbid_ros.bags.writing.background import WriterState
+from symbid_ros.errors import BagError
+from symbid_ros.ros.health import ERROR, OK, WARN
+from symbid_ros.ros.recorder_progress import LATE_SYNC, REFRESH, RecordingProgress
+
+STATE = WriterState(messages=12_345, size=67_800_000, queued=4321, dropped=0, sync_age=0.2)
+LOSING = WriterState(messages=12_345, size=67_800_000, queued=4321, dropped=17, sync_age=0.2)
+
+
+def shown(state: WriterState, width: int, *, is_terminal: bool = True) -> str:
+    """Return what is on the screen once the figures have been brought up to date."""
+    file = StringIO()
+    console = Console(file=file, width=width, force_terminal=is_terminal, color_system=None)
+    progress = RecordingProgress("/data/walk", console)
+    with progress:
+        time.sleep(REFRESH)  # the figures are renewed at this period, not before
+        progress.show(state)
+        text = file.getvalue()
+    lines = text.replace("\x1b[?25l", "").replace("\r\x1b[2K", "\n").splitlines()
+    return lines[-1] if lines else ""
+
+
+def test_terminal_shows_size_rate_and_number() -> None:
+    line = shown(STATE, 100)
+    assert "67.8 MB" in line
+    assert "12345 messages  /data/walk" in line
+    assert "messages/s" in line
+    assert "dropped" not in line
+
+
+@pytest.mark.parametrize("width", [10, 20, 40])
+def test_narrow_terminal_shows_one_line_of_what_matters(width: int) -> None:
+    line = shown(LOSING, width)
+    assert len(line.rstrip()) <= width
+    assert "recording".startswith(line[:9])
+    if width >= 40:
+        assert line.startswith("recording  17 dropped")
+
+
+def test_elsewhere_nothing_is_shown() -> None:
+    assert shown(STATE, 100, is_terminal=False) == ""
+
+
+def test_health_tells_the_figures_and_what_is_wrong() -> None:
+    progress = RecordingProgress("/data/walk", Console(file=StringIO()))
+    health = progress.health(STATE, None)
+    assert (health.level, health.message) == (OK, "recording")
+    assert health.values == {
+        "bag": "/data/walk",
+        "messages": 12_345,
+        "bytes": 67_800_000,
+        "rate": "0.0",
+        "queued": 4321,
+        "dropped": 0,
+        "sync_age": "0.20",
+    }
+    late = WriterState(1, 1, 0, 0, LATE_SYNC + 1.0)
+    assert progress.health(WriterState(0, 1, 0, 0, 0.0), None).message == "waiting for messages"
+    assert progress.health(late, None).level == WARN
+    assert progress.health(LOSING, None).level == WARN
+    failed = progress.health(LOSING, BagError("the disk is full"))
+    assert (failed.level, failed.message) == (ERROR, "the disk is full")

@@ -1,0 +1,162 @@
+"""The bridge commanded by datagrams, among processes and over a bad network.
+
+test/simulation has the loop for itself, and lets it stand for longer.
+"""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from graph_probes import RELIABLE, Health
+from lossy_relay import LossyRelay
+from nav_msgs.msg import Odometry
+from udp_packets import DRIVES, command, hello, measurement, sequence_and_stamp
+
+COMMANDS, SIMULATION = "/mujoco_bridge: commands", "/mujoco_bridge: simulation"
+SECONDS = 20
+# A busy machine may well let a process wait for longer than the usual time-out.
+PATIENT = {
+    "command_source": "udp",
+    "udp_port": 0,
+    "command_timeout": 10.0,
+    "real_time_factor": 100.0,
+}
+
+Client = Callable[[int], "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def client() -> Iterator[Client]:
+    """Start ``symbid udp-client`` on a port; none outlives the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(port: int) -> "subprocess.Popen[str]":
+        words = ["udp-client", "--port", str(port), "--timeout", "60"]
+        started.append(
+            subprocess.Popen(
+                [Path(sys.executable).parent / "symbid", *words],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        )
+        return started[-1]
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+def listening(graph, health: Health) -> int:
+    """Wait until the bridge listens and return its port."""
+    graph.wait_until(lambda: health.value(COMMANDS, "source"))
+    return int(health.value(COMMANDS, "source").rpartition(":")[2])
+
+
+def test_it_stands_on_a_network_that_loses_doubles_and_swaps(graph, client: Client) -> None:
+    heights: list[float] = []
+    health = Health(graph)
+    graph.node.create_subscription(
+        Odometry,
+        "ground_truth/odom",
+        lambda message: heights.append(message.pose.pose.position.z),
+        RELIABLE,
+    )
+    bridge = graph.start("mujoco_bridge", clock_rate=0.0, ground_truth_rate=5.0, **PATIENT)
+    with LossyRelay(("127.0.0.1", listening(graph, health)), share=0.05, seed=1) as relay:
+        balancer = client(relay.port)
+        for second in range(1, SECONDS + 1):  # however slow, it goes on
+            graph.wait_until(lambda s=second: float(health.value(SIMULATION, "time")) > s)
+        balancer.send_signal(signal.SIGINT)
+        assert balancer.wait(60) == 0
+        bridge.send(signal.SIGINT)
+    told = bridge.ended()
+    assert told.status == 0
+    assert "Traceback" not in told.err
+    commands = json.loads(told.out)["commands"]
+    assert commands["falls"] == 0
+    assert commands["accepted"] >= 1000 * SECONDS
+    assert all(count > 100 for count in relay.faults.values())
+    assert commands["rejected/duplicate"] > 100
+    assert max(heights) - min(heights) < 0.1
+
+
+def test_another_client_takes_over_after_a_kill(graph, client: Client) -> None:
+    health = Health(graph)
+    bridge = graph.start("mujoco_bridge", **PATIENT | {"command_timeout": 1.0})
+    port = listening(graph, health)
+    first = client(port)
+    graph.wait_until(lambda: health.count(COMMANDS, "accepted") > 100)
+    first.kill()
+    graph.wait_until(lambda: health.count(SIMULATION, "falls") == 1)
+    graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
+    assert health.count(COMMANDS, "safe_steps") > 10
+    accepted = health.count(COMMANDS, "accepted")
+    second = client(port)
+    graph.wait_until(lambda: health.count(COMMANDS, "accepted") > accepted + 100)
+    assert health.message(COMMANDS) == "commands are followed"
+    second.terminate()
+    bridge.send(signal.SIGTERM)
+    assert second.wait(60) == 0
+    assert bridge.ended().status == 0
+
+
+def test_bad_datagrams_are_reported_and_move_nothing(graph) -> None:
+    health = Health(graph)
+    bridge = graph.start("mujoco_bridge", **PATIENT)
+    to = ("127.0.0.1", listening(graph, health))
+    still = [0.0] * DRIVES
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+    ):
+        controller.settimeout(60.0)
+        controller.sendto(b"", to)
+        controller.sendto(hello()[:-1], to)
+        controller.sendto(hello(), to)
+        datagram = controller.recv(65507)
+        sequence, stamp = sequence_and_stamp(datagram)
+        for bad in (
+            command(sequence, stamp, still, magic=7),
+            command(sequence, stamp, still, version=9),
+            command(sequence, stamp, [*still, 0.0]),
+            command(sequence, stamp, [float("nan"), *still[1:]]),
+            command(sequence, stamp, [1e6, *still[1:]]),
+            command(sequence + 1, stamp, still),
+            command(sequence, stamp + 1, still),
+        ):
+            controller.sendto(bad, to)
+        stranger.sendto(command(sequence, stamp, still), to)
+        expected = {
+            "length": 3,
+            "magic": 1,
+            "version": 1,
+            "not_finite": 1,
+            "beyond_limit": 1,
+            "future": 1,
+            "stamp": 1,
+            "stranger": 1,
+        }
+        graph.wait_until(
+            lambda: all(
+                health.count(COMMANDS, f"rejected/{reason}") == number
+                for reason, number in expected.items()
+            )
+        )
+        assert health.count(COMMANDS, "accepted") == 0
+        assert health.value(SIMULATION, "time") == "0.001", "the robot waits where it stood"
+        controller.sendto(command(sequence, stamp, still), to)
+        while sequence_and_stamp(datagram)[1] == stamp:
+            datagram = controller.recv(65507)
+        assert sequence_and_stamp(datagram) == (sequence + 1, stamp + 1_000_000)
+        # Let go, the joints feel nothing but the sensors' noise.
+        assert max(map(abs, measurement(datagram)["joint_effort"])) < 1.0
+    bridge.send(signal.SIGINT)
+    assert bridge.ended().status == 0

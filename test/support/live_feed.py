@@ -1,0 +1,53 @@
+"""A bag's sensor messages as they would arrive live."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from symbid_ros.bags.container.blocks import Topic, iterate_blocks
+from symbid_ros.bags.container.files import bag_files
+from symbid_ros.bags.gaps import stamp_of
+from symbid_ros.bags.streams.selection import SelectedTopics, Selector, TopicSelection
+
+
+@dataclass(frozen=True)
+class Feed:
+    """Messages in order of their stamps: stamp in ns, topic, bytes."""
+
+    selected: SelectedTopics
+    messages: tuple[tuple[int, Topic, bytes], ...]
+
+    def between(self, start, stop):
+        """Return the messages from ``start`` up to ``stop``, s."""
+        inside = [message for message in self.messages if start <= message[0] * 1e-9 < stop]
+        return Feed(self.selected, tuple(inside))
+
+    def without(self, name):
+        """Return the messages of all topics but one."""
+        left = [message for message in self.messages if message[1].name != name]
+        return Feed(self.selected, tuple(left))
+
+    def into(self, live, *, solving=0.0):
+        """Hand the messages over, solving every so many seconds if asked; return the outcomes."""
+        outcomes = []
+        due = self.messages[0][0] + round(solving * 1e9)
+        for stamp, topic, payload in self.messages:
+            live.feed(topic, payload)
+            if solving and stamp >= due:
+                outcomes.append(live.solve())
+                due = stamp + round(solving * 1e9)
+        return outcomes
+
+
+def feed_of(bag: Path) -> Feed:
+    """Return the sensor messages of a bag."""
+    selector = Selector(str(bag), TopicSelection())
+    messages = []
+    for file in bag_files(bag):
+        for block in iterate_blocks(file):
+            for topic, spans in block.spans.items():
+                selector.counts[topic] = selector.counts.get(topic, 0) + len(spans)
+                if selector.wants(topic):
+                    payloads = [block.data[at : at + size].tobytes() for at, size in spans]
+                    messages += [(stamp_of(payload), topic, payload) for payload in payloads]
+    messages.sort(key=lambda message: (message[0], message[1].name))
+    return Feed(selector.selected(), tuple(messages))

@@ -1,0 +1,174 @@
+"""Sensor messages at fixed rates, stamped with the time of publishing, and what became of them."""
+
+import os
+import signal
+import struct
+import time
+from array import array
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Thread
+
+import numpy as np
+import rclpy
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+from rclpy.context import Context
+from rclpy.node import Node
+
+from symbid_ros.bags.gaps import stamp_of
+from symbid_ros.bags.layout import ENCAPSULATION, Layout
+from symbid_ros.bags.messages import imu_layout, joint_state_layout, wrench_layout
+from symbid_ros.cli.processes import NodeProcess
+from symbid_ros.ros.messages import message_class, reliable
+
+STAMP = struct.Struct("<iI")
+JOINTS = tuple(f"joint_{number}" for number in range(10))
+SENSORS = {
+    "joint_states": joint_state_layout(JOINTS),
+    "imu/data": imu_layout("imu_link"),
+    "left_foot/wrench": wrench_layout("left_sole"),
+    "right_foot/wrench": wrench_layout("right_sole"),
+}
+
+
+RATES = {"joint_states": 1000.0, "imu/data": 5.0}  # Hz; of a recorder to be killed
+DEADLINE = 60.0  # s; only a hang takes as long
+VARIETY = 64  # messages of other numbers, published in turn: equal ones would compress to nothing
+
+
+class Feed:
+    """One topic: noise serialised beforehand, the stamp patched in place."""
+
+    def __init__(self, node: Node, topic: str, layout: Layout, rate: float) -> None:
+        self.topic, self.rate = topic, rate
+        self.stamps = array("q")
+        self.publisher = node.create_publisher(message_class(layout.msgtype), topic, reliable(5000))
+        self._payloads = _noise(layout)
+
+    def publish(self) -> None:
+        payload = self._payloads[len(self.stamps) % VARIETY]
+        stamp = time.time_ns()
+        STAMP.pack_into(payload, ENCAPSULATION, *divmod(stamp, 10**9))
+        self.publisher.publish(bytes(payload))
+        self.stamps.append(stamp)
+
+
+def _noise(layout: Layout) -> list[bytearray]:
+    draw = np.random.default_rng(0)
+    records = layout.records(VARIETY)
+    for values in layout.columns(records).values():
+        if values.dtype.kind == "f":
+            values[...] = draw.standard_normal(values.shape)
+    return [bytearray(record.tobytes()) for record in records]
+
+
+def feed(feeds: Sequence[Feed], stop: Event, seconds: float = float("inf")) -> float:
+    """Publish until stopped or over; return by how much a message was late at most, s."""
+    begin = time.monotonic()
+    counts = [0] * len(feeds)
+    latest = 0.0
+    while not stop.is_set():
+        due = [begin + count / each.rate for count, each in zip(counts, feeds, strict=True)]
+        first = min(due)
+        if first - begin >= seconds:
+            break
+        now = time.monotonic()
+        if first > now:
+            time.sleep(first - now)
+            continue
+        latest = max(latest, now - first)
+        for place, each in enumerate(feeds):
+            if due[place] <= now:
+                each.publish()
+                counts[place] += 1
+    return latest
+
+
+@dataclass(frozen=True)
+class Kill:
+    """What a kill cost.
+
+    ``lost`` is the age of the oldest message that is missing, s, ``kept`` the number of those in
+    the bag, by topic; ``standstill`` is by how much the publisher, a process like the recorder,
+    was late at most, s.
+    """
+
+    lost: dict[str, float]
+    kept: dict[str, int]
+    standstill: float
+
+
+def kill_recorder(domain: int, seconds: float, folder: Path) -> Kill:
+    """Feed a recorder for a while, kill it with -9 and look at its unfinished bag.
+
+    Each kill needs a domain of its own: for seconds a killed subscriber still counts as one,
+    and what it leaves in shared memory holds up the messages to others.
+    """
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node("robot", context=context)
+    feeds = [Feed(node, f"fed/{topic}", SENSORS[topic], rate) for topic, rate in RATES.items()]
+    bag = folder / f"bag_{domain}"
+    parameters = {"bag": str(bag), "topics": [each.topic for each in feeds]}
+    environment = os.environ | {
+        "ROS_DOMAIN_ID": str(domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    try:
+        with NodeProcess("recorder", parameters, environment, folder / "recorder.log") as recorder:
+            await_subscribers(feeds)
+            cost = _kill_while_feeding(recorder.pid, feeds, seconds, bag)
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    assert not (bag / "metadata.yaml").exists()
+    return cost
+
+
+def await_subscribers(feeds: Sequence[Feed]) -> None:
+    """Wait until every topic is subscribed to."""
+    deadline = time.monotonic() + DEADLINE
+    while not all(each.publisher.get_subscription_count() for each in feeds):
+        assert time.monotonic() < deadline, "nobody subscribes"
+        time.sleep(0.02)
+
+
+def _kill_while_feeding(pid: int, feeds: Sequence[Feed], seconds: float, bag: Path) -> Kill:
+    stop, latest = Event(), array("d", [0.0])
+
+    def work() -> None:
+        latest[0] = feed(feeds, stop)
+
+    thread = Thread(target=work)
+    thread.start()
+    stop.wait(seconds)
+    os.kill(pid, signal.SIGKILL)
+    killed = time.time_ns()
+    stop.set()
+    thread.join()
+    (file,) = bag.glob("*.mcap")
+    stored = stored_stamps(file)
+    lost, kept = {}, {}
+    for each in feeds:
+        found = set(stored.get(f"/{each.topic}", ()))
+        missing = [stamp for stamp in each.stamps if stamp < killed and stamp not in found]
+        lost[each.topic] = (killed - min(missing)) * 1e-9 if missing else 0.0
+        kept[each.topic] = len(found)
+    return Kill(lost, kept, latest[0])
+
+
+def stored_stamps(file: Path) -> dict[str, list[int]]:
+    """Return the stamps of all whole messages of a file, finished or not, by topic."""
+    topics: dict[int, str] = {}
+    stamps: dict[str, list[int]] = {}
+    with file.open("rb") as stream, suppress(EndOfFile):
+        for record in StreamReader(stream, validate_crcs=True).records:
+            if isinstance(record, Channel):
+                topics[record.id] = record.topic
+            elif isinstance(record, Message):
+                stamps.setdefault(topics[record.channel_id], []).append(stamp_of(record.data))
+    return stamps
