@@ -1,5 +1,6 @@
 # make demo   the whole loop: simulate, record, identify, compare      (needs git, make, Python 3.11 or 3.12)
 # make test   every check
+# make fuzz   ten thousand spoiled bags; FIRST=n and CASES=n choose which
 # make setup  the environment alone, in .venv
 
 VENV := .venv
@@ -17,7 +18,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/log/ros
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup setup-dev demo test lint clean
+.PHONY: setup setup-dev demo test fuzz lint clean
 
 setup: $(VENV)/.installed
 
@@ -28,6 +29,11 @@ demo: setup
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist loadfile
+
+FIRST ?= 0
+CASES ?= 10000
+fuzz: setup-dev
+	$(BIN)/python test/support/bag_fuzz.py --first $(FIRST) --cases $(CASES)
 
 lint: setup-dev
 	$(BIN)/ruff check .

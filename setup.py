@@ -29,9 +29,12 @@ setup(
     entry_points={
         "console_scripts": [
             "symbid = symbid_ros.cli.main:main",
-            "mujoco_bridge = symbid_ros.ros.mujoco_bridge:main",
-            "recorder = symbid_ros.ros.recorder:main",
-            "identifier = symbid_ros.ros.identifier:main",
+            "mujoco_bridge = symbid_ros.ros.start:mujoco_bridge",
+            "recorder = symbid_ros.ros.start:recorder",
+            "balance_controller = symbid_ros.ros.start:balance_controller",
+            "identifier = symbid_ros.ros.start:identifier",
+            "monitor = symbid_ros.ros.start:monitor",
+            "player = symbid_ros.ros.start:player",
         ],
     },
 )

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,11 +11,20 @@ import pytest
 # With --dist loadfile a file is one worker's: the longest first, and all workers end together.
 LONGEST = (
     "test_study_small.py",
+    "test_ros_online_identifier.py",
+    "test_ros_bridge.py",
+    "test_ros_balance_controller.py",
+    "test_ros_udp.py",
+    "test_ros_player.py",
+    "test_simulation_udp.py",
+    "test_cli_online_demo.py",
     "test_ros_identifier.py",
+    "test_online_identification.py",
     "test_offline_identification.py",
+    "test_diagnosis_faults.py",
+    "test_diagnosis_clean.py",
     "test_offline_calibration.py",
     "test_cli_identify.py",
-    "test_ros_bridge.py",
     "test_cli_faults.py",
     "test_cli_demo.py",
     "test_cli_evaluate.py",
@@ -28,11 +38,18 @@ LONGEST = (
     "test_simulation_errors.py",
     "test_ros_process.py",
     "test_ros_recorder.py",
+    "test_ros_recorder_kill.py",
+    "test_offline_sensor_log.py",
+    "test_ros_localhost.py",
+    "test_cli_bag.py",
+    "test_bags_fuzz.py",
     "test_signals_samples.py",
 )
 
 
 def pytest_configure(config: pytest.Config) -> None:
+    # A shell starts background jobs deaf to Ctrl-C, and what these start inherits that.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     config.option.loadscopereorder = False  # by number of tests, which says nothing here
 
 

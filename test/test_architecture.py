@@ -14,14 +14,23 @@ ROOMS = (
     "signals",
     "estimation",
     "bags",
+    "diagnosis",
     "offline",
+    "online",
     "simulation",
     "report",
     "study",
     "ros",
     "cli",
 )
-FREE = {"arrays", "atomic", "errors", "share"}
+# Within the bags' room; what stands beside these rooms there is common to them.
+BAG_ROOMS: dict[str, set[str]] = {
+    "container": set(),
+    "writing": {"container"},
+    "rescue": {"container", "writing"},
+    "streams": {"container"},
+}
+FREE = {"arrays", "atomic", "documents", "ending", "errors", "share"}
 ROS_LIBRARIES = {
     "rclpy",
     "rosidl_runtime_py",
@@ -75,6 +84,11 @@ def room(path: Path) -> str:
     return parts[0] if len(parts) > 1 else ""
 
 
+def is_of_a_bag_room(module: str) -> bool:
+    parts = module.split(".")
+    return parts[:2] == [PACKAGE, "bags"] and len(parts) > 2 and parts[2] in BAG_ROOMS
+
+
 def test_every_folder_is_a_known_room() -> None:
     folders = {path.name for path in (ROOT / PACKAGE).iterdir() if (path / "__init__.py").is_file()}
     assert folders <= set(ROOMS)
@@ -89,6 +103,12 @@ class TestModule:
         # The command starts nodes as processes.
         allowed -= {"ros"}
         assert used <= allowed
+
+    def test_rooms_of_bags_keep_apart(self, path: Path) -> None:
+        parts = path.relative_to(ROOT / PACKAGE).parts
+        if parts[0] == "bags" and len(parts) > 2:
+            used = {module.split(".")[2] for module in imports(path) if is_of_a_bag_room(module)}
+            assert used <= BAG_ROOMS[parts[1]] | {parts[1]}
 
     def test_ros_stays_in_its_room(self, path: Path) -> None:
         if room(path) != "ros":

@@ -1,5 +1,6 @@
 """``symbid identify``."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -168,10 +169,24 @@ def identify(
             rich_help_panel=TRUNCATED,
         ),
     ] = None,
+    start: Annotated[
+        float,
+        typer.Option(help="Leave out what comes earlier, s after the first joint state."),
+    ] = 0.0,
+    stop: Annotated[
+        float,
+        typer.Option(help="Leave out what comes later, likewise.", show_default=False),
+    ] = math.inf,
     joint_topic: JointTopic = None,
     imu_topic: ImuTopic = None,
     wrench_topic: WrenchTopic = None,
     base: BaseKind = "auto",
+    unchecked: Annotated[
+        bool,
+        typer.Option(
+            "--unchecked", help="Go on with data that contradict the model (doc/diagnosis.md)."
+        ),
+    ] = False,
 ) -> None:
     """Identify a robot's parameters from bags.
 
@@ -179,7 +194,8 @@ def identify(
 
     A verdict says what the data decided and what looks wrong.
     """
-    from symbid_ros.bags.selection import TopicSelection
+    from symbid_ros.bags.streams.selection import TopicSelection
+    from symbid_ros.bags.streams.slices import TimeRange
     from symbid_ros.cli.summary import print_estimate
     from symbid_ros.estimation.row_weights import SensorDeviation
     from symbid_ros.model.parameters import joint_terms
@@ -201,7 +217,9 @@ def identify(
         prior=PriorChoice(prior, prior_percent, prior_absolute),
         method=method,
         terms=joint_terms(friction, armature, offset),
-        processing=processing(row_filter, window, cutoff, channels, topics),
+        processing=processing(
+            row_filter, window, cutoff, channels, topics, part=TimeRange(start, stop)
+        ),
         facts=Facts(
             total_mass=weighing(total_mass, total_mass_std),
             mirror=mirror,
@@ -213,6 +231,7 @@ def identify(
         validation=validate,
         criterion=select_by,
         sensors=SensorDeviation(*sensor_std) if sensor_std else None,
+        unchecked=unchecked,
     )
     prepared = prepare(job)
     found = prepared.solve(method)

@@ -11,6 +11,7 @@ import typer.exceptions
 from rich.console import Console
 from rich.logging import RichHandler
 
+from symbid_ros.cli.bag import app as bag
 from symbid_ros.cli.demo import demo
 from symbid_ros.cli.evaluate import evaluate
 from symbid_ros.cli.identify import identify
@@ -18,6 +19,7 @@ from symbid_ros.cli.prior import prior
 from symbid_ros.cli.report import report
 from symbid_ros.cli.simulate import simulate
 from symbid_ros.cli.study import study
+from symbid_ros.cli.udp_client import udp_client
 from symbid_ros.errors import SymbidError
 
 app = typer.Typer(
@@ -27,12 +29,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-_ALL = demo, simulate, prior, identify, evaluate, report, study
-COMMANDS = {command.__name__: command for command in _ALL}
+_ALL = demo, simulate, prior, identify, evaluate, report, study, udp_client
 INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 
-for name, command in COMMANDS.items():
-    app.command(name)(command)
+for command in _ALL:
+    app.command(command.__name__.replace("_", "-"))(command)
+app.add_typer(bag, name="bag")
 
 
 def _print_version(wanted: bool) -> None:
@@ -60,15 +62,15 @@ def main() -> None:
     handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler])
     try:
-        status = app(standalone_mode=False)
+        # By itself click would name whatever module runs this.
+        status = app(prog_name="symbid", standalone_mode=False)
     except SymbidError as error:
         _fail(console, str(error))
     except typer.exceptions.TyperException as error:
         if not error.format_message():  # no arguments at all, answered by the help
             sys.exit(2)
-        where = getattr(getattr(error, "ctx", None), "info_name", None)
-        help_command = f"symbid {where} --help" if where in COMMANDS else "symbid --help"
-        _fail(console, f"{error.format_message().rstrip('.')}; see `{help_command}`")
+        command = getattr(getattr(error, "ctx", None), "command_path", "symbid")
+        _fail(console, f"{error.format_message().rstrip('.')}; see `{command} --help`")
     except KeyboardInterrupt:
         status = INTERRUPTED
     if status == INTERRUPTED:

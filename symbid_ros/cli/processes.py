@@ -6,21 +6,38 @@ import random
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, NoReturn
 
 from symbid_ros.errors import SymbidError
+from symbid_ros.share import config_file
 
 STOPPING_TIME = 20.0  # s; a recorder has a bag to complete
 
 
-def private_domain() -> dict[str, str]:
-    """Return an environment in which nodes see one another and nobody else."""
+@contextmanager
+def private_graph() -> Iterator[dict[str, str]]:
+    """Yield an environment in which nodes see one another and nobody else.
+
+    As long as it lasts, SIGTERM and SIGHUP unwind the stack as Ctrl-C does: nodes in ``with``
+    blocks do not outlive the command.
+    """
+    numbers = signal.SIGTERM, signal.SIGHUP
+    before = {number: signal.signal(number, _unwind) for number in numbers}
     # Domains above 101 fall into the range of ephemeral ports on Linux.
     domain = {"ROS_DOMAIN_ID": str(random.randint(1, 101))}
-    return os.environ | domain | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    try:
+        yield os.environ | domain | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _unwind(number: int, _: object) -> NoReturn:
+    sys.exit(128 + number)
 
 
 class NodeProcess:
@@ -33,9 +50,13 @@ class NodeProcess:
     parameters : mapping of str to object
         Node parameters.
     environment : mapping of str to str
-        From :func:`private_domain`, the same for all nodes of one graph.
+        From :func:`private_graph`, the same for all nodes of one graph.
     log : Path
         File for what the node prints to stderr.
+    file : str, optional
+        Of ``config/``: the parameters that are not given.
+    is_shown : bool
+        Whether the node prints to the terminal instead of telling of its run at the end.
     """
 
     def __init__(
@@ -44,16 +65,20 @@ class NodeProcess:
         parameters: Mapping[str, object],
         environment: Mapping[str, str],
         log: Path,
+        *,
+        file: str | None = None,
+        is_shown: bool = False,
     ) -> None:
         self.name, self.log = name, log
-        assignments = [f"-p {key}:={_yaml(value)}" for key, value in parameters.items()]
-        arguments = [word for pair in assignments for word in pair.split(" ", 1)]
+        arguments = ["--params-file", str(config_file(file))] if file else []
+        for key, value in parameters.items():
+            arguments += ["-p", f"{key}:={_yaml(value)}"]
         start = f"from symbid_ros.ros.{name} import main; main()"
         with log.open("wb") as stream:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", start, "--ros-args", *arguments],
                 env=dict(environment),
-                stdout=subprocess.PIPE,
+                stdout=None if is_shown else subprocess.PIPE,
                 stderr=stream,
                 # Ctrl-C reaches the parent alone, which stops its nodes in order.
                 start_new_session=True,
@@ -68,7 +93,7 @@ class NodeProcess:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if self._process.poll() is None:
+        if self.running:
             self._process.send_signal(signal.SIGINT)
             try:
                 self._process.communicate(timeout=STOPPING_TIME)
@@ -77,9 +102,19 @@ class NodeProcess:
                 self._process.communicate()
 
     @property
+    def pid(self) -> int:
+        """The process's number."""
+        return self._process.pid
+
+    @property
     def running(self) -> bool:
         """Whether the process still lives."""
         return self._process.poll() is None
+
+    def require_running(self) -> None:
+        """Raise SymbidError, with the node's last words, when it has ended."""
+        if not self.running:
+            raise self._failure()
 
     def wait(self, timeout: float) -> bool:
         """Wait for the process's end at most ``timeout`` seconds and tell whether it came."""
@@ -89,24 +124,57 @@ class NodeProcess:
             return False
         return True
 
-    def finish(self, *, stop: bool = False) -> dict[str, Any]:
-        """Return what the node says of its run once it has ended, asked to ``stop`` or by itself.
+    def stop(self) -> None:
+        """Ask the node to end and wait until it has.
 
         Raises
         ------
         SymbidError
             When the node failed; its last words are in the message.
         """
-        if stop and self.running:
-            self._process.send_signal(signal.SIGINT)
-        output, _ = self._process.communicate(timeout=STOPPING_TIME)
-        lines = output.decode().splitlines()
-        if self._process.returncode != 0 or not lines:
-            words = self.log.read_text(errors="replace").strip().splitlines()
-            reason = words[-1] if words else f"exit status {self._process.returncode}"
-            raise SymbidError(f"{self.name} failed: {reason} (see {self.log})")
+        self._end(STOPPING_TIME, asked=True)
+
+    def finish(self, *, stop: bool = False, patience: float = STOPPING_TIME) -> dict[str, Any]:
+        """Return what the node says of its run once it has ended, asked to ``stop`` or by itself.
+
+        Parameters
+        ----------
+        stop : bool
+            Whether to ask it to end, if it still runs.
+        patience : float
+            Seconds that it may take.
+
+        Raises
+        ------
+        SymbidError
+            When the node failed; its last words are in the message.
+        """
+        lines = self._end(patience, asked=stop)
+        if not lines:
+            raise self._failure()
         summary: dict[str, Any] = json.loads(lines[-1])
         return summary
+
+    def _end(self, patience: float, *, asked: bool) -> list[str]:
+        if asked and self.running:
+            self._process.send_signal(signal.SIGINT)
+        try:
+            output, _ = self._process.communicate(timeout=patience)
+        except subprocess.TimeoutExpired:
+            raise SymbidError(
+                f"{self.name} does not end within {patience:g} s; see {self.log}"
+            ) from None
+        if self._process.returncode != 0:
+            raise self._failure()
+        return output.decode().splitlines() if output else []
+
+    def _failure(self) -> SymbidError:
+        words = self.log.read_text(errors="replace").strip().splitlines()
+        status = self._process.returncode
+        reason = words[-1] if words else f"killed by signal {-status}"
+        if not words and status >= 0:
+            reason = f"exit status {status}"
+        return SymbidError(f"{self.name} failed: {reason} (see {self.log})")
 
 
 def _yaml(value: object) -> str:

@@ -32,9 +32,19 @@ def simulate(
     error_seed: Annotated[
         int, typer.Option(min=0, help="Seed of these errors: one seed, one robot.")
     ] = 0,
+    payload_link: Annotated[str, typer.Option(help="Link that a payload is fastened to.")] = "",
+    payload_mass: Annotated[float, typer.Option(min=0, help="Its mass, kg; 0: none.")] = 0.0,
+    payload_position: Annotated[
+        tuple[float, float, float], typer.Option(help="Its centre in the link's frame, m.")
+    ] = (0.0, 0.0, 0.0),
+    payload_time: Annotated[
+        float, typer.Option(min=0, help="When it is fastened, s of the motion.")
+    ] = 0.0,
     true_model: Annotated[
         Path | None,
-        typer.Option(help="MJCF to write of the robot as simulated, for symbid evaluate."),
+        typer.Option(
+            help="MJCF to write of the robot as simulated, without payload, for symbid evaluate."
+        ),
     ] = None,
 ) -> None:
     """Simulate the Symbitron in MuJoCo and record its sensors and the truth to a bag.
@@ -52,9 +62,14 @@ def simulate(
     333 Hz, [b]delays[/b] 1-5 ms, each sensor its own, [b]quantisation[/b] 16 to 18 bits.
     """
     from symbid_ros.atomic import write_text
+    from symbid_ros.errors import SimulationError
+    from symbid_ros.simulation.payload import Payload
     from symbid_ros.simulation.recording import record
     from symbid_ros.simulation.simulator import Simulator
 
+    if payload_mass and not payload_link:
+        raise SimulationError(f"payload of {payload_mass:g} kg on no link; give --payload-link")
+    payload = Payload(payload_link, payload_mass, payload_position) if payload_mass else None
     simulator = Simulator(
         scenario,
         moves=moves,
@@ -65,6 +80,8 @@ def simulate(
         errors=errors,
         error_seed=error_seed,
         friction_path=friction_file,
+        payload=payload,
+        payload_time=payload_time,
     )
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:

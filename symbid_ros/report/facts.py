@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from symbid_ros.bags.reader import read_streams
+from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.estimation.estimate import Estimate
 
 

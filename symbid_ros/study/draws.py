@@ -10,8 +10,6 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic import write_text
-from symbid_ros.bags.reader import read_streams
-from symbid_ros.bags.selection import TopicSelection
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import Information
@@ -27,7 +25,6 @@ from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.identification import Solver
 from symbid_ros.offline.job import Job, Prepared, prepare
 from symbid_ros.offline.problem import GAUSSIAN, Problem, Truncation
-from symbid_ros.offline.record import Processing
 from symbid_ros.share import config_file
 from symbid_ros.study.data_set import Log
 from symbid_ros.study.logs import identified, truth
@@ -179,9 +176,8 @@ def _prepared(space: Workspace, log: Log) -> Prepared:
     anything = PriorChoice(percent=25.0)
     model, terms = config_file("symbitron.xml"), identified(log).terms
     bag = space.log(log)
-    # In a tare the hoist carries the robot: it is no sensor of this log, and is not asked.
-    plates = TopicSelection(wrenches=tuple(one.topic for one in read_streams([bag]).wrenches))
-    job = Job((bag,), model, prior=anything, terms=terms, processing=Processing(topics=plates))
+    # In a tare the hoist carries the robot, which is no sensor of this log.
+    job = Job((bag,), model, prior=anything, terms=terms, unchecked=True)
     return prepare(job)
 
 

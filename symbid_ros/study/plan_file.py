@@ -3,9 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
+from symbid_ros.documents import load_yaml
 from symbid_ros.errors import StudyError
 from symbid_ros.share import config_file, share_directory
 from symbid_ros.study.data_set import DataSet, Log, Part
@@ -45,18 +45,21 @@ def load_plan(name: str) -> tuple[Plan, Path]:
             )
         path = config_file(known[name])
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8"
-        raise StudyError(f"{path}: cannot be read ({reason}); name an existing file") from None
-    except yaml.YAMLError as error:
-        raise StudyError(f"{path}: no YAML ({' '.join(str(error).split())})") from None
+        content = load_yaml(path)
+    except OSError as error:
+        raise StudyError(
+            f"{path}: cannot be read ({error.strerror}); name an existing file"
+        ) from None
+    except ValueError as error:
+        raise StudyError(f"{path}: {error}; mend that line") from None
     if not isinstance(content, dict):
         raise StudyError(f"{path}: no study; begin with title, data and priors")
     try:
         return Plan.model_validate(content), path
     except ValidationError as error:
-        raise StudyError(f"{path}: {_first_fault(error, content)}") from None
+        # A key of the file may hold a line break.
+        fault = " ".join(_first_fault(error, content).split())
+        raise StudyError(f"{path}: {fault}") from None
 
 
 def studies() -> list[Path]:

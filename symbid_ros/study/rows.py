@@ -3,11 +3,12 @@
 from functools import lru_cache
 from pathlib import Path
 
-from symbid_ros.bags.reader import read_streams
+from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.offline.record import Processing, fold_record
+from symbid_ros.offline.sensor_log import SensorLog
+from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import Channels, LowPass
-from symbid_ros.signals.streams import Streams
 from symbid_ros.study.data_set import Log
 from symbid_ros.study.logs import identified
 from symbid_ros.study.sensing import Sensing, observe_sensed
@@ -21,12 +22,12 @@ def fold_rows(
     smoothing = None if cutoff is None else LowPass(cutoff, channels)
     parameters = identified(log)
     bag = space.log(log)
-    record = fold_record(_streams(bag), [bag], parameters, Processing(smoothing))
+    record = fold_record(_segments(bag, log), [bag], parameters, Processing(smoothing))
     observations = observe_sensed(record, parameters, sensing)
     write_archive(space.rows(log, sensing, cutoff), observations)
 
 
 # One log after the other: all filters of one see what was read once.
 @lru_cache(maxsize=1)
-def _streams(bag: Path) -> Streams:
-    return read_streams([bag])
+def _segments(bag: Path, log: Log) -> tuple[Segment, ...]:
+    return SensorLog([bag], identified(log).model, TopicSelection()).whole_stretches()

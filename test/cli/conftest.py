@@ -51,7 +51,7 @@ def symbid() -> Command:
             capture_output=True,
             text=True,
             check=False,
-            timeout=300,
+            timeout=600,
             env={**os.environ, "COLUMNS": str(columns)},
         )
 

@@ -4,7 +4,7 @@ import json
 
 from report_pages import Page
 
-from symbid_ros.bags.reader import topic_counts
+from symbid_ros.bags.streams.reader import topic_counts
 from symbid_ros.estimation.thesis import METHODS
 from symbid_ros.report.numerals import measured
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from symbid_ros.bags.reader import read_streams
+from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.simulation.errors import ERRORS
 from symbid_ros.simulation.simulator import Simulator
 
@@ -36,6 +36,19 @@ def test_tare_shows_the_plates_offsets(symbid, tmp_path):
     assert mujoco.MjModel.from_xml_path(str(robot)).joint("L_kfe").armature[0] == 0.009
 
 
+def test_payload_is_carried_from_its_time_on(symbid, tmp_path):
+    bag = tmp_path / "bag"
+    done = symbid(
+        *("simulate", "--moves", 1, "--ideal", "--payload-link", "base_link"),
+        *("--payload-mass", 2, "--payload-position", 0.1, -0.05, 0.2, "--payload-time", 0.5),
+        *("--out", bag),
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    load = sum(wrench.force[:, 2] for wrench in read_streams([bag]).wrenches) / 9.81
+    assert load[:400].mean() == pytest.approx(41.05, rel=2e-3)
+    assert load[-300:].mean() == pytest.approx(43.05, rel=2e-3)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -43,6 +56,9 @@ def test_tare_shows_the_plates_offsets(symbid, tmp_path):
         (("--friction-file", "absent.yaml"), "absent.yaml: cannot be read"),
         (("--error-seed", "-1"), "--error-seed"),
         (("--scenario", "dance"), "'dance' is not one of"),
+        (("--payload-mass", "2"), "give --payload-link"),
+        (("--payload-mass", "2", "--payload-link", "tail"), "no link 'tail' for a payload"),
+        (("--payload-mass", "inf", "--payload-link", "base_link"), "mass inf kg"),
     ],
 )
 def test_bad_options_end_with_one_line(symbid, tmp_path, options, message):

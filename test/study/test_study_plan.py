@@ -4,7 +4,7 @@ import re
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from symbid_ros.errors import StudyError, SymbidError
@@ -67,7 +67,7 @@ def changed(text: str, old: str, new: str) -> str:
         ("  iterations: 5", "  iterations: 50", "more iterations than the study"),
         ("21, noise: 0.0", "21, noise: 0.1", "validation: what others are judged by is ideal"),
         ("31, noise: 0.0", "31", "equation: what others are judged by is ideal"),
-        ("title:", "title: [", "no YAML"),
+        ("title:", "title: [", "not valid YAML"),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, told):
@@ -116,6 +116,7 @@ VALUES |= st.dictionaries(st.text(max_size=8), VALUES, max_size=3)
     value=VALUES,
     nested=st.sampled_from(["", "smooth", "prior", "logs"]),
 )
+@example(place="accelerations", value={"\n": None}, nested="")
 @settings(max_examples=150, deadline=None)
 def test_whatever_an_entry_holds_the_answer_is_a_plan_or_one_line(
     tmp_path_factory, place, value, nested

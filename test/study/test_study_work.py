@@ -1,6 +1,10 @@
 """Work in processes: done once, gone on with, and errors that arrive whole."""
 
 import multiprocessing
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -38,13 +42,56 @@ def test_a_tasks_error_arrives_and_what_was_done_stays(tmp_path):
         )
     assert done.read_text() == "kept"
     for process in multiprocessing.active_children():
-        process.join(20)
+        process.join(300)
         assert process.exitcode is not None
 
 
 def test_a_killed_process_is_told_of(tmp_path):
     with pytest.raises(StudyError, match="start the study again to go on"), Workers(1) as team:
         team.complete([task(tmp_path / "never", study_tasks.die)], lambda _: None)
+
+
+def test_a_killed_study_leaves_no_process(tmp_path):
+    """Neither a worker that works nor one that waits for more."""
+    places = tmp_path / "working", tmp_path / "waiting"
+    script = f"""
+import sys
+from pathlib import Path
+sys.path.append({str(Path(study_tasks.__file__).parent)!r})
+import study_tasks
+from symbid_ros.study.work import Task, Workers
+if __name__ == "__main__":
+    working, waiting = map(Path, {list(map(str, places))!r})
+    with Workers(2) as team:
+        team.complete([
+            Task(working, study_tasks.stay, (working,), 1.0),
+            Task(waiting, study_tasks.tell, (waiting,), 1.0),
+        ], lambda _: None)
+"""
+    program = tmp_path / "study.py"
+    program.write_text(script, encoding="utf-8")
+    with subprocess.Popen([sys.executable, program]) as study:
+        until(lambda: all(place.exists() for place in places))
+        study.kill()
+    for place in places:
+        state = Path("/proc", place.read_text(), "stat")
+        until(lambda state=state: is_gone(state))
+
+
+def is_gone(state: Path) -> bool:
+    try:
+        # Where nobody collects orphans they stay as zombies.
+        return state.read_text().rpartition(")")[2].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for what another process does, at most five minutes."""
+    deadline = time.monotonic() + 300
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 def plan(**other) -> Plan:

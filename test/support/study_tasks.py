@@ -2,6 +2,7 @@
 
 import os
 import signal
+import threading
 from pathlib import Path
 
 from symbid_ros.errors import StudyError
@@ -18,3 +19,14 @@ def refuse(place: Path) -> None:
 def die(place: Path) -> None:
     del place
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def tell(place: Path) -> None:
+    part = place.with_suffix(".part")
+    part.write_text(str(os.getpid()), encoding="utf-8")
+    part.rename(place)
+
+
+def stay(place: Path) -> None:
+    tell(place)
+    threading.Event().wait()

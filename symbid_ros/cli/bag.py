@@ -1,0 +1,108 @@
+"""``symbid bag``: what is in a bag, what is wrong with it, and how to save a damaged one."""
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from symbid_ros.cli.options import BaseKind, ImuTopic, JointTopic, WrenchTopic
+
+app = typer.Typer(help="Look into bags, judge them and recover damaged ones.", no_args_is_help=True)
+
+Bag = Annotated[Path, typer.Argument(help="A bag's folder or file.", show_default=False)]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
+
+
+@app.command()
+def info(bag: Bag, as_json: Json = False) -> None:
+    """Show files, topics and times of a bag, finished or not."""
+    from symbid_ros.bags.info import bag_info
+    from symbid_ros.cli.bag_tables import print_info
+
+    found = bag_info(bag)
+    if as_json:
+        typer.echo(json.dumps(found.as_dict(), indent=1))
+    else:
+        print_info(found)
+
+
+@app.command()
+def recover(
+    bag: Bag,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the new bag. Default: beside the old one, its name with _recovered.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Save what an interrupted or damaged bag holds into a new one, and count what is lost.
+
+    The bag itself is left as it is. Exit status: 0 nothing lost, 1 something, 2 everything.
+    """
+    from symbid_ros.bags.rescue import recover as recovering
+    from symbid_ros.cli.bag_tables import print_recovery
+
+    found = recovering.recover(bag, out)
+    if as_json:
+        typer.echo(json.dumps(found.as_dict(), indent=1))
+    else:
+        print_recovery(found)
+    if not found.is_whole:
+        raise typer.Exit(1)
+
+
+@app.command()
+def doctor(
+    bags: Annotated[
+        list[Path],
+        typer.Argument(help="Bags that continue one another.", show_default=False),
+    ],
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="Robot model, URDF or MJCF; without it each stream is judged by itself alone.",
+            show_default=False,
+        ),
+    ] = None,
+    start: Annotated[
+        float,
+        typer.Option(help="Leave out what comes earlier, s after the first joint state."),
+    ] = 0.0,
+    stop: Annotated[
+        float,
+        typer.Option(help="Leave out what comes later, likewise.", show_default=False),
+    ] = math.inf,
+    joint_topic: JointTopic = None,
+    imu_topic: ImuTopic = None,
+    wrench_topic: WrenchTopic = None,
+    base: BaseKind = "auto",
+    as_json: Json = False,
+) -> None:
+    """Judge whether a log serves to identify a robot, stream by stream and against its model.
+
+    Exit status: 0 clean, 1 warnings, 2 unusable.
+    """
+    from symbid_ros.bags.streams.selection import TopicSelection
+    from symbid_ros.bags.streams.slices import TimeRange
+    from symbid_ros.cli.doctor_tables import print_diagnosis
+    from symbid_ros.diagnosis.doctor import diagnose
+    from symbid_ros.model.load import load_model
+
+    topics = TopicSelection(
+        joints=joint_topic,
+        imus=tuple(imu_topic) if imu_topic else None,
+        wrenches=tuple(wrench_topic) if wrench_topic else None,
+    )
+    robot = None if model is None else load_model(model, base)
+    found = diagnose(bags, robot, topics, TimeRange(start, stop))
+    if as_json:
+        typer.echo(json.dumps(found.as_dict(), indent=1))
+    else:
+        print_diagnosis(found)
+    if found.severity:
+        raise typer.Exit(int(found.severity))

@@ -1,0 +1,137 @@
+"""``symbid bag``: looking into bags and saving damaged ones."""
+
+import json
+from pathlib import Path
+
+import pytest
+from foreign_bags import STORE, imu, joint_state
+from rosbags.rosbag2 import Writer as RosbagsWriter
+
+from symbid_ros.bags.messages import IMU, JOINT_STATE
+from symbid_ros.bags.streams.reader import topic_counts
+from symbid_ros.bags.writing.writer import BagWriter, OfferedQos
+
+STEPS = 100
+START = 1_700_000_000_000_000_000
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    latched = OfferedQos(depth=1, durability="transient_local")
+    with BagWriter(tmp_path / "log", chunk_size=1000) as writer:
+        joints = writer.add_topic("/robot/joint_states", JOINT_STATE)
+        sensor = writer.add_topic("/robot/imu/data", IMU, [latched])
+        for n in range(STEPS):
+            time = START + n * 10_000_000
+            writer.write(joints, time, joint_state(time, ["hip"], [n], [n], [n]))
+            if n % 2:
+                writer.write(sensor, time, imu(time))
+    return tmp_path / "log"
+
+
+def cut(bag: Path, share: float) -> Path:
+    file = bag / "log_0.mcap"
+    image = file.read_bytes()
+    file.write_bytes(image[: int(share * len(image))])
+    return file
+
+
+def test_info_tells_files_and_topics(symbid_here, bag) -> None:
+    told = json.loads(symbid_here("bag", "info", bag, "--json").stdout)
+    assert told["count"] == STEPS * 3 // 2
+    assert (told["start"], told["end"]) == (START, START + 990_000_000)
+    assert told["duration"] == pytest.approx(0.99)
+    assert told["ros_distro"] == "jazzy"
+    assert told["is_finished"] is True
+    (file,) = told["files"]
+    assert file["name"] == "log_0.mcap"
+    assert file["size"] == told["size"] == (bag / "log_0.mcap").stat().st_size
+    assert (file["storage"], file["compression"]) == ("mcap", ["zstd"])
+    assert file["recorded_by"] == "symbid_ros"
+    assert file["is_indexed"]
+    sensor, joints = told["topics"]
+    assert (sensor["name"], sensor["msgtype"], sensor["count"]) == ("/robot/imu/data", IMU, 50)
+    assert sensor["qos"][0]["durability"] == "transient_local"
+    assert joints["rate"] == pytest.approx(100 / 0.99)
+    assert {topic["name"]: topic["count"] for topic in told["topics"]} == topic_counts(bag)
+
+
+@pytest.mark.parametrize("columns", [60, 80, 120])
+def test_tables_fit_the_terminal_and_lose_nothing(symbid, bag, columns) -> None:
+    told = symbid("bag", "info", bag, columns=columns)
+    saved = symbid("bag", "recover", bag, "--out", bag.with_name("saved"), columns=columns)
+    for ended in (told, saved):
+        assert ended.returncode == 0, ended.stderr
+        lines = ended.stdout.splitlines()
+        head = next(line for line in lines if line.split()[:2] == ["topic", "type"])
+        rows = [line for line in lines[lines.index(head) :] if line.startswith(" ")]
+        assert all(len(line) <= columns for line in rows)
+        middle = head.index("type")
+        names = "".join(row[:middle].strip() for row in rows)
+        types = "".join(row[middle:].split()[0] for row in rows if row[middle:].strip())
+        assert "/robot/joint_states" in names
+        assert "sensor_msgs/JointState" in types
+        assert "…" not in ended.stdout
+
+
+def test_info_of_an_interrupted_bag_points_to_recover(symbid_here, bag) -> None:
+    file = cut(bag, 0.5)
+    told = symbid_here("bag", "info", bag)
+    assert told.returncode == 0
+    assert "not finished, not indexed" in told.stdout
+    assert f"run `symbid bag recover {file}`" in told.stdout
+
+
+def test_info_of_an_sqlite_bag(symbid_here, tmp_path) -> None:
+    with RosbagsWriter(tmp_path / "old", version=9) as writer:
+        connection = writer.add_connection("/imu", IMU, typestore=STORE)
+        for n in range(5):
+            writer.write(connection, START + n * 10**9, imu(START + n * 10**9))
+    told = json.loads(symbid_here("bag", "info", tmp_path / "old", "--json").stdout)
+    assert told["files"][0]["storage"] == "sqlite3"
+    assert told["topics"][0]["count"] == 5
+    assert (told["start"], told["end"]) == (START, START + 4 * 10**9)
+    refused = symbid_here("bag", "recover", tmp_path / "old")
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
+
+
+def test_recover_tells_by_its_status_what_was_lost(symbid_here, bag) -> None:
+    whole = symbid_here("bag", "recover", bag)
+    assert whole.returncode == 0
+    assert "150 messages kept, 0 lost" in whole.stdout
+    assert whole.stdout.endswith(f"wrote {bag}_recovered\n")
+    again = symbid_here("bag", "recover", bag)
+    assert again.returncode == 2
+    assert "log_recovered: exists already" in again.stderr
+    file = cut(bag, 0.5)
+    image = file.read_bytes()
+    part = symbid_here("bag", "recover", bag, "--out", bag.with_name("part"), "--json")
+    assert part.returncode == 1
+    told = json.loads(part.stdout)
+    assert told["kept"] + told["lost"] == 150
+    assert told["is_counted"]
+    assert told["holes"][-1]["fault"] == "cut off"
+    assert topic_counts(bag.with_name("part")) == {
+        topic["name"]: topic["kept"] for topic in told["topics"]
+    }
+    assert file.read_bytes() == image
+    cut(bag, 0.05)
+    nothing = symbid_here("bag", "recover", bag, "--out", bag.with_name("nothing"))
+    assert nothing.returncode == 2
+    assert "nothing in it can be recovered" in nothing.stderr
+    assert not bag.with_name("nothing").exists()
+
+
+@pytest.mark.parametrize("command", ["info", "recover"])
+def test_a_bag_that_is_not_there(symbid_here, tmp_path, command) -> None:
+    ended = symbid_here("bag", command, tmp_path / "nowhere")
+    assert ended.returncode == 2
+    assert ended.stderr.count("\n") == 1
+    assert "nowhere: no such bag" in ended.stderr
+
+
+def test_a_wrong_call_names_its_help(symbid_here) -> None:
+    ended = symbid_here("bag", "recover")
+    assert ended.returncode == 2
+    assert "see `symbid bag recover --help`" in ended.stderr

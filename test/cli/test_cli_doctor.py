@@ -1,0 +1,61 @@
+"""``symbid bag doctor``: a log's verdict as table, data and exit status."""
+
+import json
+
+import pytest
+from bag_surgery import Messages, operate
+from random_robots import CONFIG
+
+MODEL = CONFIG / "symbitron.xml"
+LEFT = "/left_foot/wrench"
+
+
+@pytest.fixture(scope="module")
+def tare(simulated):
+    return simulated("tare", ideal=True)
+
+
+def test_streams_alone_are_clean(symbid_here, tare) -> None:
+    result = symbid_here("bag", "doctor", tare)
+    assert result.returncode == 0
+    assert result.stdout.splitlines()[-1] == "clean"
+    assert "left out: all checks against a model: none is given" in result.stdout
+
+
+def test_json_holds_what_the_table_says(symbid_here, tare) -> None:
+    result = symbid_here("bag", "doctor", tare, "--model", MODEL, "--json")
+    assert result.returncode == 1
+    told = json.loads(result.stdout)
+    assert told["severity"] == "warning"
+    assert [one["kind"] for one in told["findings"]] == ["excitation"]
+    joints = told["streams"][0]
+    assert (joints["topic"], joints["messages"], joints["gaps"]) == ("/joint_states", 5000, 0)
+    assert joints["rate_hz"] == pytest.approx(1000)
+    text = symbid_here("bag", "doctor", tare, "--model", MODEL).stdout
+    assert told["findings"][0]["message"] in text
+    assert text.splitlines()[-1] == "warning, 1 found"
+
+
+def test_an_unusable_log_is_told_from_a_doubtful_one(symbid_here, tare, tmp_path) -> None:
+    def elsewhere(messages: Messages) -> None:
+        messages.reframe("nowhere")
+
+    bag = operate(tare, tmp_path / "bag", {LEFT: elsewhere})
+    result = symbid_here("bag", "doctor", bag, "--model", MODEL)
+    assert result.returncode == 2
+    assert f"unknown_frame: {LEFT}: " in result.stdout
+    assert result.stdout.splitlines()[-1] == "unusable, 1 found"
+    assert symbid_here("bag", "doctor", bag).returncode == 0
+
+
+def test_the_table_fits_a_narrow_terminal(symbid, tare) -> None:
+    text = symbid("bag", "doctor", tare, columns=60).stdout
+    table = [line for line in text.splitlines() if line.startswith(("│", "┃"))]
+    assert max(map(len, table)) <= 60
+    assert "…" not in text
+
+
+def test_a_bag_that_is_none_is_one_line(symbid_here, tmp_path) -> None:
+    result = symbid_here("bag", "doctor", tmp_path / "none")
+    assert result.returncode == 2
+    assert len(result.stderr.strip().splitlines()) == 1
