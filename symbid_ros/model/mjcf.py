@@ -101,17 +101,29 @@ class _Reader:
 
     @cached_property
     def _sites(self) -> dict[int, dict[str, tuple[FloatArray, FloatArray]]]:
-        """Named sites by body, with their poses."""
+        """Named sites by body, with their poses.
+
+        MuJoCo lets a site and a body share a name; to a ``frame_id`` it means the body,
+        and a site that lies elsewhere is called ``NAME:site``.
+        """
         m = self.m
         sites: dict[int, dict[str, tuple[FloatArray, FloatArray]]] = defaultdict(dict)
         rotations = rotation_from_quaternion(np.array(m.site_quat))
+        bodies = {m.body(body).name for body in range(m.nbody)}
         for site in range(m.nsite):
-            if name := m.site(site).name:
-                sites[int(m.site_bodyid[site])][name] = (
-                    rotations[site],
-                    np.array(m.site_pos[site]),
-                )
+            body, name, position = int(m.site_bodyid[site]), m.site(site).name, m.site_pos[site]
+            if not name:
+                continue
+            if name in bodies:
+                if m.body(body).name == name and self._is_origin(rotations[site], position):
+                    continue
+                name = f"{name}:site"
+            sites[body][name] = (rotations[site], np.array(position))
         return sites
+
+    @staticmethod
+    def _is_origin(rotation: FloatArray, position: FloatArray) -> bool:
+        return bool(np.allclose(rotation, np.eye(3), atol=1e-9) and np.allclose(position, 0.0))
 
     def _joint(self, joint: int) -> BodyJoint:
         m = self.m

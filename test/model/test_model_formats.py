@@ -116,6 +116,25 @@ def test_welded_bodies_and_several_joints_move_as_in_mujoco(tmp_path):
     assert model.phi[:, 0].sum() == pytest.approx(3.5)
 
 
+def test_a_name_shared_by_a_site_and_a_body_means_the_body(tmp_path):
+    same = '<site name="tool"/>'
+    apart = '<site name="arm" pos="0 .1 0" euler=".3 0 0"/>'
+    text = WELDED.replace('<site name="tip"', f'{same}{apart}<site name="tip"')
+    model = load_text(text, tmp_path / "robot.xml")
+    plain = load_text(WELDED, tmp_path / "plain.xml")
+    assert {frame.name for frame in model.frames} == {
+        *(frame.name for frame in plain.frames),
+        "arm:site",
+    }
+    for name in ("arm", "tool"):
+        np.testing.assert_array_equal(model.frame(name).translation, plain.frame(name).translation)
+    tool, site = model.frame("tool"), model.frame("arm:site")
+    np.testing.assert_allclose(
+        site.translation, tool.translation + tool.rotation @ [0.0, 0.1, 0.0], atol=1e-14
+    )
+    assert_same_robot(model, load_text(mjcf_text(model), tmp_path / "again.xml"))
+
+
 @pytest.mark.parametrize(
     ("text", "write"), [("symbitron.xml", mjcf_text), ("symbitron.urdf", urdf_text)]
 )
