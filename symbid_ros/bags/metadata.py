@@ -1,7 +1,9 @@
 """What rosbag2 writes about a bag: metadata.yaml, and a record in its files."""
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -137,9 +139,20 @@ def bag_information(
     }
 
 
-def metadata_file(information: Mapping[str, Any]) -> str:
-    """Return the text of metadata.yaml."""
-    return _dumped({"rosbag2_bagfile_information": dict(information)})
+def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
+    """Write a bag's metadata.yaml, on the disk before it has its name.
+
+    Raises
+    ------
+    OSError
+        When it does not fit; an earlier one is then untouched.
+    """
+    temporary = folder / "metadata.yaml.part"
+    with temporary.open("w", encoding="utf-8") as stream:
+        stream.write(_dumped({"rosbag2_bagfile_information": dict(information)}))
+        stream.flush()
+        os.fsync(stream.fileno())
+    temporary.replace(folder / "metadata.yaml")
 
 
 def metadata_record(information: Mapping[str, Any]) -> dict[str, str]:

@@ -17,8 +17,8 @@ from symbid_ros.bags.metadata import (
     OfferedQos,
     TopicMetadata,
     bag_information,
-    metadata_file,
     metadata_record,
+    write_metadata,
 )
 from symbid_ros.bags.writing.chunks import ChunkWriter
 
@@ -121,10 +121,7 @@ class RewrittenBag:
 
     def finish(self) -> None:
         """Write metadata.yaml; the bag is complete afterwards."""
-        with (self.folder / "metadata.yaml").open("x", encoding="utf-8") as stream:
-            stream.write(metadata_file(self._information()))
-            stream.flush()
-            os.fsync(stream.fileno())
+        write_metadata(self.folder, self._information())
 
     def __enter__(self) -> Self:
         return self

@@ -9,46 +9,19 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Iterable
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import zstandard
-from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Channel, Chunk, ChunkIndex, Header, Metadata, MetadataIndex, Schema
 
 from symbid_ros.bags.container.attachment import Attachment
+from symbid_ros.bags.container.framing import MAGIC
+from symbid_ros.bags.writing.summary import StoredChunk, Summary, encoded
 
-MAGIC = b"\x89MCAP0\r\n"
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 MESSAGE_FIELDS = 2 + 4 + 8 + 8  # channel, sequence, log and publish time
 INDEX_HEAD = struct.Struct("<BQHI")
-FOOTER_HEAD = struct.Struct("<BQQQ")
-SUMMARY_FRAME = 512  # bytes of data end, statistics, summary offsets, footer and magic
-STATISTICS_ENTRY = 16  # bytes, at most, that a channel adds to the statistics
-
-
-class _StoredChunk(NamedTuple):
-    """A chunk that lies in the file, with what its index tells of it."""
-
-    offset: int
-    start: int
-    end: int
-    index_record: bytes
-    counts: dict[int, int]
 
 
 class ChunkWriter:
@@ -70,16 +43,11 @@ class ChunkWriter:
         self._chunk_size = chunk_size
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._position = 0
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._chunks: list[_StoredChunk] = []
-        self._metadata: list[MetadataIndex] = []
-        self._attachments: list[AttachmentIndex] = []
+        self._summary = Summary()
         self._counts: dict[int, int] = {}
         self._open = bytearray()
         self._places: dict[int, list[tuple[int, int]]] = defaultdict(list)
-        self._summary_size = SUMMARY_FRAME
-        self._write(MAGIC + _encoded(Header(profile="ros2", library="symbid_ros")))
+        self._write(MAGIC + encoded(Header(profile="ros2", library="symbid_ros")))
 
     @property
     def counts(self) -> dict[int, int]:
@@ -94,26 +62,28 @@ class ChunkWriter:
     @property
     def summary_size(self) -> int:
         """Bytes, at most, that `finish` has to write for what lies in the file."""
-        return self._summary_size
+        return self._summary.size
 
     @property
     def start(self) -> int:
         """Smallest log time in the file's chunks, nanoseconds; 0 without any."""
-        return min((chunk.start for chunk in self._chunks), default=0)
+        return self._summary.start
 
     @property
     def end(self) -> int:
         """Largest log time in the file's chunks, nanoseconds; 0 without any."""
-        return max((chunk.end for chunk in self._chunks), default=0)
+        return self._summary.end
 
     def add_schema(self, name: str, definition: bytes, encoding: str = "ros2msg") -> int:
         """Return the number of a type's definition, written if it is new."""
-        for known in self._schemas:
+        for known in self._summary.schemas:
             if (known.name, known.data, known.encoding) == (name, definition, encoding):
                 return known.id
-        schema = Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=definition)
-        self._announce(schema)
-        self._schemas.append(schema)
+        schema = Schema(
+            id=len(self._summary.schemas) + 1, name=name, encoding=encoding, data=definition
+        )
+        self._write(encoded(schema))
+        self._summary.add_schema(schema)
         return schema.id
 
     def add_channel(
@@ -121,14 +91,14 @@ class ChunkWriter:
     ) -> int:
         """Write a channel and return its number; a ``schema`` of 0 is none."""
         channel = Channel(
-            id=len(self._channels) + 1,
+            id=len(self._summary.channels) + 1,
             topic=topic,
             message_encoding=message_encoding,
             schema_id=schema,
             metadata=metadata,
         )
-        self._announce(channel)
-        self._channels.append(channel)
+        self._write(encoded(channel))
+        self._summary.add_channel(channel)
         self._counts[channel.id] = 0
         return channel.id
 
@@ -153,18 +123,16 @@ class ChunkWriter:
 
     def add_metadata(self, name: str, content: dict[str, str]) -> None:
         """Write a metadata record."""
-        record = _encoded(Metadata(name=name, metadata=content))
+        record = encoded(Metadata(name=name, metadata=content))
         place = MetadataIndex(offset=self._position, length=len(record), name=name)
         self._write(record)
-        self._metadata.append(place)
-        self._summary_size += len(_encoded(place))
+        self._summary.add_metadata(place)
 
     def add_attachment(self, attachment: Attachment, source: BinaryIO) -> None:
         """Copy an attachment's record from the file in which it lies."""
         index = attachment.index(self._position)
         self.add_record(attachment.record(source))
-        self._attachments.append(index)
-        self._summary_size += len(_encoded(index))
+        self._summary.add_attachment(index)
 
     def add_record(self, parts: Iterable[bytes]) -> None:
         """Write a record of a kind of its own, given as it is to lie in the file."""
@@ -179,7 +147,7 @@ class ChunkWriter:
         times = [time for entries in self._places.values() for time, _ in entries]
         start, end = min(times), max(times)
         data = self._compressor.compress(raw)
-        record = _encoded(
+        record = encoded(
             Chunk(
                 compression="zstd",
                 data=data,
@@ -196,7 +164,7 @@ class ChunkWriter:
             size = 16 * len(entries)
             indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size)
             indexes += struct.pack(f"<{2 * len(entries)}Q", *(n for pair in entries for n in pair))
-        index = _encoded(
+        index = encoded(
             ChunkIndex(
                 message_start_time=start,
                 message_end_time=end,
@@ -210,10 +178,9 @@ class ChunkWriter:
             )
         )
         counts = {channel: len(entries) for channel, entries in self._places.items()}
-        chunk = _StoredChunk(self._position, start, end, index, counts)
+        chunk = StoredChunk(self._position, start, end, index, counts)
         self._write(record + indexes)
-        self._chunks.append(chunk)
-        self._summary_size += len(index)
+        self._summary.add_chunk(chunk)
         self._open.clear()
         self._places.clear()
 
@@ -227,68 +194,20 @@ class ChunkWriter:
 
     def take_back(self, size: int) -> bool:
         """Give up the last chunks, ``size`` bytes or more; return False if there is none left."""
-        if not self._chunks:
+        gone = self._summary.take_back(size, self._position)
+        if not gone:
             return False
-        cut = self._position
-        while self._chunks and self._position - cut < size:
-            chunk = self._chunks.pop()
-            cut = chunk.offset
-            self._summary_size -= len(chunk.index_record)
+        for chunk in gone:
             for channel, count in chunk.counts.items():
                 self._counts[channel] -= count
-        # A channel announced behind the cut has no message left; the summary still names it.
-        self._metadata = [record for record in self._metadata if record.offset < cut]
-        self._attachments = [record for record in self._attachments if record.offset < cut]
-        self._cut(cut)
+        self._cut(gone[-1].offset)
         return True
 
     def finish(self) -> None:
         """Write the last chunk, the summary and the footer; the stream stays open."""
         self.end_chunk()
-        data_end = _encoded(DataEnd(data_section_crc=0))
-        start = self._position + len(data_end)
-        summary = bytearray()
-        offsets = bytearray()
-        groups = [
-            (Opcode.SCHEMA, [_encoded(schema) for schema in self._schemas]),
-            (Opcode.CHANNEL, [_encoded(channel) for channel in self._channels]),
-            (Opcode.STATISTICS, [_encoded(self._statistics())]),
-            (Opcode.CHUNK_INDEX, [chunk.index_record for chunk in self._chunks]),
-            (Opcode.METADATA_INDEX, [_encoded(place) for place in self._metadata]),
-            (Opcode.ATTACHMENT_INDEX, [_encoded(place) for place in self._attachments]),
-        ]
-        for opcode, records in groups:
-            body = b"".join(records)
-            if body:
-                place = start + len(summary)
-                offsets += _encoded(SummaryOffset(opcode, place, len(body)))
-                summary += body
-        head = FOOTER_HEAD.pack(Opcode.FOOTER, 8 + 8 + 4, start, start + len(summary))
-        footer = Footer(
-            summary_start=start,
-            summary_offset_start=start + len(summary),
-            summary_crc=zlib.crc32(summary + offsets + head),
-        )
         # In one piece: a summary that does not fit is cut off again as a whole.
-        self._write(data_end + summary + offsets + _encoded(footer) + MAGIC)
-
-    def _announce(self, record: Schema | Channel) -> None:
-        data = _encoded(record)
-        self._write(data)
-        self._summary_size += len(data) + STATISTICS_ENTRY
-
-    def _statistics(self) -> Statistics:
-        return Statistics(
-            attachment_count=len(self._attachments),
-            channel_count=len(self._channels),
-            channel_message_counts=self.counts,
-            chunk_count=len(self._chunks),
-            message_count=sum(self._counts.values()),
-            message_start_time=self.start,
-            message_end_time=self.end,
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
-        )
+        self._write(self._summary.encoded(self._position, self._counts))
 
     def _write(self, data: bytes | bytearray) -> None:
         rest = memoryview(data)
@@ -300,9 +219,3 @@ class ChunkWriter:
         self._stream.seek(position)
         self._stream.truncate()
         self._position = position
-
-
-def _encoded(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    return bytes(builder.end())  # type: ignore[no-untyped-call]

@@ -1,6 +1,5 @@
 """Bags as rosbag2 writes them: MCAP files and their metadata.yaml in a folder."""
 
-import os
 import shutil
 from collections.abc import Sequence
 from contextlib import suppress
@@ -14,7 +13,7 @@ from symbid_ros.bags.metadata import (
     OfferedQos,
     TopicMetadata,
     bag_information,
-    metadata_file,
+    write_metadata,
 )
 from symbid_ros.bags.writing.reserve import Reserve
 from symbid_ros.bags.writing.segment import Segment, sync_folder
@@ -260,12 +259,7 @@ class BagWriter:
     def _complete(self) -> None:
         """Let the disk have the files and then metadata.yaml."""
         self.sync()
-        temporary = self.path / "metadata.yaml.part"
-        with temporary.open("w", encoding="utf-8") as stream:
-            stream.write(metadata_file(self._information()))
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(self.path / "metadata.yaml")
+        write_metadata(self.path, self._information())
         sync_folder(self.path)
         self._segment.close()
         self._is_closed = True
