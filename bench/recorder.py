@@ -37,7 +37,6 @@ from symbid_ros.cli.processes import NodeProcess, private_graph
 
 TICKS = os.sysconf("SC_CLK_TCK")
 BOUND = 0.1  # s
-DOMAINS = 100
 
 
 def main() -> None:
@@ -106,9 +105,8 @@ def kill(folder: Path, kills: int, seed: int) -> None:
     for number in range(kills):
         within = folder / str(number)
         within.mkdir()
-        domain = number % DOMAINS + 1
-        cost = kill_recorder(domain, draw.uniform(0.3, 2.0), within)
-        recovered += recover(within / f"bag_{domain}").kept == sum(cost.kept.values())
+        cost = kill_recorder(draw.uniform(0.3, 2.0), within)
+        recovered += recover(within / "bag").kept == sum(cost.kept.values())
         losses.append(max(cost.lost.values()))
         standstills.append(cost.standstill)
         if losses[-1] > BOUND:
@@ -117,7 +115,7 @@ def kill(folder: Path, kills: int, seed: int) -> None:
     print(
         f"{kills} kills, {recovered} bags recovered: "
         f"{middle:.0f} ms lost in the median, {most:.0f} ms at most; "
-        f"publisher {max(standstills) * 1e3:.0f} ms late at most; load {os.getloadavg()[0]:.1f}"
+        f"machine {max(standstills) * 1e3:.0f} ms late at most; load {os.getloadavg()[0]:.1f}"
     )
 
 

@@ -86,7 +86,7 @@ def run_installed(installation: Path, command: str) -> subprocess.CompletedProce
         env=clean_environment()
         | {
             "ROS_LOG_DIR": str(installation.parent / "log"),
-            "ROS_DOMAIN_ID": "97",
+            "ROS_DOMAIN_ID": "102",  # outside of those that are given to whoever asks
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
         },
         capture_output=True,

@@ -2,7 +2,6 @@
 
 import json
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -12,10 +11,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
 
+from symbid_ros.cli.domain import unused_domain
 from symbid_ros.errors import SymbidError
 from symbid_ros.share import config_file
 
-STOPPING_TIME = 20.0  # s; a recorder has a bag to complete
+STOPPING_TIME = 120.0  # s; a recorder has a bag to complete, perhaps on a machine that is busy
 
 
 @contextmanager
@@ -27,10 +27,12 @@ def private_graph() -> Iterator[dict[str, str]]:
     """
     numbers = signal.SIGTERM, signal.SIGHUP
     before = {number: signal.signal(number, _unwind) for number in numbers}
-    # Domains above 101 fall into the range of ephemeral ports on Linux.
-    domain = {"ROS_DOMAIN_ID": str(random.randint(1, 101))}
     try:
-        yield os.environ | domain | {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        with unused_domain() as domain:
+            yield os.environ | {
+                "ROS_DOMAIN_ID": str(domain),
+                "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            }
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

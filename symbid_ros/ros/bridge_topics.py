@@ -83,7 +83,7 @@ class BridgeTopics:
 
     def await_acknowledgement(self) -> None:
         """Give reliable subscribers time to fetch what is still on its way."""
-        await_acknowledgement([*self._sensors, *self._others])
+        await_acknowledgement(each.publisher for each in (*self._sensors, *self._others))
 
     @property
     def _feedback(self) -> list[InstantPublisher]:

@@ -12,7 +12,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.node import Node
 
 from symbid_ros.bags.container.blocks import Topic
@@ -32,7 +31,7 @@ from symbid_ros.ros.playback import (
     Transport,
 )
 from symbid_ros.ros.process import run_node
-from symbid_ros.ros.publishing import ACKNOWLEDGE, await_settled
+from symbid_ros.ros.publishing import await_acknowledgement, await_settled
 
 LATE = 1.0  # s behind schedule, worth a warning
 
@@ -192,10 +191,7 @@ class Player:
         if self._is_patient:
             for entry in self._all_publishers():
                 entry.await_acknowledgement()
-        deadline = time.monotonic() + ACKNOWLEDGE
-        for entry in self._all_publishers():
-            left = max(0.0, deadline - time.monotonic())
-            entry.publisher.wait_for_all_acked(Duration(seconds=left))
+        await_acknowledgement(entry.publisher for entry in self._all_publishers())
 
     def _report(self) -> None:
         """Publish the state, in the executor's thread."""

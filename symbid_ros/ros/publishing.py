@@ -1,7 +1,7 @@
 """Publishers of simulated instants: bytes serialised once and patched in place."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from threading import Event
 
@@ -17,7 +17,7 @@ from symbid_ros.simulation.topics import SimulatedTopic
 
 SETTLE = 0.5  # s; discovery of the remaining subscribers after the needed ones are there
 POLL = 0.02  # s
-ACKNOWLEDGE = 5.0  # s; a subscriber that takes longer at the end is given up
+ACKNOWLEDGE = 20.0  # s; a subscriber that takes longer is given up, as by the middleware
 
 
 @dataclass
@@ -104,7 +104,9 @@ def await_settled(
         stop.wait(POLL)
 
 
-def await_acknowledgement(publishers: Sequence[InstantPublisher]) -> None:
+def await_acknowledgement(publishers: Iterable[Publisher]) -> None:
     """Give reliable subscribers time to fetch what is still on its way."""
-    for entry in publishers:
-        entry.publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE))
+    deadline = time.monotonic() + ACKNOWLEDGE
+    for publisher in publishers:
+        left = max(0.0, deadline - time.monotonic())
+        publisher.wait_for_all_acked(Duration(seconds=left))

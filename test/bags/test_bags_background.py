@@ -17,7 +17,7 @@ from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
 
 PAYLOAD = np.random.default_rng(0).bytes(320)
-DEADLINE = 60.0  # s; only a hang takes as long
+DEADLINE = 300.0  # s; only a hang takes as long
 
 
 class SlowDisk(BagWriter):

@@ -19,7 +19,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.share import config_file
 
-DEADLINE = 120.0  # s; only a hang takes as long
+DEADLINE = 300.0  # s; only a hang takes as long
 NODES = {"identifier", "recorder", "monitor", "mujoco_bridge"}
 
 

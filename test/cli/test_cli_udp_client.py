@@ -13,7 +13,7 @@ from udp_packets import DRIVES, command
 def test_interrupted_it_says_what_it_did():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plant:
         plant.bind(("127.0.0.1", 0))
-        plant.settimeout(60.0)
+        plant.settimeout(300.0)
         port = plant.getsockname()[1]
         with subprocess.Popen(
             [Path(sys.executable).parent / "symbid", "udp-client", "--port", str(port)],

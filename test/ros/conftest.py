@@ -1,6 +1,5 @@
 """Real node processes on a graph of their own."""
 
-import itertools
 import os
 import signal
 import subprocess
@@ -17,8 +16,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 DEADLINE = 300.0  # s; only a hang takes as long, on a machine that others use as well
-DOMAINS_PER_WORKER = 20
-_domains = itertools.count()
 
 
 @dataclass(frozen=True)
@@ -117,12 +114,7 @@ class Graph:
 
 
 @pytest.fixture
-def graph(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
-    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 4
-    domain = 10 + worker * DOMAINS_PER_WORKER + next(_domains) % DOMAINS_PER_WORKER
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
+def graph(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
     monkeypatch.setenv("PYTHONFAULTHANDLER", "1")
     graph = Graph(dict(os.environ))
     try:

@@ -16,7 +16,7 @@ from symbid_ros.simulation.simulator import Simulator
 COMMANDS, SIMULATION = "/mujoco_bridge: commands", "/mujoco_bridge: simulation"
 CONTROL = "/balance_controller: control"
 # A busy machine may well let a process wait for longer than the usual time-out.
-PATIENT = {"command_source": "topic", "command_timeout": 20.0, "real_time_factor": 100.0}
+PATIENT = {"command_source": "topic", "command_timeout": 60.0, "real_time_factor": 100.0}
 
 
 def nanoseconds(stamp) -> int:

@@ -70,7 +70,7 @@ class Bench:
 
     def wait(self) -> None:
         """Wait until what was sent lies in the queue."""
-        wait_for_any(self.node, [self.commands._mailbox], 20.0)
+        wait_for_any(self.node, [self.commands._mailbox], 300.0)
 
     @property
     def rejected(self) -> dict[str, int]:
@@ -78,14 +78,12 @@ class Bench:
 
 
 @pytest.fixture
-def bench(tmp_path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Bench]]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+def bench(domain: int) -> Iterator[Callable[..., Bench]]:
     context = Context()
-    rclpy.init(context=context, domain_id=8)
+    rclpy.init(context=context, domain_id=domain)
     node = Node("bench", context=context)
 
-    def made(timeout: float = 20.0) -> Bench:
+    def made(timeout: float = 300.0) -> Bench:
         bench = Bench(node, timeout)
         assert bench.commands.await_controller(bench.stop)
         return bench

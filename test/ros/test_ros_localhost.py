@@ -13,7 +13,6 @@ from symbid_ros.share import config_file
 
 ANY = "00000000"
 LOOPBACK = "0100007F"  # 127.0.0.1, as /proc/net/udp writes it
-FIRST_DOMAIN = 98  # above those of the other tests
 
 # Says that it has heard the bridge, and stays until its input ends.
 OBSERVER = """
@@ -49,7 +48,7 @@ def udp_addresses(process: int) -> set[str]:
 
 
 @pytest.fixture
-def addresses(tmp_path: Path) -> Iterator[Callable[..., set[str]]]:
+def addresses(domain: int) -> Iterator[Callable[..., set[str]]]:
     """Start a bridge and an observer, wait until they have met, and return their addresses."""
     processes: list[subprocess.Popen[str]] = []
 
@@ -67,11 +66,9 @@ def addresses(tmp_path: Path) -> Iterator[Callable[..., set[str]]]:
         return processes[-1]
 
     def measured(**variables: str) -> set[str]:
-        worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 4
         environment = {
             key: value for key, value in os.environ.items() if "DISCOVERY_RANGE" not in key
-        } | {"ROS_DOMAIN_ID": str(FIRST_DOMAIN + worker), "ROS_LOG_DIR": str(tmp_path)}
-        environment |= variables
+        } | variables
         bridge = start([str(Path(sys.executable).parent / "mujoco_bridge")], environment)
         observer = start([sys.executable, "-c", OBSERVER], environment)
         assert observer.stdout is not None

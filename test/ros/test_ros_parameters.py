@@ -24,11 +24,9 @@ PARAMETERS = (
 
 
 @pytest.fixture
-def node(tmp_path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+def node(domain: int) -> Iterator[Node]:
     context = Context()
-    rclpy.init(context=context, domain_id=9)
+    rclpy.init(context=context, domain_id=domain)
     node = Node("subject", context=context)
     yield node
     node.destroy_node()
@@ -132,10 +130,9 @@ def test_descriptors_tell_type_range_and_choices(node: Node) -> None:
     ("name", "value"),
     [("place", [0.0, 2.0, 0.0]), ("place", [0.0]), ("mode", "idle"), ("mass", float("nan"))],
 )
-def test_a_start_with_a_bad_value_is_refused(tmp_path, monkeypatch, name, value) -> None:
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+def test_a_start_with_a_bad_value_is_refused(domain: int, name, value) -> None:
     context = Context()
-    rclpy.init(context=context, domain_id=9)
+    rclpy.init(context=context, domain_id=domain)
     given = [Given(name, value=value)]
     node = Node("subject", context=context, parameter_overrides=given)
     with pytest.raises(ParameterError, match=f"parameter {name}: "):

@@ -59,11 +59,9 @@ class Robot:
 
 
 @pytest.fixture
-def robot(tmp_path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+def robot(domain: int) -> Iterator[Robot]:
     context = Context()
-    rclpy.init(context=context, domain_id=7)
+    rclpy.init(context=context, domain_id=domain)
     node = Node("robot", context=context)
     yield Robot(node)
     node.destroy_node()

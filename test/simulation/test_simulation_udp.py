@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -23,7 +22,7 @@ from symbid_ros.simulation.command import Drives
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.udp_commands import UdpCommands
 
-PATIENCE = 60.0  # s, before a test that hangs is given up
+PATIENCE = 300.0  # s, before a test that hangs is given up
 SUPPORT = Path(__file__).parents[1] / "support"
 
 
@@ -178,7 +177,7 @@ def test_the_documented_program_holds_the_robot(stop):
     page = (Path(__file__).parents[2] / "doc" / "udp.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     robot, drives = commanded(moves=1, motion_seed=2)
-    with UdpCommands("127.0.0.1", 0, drives, command_timeout=5.0) as commands:
+    with UdpCommands("127.0.0.1", 0, drives, command_timeout=PATIENCE) as commands:
         program = program.replace("5005", str(commands.address[1]))
         with subprocess.Popen([sys.executable, "-I", "-c", program]) as process:
             assert commands.await_controller(stop)
@@ -195,19 +194,22 @@ def test_the_documented_program_holds_the_robot(stop):
 def test_a_killed_client_is_followed_by_a_new_one(stop):
     robot, drives = commanded(moves=1, motion_seed=3)
     instant = robot.step()
-    with UdpCommands("127.0.0.1", 0, drives, command_timeout=2.0) as commands:
-        for life in range(2):
+    with UdpCommands("127.0.0.1", 0, drives, command_timeout=1.0) as commands:
+        for _ in range(2):
             with client(commands.address[1], "--moves", 1, "--motion-seed", 3) as process:
                 assert commands.await_controller(stop)
-                for _ in range(200):
+                accepted = commands.counts.accepted
+                while commands.counts.accepted < accepted + 200:
+                    assert not stop.is_set()
                     answer = commands.exchange(instant, stop)
-                    assert not answer.is_safe
                     instant = robot.step(answer.torques)
                 process.send_signal(signal.SIGKILL)
                 process.wait()
-            answer = commands.exchange(instant, stop)
+            timeouts = commands.counts.timeouts
+            while commands.counts.timeouts == timeouts:  # an answer may still be on its way
+                answer = commands.exchange(instant, stop)
             assert answer.is_safe
-            assert commands.counts.timeouts == life + 1
+            assert commands.controller is None
         assert instant.base_position[2] > 0.9
 
 
@@ -215,18 +217,21 @@ def test_a_client_that_was_stopped_goes_on(stop):
     robot, drives = commanded(moves=1)
     instant = robot.step()
     with (
-        UdpCommands("127.0.0.1", 0, drives, command_timeout=2.0) as commands,
+        UdpCommands("127.0.0.1", 0, drives, command_timeout=1.0) as commands,
         client(commands.address[1], "--moves", 1) as process,
     ):
+
+        def until(is_safe: bool) -> None:
+            while commands.exchange(instant, stop).is_safe is not is_safe:
+                assert not stop.is_set()
+
         assert commands.await_controller(stop)
-        assert not commands.exchange(instant, stop).is_safe
+        until(is_safe=False)
         process.send_signal(signal.SIGSTOP)
         os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
-        assert commands.exchange(instant, stop).is_safe
+        until(is_safe=True)
         process.send_signal(signal.SIGCONT)
-        deadline = time.monotonic() + PATIENCE
-        while commands.exchange(instant, stop).is_safe:
-            assert time.monotonic() < deadline
+        until(is_safe=False)
 
 
 def test_processes_stand_over_a_lossy_network():

@@ -16,7 +16,7 @@ def main(steps: int, options: dict[str, object]) -> None:
     drives = Drives(robot.joint_names, robot.drive_names, robot.torque_limits)
     stop, safe, heights, end = Event(), 0, [], "stands"
     # A busy machine may well let a process wait for longer than the usual time-out.
-    with UdpCommands("127.0.0.1", 0, drives, command_timeout=5.0) as commands:
+    with UdpCommands("127.0.0.1", 0, drives, command_timeout=300.0) as commands:
         print(commands.address[1], flush=True)
         commands.await_controller(stop)
         instant = robot.step()

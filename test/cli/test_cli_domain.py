@@ -1,0 +1,35 @@
+"""Domains of one's own, on a machine with other nodes."""
+
+import pytest
+import rclpy
+from rclpy.context import Context
+
+from symbid_ros.cli.domain import unused_domain
+from symbid_ros.errors import SymbidError
+
+
+def test_nobody_is_given_what_another_has():
+    with unused_domain([61, 62]) as first, unused_domain([61, 62]) as second:
+        assert {first, second} == {61, 62}
+        refused = pytest.raises(SymbidError, match="each of 2 ROS domains is in use")
+        with refused, unused_domain([61, 62]):
+            pass
+    with unused_domain([first]) as again:
+        assert again == first
+
+
+@pytest.mark.parametrize("discovery", ["LOCALHOST", "SUBNET"])
+def test_a_domain_with_a_node_is_in_use(tmp_path, monkeypatch, discovery: str) -> None:
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", discovery)
+    monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path))
+    with unused_domain() as domain:
+        pass
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = rclpy.create_node("inhabitant", context=context)
+    with pytest.raises(SymbidError), unused_domain([domain]):
+        pass
+    node.destroy_node()
+    context.try_shutdown()
+    with unused_domain([domain]) as again:
+        assert again == domain
