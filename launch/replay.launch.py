@@ -28,7 +28,10 @@ PLAYER_ARGUMENTS = {
 def generate_launch_description() -> LaunchDescription:
     file = config_file("player.yaml")
     defaults = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
-    arguments = [DeclareLaunchArgument("bag", description="bag to replay")]
+    arguments = [
+        DeclareLaunchArgument("bag", description="bag to replay"),
+        DeclareLaunchArgument("model", description="robot model, URDF or MJCF"),
+    ]
     arguments += [
         DeclareLaunchArgument(name, default_value=str(defaults[name]), description=description)
         for name, description in PLAYER_ARGUMENTS.items()
@@ -47,8 +50,11 @@ def generate_launch_description() -> LaunchDescription:
     )
     identify = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(share_directory() / "launch" / "identify.launch.py")),
-        # The identifier is to follow the topics, not to read the bag itself.
-        launch_arguments={"bag": "", "use_sim_time": "true"}.items(),
+        launch_arguments={
+            "model": LaunchConfiguration("model"),  # required there, so launch wants it said
+            "bag": "",  # the identifier is to follow the topics, not to read the bag itself
+            "use_sim_time": "true",
+        }.items(),
     )
     # In a group of its own, lest the player lose its bag.
     return LaunchDescription([*arguments, player, GroupAction([identify])])

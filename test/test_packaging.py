@@ -298,6 +298,19 @@ class TestLaunchFile:
         }
         assert used <= declared
 
+    def test_says_what_an_included_file_requires(self, path: Path) -> None:
+        """Launch refuses an inclusion otherwise, even where the argument is given to the whole."""
+        for call in _calls(path, "IncludeLaunchDescription"):
+            words = {node.value for node in ast.walk(call) if isinstance(node, ast.Constant)}
+            (included,) = (each for each in LAUNCH_FILES if each.name in words)
+            required = {
+                declared.args[0].value
+                for declared in _calls(included, "DeclareLaunchArgument")
+                if "default_value" not in {keyword.arg for keyword in declared.keywords}
+            }
+            assert required
+            assert required <= words
+
     def test_defines_the_entry_point(self, path: Path) -> None:
         functions = {
             n.name for n in ast.parse(path.read_text()).body if isinstance(n, ast.FunctionDef)
