@@ -70,6 +70,11 @@ class ChangeWatch:
         self.evidence = float("nan")
         self.begin_again()
 
+    @property
+    def is_ready(self) -> bool:
+        """Whether enough looks have told what is usual for a change to be told from it."""
+        return len(self._usual) >= FEWEST_USUAL
+
     def begin_again(self) -> None:
         """Let go of rows and knowledge: those to come are over another length of windows."""
         self._past: deque[Posterior] = deque(maxlen=RECENT)
@@ -102,7 +107,7 @@ class ChangeWatch:
     ) -> None:
         usual = max([1.0, *self._usual])
         self.evidence = found.links[0].evidence / usual
-        is_loud = self.evidence > ALARMING and len(self._usual) >= FEWEST_USUAL
+        is_loud = self.evidence > ALARMING and self.is_ready
         if self._before is None:
             if is_loud:
                 self._before, self._since = self._past[0], recent[0].start

@@ -140,6 +140,11 @@ class OnlineIdentification:
         """For a change at the last look, over what has been usual; nan before there was one."""
         return self._watch.evidence
 
+    @property
+    def can_tell_change(self) -> bool:
+        """Whether the robot has been watched for long enough to tell a change from what is usual."""
+        return self._watch.is_ready
+
     def feed(self, topic: Topic, payload: bytes) -> None:
         """Take a serialised message of one of the topics."""
         streams, stamp = self._timeline.streams, stamp_of(payload)

@@ -24,7 +24,7 @@ class IdentifierHealth:
         self._is_enabled = True
         self._estimate = Health("estimate", WARN, "no estimate yet")
         self._streams = Health("streams", WARN, "no sensor topics yet")
-        self._change = Health("change", OK, "nothing known to change")
+        self._change = Health("change", OK, "too early to tell a change")
         self._counts: dict[str, int] = {}
         self._heard: dict[str, float] = {}
         self._counted = self._solved = time.monotonic()
@@ -71,7 +71,8 @@ class IdentifierHealth:
         self._estimate = self._estimate_health(outcome, age, seconds)
         figures = {"evidence": f"{live.evidence:.1f}"}
         if outcome.change is None:
-            self._change = Health("change", OK, "no change", figures)
+            message = "no change" if live.can_tell_change else "too early to tell a change"
+            self._change = Health("change", OK, message, figures)
         else:
             suspect = outcome.change.suspect
             figures |= {
