@@ -68,6 +68,7 @@ class ChangeWatch:
         self._parameters = parameters
         self._usual: deque[float] = deque(maxlen=USUAL)
         self.evidence = float("nan")
+        self.change: Change | None = None
         self.begin_again()
 
     @property
@@ -76,11 +77,13 @@ class ChangeWatch:
         return len(self._usual) >= FEWEST_USUAL
 
     def begin_again(self) -> None:
-        """Let go of rows and knowledge: those to come are over another length of windows."""
+        """Let go of rows and knowledge: those to come are over another length of windows.
+
+        A change that stands goes on to stand.
+        """
         self._past: deque[Posterior] = deque(maxlen=RECENT)
         self._rows: deque[tuple[BlockRows, ...]] = deque(maxlen=RECENT)
         self._before: Posterior | None = None
-        self.change: Change | None = None
         self._since = self._quiet = 0
         self._after: list[BlockRows] = []
 
@@ -108,7 +111,7 @@ class ChangeWatch:
         usual = max([1.0, *self._usual])
         self.evidence = found.links[0].evidence / usual
         is_loud = self.evidence > ALARMING and self.is_ready
-        if self._before is None:
+        if self._before is None and self.change is None:
             if is_loud:
                 self._before, self._since = self._past[0], recent[0].start
                 self._after, self._quiet = [], 0
@@ -119,6 +122,8 @@ class ChangeWatch:
         if self._quiet >= QUIET:
             self._before = self.change = None
             return
+        if self._before is None:
+            return  # what stands was told over other windows, by who did not know of it yet
         if len(self._after) < LONGEST_AFTER:
             self._after += rows
         after = self._innovation(self._before, self._after)

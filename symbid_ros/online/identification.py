@@ -142,7 +142,7 @@ class OnlineIdentification:
 
     @property
     def can_tell_change(self) -> bool:
-        """Whether the robot has been watched for long enough to tell a change from what is usual."""
+        """Whether what is usual is known well enough to tell a change from it."""
         return self._watch.is_ready
 
     def feed(self, topic: Topic, payload: bytes) -> None:
