@@ -207,16 +207,19 @@ def plot(file: Path) -> None:
         axis.axvline(alarm, color="#cc3311", lw=1)
         axis.set_ylabel(f"mass of {name} (kg)")
         axis.spines[["top", "right"]].set_visible(False)
-    axes[0].legend(frameon=False, loc="lower right")
+    figure.legend(*axes[0].get_legend_handles_labels(), frameon=False, loc="upper right", ncols=2)
     axes[1].annotate(
         f"alarm: {link}",
-        (alarm, axes[1].get_ylim()[0]),
-        xytext=(4, 4),
+        (alarm, 1.0),
+        xycoords=("data", "axes fraction"),
+        xytext=(-4, -12),
         textcoords="offset points",
+        ha="right",
         color="#cc3311",
     )
     axes[-1].set_xlabel("time (s)")
-    figure.suptitle(f"2 kg fastened to {link} at {begun:g} s, memory {MEMORY:g} s", fontsize=11)
+    title = f"{MASS:g} kg fastened to {link} at {begun:g} s, memory {MEMORY:g} s"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     figure.savefig(file, dpi=130)
 
 
