@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from symbid_ros.cli.options import BaseKind, ImuTopic, JointTopic, WrenchTopic
+from symbid_ros.cli.options import BaseKind, ImuTopic, JointTopic, Start, Stop, WrenchTopic
 
 app = typer.Typer(help="Look into bags, judge them and recover damaged ones.", no_args_is_help=True)
 
@@ -69,14 +69,8 @@ def doctor(
             show_default=False,
         ),
     ] = None,
-    start: Annotated[
-        float,
-        typer.Option(help="Leave out what comes earlier, s after the first joint state."),
-    ] = 0.0,
-    stop: Annotated[
-        float,
-        typer.Option(help="Leave out what comes later, likewise.", show_default=False),
-    ] = math.inf,
+    start: Start = 0.0,
+    stop: Stop = math.inf,
     joint_topic: JointTopic = None,
     imu_topic: ImuTopic = None,
     wrench_topic: WrenchTopic = None,

@@ -6,7 +6,15 @@ from typing import Annotated, Literal
 
 import typer
 
-from symbid_ros.cli.options import BaseKind, ImuTopic, JointTopic, Model, WrenchTopic
+from symbid_ros.cli.options import (
+    BaseKind,
+    ImuTopic,
+    JointTopic,
+    Model,
+    Start,
+    Stop,
+    WrenchTopic,
+)
 
 Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
 Filter = Literal["weak", "butterworth", "savitzky_golay"]
@@ -169,14 +177,8 @@ def identify(
             rich_help_panel=TRUNCATED,
         ),
     ] = None,
-    start: Annotated[
-        float,
-        typer.Option(help="Leave out what comes earlier, s after the first joint state."),
-    ] = 0.0,
-    stop: Annotated[
-        float,
-        typer.Option(help="Leave out what comes later, likewise.", show_default=False),
-    ] = math.inf,
+    start: Start = 0.0,
+    stop: Stop = math.inf,
     joint_topic: JointTopic = None,
     imu_topic: ImuTopic = None,
     wrench_topic: WrenchTopic = None,

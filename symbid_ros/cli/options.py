@@ -21,3 +21,9 @@ WrenchTopic = Annotated[
     list[str] | None,
     typer.Option(help="WrenchStamped topic, repeatable; default: all named wrench."),
 ]
+Start = Annotated[
+    float, typer.Option(help="Leave out what comes earlier, s after the first joint state.")
+]
+Stop = Annotated[
+    float, typer.Option(help="Leave out what comes later, likewise.", show_default=False)
+]
