@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
+from rosbags.typesys.stores import ros2_jazzy
 
 from symbid_ros.arrays import BoolArray, IntArray
 from symbid_ros.errors import BagError
@@ -47,7 +47,7 @@ NUMBERS = {
 @cache
 def typestore() -> Typestore:
     """Return ROS 2 Jazzy's message definitions; no ROS installation is asked."""
-    return get_typestore(Stores.ROS2_JAZZY)
+    return Typestore(ros2_jazzy)
 
 
 @dataclass(frozen=True)
@@ -97,9 +97,15 @@ class Layout:
         return cls(msgtype, template, dtype, walk.text, constant)
 
     @cached_property
-    def _fixed(self) -> tuple[NDArray[np.intp], ByteArray]:
-        places = np.flatnonzero(self.constant)
-        return places, np.frombuffer(self.template, dtype=np.uint8)[places]
+    def _fixed(self) -> tuple[IntArray, NDArray[Any], NDArray[Any]]:
+        """Return places, mask and content (W,) of the words that hold constant bytes.
+
+        They are of four bytes where messages consist of such, as most do: that is faster.
+        """
+        word = np.dtype(np.uint8 if len(self.template) % 4 else np.uint32)
+        mask = np.where(self.constant, 0xFF, 0).astype(np.uint8).view(word)
+        places = np.flatnonzero(mask)
+        return places, mask[places], (np.frombuffer(self.template, dtype=word) & mask)[places]
 
     def records(self, count: int) -> Records:
         """Return ``count`` copies of the template as writable records."""
@@ -134,8 +140,10 @@ class Layout:
 
     def matches(self, rows: ByteArray) -> BoolArray:
         """Tell which rows (N, len(template)) of bytes follow this layout."""
-        places, expected = self._fixed
-        verdict: BoolArray = (rows[:, places] == expected).all(axis=1)
+        places, mask, content = self._fixed
+        words = rows.view(mask.dtype)[:, places]
+        words &= mask
+        verdict: BoolArray = (words == content).all(axis=1)
         return verdict
 
     def view(self, rows: ByteArray) -> Records:

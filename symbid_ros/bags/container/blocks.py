@@ -228,10 +228,11 @@ class _FileReader:
         numbers = self.topic_of[channels]
         if (numbers < 0).any():
             raise ValueError("a message's channel was never announced")
-        self.counts += np.bincount(channels, minlength=CHANNELS)
-        order = np.argsort(numbers, kind="stable")
-        bounds = np.searchsorted(numbers[order], np.arange(len(self.topics) + 1))
-        return {topic: spans[order[bounds[n] : bounds[n + 1]]] for topic, n in self.topics.items()}
+        found = np.bincount(channels)
+        self.counts[: len(found)] += found
+        ordered = spans[np.argsort(numbers, kind="stable")]
+        ends = np.cumsum(np.bincount(numbers, minlength=len(self.topics)))
+        return dict(zip(self.topics, np.split(ordered, ends), strict=False))  # nothing is last
 
     def _compare(self) -> None:
         """Say what the summary counts that was not found, or the other way round."""

@@ -1,10 +1,11 @@
 """Decoded messages of one topic that wait until every topic has reached their time."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, IntArray
+from symbid_ros.arrays import IntArray
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.layout import ByteArray
 from symbid_ros.bags.messages import read_stamp
@@ -34,7 +35,7 @@ class Backlog:
     newest: int | None = None
     size: int = 0
     _last: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    _parts: list[tuple[Piece, IntArray]] = field(default_factory=list)
+    _parts: list["_Part"] = field(default_factory=list)
 
     @classmethod
     def of(cls, source: str, topic: Topic) -> "Backlog":
@@ -60,7 +61,7 @@ class Backlog:
             stamps = read_stamp(piece.records)
             recorded[piece.index - first] = stamps
             numbers = Piece(piece.layout, piece.index, piece.layout.condensed(piece.records))
-            self._keep(numbers, stamps, stamps >= worked_until)
+            self._keep(_Part(numbers, stamps).between(worked_until, ALWAYS[1]))
         self.decoder.pieces = []
         topic = self.decoder.topic.name
         check_clock(self.decoder.source, topic, np.append(self._last, recorded))
@@ -73,41 +74,61 @@ class Backlog:
 
     def between(self, start: int, stop: int) -> TopicDecoder:
         """Return the messages with stamps from ``start`` up to ``stop``, ns."""
-        pieces = []
-        for piece, stamps in self._parts:
-            inside = (stamps >= start) & (stamps < stop)
-            if inside.all():
-                pieces.append(piece)
-            elif inside.any():
-                pieces.append(_some(piece, inside))
-        places = np.sort(np.concatenate([np.empty(0, np.int64), *(p.index for p in pieces)]))
+        pieces = [inside.piece for part in self._parts if (inside := part.between(start, stop))]
+        index = np.concatenate([np.empty(0, np.int64), *(piece.index for piece in pieces)])
+        places = np.empty_like(index)
+        places[np.argsort(index, kind="stable")] = np.arange(len(index))
+        ends = np.cumsum([len(piece.index) for piece in pieces])
         decoder = self.decoder
         return TopicDecoder(
             decoder.source,
             decoder.topic,
-            [Piece(p.layout, np.searchsorted(places, p.index), p.records) for p in pieces],
-            len(places),
+            [
+                Piece(piece.layout, its, piece.records)
+                for piece, its in zip(pieces, np.split(places, ends), strict=False)
+            ],
+            len(index),
         )
 
     def first_from(self, start: int) -> int | None:
         """Return the oldest stamp that waits from ``start`` on, ns."""
-        waiting = [stamps[stamps >= start] for _, stamps in self._parts]
-        return min((int(stamps.min()) for stamps in waiting if len(stamps)), default=None)
+        waiting = (part.between(start, ALWAYS[1]) for part in self._parts)
+        return min((part.oldest for part in waiting if part), default=None)
 
     def drop_before(self, stamp: int) -> None:
         """Let go of what is older than ``stamp``, ns."""
         parts, self._parts, self.size = self._parts, [], 0
-        for piece, stamps in parts:
-            self._keep(piece, stamps, stamps >= stamp)
+        for part in parts:
+            self._keep(part.between(stamp, ALWAYS[1]))
 
-    def _keep(self, piece: Piece, stamps: IntArray, wanted: BoolArray) -> None:
+    def _keep(self, part: "_Part | None") -> None:
+        if part:
+            self._parts.append(part)
+            self.size += part.piece.records.nbytes
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Messages of one layout and one block, one at least."""
+
+    piece: Piece
+    stamps: IntArray
+
+    @cached_property
+    def oldest(self) -> int:
+        return int(self.stamps.min())
+
+    @cached_property
+    def newest(self) -> int:
+        return int(self.stamps.max())
+
+    def between(self, start: int, stop: int) -> "_Part | None":
+        """Return the messages with stamps from ``start`` up to ``stop``, ns, if there are any."""
+        if start <= self.oldest and self.newest < stop:
+            return self
+        wanted = (self.stamps >= start) & (self.stamps < stop)
         if not wanted.any():
-            return
-        if not wanted.all():
-            piece, stamps = _some(piece, wanted), stamps[wanted]
-        self._parts.append((piece, stamps))
-        self.size += piece.records.nbytes
-
-
-def _some(piece: Piece, wanted: BoolArray) -> Piece:
-    return Piece(piece.layout, piece.index[wanted], piece.records[wanted])
+            return None
+        piece = self.piece
+        some = Piece(piece.layout, piece.index[wanted], piece.records[wanted])
+        return _Part(some, self.stamps[wanted])

@@ -72,11 +72,11 @@ def joint_stream(decoder: TopicDecoder, tally: Tally) -> JointStream:
     names = _joint_names(decoder)
     place = {name: column for column, name in enumerate(names)}
     fields = {
-        name: np.full((decoder.count, len(names)), np.nan)
-        for name in ("position", "velocity", "effort")
+        name: np.empty((decoder.count, len(names))) for name in ("position", "velocity", "effort")
     }
     stamp = stamps(decoder)
     # Values that are absent are another fault than values that are no numbers.
+    absent = {name: np.zeros(decoder.count, dtype=bool) for name in fields}
     finite = np.ones((decoder.count, 2 * len(names)), dtype=bool)
     unknown = np.zeros(decoder.count, dtype=bool)
     reordered = np.zeros(decoder.count, dtype=bool)
@@ -98,10 +98,12 @@ def joint_stream(decoder: TopicDecoder, tally: Tally) -> JointStream:
         for name, values in fields.items():
             read = piece.records[name]
             if read.shape[1] != len(given):  # empty or short: no value belongs to a name
+                values[rows], absent[name][rows] = np.nan, True
                 continue
             if given == names:
                 values[rows] = read
             else:
+                values[rows], absent[name][rows] = np.nan, len(targets) < len(names)
                 values[piece.index[:, None], targets] = read[:, sources]
             if name != "velocity" and not np.isfinite(read).all():
                 columns = [target + len(names) * (name == "effort") for target in targets]
@@ -118,8 +120,7 @@ def joint_stream(decoder: TopicDecoder, tally: Tally) -> JointStream:
     )
     is_whole = np.logical_and.reduce(finite, axis=1)
     for name, defect in (("position", Defect.NO_POSITION), ("effort", Defect.NO_EFFORT)):
-        absent = np.isnan(fields[name]).any(axis=1)
-        tally.add(defect, stamp, absent & is_whole & ~foreign)
+        tally.add(defect, stamp, absent[name] & is_whole & ~foreign)
     kept = _in_order(usable[~foreign[usable]], stamp, tally)
     ordered = {name: values[kept] for name, values in fields.items()}
     return JointStream(topic=topic, names=names, stamp=stamp[kept], **ordered)

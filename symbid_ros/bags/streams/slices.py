@@ -131,8 +131,7 @@ class _Slicer:
         for topic, backlog in self._backlogs.items():
             if topic in block.spans:
                 backlog.add(block.data, block.spans[topic], self._until)
-        first = self._joints.first_from(ALWAYS[0])
-        if not self._has_begun and first is not None:
+        if not self._has_begun and (first := self._joints.first_from(ALWAYS[0])) is not None:
             self._has_begun = True
             if self._part.start > 0:
                 self._until = first + round(1e9 * self._part.start)
