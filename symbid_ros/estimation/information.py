@@ -198,8 +198,9 @@ def stacked_factor(*blocks: FloatArray) -> FloatArray:
 
 def _triangle(matrix: FloatArray) -> FloatArray:
     """Return the square upper triangular factor of a matrix, padded with zero rows."""
-    (upper,) = qr(matrix, mode="r", check_finite=False)
     width = matrix.shape[1]
     square = np.zeros((width, width))
-    square[: min(len(upper), width)] = upper[:width]
+    if len(matrix):  # older SciPy, as Ubuntu 24.04 has it, refuses a matrix without rows
+        (upper,) = qr(matrix, mode="r", check_finite=False)
+        square[: min(len(upper), width)] = upper[:width]
     return square

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import clarabel  # type: ignore[import-untyped]
 import numpy as np
-from scipy.sparse import csc_array, eye_array
+from scipy.sparse import csc_array
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.errors import EstimateError
@@ -144,7 +144,7 @@ def _attempt(
     pull = np.concatenate([np.linalg.norm(rows, axis=1) for rows in (A[:linear], per_link)])
     way = max(1.0, float(np.max(constraints.outside(quadratic.minimum) / pull)))
     answer = clarabel.DefaultSolver(
-        eye_array(count, format="csc"),
+        csc_array(np.eye(count)),
         np.zeros(count),
         csc_array(A),
         constraints.slack(quadratic.minimum) / way,
