@@ -9,20 +9,17 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.estimation.fading import faded_prior, faded_rows
 from symbid_ros.estimation.knowledge import Bounds
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.physical import consistent_minimum
-from symbid_ros.estimation.posterior import SETTLED, Posterior, posterior
+from symbid_ros.estimation.posterior import SETTLED, Posterior
 from symbid_ros.estimation.thesis import LeastSquares
 from symbid_ros.estimation.thesis import Method as TruncatedMethod
 from symbid_ros.estimation.truncation import informative_rank, select_rank
-from symbid_ros.estimation.verdict import DETERMINED, SUSPICIOUS_NOISE, alarms, judge
+from symbid_ros.estimation.verdict import DETERMINED, alarms, judge
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.offline.problem import Method, Problem, Truncation
-
-# Change, in posterior deviations, at which windows of several lengths can be compared.
-COMPARABLE = 1e-2
+from symbid_ros.offline.window_comparison import COMPARABLE, WindowComparison, solved
 
 
 @dataclass(frozen=True)
@@ -63,18 +60,14 @@ class Solver:
 
     @classmethod
     def of(cls, problem: Problem) -> "Solver":
-        """Find the window whose rows tell most of the robot, noise not counted.
-
-        Where noise is most of what some direction is told, its estimate leaves a bias larger than
-        the deviations: such windows are passed over for others.
-        """
-        best, near = most_telling(problem)
-        return cls(problem, best, _solved(problem, best, near, SETTLED))
+        """Find the window whose rows tell most of the robot, noise not counted."""
+        best, near = WindowComparison(problem).finish()
+        return cls(problem, best, solved(problem, best, near, SETTLED))
 
     @classmethod
     def roughly(cls, problem: Problem, chosen: Observations, start: FloatArray | None) -> "Solver":
         """Solve over one window to a hundredth of a deviation, from parameters that are near."""
-        return cls(problem, chosen, _solved(problem, chosen, start, COMPARABLE, rough=True))
+        return cls(problem, chosen, solved(problem, chosen, start, COMPARABLE, rough=True))
 
     @property
     def whiteness(self) -> float:
@@ -220,49 +213,6 @@ class Solver:
             inputs=self.problem.inputs,
             software=f"symbid_ros {version('symbid_ros')}",
         )
-
-
-def most_telling(problem: Problem) -> tuple[Observations, FloatArray | None]:
-    """Return the window as of `Solver.of`, and parameters near its solution if they are known."""
-    candidates = problem.observations[-1:] if problem.longest else problem.observations
-    if len(candidates) == 1:
-        return candidates[0], None
-    # Which of them it is shows long before weights and solution have settled.
-    found: list[Posterior] = []
-    for one in candidates:
-        near = found[-1].mean if found else None
-        found.append(_solved(problem, one, near, COMPARABLE, rough=True))
-    best = _telling(found, len(problem.parameters))
-    return candidates[best], found[best].mean
-
-
-def _solved(
-    problem: Problem,
-    one: Observations,
-    start: FloatArray | None,
-    settled: float,
-    *,
-    rough: bool = False,
-) -> Posterior:
-    # Nothing has faded unless old rows have, and 1 changes no digit.
-    return posterior(
-        one,
-        faded_prior(problem.prior, one.kept),
-        faded_rows(problem.known, one.kept),
-        empirical=problem.empirical,
-        count=problem.parameters.inertial,
-        settled=settled,
-        start=start,
-        rough=rough,
-    )
-
-
-def _telling(found: Sequence[Posterior], count: int) -> int:
-    """Return which window tells most of the first ``count`` parameters."""
-    shares = [one.noise_share for one in found]
-    allowed = max(SUSPICIOUS_NOISE, min(shares))
-    gains = [one.gain(count) for one in found]
-    return max(range(len(found)), key=lambda i: (shares[i] <= allowed, gains[i]))
 
 
 def _same_window(candidates: Sequence[Observations], window: float) -> Observations:

@@ -18,7 +18,7 @@ from symbid_ros.bags.streams.selection import SelectedTopics
 from symbid_ros.estimation.fading import released
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
-from symbid_ros.offline.identification import Identification, Solver, most_telling
+from symbid_ros.offline.identification import Identification, Solver
 from symbid_ros.offline.problem import Problem, Truncation
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.block_rows import BlockRows, block_rows
@@ -28,12 +28,11 @@ from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.memory import Memory, Whole
 from symbid_ros.online.timeline import Stretch, Timeline
 from symbid_ros.online.weight import check_weight
+from symbid_ros.online.window_choice import WindowChoice
 from symbid_ros.signals.weak_form import equation_rows
 
 logger = logging.getLogger(__name__)
 
-# Windows are compared again when there are so many times more blocks than at the last time.
-COMPARE_AGAIN = 2
 RECENT_FAULTS = 10
 
 
@@ -116,8 +115,8 @@ class OnlineIdentification:
         self.lost_blocks = self.clock_jumps = 0
         self._posterior: Posterior | None = None
         self._released: set[str] = set()
-        self._compared_at = self._until = 0
-        self._watch = ChangeWatch(self._parameters)
+        self._until = 0
+        self._choice, self._watch = WindowChoice(), ChangeWatch(self._parameters)
         # The middle one will do until whole blocks tell which is best.
         middle = len(self._windows) // 2
         known = Whole(beginning.observations, pace.memory)
@@ -202,8 +201,8 @@ class OnlineIdentification:
 
     def _solve_roughly(self, new: Sequence[BlockRows]) -> Outcome | None:
         problem = self._problem_of(self._memory.whole)
-        if self._memory.whole.blocks >= COMPARE_AGAIN * self._compared_at and problem.observations:
-            self._compare_windows(problem)
+        if problem.observations:
+            self._choose_window(problem)
         now = self._memory.now
         if now.rows.samples == 0:
             return None
@@ -234,10 +233,11 @@ class OnlineIdentification:
         told = tuple(one for one in whole.observations if one.rows.samples > 0)
         return replace(self._problem, observations=told)
 
-    def _compare_windows(self, problem: Problem) -> None:
-        self._compared_at = max(self._memory.whole.blocks, 1)
-        best, _ = most_telling(problem)
-        window = self._windows.index(best.window)
+    def _choose_window(self, problem: Problem) -> None:
+        best = self._choice.look(problem, self._memory.whole.blocks)
+        if best is None:
+            return
+        window = self._windows.index(best)
         if window != self._memory.window:
             self._memory.track(self._memory.whole, window)
             self._watch.begin_again()
@@ -251,10 +251,10 @@ class OnlineIdentification:
         """Forget all but the prior."""
         self._settle(self._work.finish())
         self._timeline.restart()
-        self._posterior, self._compared_at = None, 0
+        self._posterior = None
         self._released.clear()
         self._problem = replace(self._problem, prior=self._beginning.problem.prior)
-        self._watch = ChangeWatch(self._parameters)
+        self._choice, self._watch = WindowChoice(), ChangeWatch(self._parameters)
         self._begin_time(Whole(self._beginning.nothing, self._pace.memory))
 
     def close(self) -> None:

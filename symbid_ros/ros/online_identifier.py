@@ -147,9 +147,9 @@ class OnlineIdentifier:
                 self._health.heard(self._live)
                 if self._is_enabled and self._live.has_news:
                     self._solve()
-                # A machine that cannot keep the pace must not do anything but solve.
+                # A machine that cannot keep the pace needs time for the topics, too.
                 spent = time.monotonic() - now
-                due = max(due + self._period, now + 2 * spent)
+                due = max(due + self._period, now + 1.5 * spent)
             elif not count:
                 time.sleep(POLL)
         while self._drain():  # what arrived before the signal

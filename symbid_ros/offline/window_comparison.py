@@ -1,0 +1,95 @@
+"""Which length of windows tells most of a robot."""
+
+from collections.abc import Sequence
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.fading import faded_prior, faded_rows
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.posterior import Posterior, posterior
+from symbid_ros.estimation.verdict import SUSPICIOUS_NOISE
+from symbid_ros.offline.problem import Problem
+
+# Change, in posterior deviations, at which windows of several lengths can be compared.
+COMPARABLE = 1e-2
+
+
+class WindowComparison:
+    """The windows of a problem, compared one after the other, at once or in steps.
+
+    Where noise is most of what some direction is told, its estimate leaves a bias larger than the
+    deviations: such windows are passed over for others.
+
+    Parameters
+    ----------
+    problem : Problem
+        With data over one length of windows at least.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem = problem
+        self._candidates = problem.observations[-1:] if problem.longest else problem.observations
+        self._found: list[Posterior] = []
+
+    @property
+    def is_done(self) -> bool:
+        """Whether no window is left; a single one need not be looked at."""
+        return len(self._found) == len(self._candidates) or len(self._candidates) == 1
+
+    def step(self) -> None:
+        """Look at one window more."""
+        # Which of them it is shows long before weights and solution have settled.
+        one = self._candidates[len(self._found)]
+        near = self._found[-1].mean if self._found else None
+        self._found.append(solved(self._problem, one, near, COMPARABLE, rough=True))
+
+    def finish(self) -> tuple[Observations, FloatArray | None]:
+        """Look at all and return what tells most, and parameters near its solution if known."""
+        while not self.is_done:
+            self.step()
+        if not self._found:
+            return self._candidates[0], None
+        best = _telling(self._found, len(self._problem.parameters))
+        return self._candidates[best], self._found[best].mean
+
+
+def solved(
+    problem: Problem,
+    one: Observations,
+    start: FloatArray | None,
+    settled: float,
+    *,
+    rough: bool = False,
+) -> Posterior:
+    """Return a problem's posterior over one length of windows.
+
+    Parameters
+    ----------
+    problem : Problem
+    one : Observations
+        Over those windows; where rows have faded, the prior has as well.
+    start : (p,) float64 or None
+        Parameters near the solution.
+    settled : float
+        Change, in posterior deviations, at which it will do.
+    rough : bool
+        Whether the weights' last digits are spared.
+    """
+    # Nothing has faded unless old rows have, and 1 changes no digit.
+    return posterior(
+        one,
+        faded_prior(problem.prior, one.kept),
+        faded_rows(problem.known, one.kept),
+        empirical=problem.empirical,
+        count=problem.parameters.inertial,
+        settled=settled,
+        start=start,
+        rough=rough,
+    )
+
+
+def _telling(found: Sequence[Posterior], count: int) -> int:
+    """Return which window tells most of the first ``count`` parameters."""
+    shares = [one.noise_share for one in found]
+    allowed = max(SUSPICIOUS_NOISE, min(shares))
+    gains = [one.gain(count) for one in found]
+    return max(range(len(found)), key=lambda i: (shares[i] <= allowed, gains[i]))

@@ -1,0 +1,39 @@
+"""Windows are compared again as data come, without keeping an estimate waiting."""
+
+import pytest
+
+from symbid_ros.offline.facts import PriorChoice
+from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.window_comparison import WindowComparison
+from symbid_ros.online.window_choice import WindowChoice
+from symbid_ros.share import config_file
+
+
+@pytest.fixture(scope="module")
+def problem(simulated):
+    bag = simulated(scenario="smooth", moves=3, motion_seed=51, noise_seed=52)
+    job = Job((bag,), config_file("symbitron.xml"), prior=PriorChoice(percent=25.0), method="map")
+    return prepare(job).solver.problem
+
+
+def test_compared_at_once_first_and_one_by_one_when_there_is_twice_as_much(problem) -> None:
+    best = WindowComparison(problem).finish()[0].window
+    choice = WindowChoice()
+    assert choice.look(problem, 3) == best
+    assert choice.look(problem, 5) is None
+    told = [choice.look(problem, 6) for _ in range(len(problem.observations) + 1)]
+    assert told == [None] * len(problem.observations) + [best]
+    assert [choice.look(problem, blocks) for blocks in range(6, 12)] == [None] * 6
+
+
+def test_a_comparison_in_steps_is_one_at_once(problem) -> None:
+    at_once, in_steps = WindowComparison(problem), WindowComparison(problem)
+    chosen, near = at_once.finish()
+    steps = 0
+    while not in_steps.is_done:
+        in_steps.step()
+        steps += 1
+    assert steps == len(problem.observations) > 1
+    other, same = in_steps.finish()
+    assert other is chosen
+    assert (same == near).all()
