@@ -181,7 +181,12 @@ class OnlineIdentification:
             When the measured forces do not carry the robot.
         """
         self.advance()
-        new = [self._piece(stretch) for stretch in self._timeline.pieces() if stretch.segments]
+        known = self._memory.whole.until or 0  # by blocks that have been worked on
+        new = [
+            self._piece(stretch)
+            for stretch in self._timeline.pieces()
+            if stretch.segments and stretch.stop > known
+        ]
         for piece in new:
             self._memory.add(piece)
             self._until = piece.stop - 1

@@ -1,7 +1,8 @@
 """Live messages cut along the clock: whole blocks, and what has come since."""
 
+from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from symbid_ros.signals.weak_form import BLOCK, prefilter
 MARGIN = 100_000_000
 # So many times as long as what a filter loses at one end must a piece be to be worth its while.
 EDGES = 8
+# Of so many blocks what is no piece yet is kept; who asks so seldom can wait for the blocks.
+MOST_LEFT = 4
 
 
 @dataclass(frozen=True)
@@ -68,12 +71,14 @@ class Timeline:
         self._lag = max(round(lag * 1e9), MARGIN)
         self._open_from: int | None = None
         self._piece_from: int | None = None
+        self._left: deque[Stretch] = deque(maxlen=MOST_LEFT)
 
     def restart(self) -> Stretch | None:
         """Begin a new time and return what was left of the old one."""
         left = self.rest()
         self.streams.restart()
         self._open_from = self._piece_from = None
+        self._left.clear()
         return left
 
     @property
@@ -85,7 +90,9 @@ class Timeline:
         """Yield the blocks that are whole by now, each once."""
         while (start := self._block()) is not None and self._is_whole(start + BLOCK):
             stop = start + BLOCK
-            yield self._stretch(start, stop, stop + MARGIN)
+            block = self._stretch(start, stop, stop + MARGIN)
+            yield block
+            self._leave(block)
             for buffer in self.streams.buffers.values():
                 buffer.count_gaps(stop)
             self.streams.worked_until = stop
@@ -97,8 +104,11 @@ class Timeline:
     def pieces(self) -> Iterator[Stretch]:
         """Yield what every topic has told since the last time; no piece lies in two blocks.
 
-        What would be too short waits for more, unless its block ends.
+        What would be too short waits for more, unless its block ends. Of blocks given out
+        meanwhile, which take their time to be worked on, what was no piece yet comes first.
         """
+        while self._left:
+            yield self._left.popleft()
         until = self.streams.complete_until
         while until is not None and (block := self._block()) is not None:
             start = max(block, self._piece_from or block)
@@ -108,6 +118,12 @@ class Timeline:
                 return
             self._piece_from = stop
             yield self._stretch(start, stop, stop)
+
+    def _leave(self, block: Stretch) -> None:
+        start = max(block.start, self._piece_from or block.start)
+        if start < block.stop:
+            segments = tuple(cut_to(block.segments, start, block.stop))
+            self._left.append(replace(block, start=start, segments=segments))
 
     def _shortest_piece(self) -> int:
         stamps = self.streams.joints.stamps

@@ -98,6 +98,17 @@ def test_a_log_fed_live_tells_what_its_bag_tells(start, feed, offline) -> None:
     assert exact.until == feed.messages[-1][0]
 
 
+def test_an_estimate_knows_the_end_of_a_block_that_is_being_worked_on(start, feed) -> None:
+    live = start(Pace(share=1e-6))
+    feed.between(0.0, 3.5).into(live)
+    assert live.solve().until == pytest.approx(3.5e9, abs=2e6)
+    feed.between(3.5, 4.2).into(live)
+    assert live.solve().until >= 4e9 - 1
+    # All of it was taken, a piece of one block after that of another.
+    feed.between(4.2, 5.0).into(live)
+    assert live.solve().until == pytest.approx(5e9, abs=2e6)
+
+
 def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
     from symbid_ros.bags.streams.reader import read_streams
     from symbid_ros.offline.record import fold_record
