@@ -8,7 +8,7 @@ COMPARE_AGAIN = 2
 
 
 class WindowChoice:
-    """Windows compared again and again as data come, a few at each estimate.
+    """Windows compared again and again as data come, one at each estimate but for the first.
 
     All at once would take as long as a few estimates, which would have to wait.
     """

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 from rosbags.typesys import Stores, get_typestore
 
 from symbid_ros.bags import messages
-from symbid_ros.bags.layout import Layout
+from symbid_ros.bags.layout import Layout, typestore
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
@@ -219,3 +219,13 @@ def test_rclpy_decodes_what_was_patched_in_place() -> None:
     assert (message.header.stamp.sec, message.header.stamp.nanosec) == (12, 34)
     assert message.name == ["left_knee", "right_knee"]
     assert [*message.position, *message.velocity, *message.effort] == [1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize("text", ["", "a", "ab", "abc", "abcd", "a longer one"])
+def test_a_layout_is_left_with_any_byte_of_text_or_length_and_with_no_other(text) -> None:
+    string = typestore().types["std_msgs/msg/String"](data=text)  # of no whole words, mostly
+    for layout in (Layout.of(string, "std_msgs/msg/String"), messages.imu_layout(text)):
+        size = len(layout.template)
+        flipped = np.tile(np.frombuffer(layout.template, dtype=np.uint8), (size, 1))
+        flipped[np.diag_indices(size)] ^= 0xFF
+        np.testing.assert_array_equal(layout.matches(flipped), ~layout.constant)
