@@ -53,7 +53,7 @@ LONGEST = (
     "test_ros_recorder.py",
     "test_ros_recorder_kill.py",
     "test_offline_sensor_log.py",
-    "test_ros_localhost.py",
+    "test_ros_transport.py",
     "test_cli_bag.py",
     "test_bags_fuzz.py",
     "test_signals_samples.py",

@@ -1,6 +1,7 @@
 """The frame of every node's process: start, stop on signals, one line for an error."""
 
 import argparse
+import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
@@ -17,6 +18,7 @@ from rclpy.utilities import remove_ros_args
 from symbid_ros.ending import stop_on_signals
 from symbid_ros.errors import SymbidError
 from symbid_ros.ros.parameters import Parameter, declare
+from symbid_ros.ros.transport import use_udp
 
 FAILURE = 2
 
@@ -56,6 +58,7 @@ def run_node(
     stop = stop_on_signals()
     try:
         _refuse_foreign_arguments(name, purpose, parameters, remove_ros_args(arguments)[1:])
+        use_udp(os.environ, rclpy.get_rmw_implementation_identifier())
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name)
         try:

@@ -109,7 +109,7 @@ def kill_recorder(seconds: float, folder: Path) -> Kill:
     """Feed a recorder for a while, kill it with -9 and look at its unfinished bag.
 
     The recorder and what feeds it have a domain of their own: for seconds a killed subscriber
-    still counts as one, and what it leaves in shared memory holds up the messages to others.
+    still counts as one.
     """
     context = Context()
     bag = folder / "bag"
