@@ -33,7 +33,8 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.facts import PriorChoice
 from symbid_ros.offline.job import Job
 from symbid_ros.online.beginning import Beginning
-from symbid_ros.online.identification import OnlineIdentification, Outcome, Pace
+from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.online.outcome import Outcome
 from symbid_ros.share import config_file
 from symbid_ros.simulation.payload import Payload
 from symbid_ros.simulation.recording import record

@@ -23,9 +23,10 @@ from symbid_ros.offline.problem import Problem, Truncation
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.block_rows import BlockRows, block_rows
 from symbid_ros.online.block_work import BlockWork
-from symbid_ros.online.change_watch import Change, ChangeWatch
+from symbid_ros.online.change_watch import ChangeWatch
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.memory import Memory, Whole
+from symbid_ros.online.outcome import Outcome
 from symbid_ros.online.timeline import Stretch, Timeline
 from symbid_ros.online.weight import check_weight
 from symbid_ros.online.window_choice import WindowChoice
@@ -54,31 +55,6 @@ class Pace:
     memory: float = np.inf
     lag: float = 0.5
     share: float = 0.15
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """An estimate and up to when it knows the robot.
-
-    Attributes
-    ----------
-    found : Identification
-        The estimate, with the observations behind it; its verdict only if solved exactly.
-    until : int
-        Stamp of the newest data in it, ns.
-    window : float
-        Length of the rows' windows, s.
-    alarms : tuple of str
-        What is wrong, one line each.
-    change : Change or None
-        What the robot has changed in, if it has.
-    """
-
-    found: Identification
-    until: int
-    window: float
-    alarms: tuple[str, ...]
-    change: Change | None
 
 
 class OnlineIdentification:

@@ -18,7 +18,8 @@ from symbid_ros.bags.streams.selection import SelectedTopics
 from symbid_ros.errors import SymbidError
 from symbid_ros.offline.export import export_urdf, write_identification
 from symbid_ros.online.beginning import Beginning
-from symbid_ros.online.identification import OnlineIdentification, Outcome, Pace
+from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.online.outcome import Outcome
 from symbid_ros.ros.estimate_topics import EstimateTopics
 from symbid_ros.ros.health import HealthPublisher
 from symbid_ros.ros.identifier_health import IdentifierHealth

@@ -30,9 +30,8 @@ def use_udp(environment: MutableMapping[str, str], middleware: str) -> None:
     middleware : str
         Name of the RMW implementation.
     """
-    if not middleware.startswith("rmw_fastrtps") or PROFILE in environment:
-        return
-    if environment.get(TRANSPORTS):
+    is_chosen = environment.get(PROFILE) or environment.get(TRANSPORTS)
+    if is_chosen or not middleware.startswith("rmw_fastrtps"):
         return
     if _is_local(environment):
         if environment.get(PEERS):

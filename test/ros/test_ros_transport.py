@@ -149,6 +149,10 @@ def test_other_middleware_and_explicit_choices_are_left_alone(middleware, variab
     ("variables", "profile"),
     [
         ({}, "fastdds_udp.xml"),
+        (
+            {"FASTRTPS_DEFAULT_PROFILES_FILE": "", "FASTDDS_BUILTIN_TRANSPORTS": ""},
+            "fastdds_udp.xml",
+        ),
         ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}, "fastdds_udp.xml"),
         ({"ROS_STATIC_PEERS": "192.0.2.7"}, "fastdds_udp.xml"),
         (LOCAL, "fastdds_localhost.xml"),

@@ -1,0 +1,31 @@
+"""What an online identification knows at one time."""
+
+from dataclasses import dataclass
+
+from symbid_ros.offline.identification import Identification
+from symbid_ros.online.change_watch import Change
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """An estimate and up to when it knows the robot.
+
+    Attributes
+    ----------
+    found : Identification
+        The estimate, with the observations behind it; its verdict only if solved exactly.
+    until : int
+        Stamp of the newest data in it, ns.
+    window : float
+        Length of the rows' windows, s.
+    alarms : tuple of str
+        What is wrong, one line each.
+    change : Change or None
+        What the robot has changed in, if it has.
+    """
+
+    found: Identification
+    until: int
+    window: float
+    alarms: tuple[str, ...]
+    change: Change | None
