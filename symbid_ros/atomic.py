@@ -12,12 +12,15 @@ from symbid_ros.errors import SymbidError
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` to ``path`` in one step, replacing what was there.
 
+    Surrogates, in which :mod:`symbid_ros.model.xml_edit` keeps bytes that are not UTF-8, become
+    those bytes again.
+
     Raises
     ------
     SymbidError
         When the folder cannot be written to; the old file is then untouched.
     """
-    write_through(path, lambda stream: stream.write(text.encode()))
+    write_through(path, lambda stream: stream.write(text.encode(errors="surrogateescape")))
 
 
 def write_through(path: Path, write: Callable[[BinaryIO], object]) -> None:

@@ -11,9 +11,15 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.rotation import rpy_from_rotation
 from symbid_ros.model.tree import Joint, RobotModel
+from symbid_ros.model.urdf import UrdfReader
+from symbid_ros.model.welded_bodies import ROUNDING, updated_bodies
+from symbid_ros.model.xml_edit import XmlEditor, is_editable
+from symbid_ros.model.xml_tree import as_element, read_xml
 
 # urdfdom demands numbers for effort and velocity and does not read "inf".
 _UNLIMITED = 1e9
+# SI units: friction and armature below this are a solver's zero.
+NEGLIGIBLE = 1e-9
 
 
 def urdf_text(model: RobotModel, source: Path | None = None, *, comment: str = "") -> str:
@@ -24,49 +30,85 @@ def urdf_text(model: RobotModel, source: Path | None = None, *, comment: str = "
     model : RobotModel
         The robot to write.
     source : Path, optional
-        The URDF that ``model`` was loaded from. Everything in it but the inertias and
-        changed joint friction is kept. A link welded to another lends its inertia to the
-        link that moves, so its own ``<inertial>`` is taken out. Without it a bare tree
-        is written.
+        The URDF that ``model`` was loaded from, of which only changed numbers of
+        ``<inertial>`` and ``<dynamics>`` are replaced. Without it, or if it is in UTF-16, a
+        bare tree is written.
     comment : str
-        What to say at the top of the file; negative friction, which is written as zero,
-        and armature, for which a URDF has no place, are added to it.
+        What to say at the top of a bare tree; what a URDF cannot hold (:func:`unwritten`) is
+        added to it.
     """
-    model, negative = without_negative_terms(model)
-    armature = [f"{j.name} {j.armature:.6g}" for j in model.joints if j.armature != 0.0]
-    unwritten = f"armature, not part of a URDF: {', '.join(armature)}" if armature else ""
-    robot = _bare(model) if source is None else _patched(model, source)
-    annotate(robot, comment, negative, unwritten)
+    if source is not None and is_editable(source):
+        return _updated(with_possible_terms(model), source)
+    robot = _bare(with_possible_terms(model))
+    annotate(robot, comment, *unwritten(model))
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
-def _patched(model: RobotModel, source: Path) -> ET.Element:
-    parser = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
-    robot = ET.parse(source, parser).getroot()
-    index = {link.name: link for link in model.links}
-    for element in robot.findall("link"):
-        name = element.get("name", "")
-        for old in element.findall("inertial"):
-            element.remove(old)
-        if name in index and np.any(index[name].phi):
-            element.insert(0, _inertial(index[name].phi))
+def unwritten(model: RobotModel) -> tuple[str, ...]:
+    """Return what a URDF cannot say of the robot: negative friction, and armature."""
+    armature = [f"{j.name} {j.armature:.6g}" for j in model.joints if j.armature > NEGLIGIBLE]
+    listed = f"armature, not part of a URDF: {', '.join(armature)}" if armature else ""
+    return tuple(filter(None, (negative_terms(model), listed)))
+
+
+def _updated(model: RobotModel, source: Path) -> str:
+    root, editor = read_xml(source), XmlEditor(source)
+    reader = UrdfReader(str(source), root)
+    names = {*model.link_names, *(frame.name for frame in model.frames)}
+    stated = {name: reader.phi(name) for name in reader.links if name in names}
+    for name, phi in updated_bodies(model, stated).items():
+        _set_inertial(editor, reader, name, phi)
     joints = {joint.name: joint for joint in model.joints}
-    for element in robot.findall("joint"):
+    for element in reader.joints:
         name = element.get("name", "")
         if name in joints:
-            _set_dynamics(element, joints[name])
-    return robot
+            _set_friction(editor, element, joints[name])
+    return editor.text()
 
 
-def _set_dynamics(element: ET.Element, joint: Joint) -> None:
-    """Write the joint's friction where the element says otherwise; silence means zero."""
+def _set_inertial(editor: XmlEditor, reader: UrdfReader, name: str, phi: FloatArray) -> None:
+    """Write φ about the link's origin, in the axes that the link's <inertial> has."""
+    link = reader.links[name]
+    inertial = link.find("inertial")
+    if inertial is None:
+        editor.insert(as_element(link), *_lines(_inertial(phi)))
+        return
+    rotation, _ = reader.pose(inertial)
+    mass, com, central = com_from_phi(phi)
+    central = rotation.T @ central @ rotation
+    origin = inertial.find("origin")
+    if origin is not None:
+        editor.set_numbers(as_element(origin), "xyz", com.tolist(), _rounding(com))
+    elif np.any(com):
+        editor.insert(as_element(inertial), f'<origin xyz="{numbers(com)}"/>')
+    editor.set_numbers(as_element(inertial.find("mass")), "value", [mass], ROUNDING * abs(mass))
+    inertia = as_element(inertial.find("inertia"))
+    for key, value in _products(central).items():
+        editor.set_numbers(inertia, key, [value], _rounding(central))
+
+
+def _rounding(values: FloatArray) -> float:
+    return float(ROUNDING * np.abs(values).max())
+
+
+def _set_friction(editor: XmlEditor, element: ET.Element, joint: Joint) -> None:
+    """Write the joint's friction where the file states another; silence means zero."""
     dynamics = element.find("dynamics")
-    for key, value in (("damping", joint.damping), ("friction", joint.friction_loss)):
-        stated = 0.0 if dynamics is None else float(dynamics.get(key, "0"))
-        if value != stated:
-            if dynamics is None:
-                dynamics = ET.SubElement(element, "dynamics")
-            dynamics.set(key, repr(float(value)))
+    values = {"damping": joint.damping, "friction": joint.friction_loss}
+    if dynamics is None:
+        markup = "".join(f' {key}="{float(value)!r}"' for key, value in values.items() if value)
+        if markup:
+            editor.insert(as_element(element), f"<dynamics{markup}/>", last=True)
+        return
+    for key, value in values.items():
+        if value or float(dynamics.get(key, "0")) > NEGLIGIBLE:
+            editor.set_numbers(as_element(dynamics), key, [value], 0.0)
+
+
+def _lines(element: ET.Element) -> list[str]:
+    """Return the lines of an element, indented by two spaces."""
+    ET.indent(element)
+    return ET.tostring(element, encoding="unicode").splitlines()
 
 
 def _bare(model: RobotModel) -> ET.Element:
@@ -119,7 +161,10 @@ def _joint(robot: ET.Element, model: RobotModel, joint: Joint, child: str) -> No
         limit.set("upper", repr(float(joint.upper)))
     limit.set("effort", repr(min(float(joint.effort), _UNLIMITED)))
     limit.set("velocity", repr(_UNLIMITED))
-    _set_dynamics(element, joint)
+    terms = {"damping": joint.damping, "friction": joint.friction_loss}
+    stated = {key: repr(float(value)) for key, value in terms.items() if value}
+    if stated:
+        ET.SubElement(element, "dynamics", stated)
 
 
 def _at_zero(joint: Joint) -> FloatArray:
@@ -153,34 +198,49 @@ def _inertial(phi: FloatArray) -> ET.Element:
     element = ET.Element("inertial")
     ET.SubElement(element, "origin", xyz=numbers(com), rpy="0 0 0")
     ET.SubElement(element, "mass", value=repr(mass))
-    products = {
-        f"i{a}{b}": repr(float(inertia["xyz".index(a), "xyz".index(b)]))
-        for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")
-    }
+    products = {key: repr(float(value)) for key, value in _products(inertia).items()}
     ET.SubElement(element, "inertia", products)
     return element
 
 
-def without_negative_terms(model: RobotModel) -> tuple[RobotModel, str]:
-    """Return the robot with negative joint terms set to zero, and what to say of them.
+def _products(inertia: FloatArray) -> dict[str, float]:
+    rows, columns = np.triu_indices(3)
+    return {f"i{'xyz'[i]}{'xyz'[j]}": inertia[i, j] for i, j in zip(rows, columns, strict=True)}
+
+
+def with_possible_terms(model: RobotModel) -> RobotModel:
+    """Return the robot with negative and negligible joint terms set to zero.
 
     Noise may turn a small friction or armature negative. Such a joint feeds a simulation
     energy until it diverges.
     """
-    joints, remarks = [], []
+
+    def possible(value: float) -> float:
+        return value if value > NEGLIGIBLE else 0.0
+
+    joints = tuple(
+        replace(
+            joint,
+            damping=possible(joint.damping),
+            friction_loss=possible(joint.friction_loss),
+            armature=possible(joint.armature),
+        )
+        for joint in model.joints
+    )
+    return replace(model, joints=joints)
+
+
+def negative_terms(model: RobotModel) -> str:
+    """Return which joint terms are negative, and so written as zero; empty if none is."""
+    found = []
     for joint in model.joints:
         terms = {
             "damping": joint.damping,
             "friction": joint.friction_loss,
             "armature": joint.armature,
         }
-        remarks += [f"{joint.name} {k} {value:.6g}" for k, value in terms.items() if value < 0]
-        damping, friction_loss, armature = (max(value, 0.0) for value in terms.values())
-        joints.append(
-            replace(joint, damping=damping, friction_loss=friction_loss, armature=armature)
-        )
-    remark = f"negative, written as zero: {', '.join(remarks)}" if remarks else ""
-    return replace(model, joints=tuple(joints)), remark
+        found += [f"{joint.name} {k} {v:.6g}" for k, v in terms.items() if v < -NEGLIGIBLE]
+    return f"negative, written as zero: {', '.join(found)}" if found else ""
 
 
 def annotate(root: ET.Element, *comments: str) -> None:

@@ -13,6 +13,15 @@ UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 
 _UPPER = np.triu_indices(3)
 
+# Below LEAST_MASS kg a moving link counts as massless: MuJoCo requires more than 1e-15 kg and a
+# central inertia above 1e-14 kg m². TINY_MASS is what such a link is given, with a radius of
+# some millimetres: far too little to be felt, enough to compile.
+LEAST_MASS = 1e-14
+TINY_MASS = 1e-9
+_LEAST_SECOND_MOMENT = 1e-14
+# Laminas and rods lie on the border of what is possible, and rounding takes them over it.
+_BORDER = 1e-12
+
 
 def inertia_matrix(phi: FloatArray) -> FloatArray:
     """Return the (..., 3, 3) inertia about the link origin of φ (..., 10)."""
@@ -115,3 +124,39 @@ def is_consistent(phi: FloatArray) -> bool:
         return False
     scale = 1.0 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     return bool(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0] > -1e-9)
+
+
+def nearest_possible(phi: FloatArray) -> FloatArray:
+    """Return φ (10,) of a body that MuJoCo compiles: ``phi`` itself unless it is impossible.
+
+    A possible body changes by rounding at most, and one without mass gets ``TINY_MASS``. Of
+    an impossible body with positive mass, the mass and its centre are kept and the negative
+    central second moments become zero. Any other body is projected onto the cone of positive
+    semi-definite pseudo-inertias.
+    """
+    mass, com, _ = com_from_phi(phi)
+    if not np.any(phi):
+        return phi_from_com(TINY_MASS, com, 1e-3 * TINY_MASS * np.eye(3))
+    central = second_moments(phi) - mass * np.outer(com, com)
+    if mass < LEAST_MASS or np.trace(central) < 0:
+        phi = _projected(phi)
+        mass, com, _ = com_from_phi(phi)
+        if mass < LEAST_MASS:
+            mass, com = TINY_MASS, np.zeros(3)
+        central = second_moments(phi) - mass * np.outer(com, com)
+    moments, axes = np.linalg.eigh(central)
+    least = max(_LEAST_SECOND_MOMENT, _BORDER * moments[-1])
+    if mass == phi[0] and moments[0] >= least:
+        return phi
+    central = axes @ np.diag(np.maximum(moments, least)) @ axes.T
+    return phi_from_com(mass, com, np.trace(central) * np.eye(3) - central)
+
+
+def _projected(phi: FloatArray) -> FloatArray:
+    """Return φ of the nearest positive semi-definite pseudo-inertia, lengths in body sizes."""
+    matrix = pseudo_inertia(phi)
+    size = np.sqrt(abs(np.trace(matrix[:3, :3])) / max(abs(matrix[3, 3]), TINY_MASS))
+    scale = np.array([1.0, 1.0, 1.0, np.clip(size, 0.01, 1.0)])
+    values, axes = np.linalg.eigh(matrix * np.outer(scale, scale))
+    nearest = axes @ np.diag(np.maximum(values, 0.0)) @ axes.T
+    return phi_from_pseudo_inertia(nearest / np.outer(scale, scale))

@@ -30,6 +30,25 @@ def load_mjcf(path: Path) -> RobotModel:
         cannot compile it, or it holds a ball joint, a free joint below the root or more
         than one moving tree.
     """
+    return _Reader(_compiled(path), str(path)).model()
+
+
+def stated_bodies(path: Path) -> tuple[list[str], dict[str, FloatArray]]:
+    """Return the names of all bodies below the world, and φ (10,) of those of the robot.
+
+    The names are in the order of the file, ``body_<number>`` for those without one. φ is
+    about the body's own origin, as MuJoCo compiles it from the file.
+
+    Raises
+    ------
+    ModelError
+        As :func:`load_mjcf`.
+    """
+    reader = _Reader(_compiled(path), str(path))
+    return reader.names[1:], {body.name: body.phi for body in reader.bodies()[0]}
+
+
+def _compiled(path: Path) -> Any:
     # MuJoCo is the parser here and nothing else, so it is imported here and nowhere else
     # in the rooms that must run without it.
     import mujoco  # noqa: PLC0415
@@ -45,7 +64,7 @@ def load_mjcf(path: Path) -> RobotModel:
         raise ModelError(f"{path}: MuJoCo cannot load the model: {reason}") from None
     finally:
         mujoco.set_mju_user_warning(handler)
-    return _Reader(compiled, str(path)).model()
+    return compiled
 
 
 class _Reader:
@@ -57,14 +76,23 @@ class _Reader:
         self.m = compiled
         self.source = source
 
-    def model(self) -> RobotModel:
+    @cached_property
+    def names(self) -> list[str]:
+        """Names of all bodies, the world first."""
+        return [self.m.body(body).name or f"body_{body}" for body in range(self.m.nbody)]
+
+    def bodies(self) -> tuple[list[Body], int]:
+        """Return the bodies of the moving tree, parents first, and MuJoCo's index of the root."""
         root, members = self._tree()
+        index = {body: position for position, body in enumerate(members)}
+        return [self._body(body, index, root) for body in members], root
+
+    def model(self) -> RobotModel:
+        bodies, root = self.bodies()
         floating = self.FREE in self._joint_kinds(root)
         gravity = np.array(self.m.opt.gravity)
         if not floating and root != 0:
             gravity = rotation_from_quaternion(self.m.body_quat[root]).T @ gravity
-        index = {body: position for position, body in enumerate(members)}
-        bodies = [self._body(body, index, root) for body in members]
         name = self.m.names[: self.m.names.index(b"\0")].decode()
         return assemble(name, bodies, floating=floating, gravity=gravity, source=self.source)
 
@@ -90,7 +118,7 @@ class _Reader:
         central = inertia_axes @ np.diag(m.body_inertia[body]) @ inertia_axes.T
         at_root = body == root
         return Body(
-            m.body(body).name or f"body_{body}",
+            self.names[body],
             -1 if at_root else index[int(m.body_parentid[body])],
             rotation_from_quaternion(m.body_quat[body]),
             np.array(m.body_pos[body]),

@@ -75,7 +75,7 @@ def bare_mjcf(root: Element, folder: Path) -> BareMjcf:
     compiler = {key: value for part in root.iterfind("compiler") for key, value in part.items()}
     reducer = _Reducer(compiler.get("inertiafromgeom") == "true")
     bare = Element(root.tag, root.attrib)
-    bare.place = root.place
+    bare.file, bare.line = root.file, root.line
     for section in root:
         if section.tag not in _NO_SECTIONS:
             bare.append(reducer.section(section))
@@ -180,7 +180,7 @@ def _copied(element: ET.Element) -> Element:
     """Return the element without its children."""
     assert isinstance(element, Element)
     copy = Element(element.tag, element.attrib)
-    copy.place = element.place
+    copy.file, copy.line = element.file, element.line
     return copy
 
 

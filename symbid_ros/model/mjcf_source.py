@@ -82,6 +82,21 @@ def inside(folder: Path, name: str, element: Element) -> Path:
     )
 
 
+def included_file(element: Element, folder: Path, here: Path) -> Path:
+    """Return the file that is included: MuJoCo looks beside the model, then beside ``here``.
+
+    Raises
+    ------
+    ModelError
+        When it lies outside the model's ``folder``.
+    """
+    name = element.get("file", "")
+    file = inside(folder, name, element)
+    if os.path.isfile(file):  # also of names that are none
+        return file
+    return inside(folder, os.path.relpath(here / name, folder), element)
+
+
 def require_files_inside(path: Path) -> None:
     """Refuse an MJCF that names files outside its own folder, before all of it is compiled.
 
@@ -119,7 +134,7 @@ def _expand(parent: Element, folder: Path, here: Path, seen: set[Path]) -> None:
         if child.tag != "include":
             _expand(child, folder, here, seen)
             continue
-        file = _included(child, folder, here)
+        file = included_file(child, folder, here)
         if file in seen:
             raise ModelError(f"{child.place}: {file} is included twice; include it once")
         seen.add(file)
@@ -127,15 +142,6 @@ def _expand(parent: Element, folder: Path, here: Path, seen: set[Path]) -> None:
         _expand(included, folder, file.parent, seen)
         position = list(parent).index(child)
         parent[position : position + 1] = list(included)
-
-
-def _included(element: Element, folder: Path, here: Path) -> Path:
-    """Return the file that is included: MuJoCo looks beside the model, then beside ``here``."""
-    name = element.get("file", "")
-    file = inside(folder, name, element)
-    if os.path.isfile(file):  # also of names that are none
-        return file
-    return inside(folder, os.path.relpath(here / name, folder), element)
 
 
 def _check_numbers(element: Element, key: str, value: str) -> None:

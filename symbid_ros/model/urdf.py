@@ -51,7 +51,7 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
                 f"{place(element)}: <{element.tag}> is xacro, no URDF yet; run `xacro {path.name} "
                 f"> {path.stem}.urdf` first"
             )
-    reader = _Reader(str(path), robot)
+    reader = UrdfReader(str(path), robot)
     bodies, world_joint = reader.bodies()
     floating = base == "floating" or (base == "auto" and world_joint != "fixed")
     gravity = STANDARD_GRAVITY if floating else reader.root_rotation.T @ STANDARD_GRAVITY
@@ -60,7 +60,7 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
     )
 
 
-class _Reader:
+class UrdfReader:
     """One URDF while it is read: links and joints by name."""
 
     def __init__(self, source: str, robot: ET.Element) -> None:
@@ -97,7 +97,7 @@ class _Reader:
             kind = below[0].get("type")
             if kind in ("fixed", "floating"):
                 world_joint = kind
-                self.root_rotation, _ = self._pose(below[0])
+                self.root_rotation, _ = self.pose(below[0])
                 root = self._end(below[0], "child")
         bodies: list[Body] = []
         self._descend([root], -1, None, bodies)
@@ -118,9 +118,9 @@ class _Reader:
                 f"{place(self.links[name])}: link {name!r} is the end of a chain of more than "
                 f"{MAX_DEPTH} links; shorten it"
             )
-        rotation, translation = (np.eye(3), np.zeros(3)) if joint is None else self._pose(joint)
+        rotation, translation = (np.eye(3), np.zeros(3)) if joint is None else self.pose(joint)
         moving = () if joint is None else self._body_joints(joint)
-        out.append(Body(name, parent, rotation, translation, self._phi(name), moving))
+        out.append(Body(name, parent, rotation, translation, self.phi(name), moving))
         index = len(out) - 1
         for child in self.children[name]:
             self._descend([*chain, self._end(child, "child")], index, child, out)
@@ -161,7 +161,8 @@ class _Reader:
             )
         return axis
 
-    def _phi(self, name: str) -> FloatArray:
+    def phi(self, name: str) -> FloatArray:
+        """Return φ (10,) of a link, about its own origin, as the file states it."""
         inertial = self.links[name].find("inertial")
         if inertial is None:
             return np.zeros(10)
@@ -177,10 +178,11 @@ class _Reader:
             )
         value = {key: self._number(inertia, key, LARGEST) or 0.0 for key in _PRODUCTS}
         matrix = np.array([[value["i" + "".join(sorted(a + b))] for b in "xyz"] for a in "xyz"])
-        rotation, com = self._pose(inertial)
+        rotation, com = self.pose(inertial)
         return phi_from_com(kilograms, com, rotation @ matrix @ rotation.T)
 
-    def _pose(self, element: ET.Element) -> tuple[FloatArray, FloatArray]:
+    def pose(self, element: ET.Element) -> tuple[FloatArray, FloatArray]:
+        """Return rotation and translation of an element's <origin>."""
         origin = element.find("origin")
         rpy = self._vector(origin, "rpy", np.zeros(3))
         return rotation_from_rpy(rpy), self._vector(origin, "xyz", np.zeros(3))

@@ -13,9 +13,27 @@ LARGEST = 1e9  # SI units; no mass, length or inertia of a robot is as large
 
 
 class Element(ET.Element):
-    """An element of a file; ``place`` is the file and line of its start tag."""
+    """An element of a file.
 
-    place: str = ""
+    Attributes
+    ----------
+    file : Path
+        The file.
+    line : int
+        Line of its start tag.
+    start, close : int
+        Byte offsets of its start tag and of its end tag in the file; equal for ``<a/>``.
+    """
+
+    file: Path = Path()
+    line: int = 0
+    start: int = 0
+    close: int = 0
+
+    @property
+    def place(self) -> str:
+        """File and line of its start tag, for messages."""
+        return f"{self.file}: line {self.line}"
 
 
 def read_xml(path: Path) -> Element:
@@ -31,10 +49,15 @@ def read_xml(path: Path) -> Element:
     return _Builder(path).root(read_bytes(path, MAX_BYTES))
 
 
+def as_element(element: ET.Element | None) -> Element:
+    """Return an element that :func:`read_xml` has read, as what it is."""
+    assert isinstance(element, Element)
+    return element
+
+
 def place(element: ET.Element) -> str:
     """Return the file and line that an element of :func:`read_xml` comes from."""
-    assert isinstance(element, Element)
-    return element.place
+    return as_element(element).place
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
@@ -87,7 +110,8 @@ class _Builder:
     def _start(self, tag: str, attributes: dict[str, str]) -> None:
         self._count += 1
         element = Element(tag, attributes)
-        element.place = f"{self._path}: line {self._parser.CurrentLineNumber}"
+        element.file, element.line = self._path, self._parser.CurrentLineNumber
+        element.start = self._parser.CurrentByteIndex
         if self._count > MAX_ELEMENTS:
             raise ModelError(f"{element.place}: more than {MAX_ELEMENTS} elements; split the model")
         if len(self._open) > MAX_DEPTH:
@@ -98,7 +122,7 @@ class _Builder:
         self._open.append(element)
 
     def _end(self, tag: str) -> None:
-        self._open.pop()
+        self._open.pop().close = self._parser.CurrentByteIndex
 
     def _refuse_document_type(self, *declaration: object) -> None:
         line = self._parser.CurrentLineNumber

@@ -1,29 +1,41 @@
 """An estimate as files: estimate.json, information.npz and the robot in both formats."""
 
-from pathlib import Path
+import logging
+from pathlib import Path, PurePosixPath
 
 from symbid_ros.atomic import write_text
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.model.export_mjcf import mjcf_text
-from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.export_mjcf import mjcf_files, replaced_values
+from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identification import Identification
+
+logger = logging.getLogger(__name__)
 
 
 def write_identification(found: Identification, parameters: ParameterSet, out: Path) -> None:
     """Write estimate.json, information.npz, model.urdf and model.xml into a folder.
 
-    The user's own file is carried over in its format; the other is a bare tree. A
-    comment in both names the links that no mass density can realise: programs that check,
-    such as MuJoCo, refuse to load those.
+    The user's own file is carried over in its format, with the files that it includes; the
+    other is a bare tree. What a format cannot say of the estimate is logged, and written at the
+    top of a bare tree.
     """
     estimate = found.estimate
     write_text(out / "model.urdf", export_urdf(estimate, parameters))
-    write_text(out / "model.xml", export_mjcf(estimate, parameters, out))
+    # The main file comes last, so that it never stands there without its includes.
+    for place, text in reversed(export_mjcf(estimate, parameters, out).items()):
+        write_text(out / place, text)
     write_archive(out / "information.npz", found.observations, found.deviation_factor)
     estimate.write(out / "estimate.json")
+    identified = parameters.apply(estimate.value)
+    for name, remarks in (
+        ("model.urdf", unwritten(identified)),
+        ("model.xml", replaced_values(identified)),
+    ):
+        for remark in remarks:
+            logger.warning("%s: %s", out / name, remark)
 
 
 def export_urdf(estimate: Estimate, parameters: ParameterSet) -> str:
@@ -36,10 +48,12 @@ def export_urdf(estimate: Estimate, parameters: ParameterSet) -> str:
     )
 
 
-def export_mjcf(estimate: Estimate, parameters: ParameterSet, folder: Path) -> str:
-    """Return the identified robot as MJCF text for ``folder``, the user's own file if it is one."""
+def export_mjcf(
+    estimate: Estimate, parameters: ParameterSet, folder: Path
+) -> dict[PurePosixPath, str]:
+    """Return the identified robot as MJCF for ``folder``, the user's own files if they are MJCF."""
     source = Path(parameters.model.source)
-    return mjcf_text(
+    return mjcf_files(
         parameters.apply(estimate.value),
         source if is_mjcf(source) else None,
         folder,

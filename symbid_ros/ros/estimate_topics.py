@@ -62,4 +62,5 @@ class EstimateTopics:
 
     def describe(self, urdf: str) -> None:
         """Publish the identified robot."""
-        self._robot.publish(String(data=urdf))
+        # A comment in an encoding other than UTF-8 comes as surrogates, which no message can hold.
+        self._robot.publish(String(data=urdf.encode(errors="replace").decode()))

@@ -9,8 +9,8 @@ import pytest
 from random_robots import CONFIG, random_robot, with_drives
 
 from symbid_ros.errors import ModelError
-from symbid_ros.model.export_mjcf import mjcf_text
-from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.export_mjcf import mjcf_text, replaced_values
+from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import (
     TERMS,
@@ -169,7 +169,7 @@ def test_identified_terms_go_into_the_users_own_mjcf(arm, tmp_path):
     assert "damping" not in joint["knee"]
     assert joint["knee"]["frictionloss"] == "0.50"
     assert joint["wrist"]["armature"] == "0"
-    assert '<joint damping="0.30" armature="0.010" />' in text
+    assert '<joint damping="0.30" armature="0.010"/>' in text
 
 
 def test_identified_terms_go_into_the_users_own_urdf(urdf_arm, tmp_path):
@@ -192,7 +192,10 @@ def test_negative_terms_are_written_as_zero_and_named(own, arm, urdf_arm, tmp_pa
         knee = replace(model.joints[0], damping=-0.2, friction_loss=-0.1)
         robot = replace(model, joints=(knee, *model.joints[1:]))
         text = write(robot, tmp_path / file if own else None, comment="first")
-        assert "first; negative, written as zero: knee damping -0.2, knee friction -0.1 " in text
+        remark = "negative, written as zero: knee damping -0.2, knee friction -0.1"
+        assert (f"first; {remark} " in text) == (not own)  # a user's own file gets no comment
+        assert remark in unwritten(robot)[0]
+        assert remark in replaced_values(robot)[-1]
         again = load_text(text, tmp_path / f"again_{file}")
         expected = drives(model)
         expected[0, :2] = 0.0

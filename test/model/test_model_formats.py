@@ -151,14 +151,17 @@ def test_an_estimate_goes_into_the_users_own_file(text, write, tmp_path):
         assert path.read_text().count(f"<{word}") == source.read_text().count(f"<{word}")
 
 
-def test_a_welded_bodys_inertia_goes_to_the_body_that_moves(tmp_path):
+def test_a_welded_body_keeps_its_inertia_and_the_body_that_moves_takes_the_change(tmp_path):
     source = tmp_path / "robot.xml"
     robot = load_text(WELDED, source)
-    again = load_text(mjcf_text(robot, source), tmp_path / "patched.xml")
-    assert_same_robot(robot, again)
+    assert mjcf_text(robot, source, tmp_path) == WELDED
+    heavier = robot.phi.copy()
+    heavier[-1] *= 1.25
+    changed = robot.with_phi(heavier)
+    assert_same_robot(changed, load_text(mjcf_text(changed, source), tmp_path / "patched.xml"))
     compiled = mujoco.MjModel.from_xml_path(str(tmp_path / "patched.xml"))
-    assert compiled.body("tool").mass[0] == 0
-    assert compiled.body("arm").mass[0] == pytest.approx(2.5)
+    assert compiled.body("tool").mass[0] == 0.5
+    assert compiled.body("arm").mass[0] == pytest.approx(2.5 * 1.25 - 0.5)
 
 
 angles = st.floats(-3.1, 3.1)

@@ -1,0 +1,365 @@
+"""Models handed back: they load everywhere, and the user's own file keeps its wording."""
+
+import re
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from random_robots import random_phi
+
+from symbid_ros.atomic import write_text
+from symbid_ros.errors import ModelError
+from symbid_ros.model.export_mjcf import mjcf_files, mjcf_text, replaced_values
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.inertia import (
+    com_from_phi,
+    is_consistent,
+    nearest_possible,
+    phi_from_com,
+    pseudo_inertia,
+    transform_phi,
+)
+from symbid_ros.model.load import load_model
+from symbid_ros.model.urdf import UrdfReader
+from symbid_ros.model.xml_tree import read_xml
+
+ROBOTS = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
+
+
+@cache
+def example_robots():
+    """Every robot of example-robot-data, with its file; one file is an incomplete URDF."""
+    robots = {}
+    for path in sorted(ROBOTS.rglob("*.urdf")):
+        try:
+            robots[path] = load_model(path)
+        except ModelError:
+            assert path.name == "ur3.urdf"
+    assert len(robots) > 60
+    return robots
+
+
+def own_phi(path):
+    """Each link's φ about its own origin, as a URDF states it."""
+    reader = UrdfReader(str(path), read_xml(path))
+    return {name: reader.phi(name) for name in reader.links}
+
+
+def identified(robot, rng, amount=0.05):
+    """A robot whose links with mass have other inertias, possible wherever they were."""
+    phi = robot.phi.copy()
+    for index, row in enumerate(phi):
+        if is_consistent(row) and np.any(row):
+            stretch = np.eye(4) + amount * rng.uniform(-1, 1, (4, 4))
+            matrix = stretch @ pseudo_inertia(row) @ stretch.T
+            second = np.trace(matrix[:3, :3]) * np.eye(3) - matrix[:3, :3]
+            phi[index] = [matrix[3, 3], *matrix[3, :3], *second[np.triu_indices(3)]]
+    return robot.with_phi(phi)
+
+
+def without_numbers(text):
+    """A URDF without the numbers that identification may change."""
+
+    def masked(match):
+        return re.sub(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?", "#", match[0])
+
+    return re.sub(r"<inertial>.*?</inertial>|<dynamics[^>]*>", masked, text, flags=re.DOTALL)
+
+
+def assert_loads_as_mjcf(robot, folder):
+    """The robot's MJCF loads in MuJoCo and here, with equal links where MuJoCo takes them."""
+    path = folder / "model.xml"
+    path.write_text(mjcf_text(robot))
+    compiled = mujoco.MjModel.from_xml_path(str(path))
+    again = load_model(path)
+    assert again.joint_names == robot.joint_names
+    assert again.floating == robot.floating
+    first = 0 if robot.floating else 1
+    for link, phi, copy in zip(
+        robot.links[first:], robot.phi[first:], again.phi[first:], strict=True
+    ):
+        if not link.virtual:
+            name = link.name if link.name != "world" else "world_link"
+            assert compiled.body(name).mass[0] == pytest.approx(copy[0], rel=1e-12)
+            assert is_consistent(copy)
+        if is_consistent(phi):
+            size = np.abs(phi).max()
+            np.testing.assert_allclose(copy, phi, rtol=1e-9, atol=1e-11 * size + 2e-9)
+        elif phi[0] > 0:
+            assert any(link.name in remark for remark in replaced_values(robot))
+
+
+def test_every_example_robot_loads_in_mujoco_and_here(tmp_path):
+    for robot in example_robots().values():
+        assert_loads_as_mjcf(robot, tmp_path)
+
+
+def test_every_example_robot_comes_back_with_other_numbers_only(tmp_path):
+    rng = np.random.default_rng(3)
+    for path, robot in example_robots().items():
+        text = path.read_bytes().decode("utf-8", "surrogateescape")
+        assert urdf_text(robot, path) == text
+        changed = identified(robot, rng)
+        out = urdf_text(changed, path)
+        write_text(tmp_path / "model.urdf", out)
+        again = load_model(tmp_path / "model.urdf")
+        size = np.abs(changed.phi).max()
+        np.testing.assert_allclose(again.phi, changed.phi, rtol=1e-9, atol=1e-12 * size)
+        if out.count("<origin") == text.count("<origin"):
+            assert without_numbers(out) == without_numbers(text), path
+        before, after = own_phi(path), own_phi(tmp_path / "model.urdf")
+        assert {n for n, p in before.items() if np.any(p)} == {
+            n for n, p in after.items() if np.any(p)
+        }
+        assert_fixed_children_kept(changed, before, after)
+        if all(is_consistent(phi) for phi in before.values()):
+            assert all(is_consistent(phi) for phi in after.values()), path
+
+
+def assert_fixed_children_kept(robot, before, after):
+    """They differ only where the body that the joint moves could not take all of the change."""
+    frames = {frame.name: frame for frame in robot.frames}
+    rest, fixed = robot.phi.copy(), [[] for _ in robot.links]
+    for name, phi in before.items():
+        if name in frames and name not in robot.link_names:
+            frame = frames[name]
+            rest[frame.link] -= transform_phi(phi, frame.rotation, frame.translation)
+            fixed[frame.link].append(name)
+    for link, phi, names in zip(robot.links, rest, fixed, strict=True):
+        if np.any(before[link.name]) and is_consistent(phi) and phi[0] > 0:
+            for name in names:
+                np.testing.assert_array_equal(after[name], before[name])
+
+
+MASSES = {
+    "none": None,
+    "massless": np.zeros(10),
+    "point": phi_from_com(0.7, np.array([0.1, -0.2, 0.05]), np.zeros((3, 3))),
+    "lamina": phi_from_com(1.3, np.zeros(3), np.diag([0.1, 0.2, 0.1 + 0.2])),
+    "impossible": phi_from_com(0.9, np.array([0, 0.1, 0]), np.diag([0.01, 0.01, 0.5])),
+    "gram": phi_from_com(1e-3, np.array([0, 0, 1e-3]), 1e-10 * np.eye(3)),
+}
+
+
+@st.composite
+def urdfs(draw):
+    """A URDF of a random tree, in any of several ways to write one."""
+    rng = np.random.default_rng(draw(st.integers(0, 10_000)))
+    newline = draw(st.sampled_from(["\n", "\r\n", ""]))
+    quote = draw(st.sampled_from(['"', "'"]))
+    count = draw(st.integers(2, 6))
+    names = [f"link_{index}" for index in range(count)]
+    names[0] = draw(st.sampled_from(["base_link", "world"]))
+    lines = ["<?xml version='1.0'?><!-- by hand: <link> -->", '<robot name="r">']
+    for index, name in enumerate(names):
+        kind = draw(st.sampled_from([*MASSES, "usual", "usual"]))
+        phi = random_phi(rng) if kind == "usual" else MASSES[kind]
+        if phi is None:
+            lines.append(
+                f"\t<link  name='{name}' />" if index % 2 else f"<link name='{name}'></link>"
+            )
+        else:
+            mass, com, inertia = com_from_phi(phi)
+            lines += [f'  <link name="{name}"> <!-- a link --> <inertial>']
+            if np.any(com):
+                lines.append(
+                    f'<origin rpy="0 0 0"  xyz="{com[0]:.17g}  {com[1]:.17g}\t{com[2]:.17g}" />'
+                )
+            lines += [f'<mass value =" {mass!r}"/>', "<inertia"]
+            lines += [
+                f'  i{"xyz"[i]}{"xyz"[j]}="{inertia[i, j]:.17g}"'
+                for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
+            ]
+            lines += ["/></inertial></link>"]
+        if index == 0:
+            continue
+        joint = draw(st.sampled_from(["fixed", "fixed", "revolute", "continuous", "prismatic"]))
+        parent = names[int(rng.integers(0, index))]
+        x, y, z = rng.normal(size=3).round(3)
+        lines += [
+            f'  <joint type="{joint}" name="joint_{index}"><parent link="{parent}"/>',
+            f'<child link="{name}"/><origin xyz="{x} {y} {z}" rpy="{y} 0 {z}"/>',
+            draw(st.sampled_from(["", '<limit lower="1" upper="-1" effort="3" velocity="1"/>'])),
+            draw(st.sampled_from(["", '<dynamics damping="0.50"/>', '<dynamics friction=".1"/>'])),
+            "<axis xyz='0 .6 .8'/></joint>",
+        ]
+    text = newline.join([*lines, "</robot>"]).replace("'", quote if newline else "'")
+    return text + newline
+
+
+@given(urdfs(), st.sampled_from(["floating", "fixed"]), st.integers(0, 1000))
+@settings(max_examples=60)
+def test_any_urdf_that_loads_comes_back_in_both_formats(tmp_path_factory, text, base, seed):
+    folder = tmp_path_factory.mktemp("urdf")
+    path = folder / "robot.urdf"
+    path.write_bytes(text.encode())
+    if base == "fixed" and not re.search("revolute|continuous|prismatic", text):
+        with pytest.raises(ModelError, match="nothing moves"):
+            load_model(path, base)
+        return
+    robot = load_model(path, base)
+    assert_loads_as_mjcf(robot, folder)
+    assert urdf_text(robot, path) == text
+    changed = identified(robot, np.random.default_rng(seed))
+    joints = tuple(replace(joint, damping=1.25) for joint in robot.joints)
+    changed = replace(changed, joints=joints)
+    assert_loads_as_mjcf(changed, folder)
+    out = folder / "model.urdf"
+    write_text(out, urdf_text(changed, path))
+    again = load_model(out, base)
+    np.testing.assert_allclose(again.phi, changed.phi, rtol=1e-9, atol=1e-12)
+    assert [joint.damping for joint in again.joints] == [1.25] * len(joints)
+    before, after = own_phi(path), own_phi(out)
+    assert_fixed_children_kept(changed, before, after)
+    assert {n for n, phi in before.items() if np.any(phi)} == {
+        n for n, phi in after.items() if np.any(phi)
+    }
+    if text.count("<origin") == out.read_bytes().count(b"<origin"):
+        added = r'\s*<dynamics [^>]*>| damping="#"'
+        kept = re.sub(added, "", without_numbers(out.read_bytes().decode()))
+        assert kept == re.sub(added, "", without_numbers(text))
+
+
+LEG = """<mujocoinclude>
+  <!-- the leg -->
+  <compiler meshdir="meshes"/>
+  <asset><mesh name="shell" file="shell.stl"/></asset>
+  <default><default class="drive"><joint damping="0.30" armature="0.010"/></default></default>
+</mujocoinclude>
+"""
+BODY = """<mujocoinclude>
+    <body name="thigh" pos="0 0 -.1">\t<!-- by hand -->
+      <joint class="drive"   name="hip" axis="0 1 0" frictionloss='0.50' />
+      <inertial pos="0 0 -.1" mass="1.50" diaginertia=".02 .02 .01" quat="1 0 0 0"/>
+      <body name="foot" pos="0 0 -.2"><geom size=".02" mass="0"/></body>
+      <body name="pad" pos="0 .1 -.2"><geom size=".02" mass=".125"/></body>
+    </body>
+</mujocoinclude>
+"""
+SCENE = """<?xml version="1.0"?>
+<!-- a scene -->
+<mujoco model="scene">
+  <include file="model.xml"/>
+  <worldbody>
+    <body name="trunk"><freejoint/><geom size=".1" mass="4"/>
+      <include  file="parts/body.xml"/>
+    </body>
+  </worldbody>
+  <actuator><motor name="hip" joint="hip" gear="5"/></actuator>
+</mujoco>
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    home = tmp_path / "home"
+    (home / "parts").mkdir(parents=True)
+    (home / "model.xml").write_text(LEG)
+    (home / "parts/body.xml").write_text(BODY)
+    (home / "scene.xml").write_text(SCENE)
+    return home / "scene.xml"
+
+
+def saved(files, folder):
+    for place, text in files.items():
+        write_text(folder / place, text)
+    return load_model(folder / next(iter(files)))
+
+
+def test_an_mjcf_with_includes_keeps_its_files(scene, tmp_path):
+    robot = load_model(scene)
+    phi = robot.phi.copy()
+    phi[1] *= 1.5
+    (hip,) = robot.joints
+    changed = replace(robot.with_phi(phi), joints=(replace(hip, damping=0.75),))
+    out = tmp_path / "out"
+    files = mjcf_files(changed, scene, out)
+    names = ["model.xml", "model_identified.xml", "parts/body.xml"]
+    assert [str(place) for place in files] == names
+    again = saved(files, out)
+    np.testing.assert_allclose(again.phi, phi, rtol=1e-12, atol=1e-15)
+    assert again.joints[0].damping == 0.75
+    main, leg, body = files.values()
+    assert main == SCENE.replace('"model.xml"', '"model_identified.xml"')
+    assert leg == LEG.replace('"meshes"', '"../home/meshes"')
+    lines = zip(body.splitlines(), BODY.splitlines(), strict=True)
+    different = [old.strip().split()[0] for new, old in lines if new != old]
+    assert different == ["<joint", "<inertial"]
+    assert 'quat="1 0 0 0"' not in body
+    assert "frictionloss='0.50'  damping=" not in body
+    assert [path.read_text() for path in (scene, scene.parent / "parts/body.xml")] == [SCENE, BODY]
+
+
+def test_an_unchanged_mjcf_with_includes_is_the_same_and_replaces_no_input(scene):
+    robot = load_model(scene)
+    files = mjcf_files(robot, scene, scene.parent, name="robot.xml")
+    assert [str(place) for place in files] == [
+        "robot.xml",
+        "model_identified.xml",
+        "parts/body_identified.xml",
+    ]
+    assert next(iter(files.values())) == SCENE.replace("model.xml", "model_identified.xml").replace(
+        "body.xml", "body_identified.xml"
+    )
+    assert list(files.values())[1:] == [LEG, BODY]
+
+
+def test_a_massless_welded_foot_stays_without_inertia(scene, tmp_path):
+    robot = load_model(scene)
+    heavier = robot.with_phi(1.25 * robot.phi)
+    saved(mjcf_files(heavier, scene, tmp_path / "out"), tmp_path / "out")
+    (scene.parent / "meshes").mkdir()
+    text = (tmp_path / "out/model_identified.xml").read_text()
+    (tmp_path / "out/model_identified.xml").write_text(re.sub("<asset>.*</asset>", "", text))
+    compiled = mujoco.MjModel.from_xml_path(str(tmp_path / "out/model.xml"))
+    assert compiled.body("foot").mass[0] == 0
+    assert compiled.body("pad").mass[0] == pytest.approx(0.125)
+    assert compiled.body("thigh").mass[0] == pytest.approx(1.25 * 1.625 - 0.125)
+    assert compiled.body("trunk").mass[0] == pytest.approx(5.0)
+
+
+def test_settings_that_would_change_inertias_again_are_removed(scene, tmp_path):
+    text = SCENE.replace(
+        "  <include", '  <compiler settotalmass="11.25" angle="radian"/>\n  <include', 1
+    )
+    scene.write_text(text)
+    robot = load_model(scene)
+    assert robot.phi[:, 0].sum() == pytest.approx(11.25)
+    heavier = robot.with_phi(1.5 * robot.phi)
+    files = mjcf_files(heavier, scene, tmp_path / "out")
+    again = saved(files, tmp_path / "out")
+    np.testing.assert_allclose(again.phi, heavier.phi, rtol=1e-11, atol=1e-15)
+    assert '<compiler angle="radian"/>' in next(iter(files.values()))
+
+
+def test_what_no_file_element_stands_for_comes_as_a_bare_tree(tmp_path):
+    text = """<mujoco><worldbody><body name="base"><inertial mass="1" pos="0 0 0"
+      diaginertia="1 1 1"/><replicate count="3" offset="0 1 0"><body name="leg">
+      <joint name="hip"/><geom size=".1"/></body></replicate></body></worldbody></mujoco>"""
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    robot = load_model(path)
+    changed = robot.with_phi(1.25 * robot.phi)
+    again = saved(mjcf_files(changed, path, tmp_path / "out"), tmp_path / "out")
+    np.testing.assert_allclose(again.phi, changed.phi, rtol=1e-12, atol=1e-15)
+
+
+def test_of_an_impossible_link_the_nearest_possible_one_is_written():
+    impossible = phi_from_com(0.9, np.array([0, 0.1, 0]), np.diag([0.01, 0.01, 0.5]))
+    mass, com, inertia = com_from_phi(nearest_possible(impossible))
+    assert mass == pytest.approx(0.9)
+    np.testing.assert_allclose(com, [0, 0.1, 0], atol=1e-15)
+    # ∫z² = (Ixx + Iyy - Izz)/2 < 0 becomes zero: Ixx and Iyy grow to half of Izz.
+    np.testing.assert_allclose(inertia, np.diag([0.25, 0.25, 0.5]), atol=1e-11)
+    assert is_consistent(nearest_possible(-impossible))
+    assert is_consistent(nearest_possible(np.r_[1e-13, 0.1, np.zeros(8)]))
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        phi = random_phi(rng)
+        np.testing.assert_array_equal(nearest_possible(phi), phi)
