@@ -26,7 +26,7 @@ class Rows:
         Regressor. Base rows first: moment, then force, in base axes at the base's
         origin; then one row per joint.
     y : (N, n) float64
-        Generalised force of motors and environment, Nm and N.
+        Generalised force of motors and environment, less known joint terms, Nm and N.
     """
 
     K: FloatArray
@@ -34,7 +34,10 @@ class Rows:
 
 
 def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
-    """Return the rows of K φ = y for a block of samples."""
+    """Return the rows of K φ = y for a block of samples.
+
+    Joint terms that the model file states and φ does not hold are known: y is less by them.
+    """
     model = parameters.model
     first_joint = 6 * model.floating
     joints = JointTable.of(model.joints)
@@ -56,7 +59,19 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
         y[part] = generalised_force(model, block, posture.poses, axes)
     if parameters.terms:
         _fill_joint_terms(K, parameters, samples)
+    if parameters.known_terms:
+        y -= known_force(parameters, samples)
     return Rows(K, y)
+
+
+def known_force(parameters: ParameterSet, samples: Samples) -> FloatArray:
+    """Return what known friction and armature ask of the motors (N, n), zero at the base."""
+    content = _joint_terms(samples)
+    force = np.zeros((len(samples), parameters.model.dof))
+    joints = force[:, 6 * parameters.model.floating :]
+    for term, values in parameters.known_terms.items():
+        joints += values * content[term]
+    return force
 
 
 def _link_wrenches(parameters: ParameterSet, posture: Posture, samples: Samples) -> FloatArray:
@@ -78,23 +93,28 @@ def _link_wrenches(parameters: ParameterSet, posture: Posture, samples: Samples)
 
 
 def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples) -> None:
-    """Write what each joint's drive adds to its own row, Eq. 2.49 with armature and offset.
-
-    The armature is the inertia of rotor and gear as felt at the joint. It turns with q̇_j
-    alone: the rotor's spin in inertial space, small beside its geared spin, is left out, as
-    in MuJoCo (Featherstone 2008, sec. 9.6).
-    """
-    content: dict[Term, FloatArray] = {
-        "viscous": samples.velocity,
-        "coulomb": coulomb_column(samples.velocity),
-        "armature": samples.acceleration,
-        "offset": np.ones(1),
-    }
+    """Write the columns of the joint terms, each joint's into its own row."""
+    content = _joint_terms(samples)
     joints = np.arange(samples.velocity.shape[1])
     rows = K.shape[1] - len(joints) + joints
     K[:, :, parameters.inertial :] = 0.0
     for term, columns in parameters.term_columns.items():
         K[:, rows, columns.start + joints] = content[term]
+
+
+def _joint_terms(samples: Samples) -> dict[Term, FloatArray]:
+    """Return what multiplies each joint term (N, J), Eq. 2.49 with armature and offset.
+
+    The armature is the inertia of rotor and gear as felt at the joint. It turns with q̇_j
+    alone: the rotor's spin in inertial space, small beside its geared spin, is left out, as
+    in MuJoCo (Featherstone 2008, sec. 9.6).
+    """
+    return {
+        "viscous": samples.velocity,
+        "coulomb": coulomb_column(samples.velocity),
+        "armature": samples.acceleration,
+        "offset": np.ones(1),
+    }
 
 
 def generalised_force(

@@ -1,7 +1,7 @@
 """An identified parameter vector with everything that is known about it."""
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,9 @@ class Estimate:
         Name and version of what computed it.
     verdict : Verdict or None
         What the log could tell; None for the truncated methods.
+    known : dict of str to float
+        Joint terms ``<joint>/<viscous|coulomb|armature>`` that the model file states and that
+        were not identified; they are part of the equation of motion.
     """
 
     method: str
@@ -70,6 +73,7 @@ class Estimate:
     inputs: tuple[str, ...]
     software: str
     verdict: Verdict | None = None
+    known: dict[str, float] = field(default_factory=dict)
 
     def document(self) -> dict[str, object]:
         """Return estimate.json's content; what the method cannot give is None."""
@@ -98,6 +102,7 @@ class Estimate:
             "inputs": list(self.inputs),
             "software": self.software,
             "verdict": None if self.verdict is None else asdict(self.verdict),
+            "known": self.known,
         }
 
     def write(self, path: Path) -> None:
@@ -140,6 +145,7 @@ def load_estimate(path: Path) -> Estimate:
             inputs=tuple(document["inputs"]),
             software=document["software"],
             verdict=_verdict(document["verdict"]),
+            known=_known(document.get("known", {})),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(
@@ -151,6 +157,13 @@ def load_estimate(path: Path) -> Estimate:
             name = estimate.names[int(np.argmin(np.isfinite(numbers)))]
             raise EstimateError(f"{path}: {kind} of {name} is not finite; identify the log again")
     return estimate
+
+
+def _known(document: dict[str, Any]) -> dict[str, float]:
+    known = {name: float(value) for name, value in document.items()}
+    if not np.all(np.isfinite(list(known.values()))):
+        raise ValueError("known has a number that is not finite")
+    return known
 
 
 def _verdict(document: dict[str, Any] | None) -> Verdict | None:

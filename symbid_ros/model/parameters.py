@@ -1,6 +1,6 @@
 """The parameter vector: which columns the regressor has, and what they are called."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -125,6 +125,44 @@ class ParameterSet:
             values[columns] = [_stated(joint, term) for joint in self.model.joints]
         return values
 
+    @cached_property
+    def known_terms(self) -> dict[Term, FloatArray]:
+        """(J,) values of each term that is not in use but stated by the model file.
+
+        They are taken as known, so they are part of the equation of motion but not of φ.
+        """
+        stated = {
+            term: np.array([_stated(joint, term) for joint in self.model.joints])
+            for term in TERMS
+            if term not in self.terms
+        }
+        return {term: values for term, values in stated.items() if np.any(values)}
+
+    @property
+    def known_values(self) -> dict[str, float]:
+        """The same as ``<joint>/<term>`` and value, without zeros."""
+        return {
+            f"{joint}/{term}": value
+            for term, values in self.known_terms.items()
+            for joint, value in zip(self.model.joint_names, values.tolist(), strict=True)
+            if value != 0.0
+        }
+
+    def with_known_values(self, known: Mapping[str, float]) -> "ParameterSet":
+        """Return the same parameters with these known terms, and no others."""
+        joints = tuple(
+            replace(
+                joint,
+                **{
+                    field: known.get(f"{joint.name}/{term}", 0.0)
+                    for term, field in _STATED.items()
+                    if term not in self.terms
+                },  # type: ignore[arg-type]
+            )
+            for joint in self.model.joints
+        )
+        return replace(self, model=replace(self.model, joints=joints))
+
     def link_phi(self, values: FloatArray) -> FloatArray:
         """Return the (len(links), 10) inertial part of a parameter vector (p,)."""
         return values[: self.inertial].reshape(-1, 10)
@@ -141,20 +179,6 @@ class ParameterSet:
                     for joint, value in zip(joints, values[columns].tolist(), strict=True)
                 ]
         return replace(self.model.with_phi(phi), joints=tuple(joints))
-
-
-def neglected_terms(parameters: ParameterSet) -> dict[str, tuple[str, ...]]:
-    """Return the joints whose file states a term that is not in use, by term.
-
-    Identification goes on as if these were zero, and other parameters make up for it.
-    """
-    joints = parameters.model.joints
-    neglected: dict[str, tuple[str, ...]] = {
-        term: tuple(joint.name for joint in joints if _stated(joint, term) != 0.0)
-        for term in TERMS
-        if term not in parameters.terms
-    }
-    return {term: names for term, names in neglected.items() if names}
 
 
 def terms_in(names: Collection[str]) -> tuple[Term, ...]:

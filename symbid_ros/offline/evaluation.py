@@ -10,7 +10,7 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.bags.streams.reader import read_streams, read_truth
 from symbid_ros.dynamics.centroid import first_moment_regressor, momentum_regressor
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion, generalised_force
+from symbid_ros.dynamics.regressor import equation_of_motion, generalised_force, known_force
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import rotate, rotate_back
 from symbid_ros.errors import BagError
@@ -58,7 +58,7 @@ class Prediction:
     Attributes
     ----------
     gen_force : (N, n) float64
-        K φ, Nm and N.
+        K φ with the known joint terms, Nm and N.
     com : (N, 3) float64
         Centre of mass in the base frame, m.
     momentum : (N, 6) float64
@@ -226,12 +226,15 @@ class _Linear:
         moment, base axes.
     y : (N, n) float64
         Measured generalised force.
+    known : (N, n) float64
+        What known friction and armature ask for, whatever the parameters are.
     mass : (p,) float64
         Ones at the links' masses.
     """
 
     matrix: FloatArray
     y: FloatArray
+    known: FloatArray
     mass: FloatArray
 
     @classmethod
@@ -244,7 +247,8 @@ class _Linear:
         )
         mass = np.zeros(len(parameters))
         mass[: parameters.inertial : 10] = 1.0
-        return cls(matrix, rows.y, mass)
+        known = known_force(parameters, motion.samples)
+        return cls(matrix, rows.y + known, known, mass)
 
     def predict(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return generalised force (N, n, c), centre of mass (N, 3, c), momentum (N, 6, c).
@@ -259,7 +263,7 @@ class _Linear:
         com = found[:, n + 6 :] / (self.mass @ values)
         momentum = found[:, n : n + 6].copy()
         momentum[:, :3] -= np.cross(com, momentum[:, 3:], axis=1)
-        return found[:, :n], com, momentum
+        return found[:, :n] + self.known[..., None], com, momentum
 
 
 def parameter_error(parameters: ParameterSet, values: FloatArray, truth: FloatArray) -> float:

@@ -212,6 +212,7 @@ class Solver:
             },
             inputs=self.problem.inputs,
             software=f"symbid_ros {version('symbid_ros')}",
+            known=parameters.known_values,
         )
 
 

@@ -13,7 +13,7 @@ from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviation
 from symbid_ros.estimation.truncation import Criterion
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet, Term, neglected_terms
+from symbid_ros.model.parameters import ParameterSet, Term
 from symbid_ros.model.urdf import Base
 from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
 from symbid_ros.offline.examination import examine
@@ -155,7 +155,7 @@ def prepare(job: Job) -> Prepared:
 
 
 def load_parameters(job: Job) -> ParameterSet:
-    """Return the columns of a job's robot, and warn of what its file states beside them.
+    """Return the columns of a job's robot, and say what its file states beside them.
 
     Raises
     ------
@@ -163,12 +163,16 @@ def load_parameters(job: Job) -> ParameterSet:
         When the file does not serve.
     """
     parameters = ParameterSet(load_model(job.model, job.base), job.terms)
-    for term, joints in neglected_terms(parameters).items():
+    names = parameters.model.joint_names
+    for term, values in parameters.known_terms.items():
+        stated = [name for name, value in zip(names, values, strict=True) if value != 0.0]
+        option = "armature" if term == "armature" else "friction"
         logger.warning(
-            "%s states %s of %s, which is not identified and taken as zero",
+            "%s states %s of %s, which is taken as known; identify it with --%s if it may be wrong",
             job.model,
-            term,
-            ", ".join(joints),
+            f"{term} friction" if option == "friction" else term,
+            ", ".join(stated),
+            option,
         )
     return parameters
 

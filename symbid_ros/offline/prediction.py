@@ -12,7 +12,7 @@ from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regr
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion, known_force
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import rotate
 from symbid_ros.errors import BagError, DataError
@@ -246,6 +246,7 @@ def _predictions(
     jacobian = contact_jacobian(model, known.wrench_frames, poses)
     momentum = momentum_regressor(parameters, known, truth.base_velocity, poses)
     needed = np.stack(candidates) @ equation_of_motion(parameters, known).K.transpose(0, 2, 1)
+    needed += known_force(parameters, known)[:, None]
     unmet = needed.copy()
     unmet[:, :, first_joint:] -= known.effort[:, None]
     wrenches = contact_wrenches(jacobian, unmet, FELT)

@@ -50,7 +50,8 @@ def load_subject(path: Path, model: RobotModel) -> Subject:
         parameters = ParameterSet(model)
         return Subject(parameters, load_prior(file, parameters).mean)
     estimate = load_estimate(file)
-    parameters = ParameterSet(model, terms_in(estimate.names))
+    # The file may be that of the true robot, whose friction the estimate need not know.
+    parameters = ParameterSet(model, terms_in(estimate.names)).with_known_values(estimate.known)
     if set(parameters.names) != set(estimate.names):
         raise EstimateError(
             f"{file}: this estimate is of model {estimate.model!r} and its parameters are not "

@@ -115,11 +115,17 @@ def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
 
 
 def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
-    """Return which coordinates (N, n) obey the friction columns at joint rates (N, J)."""
+    """Return which coordinates (N, n) obey Coulomb's law at joint rates (N, J).
+
+    All joints do whose Coulomb friction is neither identified nor known.
+    """
     model = parameters.model
     valid = np.ones((len(velocity), model.dof), dtype=bool)
     if "coulomb" in parameters.terms:
         valid[:, 6 * model.floating :] = slips(velocity)
+    elif "coulomb" in parameters.known_terms:
+        rubs = parameters.known_terms["coulomb"] != 0
+        valid[:, 6 * model.floating :] = slips(velocity) | ~rubs
     return valid
 
 

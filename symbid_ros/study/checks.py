@@ -11,7 +11,7 @@ from symbid_ros.atomic import write_text
 from symbid_ros.bags.streams.reader import read_streams, read_truth
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion, known_force
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.evaluation import TrueMotion, read_true_motion
 from symbid_ros.offline.prediction import evaluate_realistic, read_realistic_motion
@@ -80,7 +80,7 @@ def _closures(parameters: ParameterSet, motion: TrueMotion) -> dict[str, float]:
         needed = rows.K @ parameters.values
         poses = link_poses(parameters.model, samples.position)
         jacobian = contact_jacobian(parameters.model, samples.wrench_frames, poses)
-        unmet = needed.copy()
+        unmet = needed + known_force(parameters, samples)
         unmet[:, 6 * parameters.model.floating :] -= samples.effort
         wrenches = contact_wrenches(jacobian, unmet[:, None], DEPENDENT)[:, 0]
         stacked = wrenches.reshape(len(samples), 1, -1)

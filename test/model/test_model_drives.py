@@ -16,7 +16,6 @@ from symbid_ros.model.parameters import (
     TERMS,
     ParameterSet,
     joint_terms,
-    neglected_terms,
     terms_in,
 )
 
@@ -132,15 +131,16 @@ def test_options_choose_terms():
     assert joint_terms(True, True, True) == TERMS
 
 
-def test_stated_terms_that_are_not_identified_are_named(arm):
-    assert neglected_terms(ParameterSet(arm, TERMS)) == {}
-    assert neglected_terms(ParameterSet(arm)) == {
-        "viscous": ("knee", "wrist"),
-        "coulomb": ("knee",),
-        "armature": ("knee",),
-    }
-    assert set(neglected_terms(ParameterSet(arm, ("viscous", "coulomb")))) == {"armature"}
-    assert neglected_terms(ParameterSet(load_model(CONFIG / "symbitron.xml"))) == {}
+def test_stated_terms_that_are_not_identified_are_known(arm):
+    assert ParameterSet(arm, TERMS).known_values == {}
+    stated = {"knee/viscous": 0.3, "wrist/viscous": 0.7, "knee/coulomb": 0.5, "knee/armature": 0.01}
+    assert ParameterSet(arm).known_values == stated
+    frictions = ParameterSet(arm, ("viscous", "coulomb"))
+    assert frictions.known_values == {"knee/armature": 0.01}
+    others = frictions.with_known_values({"lift/armature": 0.5, "knee/viscous": 9.0})
+    assert others.known_values == {"lift/armature": 0.5}
+    np.testing.assert_array_equal(others.values, frictions.values)
+    assert ParameterSet(load_model(CONFIG / "symbitron.xml")).known_values == {}
 
 
 @pytest.mark.parametrize("terms", [(), ("viscous",), ("coulomb", "offset"), TERMS])

@@ -43,6 +43,7 @@ class TreeSimulation:
         self.sites = [self.m.site(name).id for name in frames]
         joints = len(model.joints)
         self.driven = np.array([joint.effort > 0 for joint in model.joints])
+        self.friction_loss = np.array([joint.friction_loss for joint in model.joints])
         self.frequency = rng.uniform(0.3, 1.5, (4, joints + 6 * len(frames)))
         self.phase = rng.uniform(0, 6, self.frequency.shape)
         self.joints = slice(self.m.nv - joints, self.m.nv)
@@ -80,7 +81,9 @@ class TreeSimulation:
             wrenches[:, 3:] = self.scale * wave[joints:].reshape(-1, 6)[:, :3] / len(wrenches)
             wrenches[:, :3] = 0.1 * self.scale * wave[joints:].reshape(-1, 6)[:, 3:]
         d.qfrc_applied[:] = 0
-        d.qfrc_applied[self.joints] = effort
+        # MuJoCo's own dry friction is soft; this is Coulomb's, but for the slowest motion.
+        rubbing = self.friction_loss * np.clip(velocity / 1e-3, -1, 1)
+        d.qfrc_applied[self.joints] = effort - rubbing
         for site, wrench in zip(self.sites, wrenches, strict=True):
             axes, place = d.site_xmat[site].reshape(3, 3), d.site_xpos[site]
             force, moment, body = axes @ wrench[3:], axes @ wrench[:3], m.site_bodyid[site]

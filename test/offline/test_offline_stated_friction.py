@@ -1,0 +1,111 @@
+"""Friction and armature that a model file states are part of the equation of motion."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+from tree_simulation import TreeSimulation
+
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.tree import Frame
+from symbid_ros.offline.evaluation import evaluate, predict, read_true_motion
+from symbid_ros.offline.export import write_identification
+from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.prediction import RealisticMotion, predict_realistic
+from symbid_ros.offline.record import Processing
+from symbid_ros.offline.subject import load_subject
+from symbid_ros.signals.filters import SavitzkyGolay
+from symbid_ros.simulation.recording import record
+
+Z1 = (
+    Path(pinocchio.__file__).parents[4]
+    / "share/example-robot-data/robots/z1_description/urdf/z1.urdf"
+)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """A real arm's URDF with friction, without it, and two logs of the arm that has it."""
+    folder = tmp_path_factory.mktemp("arm")
+    robot = load_model(Z1, "fixed")
+    assert all(joint.damping > 0 and joint.friction_loss > 0 for joint in robot.joints)
+    robot = replace(robot, frames=(Frame("imu_link", 0, np.eye(3), np.zeros(3)),))
+    (folder / "robot.urdf").write_text(urdf_text(robot))
+    smooth = tuple(replace(joint, damping=0.0, friction_loss=0.0) for joint in robot.joints)
+    (folder / "smooth.urdf").write_text(urdf_text(replace(robot, joints=smooth)))
+    record(TreeSimulation(robot, 4.2, 1), folder / "log")
+    record(TreeSimulation(robot, 0.8, 2), folder / "other")
+    return folder
+
+
+def torque_of_exported(model, folder, motion):
+    """The held-out torques as MuJoCo computes them from the written model.xml."""
+    compiled = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
+    compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data = mujoco.MjData(compiled)
+    torques = []
+    for position, velocity, acceleration in zip(
+        motion.samples.position, motion.samples.velocity, motion.samples.acceleration, strict=True
+    ):
+        data.qpos[:], data.qvel[:], data.qacc[:] = position, velocity, acceleration
+        mujoco.mj_inverse(compiled, data)
+        rubbing = compiled.dof_frictionloss * np.clip(velocity / 1e-3, -1, 1)
+        torques.append(data.qfrc_inverse + rubbing)
+    return np.array(torques)
+
+
+def rms(error):
+    return np.sqrt(np.mean(np.sum(error**2, axis=1)))
+
+
+@pytest.mark.parametrize("processing", [Processing(), Processing(SavitzkyGolay(0.011))], ids=str)
+def test_stated_friction_is_known_and_not_identified_away(arm, processing, tmp_path, caplog):
+    prepared = prepare(Job((arm / "log",), arm / "robot.urdf", "fixed", processing=processing))
+    assert "states viscous friction of joint1" in caplog.text
+    assert "taken as known; identify it with --friction" in caplog.text
+    found = prepared.solve("map_lmi")
+    write_identification(found, prepared.parameters, tmp_path)
+    robot = load_model(arm / "robot.urdf", "fixed")
+    motion = read_true_motion([arm / "other"], robot)
+    true = motion.samples.effort
+    assert rms(torque_of_exported(robot, tmp_path, motion) - true) < 0.02 * rms(true)
+
+    # What is predicted, evaluated and written down agrees with the file that comes back.
+    subject = load_subject(tmp_path, robot)
+    assert subject.estimate.known["joint2/coulomb"] == robot.joints[1].friction_loss
+    force = predict(subject.parameters, subject.values, motion).gen_force
+    slipping = np.abs(motion.samples.velocity).min(axis=1) > 0.02
+    np.testing.assert_allclose(
+        force[slipping], torque_of_exported(robot, tmp_path, motion)[slipping], atol=1e-6
+    )
+    parameters = subject.parameters
+    judged = evaluate(parameters, {"it": subject.values}, parameters.values, motion)["it"]
+    assert judged.torque_rmse == pytest.approx(rms(force - true))
+    realistic = predict_realistic(
+        parameters, subject.values, RealisticMotion(motion.samples, motion)
+    )
+    np.testing.assert_allclose(realistic.torque, force, atol=1e-9)
+    written = load_model(tmp_path / "model.urdf", "fixed")
+    assert [(j.damping, j.friction_loss) for j in written.joints] == [
+        (j.damping, j.friction_loss) for j in robot.joints
+    ]
+
+
+def test_an_estimate_that_knows_no_friction_is_judged_without_the_true_robots(arm, tmp_path):
+    prepared = prepare(Job((arm / "log",), arm / "smooth.urdf", "fixed"))
+    write_identification(prepared.solve("map_lmi"), prepared.parameters, tmp_path)
+    robot = load_model(arm / "robot.urdf", "fixed")
+    motion = read_true_motion([arm / "other"], robot)
+    subject = load_subject(tmp_path, robot)
+    judged = evaluate(
+        subject.parameters, {"it": subject.values}, subject.parameters.values, motion
+    )["it"]
+    true = motion.samples.effort
+    assert judged.torque_rmse == pytest.approx(
+        rms(torque_of_exported(robot, tmp_path, motion) - true), rel=1e-6
+    )
+    assert judged.torque_rmse > 0.5 * rms(true)
