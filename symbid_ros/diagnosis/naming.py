@@ -10,7 +10,7 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
     """Compare joint names and frames with a model's."""
     joints = streams.joints
     found = []
-    missing = [name for name in model.joint_names if name not in joints.names]
+    missing = [name for name in model.measured_joint_names if name not in joints.names]
     if missing:
         found.append(
             Finding(

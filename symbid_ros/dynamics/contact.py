@@ -29,7 +29,8 @@ def contact_jacobian(model: RobotModel, frames: Sequence[str], poses: LinkPoses)
     -------
     (N, 6 F, n) float64
         Six rows per frame, (angular; linear) in the frame's own axes at its origin. Six
-        columns of a floating base's twist, in base axes, then one per joint. J_gᵀ f_e is
+        columns of a floating base's twist, in base axes, then one per joint, zero for a joint
+        that follows another. J_gᵀ f_e is
         what wrenches f_e, in the frames' own axes, do to each coordinate (Eq. 4).
     """
     count = len(poses.position)
@@ -44,6 +45,7 @@ def contact_jacobian(model: RobotModel, frames: Sequence[str], poses: LinkPoses)
         jacobian[:, :, :6] = at_base
     axes = joint_axes(model, poses)
     jacobian[:, :, first_joint:] = (at_base @ axes.transpose(0, 2, 1)) * carries.T
+    model.fold_followers(jacobian.transpose(0, 2, 1))
     return jacobian
 
 

@@ -61,6 +61,7 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
         _fill_joint_terms(K, parameters, samples)
     if parameters.known_terms:
         y -= known_force(parameters, samples)
+    model.fold_followers(K)
     return Rows(K, y)
 
 
@@ -71,6 +72,7 @@ def known_force(parameters: ParameterSet, samples: Samples) -> FloatArray:
     joints = force[:, 6 * parameters.model.floating :]
     for term, values in parameters.known_terms.items():
         joints += values * content[term]
+    parameters.model.fold_followers(force)
     return force
 
 
@@ -142,6 +144,7 @@ def generalised_force(
     if model.floating:
         y[:, :6] = at_base.sum(axis=1)
     y[:, first_joint:] = samples.effort + felt.sum(axis=0).T
+    model.fold_followers(y)
     return y
 
 

@@ -127,9 +127,9 @@ def random_motions(model: RobotModel, count: int) -> Samples:
         motion[2] = -model.gravity
     return Samples(
         stamp=np.arange(count, dtype=np.int64),
-        position=rng.uniform(-np.pi, np.pi, joints),
-        velocity=rng.normal(size=joints),
-        acceleration=rng.normal(size=joints),
+        position=model.followed(rng.uniform(-np.pi, np.pi, joints)),
+        velocity=model.followed(rng.normal(size=joints), rates=True),
+        acceleration=model.followed(rng.normal(size=joints), rates=True),
         effort=np.zeros(joints),
         base_angular_velocity=motion[0],
         base_angular_acceleration=motion[1],

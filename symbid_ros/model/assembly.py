@@ -5,8 +5,8 @@ bodies welded to their parent become frames of it and lend it their inertia; a
 body with several joints gets virtual links in between.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -14,12 +14,15 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
 from symbid_ros.model.inertia import transform_phi
-from symbid_ros.model.tree import Frame, Joint, Link, RobotModel
+from symbid_ros.model.tree import Frame, Joint, Link, Mimic, RobotModel
 
 
 @dataclass(frozen=True)
 class BodyJoint:
-    """A joint of a body: ``axis`` and ``anchor`` (3,) in the body's frame."""
+    """A joint of a body: ``axis`` and ``anchor`` (3,) in the body's frame.
+
+    ``mimic`` is the name of the joint that it follows, with multiplier and offset.
+    """
 
     name: str
     kind: Literal["revolute", "prismatic"]
@@ -32,6 +35,7 @@ class BodyJoint:
     damping: float = 0.0
     friction_loss: float = 0.0
     armature: float = 0.0
+    mimic: tuple[str, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -148,13 +152,44 @@ def assemble(
         )
         for frame, pose in body.frames.items():
             assembly.add_frame(frame, carrier.place(*pose))
+    followed = {joint.name: joint.mimic for body in bodies for joint in body.joints if joint.mimic}
+    joints = _with_masters(assembly.joints, followed, source)
     links = tuple(
         Link(*fields) for fields in zip(assembly.names, assembly.phi, assembly.virtual, strict=True)
     )
     if not floating and not assembly.joints:
         raise ModelError(f"{source}: nothing moves in this model; it needs joints")
     frames = tuple(assembly.frames[key] for key in sorted(assembly.frames))
-    return RobotModel(name, links, tuple(assembly.joints), frames, floating, gravity, source)
+    return RobotModel(name, links, joints, frames, floating, gravity, source)
+
+
+def _with_masters(
+    joints: Sequence[Joint], followed: Mapping[str, tuple[str, float, float]], source: str
+) -> tuple[Joint, ...]:
+    """Return the joints, those that follow others bound to the one at the chain's end."""
+    index = {joint.name: position for position, joint in enumerate(joints)}
+    bound = []
+    for joint in joints:
+        multiplier, offset, master, seen = 1.0, 0.0, joint.name, {joint.name}
+        while master in followed:
+            follower = master
+            master, gain, shift = followed[follower]
+            offset += multiplier * shift
+            multiplier *= gain
+            if master not in index or master in seen:
+                reason = "follows itself" if master in seen else "is not a moving joint"
+                raise ModelError(
+                    f"{source}: joint {follower!r} mimics {master!r}, which {reason}; name "
+                    "another joint or remove <mimic>"
+                )
+            seen.add(master)
+        if joint.name in followed:
+            mimic = Mimic(index[master], multiplier, offset)
+            # Nothing drives a joint that follows.
+            bound.append(replace(joint, effort=0.0, mimic=mimic))
+        else:
+            bound.append(joint)
+    return tuple(bound)
 
 
 def _check_finite(body: Body, source: str) -> None:

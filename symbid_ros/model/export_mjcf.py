@@ -114,6 +114,19 @@ def _bare(model: RobotModel) -> ET.Element:
             motor = ET.SubElement(motors, "motor", name=joint.name, joint=joint.name)
             if np.isfinite(joint.effort):
                 motor.set("ctrlrange", numbers([-joint.effort, joint.effort]))
+    if model.followers:
+        equality = ET.SubElement(root, "equality")
+        for index, mimic in model.followers.items():
+            joint, master = model.joints[index], model.joints[mimic.master]
+            # MuJoCo counts both positions from their references.
+            shift = mimic.offset + mimic.multiplier * master.reference - joint.reference
+            ET.SubElement(
+                equality,
+                "joint",
+                joint1=joint.name,
+                joint2=master.name,
+                polycoef=numbers([shift, mimic.multiplier, 0, 0, 0]),
+            )
     return root
 
 

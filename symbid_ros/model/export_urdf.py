@@ -165,6 +165,14 @@ def _joint(robot: ET.Element, model: RobotModel, joint: Joint, child: str) -> No
     stated = {key: repr(float(value)) for key, value in terms.items() if value}
     if stated:
         ET.SubElement(element, "dynamics", stated)
+    if (mimic := joint.mimic) is not None:
+        ET.SubElement(
+            element,
+            "mimic",
+            joint=model.joints[mimic.master].name,
+            multiplier=repr(mimic.multiplier),
+            offset=repr(mimic.offset),
+        )
 
 
 def _at_zero(joint: Joint) -> FloatArray:

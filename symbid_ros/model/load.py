@@ -1,16 +1,25 @@
 """Load a robot from whichever description format the user has."""
 
+import logging
 from pathlib import Path
+
+import numpy as np
 
 from symbid_ros.errors import ModelError
 from symbid_ros.model.mjcf import load_mjcf
+from symbid_ros.model.mjcf_source import read_mjcf
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.urdf import Base, load_urdf
 from symbid_ros.model.xml_tree import read_xml
 
+logger = logging.getLogger(__name__)
+
 
 def load_model(path: Path, base: Base = "auto") -> RobotModel:
     """Load a URDF or an MJCF, told apart by the root element.
+
+    What of the file has no part in the equation of motion is logged, and so are links that move
+    without mass.
 
     Parameters
     ----------
@@ -25,10 +34,43 @@ def load_model(path: Path, base: Base = "auto") -> RobotModel:
         When the file cannot be read as either.
     """
     if not is_mjcf(path):
-        return load_urdf(path, base)
-    if base != "auto":
+        model = load_urdf(path, base)
+    elif base != "auto":
         raise ModelError(f"{path}: an MJCF says itself whether its base floats; drop --base {base}")
-    return load_mjcf(path)
+    else:
+        model = load_mjcf(path)
+        _report_ignored(path)
+    _report_massless(model)
+    return model
+
+
+def _report_ignored(path: Path) -> None:
+    root = read_mjcf(path)
+    found = {tag: root.findall(f"{tag}/*") for tag in ("equality", "tendon")}
+    names = [each.get("name", f"<{each.tag}>") for group in found.values() for each in group]
+    if names:
+        tags = " and ".join(f"<{tag}>" for tag, group in found.items() if group)
+        logger.warning(
+            "%s: %s are ignored: %s; the joints are taken to move independently of each other",
+            path,
+            tags,
+            ", ".join(names),
+        )
+
+
+def _report_massless(model: RobotModel) -> None:
+    first = 0 if model.floating else 1
+    names = [
+        link.name
+        for link in model.links[first:]
+        if not link.virtual and link.phi[0] == 0 and not np.any(link.phi)
+    ]
+    if names:
+        logger.warning(
+            "%s: links %s move but have no mass; give each an <inertial>, or fix its joint",
+            model.source,
+            ", ".join(names),
+        )
 
 
 def is_mjcf(path: Path) -> bool:

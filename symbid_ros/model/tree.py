@@ -32,6 +32,23 @@ class Link:
 
 
 @dataclass(frozen=True)
+class Mimic:
+    """How a joint follows another: position = multiplier × the master's + offset.
+
+    Attributes
+    ----------
+    master : int
+        Index of the joint that it follows, which follows none itself.
+    multiplier, offset : float
+        As in URDF's ``<mimic>``; the offset in rad or m.
+    """
+
+    master: int
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
 class Joint:
     """A joint; joint k moves link k + 1.
 
@@ -56,6 +73,9 @@ class Joint:
     damping, friction_loss, armature : float
         Viscous friction (Nm s/rad or N s/m), Coulomb friction (Nm or N) and the inertia of
         rotor and gear reflected to the joint (kg m² or kg), as the file states them.
+    mimic : Mimic or None
+        The joint that it follows. It has no equation of motion of its own: what it feels is
+        part of its master's.
     """
 
     name: str
@@ -71,6 +91,7 @@ class Joint:
     damping: float = 0.0
     friction_loss: float = 0.0
     armature: float = 0.0
+    mimic: Mimic | None = None
 
 
 @dataclass(frozen=True)
@@ -142,6 +163,39 @@ class RobotModel:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the joints, in column order."""
         return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def followers(self) -> dict[int, Mimic]:
+        """The joints that follow others, by index."""
+        return {k: joint.mimic for k, joint in enumerate(self.joints) if joint.mimic is not None}
+
+    @cached_property
+    def measured_joint_names(self) -> tuple[str, ...]:
+        """Names of the joints that follow no other: a log must hold these."""
+        return tuple(joint.name for joint in self.joints if joint.mimic is None)
+
+    def followed(self, values: FloatArray, *, rates: bool = False) -> FloatArray:
+        """Return joint positions (N, J), or rates, in which joints follow their masters."""
+        if not self.followers:
+            return values
+        complete = values.copy()
+        for joint, mimic in self.followers.items():
+            offset = 0.0 if rates else mimic.offset
+            complete[:, joint] = mimic.multiplier * values[:, mimic.master] + offset
+        return complete
+
+    def fold_followers(self, force: FloatArray) -> None:
+        """Add what following joints feel to their masters, by virtual work, in place.
+
+        Parameters
+        ----------
+        force : (N, n, ...) float64
+            Rows of the n coordinates; those of following joints become zero.
+        """
+        first = 6 * self.floating
+        for joint, mimic in self.followers.items():
+            force[:, first + mimic.master] += mimic.multiplier * force[:, first + joint]
+            force[:, first + joint] = 0.0
 
     @cached_property
     def ancestors(self) -> BoolArray:

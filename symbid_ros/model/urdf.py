@@ -150,8 +150,17 @@ class UrdfReader:
                 effort=np.inf if effort is None else effort,
                 damping=self._number(dynamics, "damping", LARGEST) or 0.0,
                 friction_loss=self._number(dynamics, "friction", LARGEST) or 0.0,
+                mimic=self._mimic(joint),
             ),
         )
+
+    def _mimic(self, joint: ET.Element) -> tuple[str, float, float] | None:
+        mimic = joint.find("mimic")
+        if mimic is None:
+            return None
+        multiplier = self._number(mimic, "multiplier", LARGEST)
+        offset = self._number(mimic, "offset", LARGEST)
+        return mimic.get("joint", ""), 1.0 if multiplier is None else multiplier, offset or 0.0
 
     def _axis(self, joint: ET.Element) -> FloatArray:
         axis = self._vector(joint.find("axis"), "xyz", np.array([1.0, 0.0, 0.0]))

@@ -114,6 +114,8 @@ def _at(truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotMode
     """Return the motion at stamps that every stream has."""
     rows = np.searchsorted(truth.stamp, stamp)
     columns = joint_columns(truth.joint_names, model, f"{truth.source}: ground_truth/joints")
+    effort = truth.effort[np.ix_(rows, columns)]
+    effort[:, list(model.followers)] = 0.0
     wrenches = [
         np.concatenate([wrench.torque, wrench.force], axis=1)[np.searchsorted(wrench.stamp, stamp)]
         for wrench in streams.wrenches
@@ -122,10 +124,10 @@ def _at(truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotMode
     gravity = rotate_back(rotation, model.gravity) if model.floating else model.gravity
     samples = Samples(
         stamp=stamp,
-        position=truth.position[np.ix_(rows, columns)],
-        velocity=truth.velocity[np.ix_(rows, columns)],
-        acceleration=truth.acceleration[np.ix_(rows, columns)],
-        effort=truth.effort[np.ix_(rows, columns)],
+        position=model.followed(truth.position[np.ix_(rows, columns)]),
+        velocity=model.followed(truth.velocity[np.ix_(rows, columns)], rates=True),
+        acceleration=model.followed(truth.acceleration[np.ix_(rows, columns)], rates=True),
+        effort=effort,
         base_angular_velocity=truth.base_angular_velocity[rows],
         base_angular_acceleration=truth.base_angular_acceleration[rows],
         base_specific_force=truth.base_linear_acceleration[rows] - gravity,

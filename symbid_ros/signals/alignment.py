@@ -230,6 +230,7 @@ def _joint_channel(streams: Streams, model: RobotModel) -> _Channel:
         streams.joints.names, model, f"{streams.source}: {streams.joints.topic}"
     )
     effort = streams.joints.effort[:, columns]
+    effort[:, list(model.followers)] = 0.0
     for index, joint in enumerate(model.joints):
         # Nothing drives a passive joint, so a log may leave its effort out; one that breaks off
         # in the middle is a fault like any other.
@@ -241,7 +242,8 @@ def _joint_channel(streams: Streams, model: RobotModel) -> _Channel:
                 joint.name,
             )
             effort[:, index] = 0.0
-    values = np.concatenate([streams.joints.position[:, columns], effort], axis=1)
+    position = model.followed(streams.joints.position[:, columns])
+    values = np.concatenate([position, effort], axis=1)
     whole = np.logical_and.reduce(np.isfinite(values), axis=1)
     if 2 * np.count_nonzero(whole) <= len(whole):
         row, column = np.argwhere(~np.isfinite(values))[0]
@@ -264,18 +266,25 @@ def _joint_channel(streams: Streams, model: RobotModel) -> _Channel:
 def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntArray:
     """Return where in ``names`` each of the model's joints stands; ``source`` is for messages.
 
+    A joint that follows another stands where its master does, whether it is named or not.
+
     Raises
     ------
     ModelError
         When the model has a joint that is not among them.
     """
-    missing = [name for name in model.joint_names if name not in names]
+    missing = [name for name in model.measured_joint_names if name not in names]
     if missing:
         raise ModelError(
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
             f"has {', '.join(names)}; name the right model or bag"
         )
-    return np.array([list(names).index(name) for name in model.joint_names], dtype=np.int64)
+    masters = [
+        index if joint.mimic is None else joint.mimic.master
+        for index, joint in enumerate(model.joints)
+    ]
+    places = [list(names).index(model.joint_names[master]) for master in masters]
+    return np.array(places, dtype=np.int64)
 
 
 def _imu_channel(imu: ImuStream) -> _Channel:

@@ -120,9 +120,9 @@ def at_base(readings: Readings, model: RobotModel) -> Samples:
     base = _base(readings, model)
     return Samples(
         stamp=readings.stamp,
-        position=readings.position,
-        velocity=readings.velocity,
-        acceleration=readings.acceleration,
+        position=model.followed(readings.position),
+        velocity=model.followed(readings.velocity, rates=True),
+        acceleration=model.followed(readings.acceleration, rates=True),
         effort=readings.effort,
         base_angular_velocity=base.angular_velocity,
         base_angular_acceleration=base.angular_acceleration,
@@ -136,7 +136,11 @@ def _base(readings: Readings, model: RobotModel) -> BaseMotion:
     if not model.floating:
         nothing = np.zeros((len(readings), 3))
         return BaseMotion(nothing, nothing, np.broadcast_to(-model.gravity, nothing.shape))
-    joints = (readings.position, readings.velocity, readings.acceleration)
+    joints = (
+        model.followed(readings.position),
+        model.followed(readings.velocity, rates=True),
+        model.followed(readings.acceleration, rates=True),
+    )
     motions = [
         base_motion(model, frame, joints, imu)
         for frame, imu in zip(readings.imu_frames, readings.imus, strict=True)

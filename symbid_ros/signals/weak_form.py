@@ -117,7 +117,8 @@ def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
 def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
     """Return which coordinates (N, n) obey Coulomb's law at joint rates (N, J).
 
-    All joints do whose Coulomb friction is neither identified nor known.
+    All joints do whose Coulomb friction is neither identified nor known. A joint that follows
+    another has no row of its own.
     """
     model = parameters.model
     valid = np.ones((len(velocity), model.dof), dtype=bool)
@@ -126,6 +127,7 @@ def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
     elif "coulomb" in parameters.known_terms:
         rubs = parameters.known_terms["coulomb"] != 0
         valid[:, 6 * model.floating :] = slips(velocity) | ~rubs
+    valid[:, [6 * model.floating + joint for joint in model.followers]] = False
     return valid
 
 

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_robots import CONFIG, random_phi, random_robot, random_rotation
+from scipy.spatial.transform import Rotation
 
 from symbid_ros.errors import ModelError
 from symbid_ros.model.export_mjcf import mjcf_text
@@ -175,6 +176,15 @@ def test_rpy_and_quaternion_agree(roll, pitch, yaw):
     np.testing.assert_allclose(rotation_from_quaternion(quaternion), rotation, atol=1e-14)
 
 
+@given(angles, st.sampled_from([-1, 1]), angles, st.sampled_from([0, 1e-10, 1e-7, 1e-3]))
+def test_rpy_holds_at_gimbal_lock(roll, side, yaw, away):
+    pitch = side * (np.pi / 2 - away)
+    rotation = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
+    np.testing.assert_allclose(rotation_from_rpy(np.array([roll, pitch, yaw])), rotation, atol=1e-9)
+    back = Rotation.from_euler("xyz", rpy_from_rotation(rotation)).as_matrix()
+    np.testing.assert_allclose(back, rotation, atol=3e-9)
+
+
 @given(st.integers(0, 10_000))
 @settings(max_examples=30)
 def test_inertia_moves_with_its_frame(seed):
@@ -198,6 +208,43 @@ def test_consistency_is_positive_pseudo_inertia():
     violates_triangle = phi_from_com(1.0, np.zeros(3), np.diag([1.0, 1.0, 2.5]))
     assert not is_consistent(violates_triangle)
     assert not is_consistent(-ball)
+
+
+@pytest.mark.parametrize("mass", [1e-6, 1e-3, 1.0, 1e4])
+@pytest.mark.parametrize("size", [1e-3, 0.1, 10.0])
+def test_consistency_is_judged_by_the_links_own_scale(mass, size):
+    """A link of a gram is as impossible as one of a ton with the same proportions."""
+    com, unit = size * np.array([0.3, -0.2, 0.1]), mass * size**2
+    # A + B >= C, missed and kept by a thousandth.
+    assert not is_consistent(phi_from_com(mass, com, unit * np.diag([1.0, 1.0, 2.002])))
+    assert is_consistent(phi_from_com(mass, com, unit * np.diag([1.0, 1.0, 1.998])))
+
+
+MOTORS = """<mujoco><default><joint armature="1"/></default><worldbody>
+  <body name="base"><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><body name="arm"><joint name="free"/><joint name="a"/><joint name="b"/>
+    <joint name="c"/><joint name="d"/><joint name="e"/><geom size=".1"/></body></body></worldbody>
+  <actuator>
+    <motor joint="a" gear="50" forcerange="-3 2"/>
+    <motor joint="b" gear="-4" ctrlrange="-2.5 2.5"/>
+    <motor joint="c" gear="10" ctrlrange="-5 5" forcerange="-2 2"/>
+    <motor joint="d" gear="10" ctrlrange="-1 1"/><motor joint="d" gear="2" forcerange="-1 1"/>
+    <motor joint="e" gear="7"/>
+  </actuator></mujoco>"""
+
+
+def test_a_motors_gear_multiplies_its_range(tmp_path):
+    compiled = mujoco.MjModel.from_xml_string(MOTORS)
+    data = mujoco.MjData(compiled)
+    reached = np.zeros(compiled.nv)
+    for control in (-1e6, 1e6):
+        data.ctrl[:] = control
+        mujoco.mj_forward(compiled, data)
+        reached = np.maximum(reached, np.abs(data.qfrc_actuator))
+    robot = load_text(MOTORS, tmp_path / "robot.xml")
+    efforts = [joint.effort for joint in robot.joints]
+    assert efforts[:5] == pytest.approx(reached[:5].tolist())
+    assert efforts[:5] == [0, 150, 10, 20, 12]
+    assert efforts[5] == np.inf
 
 
 BAD_URDFS = {

@@ -37,7 +37,7 @@ def arm(tmp_path_factory):
     (folder / "robot.urdf").write_text(urdf_text(robot))
     smooth = tuple(replace(joint, damping=0.0, friction_loss=0.0) for joint in robot.joints)
     (folder / "smooth.urdf").write_text(urdf_text(replace(robot, joints=smooth)))
-    record(TreeSimulation(robot, 4.2, 1), folder / "log")
+    record(TreeSimulation(robot, 2.6, 1), folder / "log")
     record(TreeSimulation(robot, 0.8, 2), folder / "other")
     return folder
 

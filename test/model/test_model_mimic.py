@@ -1,0 +1,172 @@
+"""Joints that mimic others follow them; what an MJCF says beside the tree is reported."""
+
+import mujoco
+import numpy as np
+import pytest
+from random_robots import random_samples
+
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.regressor import equation_of_motion, known_force
+from symbid_ros.errors import ModelError
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import Mimic
+
+INERTIAL = (
+    '<inertial><origin xyz=".1 0 .2"/><mass value="1.5"/>'
+    '<inertia ixx=".02" iyy=".03" izz=".04" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+
+
+def joint(name, parent, child, kind="revolute", mimic=""):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        '<origin xyz=".1 .2 .3" rpy=".3 .2 .1"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="10" velocity="1"/>'
+        f'<dynamics damping=".2" friction=".1"/>{mimic}</joint>'
+    )
+
+
+# The follower of a follower comes before its master, slides, and branches off elsewhere.
+GRIPPER = (
+    '<robot name="gripper">'
+    + "".join(f'<link name="{name}">{INERTIAL}</link>' for name in "abcd")
+    + joint("far", "a", "d", "prismatic", '<mimic joint="near" multiplier="-2" offset=".5"/>')
+    + joint("master", "a", "b")
+    + joint("near", "b", "c", "continuous", '<mimic joint="master" multiplier="1.5" offset=".1"/>')
+    + "</robot>"
+)
+
+
+@pytest.fixture(params=["floating", "fixed"])
+def gripper(request, tmp_path):
+    (tmp_path / "gripper.urdf").write_text(GRIPPER)
+    return load_model(tmp_path / "gripper.urdf", request.param)
+
+
+def following(robot, count, seed=0):
+    """Random samples in which the followers follow, worked out by hand."""
+    samples = random_samples(robot, count, np.random.default_rng(seed), ())
+    far, master, near = (robot.joint_names.index(name) for name in ("far", "master", "near"))
+    for values, shift in ((samples.position, 1), (samples.velocity, 0), (samples.acceleration, 0)):
+        values[:, near] = 1.5 * values[:, master] + 0.1 * shift
+        values[:, far] = -2 * values[:, near] + 0.5 * shift
+    samples.effort[:, [far, near]] = 0.0
+    return samples
+
+
+def test_a_chain_of_followers_is_bound_to_its_master(gripper):
+    far, master, near = (gripper.joint_names.index(name) for name in ("far", "master", "near"))
+    assert gripper.joints[near].mimic == Mimic(master, 1.5, 0.1)
+    bound = gripper.joints[far].mimic
+    assert bound.master == master
+    assert bound.multiplier == pytest.approx(-3.0)
+    assert bound.offset == pytest.approx(0.5 - 2 * 0.1)
+    assert gripper.measured_joint_names == ("master",)
+    samples = following(gripper, 5)
+    np.testing.assert_allclose(gripper.followed(samples.position), samples.position, atol=1e-15)
+    rates = gripper.followed(samples.velocity, rates=True)
+    np.testing.assert_allclose(rates, samples.velocity, atol=1e-15)
+
+
+def test_the_masters_row_is_the_virtual_work_of_all_that_follow(gripper):
+    samples = following(gripper, 8)
+    parameters = ParameterSet(gripper)
+    rows = equation_of_motion(parameters, samples)
+    needed = rows.K @ parameters.values + known_force(parameters, samples)
+    compiled = mujoco.MjModel.from_xml_string(mjcf_text(gripper))
+    compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    if gripper.floating:
+        compiled.opt.gravity[:] = 0
+    data = mujoco.MjData(compiled)
+    first = 6 * gripper.floating
+    far, master, near = (gripper.joint_names.index(name) for name in ("far", "master", "near"))
+    for k in range(len(samples)):
+        data.qpos[compiled.nq - 3 :] = samples.position[k]
+        data.qvel[compiled.nv - 3 :] = samples.velocity[k]
+        data.qacc[compiled.nv - 3 :] = samples.acceleration[k]
+        if gripper.floating:
+            data.qpos[:7] = 0, 0, 0, 1, 0, 0, 0
+            data.qvel[3:6] = samples.base_angular_velocity[k]
+            data.qacc[3:6] = samples.base_angular_acceleration[k]
+            data.qacc[:3] = samples.base_specific_force[k]
+        mujoco.mj_inverse(compiled, data)
+        speed = samples.velocity[k]
+        force = data.qfrc_inverse[first:] + 0.1 * np.clip(speed / 0.02, -1, 1)
+        work = force[master] + 1.5 * force[near] - 3.0 * force[far]
+        assert needed[k, first + master] == pytest.approx(work, rel=1e-9, abs=1e-9)
+    np.testing.assert_array_equal(needed[:, [first + far, first + near]], 0.0)
+    np.testing.assert_allclose(
+        rows.y[:, first + master] + known_force(parameters, samples)[:, first + master],
+        samples.effort[:, master],
+    )
+
+
+def test_a_contact_on_a_following_link_pushes_the_master(gripper):
+    samples = following(gripper, 4)
+    poses = link_poses(gripper, samples.position)
+    jacobian = contact_jacobian(gripper, ("d",), poses)
+    # The velocity of the link's origin, by finite differences of the master alone.
+    master = gripper.joint_names.index("master")
+    moved = samples.position.copy()
+    moved[:, master] += 1e-6
+    later = link_poses(gripper, gripper.followed(moved))
+    link = gripper.link_names.index("d")
+    shift = (later.position[:, link] - poses.position[:, link]) / 1e-6
+    in_link = np.einsum("nji,nj->ni", poses.rotation[:, link], shift)
+    column = 6 * gripper.floating + master
+    np.testing.assert_allclose(jacobian[:, 3:, column], in_link, atol=1e-5)
+
+
+def test_both_formats_say_who_follows_whom(gripper, tmp_path):
+    again = tmp_path / "again.urdf"
+    again.write_text(urdf_text(gripper))
+    base = "floating" if gripper.floating else "auto"
+    assert load_model(again, base).followers == gripper.followers
+    compiled = mujoco.MjModel.from_xml_string(mjcf_text(gripper))
+    data = mujoco.MjData(compiled)
+    first = compiled.nq - 3
+    data.qpos[first:] = gripper.followed(np.array([[0.0, 0.3, 0.0]]))[0]
+    mujoco.mj_forward(compiled, data)
+    equal = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    assert equal.sum() == 2
+    np.testing.assert_allclose(data.efc_pos[equal], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("mimic", "message"),
+    [
+        ('<mimic joint="none"/>', "joint 'master' mimics 'none', which is not a moving joint"),
+        ('<mimic joint="master"/>', "joint 'master' mimics 'master', which follows itself"),
+        ("<mimic/>", "joint 'master' mimics '', which is not a moving joint"),
+        ('<mimic joint="near" offset="x"/>', "offset='x' is not a number"),
+    ],
+)
+def test_a_mimic_that_leads_nowhere_is_refused(mimic, message, tmp_path):
+    text = GRIPPER.replace(joint("master", "a", "b"), joint("master", "a", "b", mimic=mimic))
+    (tmp_path / "robot.urdf").write_text(text)
+    with pytest.raises(ModelError, match=message):
+        load_model(tmp_path / "robot.urdf")
+
+
+def test_equalities_tendons_and_massless_links_are_reported(tmp_path, caplog):
+    text = """<mujoco><worldbody><body name="base"><freejoint/>
+      <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+      <body name="left"><joint name="l"/><geom size=".1"/></body>
+      <body name="right"><joint name="r"/><geom size=".1"/></body></body></worldbody>
+      <equality><joint name="same" joint1="l" joint2="r"/></equality>
+      <tendon><fixed name="cord"><joint joint="l" coef="1"/></fixed></tendon></mujoco>"""
+    (tmp_path / "robot.xml").write_text(text)
+    load_model(tmp_path / "robot.xml")
+    assert "robot.xml: <equality> and <tendon> are ignored: same, cord" in caplog.text
+    caplog.clear()
+    (tmp_path / "robot.urdf").write_text(GRIPPER.replace(INERTIAL, "", 3))
+    load_model(tmp_path / "robot.urdf", "fixed")
+    assert "robot.urdf: links b, c move but have no mass" in caplog.text
+    caplog.clear()
+    (tmp_path / "robot.urdf").write_text(GRIPPER)
+    load_model(tmp_path / "robot.urdf")
+    assert caplog.text == ""

@@ -1,0 +1,101 @@
+"""A gripper whose second finger mimics the first is identified from the first one's readings."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+from tree_simulation import TreeSimulation
+
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.tree import Frame
+from symbid_ros.offline.evaluation import evaluate, read_true_motion
+from symbid_ros.offline.facts import PriorChoice
+from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.record import Processing
+from symbid_ros.signals.filters import LowPass
+from symbid_ros.simulation.recording import record
+
+PANDA = (
+    Path(pinocchio.__file__).parents[4]
+    / "share/example-robot-data/robots/panda_description/urdf/panda.urdf"
+)
+FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
+
+
+class Followed(TreeSimulation):
+    """The joints follow sines exactly; their efforts are MuJoCo's inverse dynamics.
+
+    Only the first finger is published, with the force that moves both.
+    """
+
+    def __init__(self, model, seconds, seed):
+        super().__init__(model, seconds, seed)
+        self.m.opt.timestep = 1e-3
+        self.all_names, self.ticks = model.joint_names, 0
+        self.kept = [k for k, name in enumerate(self.all_names) if name != FINGERS[1]]
+        self.joint_names = tuple(self.all_names[k] for k in self.kept)
+        first, second = (self.all_names.index(name) for name in FINGERS)
+        for table in (self.frequency, self.phase):
+            table[:, second] = table[:, first]
+
+    def step(self):
+        d, rate = self.d, 2 * np.pi * self.frequency
+        angle = rate * self.ticks * 1e-3 + self.phase
+        d.time = self.ticks * 1e-3
+        d.qpos[:] = np.sin(angle).mean(axis=0)
+        d.qvel[:] = (rate * np.cos(angle)).mean(axis=0)
+        d.qacc[:] = (-(rate**2) * np.sin(angle)).mean(axis=0)
+        mujoco.mj_inverse(self.m, d)
+        effort = d.qfrc_inverse.copy()
+        first, second = (self.all_names.index(name) for name in FINGERS)
+        effort[first] += effort[second]
+        self.ticks += 1
+        names, self.joint_names = self.joint_names, self.all_names
+        instant = self._instant(effort, np.zeros((0, 6)))
+        self.joint_names = names
+        columns = (
+            *("joint_position", "joint_velocity", "joint_effort", "true_position"),
+            *("true_velocity", "true_acceleration", "true_effort"),
+        )
+        return replace(instant, **{name: getattr(instant, name)[self.kept] for name in columns})
+
+
+@pytest.fixture(scope="module")
+def gripper(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("panda")
+    robot = load_model(PANDA, "fixed")
+    assert [robot.joints[k].name for k in robot.followers] == [FINGERS[1]]
+    smooth = [replace(joint, damping=0.0, friction_loss=0.0) for joint in robot.joints]
+    frame = Frame("imu_link", 0, np.eye(3), np.zeros(3))
+    robot = replace(robot, joints=tuple(smooth), frames=(frame,))
+    (folder / "robot.urdf").write_text(urdf_text(robot))
+    record(Followed(robot, 2.6, 1), folder / "log")
+    record(Followed(robot, 0.8, 2), folder / "other")
+    return folder, robot
+
+
+@pytest.mark.parametrize("method", ["map_lmi", "wls_rc"])
+def test_a_finger_that_follows_needs_no_readings(gripper, method):
+    folder, robot = gripper
+    prior = PriorChoice(percent=25.0)
+    processing = Processing() if method == "map_lmi" else Processing(LowPass(cutoff=0))
+    job = Job(
+        (folder / "log",), folder / "robot.urdf", "fixed", prior, method, processing=processing
+    )
+    prepared = prepare(job)
+    wrong = robot.with_phi(1.2 * robot.phi)
+    parameters = prepared.parameters
+    prior_mean = replace(prepared.prior, mean=parameters.values * 1.2)
+    found = prepared.under(prior_mean).solve(method)
+    motion = read_true_motion([folder / "other"], robot)
+    candidates = {"it": found.estimate.value, "prior": wrong.phi[parameters.links].ravel()}
+    judged = evaluate(parameters, candidates, parameters.values, motion)
+    assert judged["it"].torque_rmse < 0.03 * judged["prior"].torque_rmse
+    # Both fingers together weigh what they do: the force of the first moves both.
+    mass = [found.estimate.names.index(f"panda_{side}finger/m") for side in ("left", "right")]
+    true = parameters.values[mass].sum()
+    assert found.estimate.value[mass].sum() == pytest.approx(true, rel=0.05)
