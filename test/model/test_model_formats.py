@@ -221,7 +221,8 @@ def test_consistency_is_judged_by_the_links_own_scale(mass, size):
 
 
 MOTORS = """<mujoco><default><joint armature="1"/></default><worldbody>
-  <body name="base"><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><body name="arm"><joint name="free"/><joint name="a"/><joint name="b"/>
+  <body name="base"><inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/>
+    <body name="arm"><joint name="free"/><joint name="a"/><joint name="b"/>
     <joint name="c"/><joint name="d"/><joint name="e"/><geom size=".1"/></body></body></worldbody>
   <actuator>
     <motor joint="a" gear="50" forcerange="-3 2"/>
