@@ -186,6 +186,21 @@ def test_identified_terms_go_into_the_users_own_urdf(urdf_arm, tmp_path):
     )
 
 
+def test_a_solvers_zero_is_no_friction(arm, urdf_arm, tmp_path):
+    for model, write, file in ((arm, mjcf_text, "arm.xml"), (urdf_arm, urdf_text, "arm.urdf")):
+        lift = replace(model.joints[1], damping=8.9e-17, friction_loss=3e-12, armature=2e-16)
+        robot = replace(model, joints=(model.joints[0], lift, *model.joints[2:]))
+        own = (
+            write(robot, tmp_path / file)
+            if write is urdf_text
+            else write(robot, tmp_path / file, tmp_path)
+        )
+        assert own == (tmp_path / file).read_text()
+        np.testing.assert_array_equal(
+            drives(load_text(write(robot), tmp_path / f"again_{file}"))[1], 0.0
+        )
+
+
 @pytest.mark.parametrize("own", [True, False])
 def test_negative_terms_are_written_as_zero_and_named(own, arm, urdf_arm, tmp_path):
     for model, write, file in ((arm, mjcf_text, "arm.xml"), (urdf_arm, urdf_text, "arm.urdf")):

@@ -231,6 +231,25 @@ def test_any_urdf_that_loads_comes_back_in_both_formats(tmp_path_factory, text, 
         assert kept == re.sub(added, "", without_numbers(text))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "iso-8859-1", "utf-16"])
+def test_other_encodings_come_back_as_they_are(encoding, tmp_path):
+    declared = {"utf-8-sig": "utf-8"}.get(encoding, encoding)
+    text = (
+        f'<?xml version="1.0" encoding="{declared}"?>\r\n<!-- Gerät -->\r\n<robot name="r">'
+        '<link name="a"><inertial><mass value="2."/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
+        "</link></robot>\r\n"
+    )
+    path, out = tmp_path / "robot.urdf", tmp_path / "model.urdf"
+    path.write_bytes(text.encode(encoding))
+    robot = load_model(path)
+    heavier = robot.phi.copy()
+    heavier[0, 0] = 2.5
+    write_text(out, urdf_text(robot.with_phi(heavier), path))
+    np.testing.assert_allclose(load_model(out).phi, heavier)
+    if encoding != "utf-16":
+        assert out.read_bytes() == text.replace('"2."', '"2.5"').encode(encoding)
+
+
 LEG = """<mujocoinclude>
   <!-- the leg -->
   <compiler meshdir="meshes"/>
