@@ -170,6 +170,7 @@ class Runner:
     def __post_init__(self) -> None:
         self.copy = self.folder / "tree"
         shutil.copytree(ROOT, self.copy, ignore=shutil.ignore_patterns(*NOT_COPIED))
+        self._second = 0
         self._times: dict[str, float] = {}
         if self.times_file.exists():
             self._times = json.loads(self.times_file.read_text())
@@ -180,6 +181,9 @@ class Runner:
         path = self.copy / fault.module_path
         operator = get_operator(fault.operator_name)()
         with use_mutation(path, operator, fault.occurrence) as (before, after):
+            # Bytecode knows its source by size and second: no two states may share a second.
+            self._second += 1
+            os.utime(path, (self._second, self._second))
             status, output = self._pytest(tests_of(fault.module_path), limit)
         return WorkResult(
             WorkerOutcome.NORMAL,
@@ -204,8 +208,7 @@ class Runner:
         """Return the exit status and the output of pytest up to the first failure."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "--tb=line"]
         command += ["-p", "no:cacheprovider", f"--basetemp={self.folder / 'pytest'}", *files]
-        # Bytecode knows a source by its second and its size, which faults may share.
-        environment = os.environ | {"PYTHONPATH": str(self.copy), "PYTHONDONTWRITEBYTECODE": "1"}
+        environment = os.environ | {"PYTHONPATH": str(self.copy)}
         with subprocess.Popen(
             command,
             cwd=self.copy,
