@@ -1,6 +1,7 @@
 # make demo   the whole loop: simulate, record, identify, compare      (needs git, make, Python 3.11 or 3.12)
 # make test   every check
 # make fuzz   ten thousand spoiled bags; FIRST=n and CASES=n choose which
+# make mutants  a hundred random faults put into the code; SEED=n and COUNT=n choose which
 # make setup  the environment alone, in .venv
 
 VENV := .venv
@@ -18,7 +19,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/log/ros
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup setup-dev demo test fuzz lint clean
+.PHONY: setup setup-dev demo test fuzz mutants lint clean
 
 setup: $(VENV)/.installed
 
@@ -35,13 +36,19 @@ CASES ?= 10000
 fuzz: setup-dev
 	$(BIN)/python test/support/bag_fuzz.py --first $(FIRST) --cases $(CASES)
 
+SEED ?= 0
+COUNT ?= 100
+AGAIN ?=
+mutants: $(VENV)/.installed-mutants
+	$(BIN)/python test/support/mutants.py --seed $(SEED) --count $(COUNT) $(if $(AGAIN),--again)
+
 lint: setup-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 clean:
-	rm -rf $(VENV) build install log demo *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build install log demo *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .mutants
 
 # The interpreters are tried by running them: a shim can be there and fail.
 $(BIN)/python:
@@ -64,4 +71,8 @@ $(VENV)/.installed: requirements.txt setup.py setup.cfg | $(BIN)/python
 
 $(VENV)/.installed-dev: requirements-dev.txt $(VENV)/.installed
 	$(PIP) install --quiet --no-compile -r requirements-dev.txt
+	@touch $@
+
+$(VENV)/.installed-mutants: requirements-mutants.txt $(VENV)/.installed-dev
+	$(PIP) install --quiet --no-compile -r requirements-mutants.txt
 	@touch $@

@@ -21,7 +21,7 @@ settings.register_profile(
 )
 settings.load_profile("tests")
 
-# With --dist loadfile a file is one worker's: the longest first, and all workers end together.
+# Files by duration, the longest first; files that take a second or two are not listed.
 LONGEST = (
     "test_study_small.py",
     "test_ros_online_identifier.py",
@@ -68,7 +68,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     rank = {name: place for place, name in enumerate(LONGEST)}
-    items.sort(key=lambda item: rank.get(item.path.name, len(LONGEST)))
+    # Several workers finish together if the longest files start first (--dist loadfile). A
+    # single process starts with the short files, so that -x stops early.
+    is_worker = "PYTEST_XDIST_WORKER" in os.environ
+    items.sort(
+        key=lambda item: rank.get(item.path.name, len(LONGEST)),
+        reverse=not is_worker,
+    )
 
 
 @pytest.fixture

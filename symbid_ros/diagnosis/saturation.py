@@ -52,9 +52,10 @@ class Extreme:
         self.longest = {value: self.longest[value] for value in outermost}
 
     def limit(self, sign: int) -> tuple[float, int] | None:
-        """Return the value at which it is saturated and how often; None if it is not."""
-        if len(self.counts) < 2:
-            return None
+        """Return the value at which it is saturated and how often; None if it is not.
+
+        There must have been several values.
+        """
         value = max(self.counts, key=lambda value: sign * value)
         count = self.counts[value]
         others = max(self.counts[other] for other in self.counts if other != value)

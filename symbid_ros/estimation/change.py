@@ -19,7 +19,7 @@ from symbid_ros.estimation.deviation import payload_std
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.weak_form import INFLATION, WindowedRows
+from symbid_ros.signals.weak_form import WindowedRows
 
 
 @dataclass(frozen=True)
@@ -60,23 +60,19 @@ class Innovation:
 
 
 def innovation(
-    earlier: Posterior,
-    recent: Sequence[WindowedRows],
-    parameters: ParameterSet,
-    inflation: float = INFLATION,
+    earlier: Posterior, recent: Sequence[WindowedRows], parameters: ParameterSet
 ) -> Innovation:
-    """Return what new rows tell of a change.
+    """Compare new rows with what earlier rows predict.
 
     Parameters
     ----------
     earlier : Posterior
-        By rows that came before, over windows of the same length.
+        By rows that came before, over windows of the same length. Its residual covariance
+        includes the factor for overlapping windows, and so does the misfit.
     recent : sequence of WindowedRows
         The new rows, one of them at least.
     parameters : ParameterSet
         The robot's columns, the posterior's.
-    inflation : float
-        By how much overlapping windows make the rows look more than they are.
     """
     count = len(earlier.mean)
     root = cholesky(earlier.covariance, lower=True)
@@ -102,8 +98,7 @@ def innovation(
             )
         )
     return Innovation(
-        # Σ is made larger for the overlap of windows, of which the innovation does not know.
-        misfit=float(unexpected @ unexpected) * inflation / count,
+        misfit=float(unexpected @ unexpected) / count,
         links=tuple(sorted(changes, key=lambda change: -change.evidence)),
     )
 

@@ -166,3 +166,15 @@ def test_a_wrench_with_its_sign_reversed(judged, topic) -> None:
         log[topic]["wrench"] *= -1
 
     assert found(judged(spoil)) == [(Kind.WRENCH_SIGN, topic)]
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_wrenches_with_the_same_fault_are_named_one_by_one(judged, count) -> None:
+    """A convention may be wrong for all feet: that is no contradiction."""
+    topics = sorted(f"/{foot}/wrench" for foot in FEET)[:count]
+
+    def spoil(log) -> None:
+        for topic in topics:
+            log[topic]["wrench"] *= -1
+
+    assert sorted(found(judged(spoil))) == [(Kind.WRENCH_SIGN, topic) for topic in topics]

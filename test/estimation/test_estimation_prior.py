@@ -16,7 +16,7 @@ from symbid_ros.estimation.prior import (
     model_prior,
 )
 from symbid_ros.estimation.prior_file import load_prior
-from symbid_ros.model.inertia import is_consistent, pseudo_inertia
+from symbid_ros.model.inertia import is_consistent, phi_from_pseudo_inertia, pseudo_inertia
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
 
@@ -67,6 +67,28 @@ def test_a_consistent_priors_deviation_is_that_of_its_draws(symbitron):
     # Below one where a nearly vanishing product meets the floor.
     assert ratio.min() > 0.7
     assert ratio.max() < 1.2
+
+
+@pytest.mark.parametrize("points", [1, 2, 3])
+def test_a_consistent_prior_of_links_without_volume_is_drawn(points):
+    """Points, rods and plates are possible; rounding may make their eigenvalues negative."""
+    rng, robot = np.random.default_rng(points), random_robot(3, links=5)
+    for link in robot.links:
+        places = np.c_[rng.normal(size=(points, 3)), np.ones(points)]
+        link.phi[:] = phi_from_pseudo_inertia(places.T @ places)
+    eigenvalues = np.linalg.eigvalsh(pseudo_inertia(robot.phi))
+    assert np.abs(eigenvalues[:, : 4 - points]).max() < 1e-14 < eigenvalues[:, -1].min()
+    assert (eigenvalues < 0).any()
+    parameters = ParameterSet(robot)
+    for phi in parameters.link_phi(draw_prior(parameters, "consistent", 25, 0).mean):
+        assert np.linalg.matrix_rank(pseudo_inertia(phi), tol=1e-12) == points
+
+
+def test_no_consistent_prior_is_drawn_around_an_impossible_link():
+    robot = random_robot(3, links=5)
+    robot.links[2].phi[0] *= -1.0
+    with pytest.raises(PriorError, match="physically impossible link"):
+        draw_prior(ParameterSet(robot), "consistent", 25, 0)
 
 
 def test_same_seed_same_prior_and_it_survives_the_file(symbitron, tmp_path):

@@ -13,6 +13,7 @@ from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import Prior, draw_prior
+from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviation
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
@@ -130,6 +131,27 @@ def test_truncated_methods_choose_z_for_themselves(whole, symbitron, method):
         error = (estimate.value - symbitron.values) / whole.prior.std
         off = (whole.prior.mean - symbitron.values) / whole.prior.std
         assert np.linalg.norm(error) < 1.2 * np.linalg.norm(off)
+
+
+def test_rows_are_weighed_by_the_noise_of_the_sensors_where_it_is_given(whole, symbitron):
+    sensors = SensorDeviation(effort=0.5, force=3.0, moment=0.2)
+    given = replace(whole, job=replace(whole.job, rank=20, sensors=sensors))
+    sigma = sensor_row_deviation(symbitron.model, whole.record.samples, sensors)
+    assert sigma.max() > 5 * sigma.min()
+    # Dense: the weighted normal equations about the prior, and their 20 largest eigenvalues.
+    rows, prior = whole.solver.chosen.rows, whole.prior.mean
+    normal, target = np.zeros((len(prior), len(prior))), np.zeros(len(prior))
+    for index, columns in enumerate(rows.layout.columns):
+        factor = rows.coordinate_factor(index) / sigma[index]
+        A, b = factor[:, :-1], factor[:, -1]
+        normal[np.ix_(columns, columns)] += A.T @ A
+        target[columns] += A.T @ (b - A @ prior[columns])
+    values, directions = np.linalg.eigh(normal)
+    kept = directions[:, -20:]
+    expected = prior + kept @ (kept.T @ target / values[-20:])
+    np.testing.assert_allclose(given.solve("wls_r").estimate.value, expected, rtol=1e-6, atol=1e-8)
+    unweighted = replace(given, job=replace(given.job, sensors=None))
+    assert not np.allclose(unweighted.solve("wls_r").estimate.value, expected, rtol=1e-3)
 
 
 def test_truncated_methods_take_what_they_are_given(whole):

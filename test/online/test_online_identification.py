@@ -109,6 +109,26 @@ def test_an_estimate_knows_the_end_of_a_block_that_is_being_worked_on(start, fee
     assert live.solve().until == pytest.approx(5e9, abs=2e6)
 
 
+def test_there_is_news_once_every_topic_has_told_more(start, feed) -> None:
+    live = start()
+    assert not live.has_news
+    feed.between(0.0, 3.0).into(live)
+    assert live.has_news
+    live.solve()
+    assert not live.has_news
+    later = feed.between(3.0, 3.2)
+    replace(later, messages=tuple(m for m in later.messages if "wrench" not in m[1].name)).into(
+        live
+    )
+    assert not live.has_news  # an estimate needs the wrenches as well
+    replace(later, messages=tuple(m for m in later.messages if "wrench" in m[1].name)).into(live)
+    assert live.has_news
+    live.solve(exactly=True)
+    assert not live.has_news
+    live.reset()
+    assert not live.has_news
+
+
 def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
     from symbid_ros.bags.streams.reader import read_streams
     from symbid_ros.offline.record import fold_record

@@ -1,5 +1,6 @@
 """Joints and IMU of one instant, found by stamp and name among what the topics carry."""
 
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -10,10 +11,11 @@ from rclpy.node import Node
 from sensor_msgs.msg import Imu, JointState
 
 from symbid_ros.errors import DataError
-from symbid_ros.ros.readings import Readings, ReadingsIntake
+from symbid_ros.ros.readings import KEPT, Readings, ReadingsIntake
 
 JOINTS = ("hip", "knee")
 MILLISECOND = 1_000_000
+DEADLINE = 100.0  # s; only a pair that never comes takes as long
 
 
 class Robot:
@@ -52,8 +54,10 @@ class Robot:
 
     def read(self, milliseconds: int) -> Readings:
         """Read until the instant of a stamp comes, which must be the first that is whole."""
+        deadline = time.monotonic() + DEADLINE
         while (readings := self.intake.newest()) is None:
-            self.intake.wait(20.0)
+            assert time.monotonic() < deadline, "no instant has both joints and IMU"
+            self.intake.wait(1.0)
         assert readings.stamp == milliseconds * MILLISECOND
         return readings
 
@@ -92,6 +96,15 @@ def test_an_imu_at_half_the_rate_decides_which_instants_are_whole(robot: Robot) 
     robot.imu(5)
     robot.read(5)
     assert robot.intake.passed_over == 2
+
+
+def test_of_joints_that_wait_for_a_silent_imu_the_newest_are_kept(robot: Robot) -> None:
+    waiting = 5 * KEPT
+    robot.joints(*range(1, waiting + 1))
+    robot.imu(waiting)
+    readings = robot.read(waiting)
+    np.testing.assert_allclose(readings.joint_position, [waiting + 0.1, waiting + 0.2])
+    assert robot.intake.passed_over <= KEPT  # the others were dropped long before
 
 
 def test_a_clock_that_jumps_back_begins_anew(robot: Robot) -> None:

@@ -1,0 +1,69 @@
+"""Which topics may be a robot's sensors: by type and name, and by what the user names."""
+
+import pytest
+
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
+from symbid_ros.bags.streams.selection import Selector, TopicSelection
+
+TOPICS = {
+    "/joint_states": JOINT_STATE,
+    "/arm/joint_states": JOINT_STATE,
+    "/joint_command": JOINT_STATE,
+    "/imu/data": IMU,
+    "/camera/imu": IMU,
+    "/left_foot/wrench": WRENCH,
+    "/right_foot/wrench": WRENCH,
+    "/left_foot/wrench_raw": WRENCH,
+    "/ground_truth/joint_states": JOINT_STATE,
+    "/ground_truth/imu": IMU,
+    "/ground_truth/wrench": WRENCH,
+    "/wrench": "geometry_msgs/msg/Wrench",
+    "/tf": "tf2_msgs/msg/TFMessage",
+}
+BY_DEFAULT = {
+    *("/joint_states", "/arm/joint_states", "/imu/data", "/camera/imu"),
+    *("/left_foot/wrench", "/right_foot/wrench"),
+}
+
+
+@pytest.mark.parametrize(
+    ("selection", "gone", "come"),
+    [
+        (TopicSelection(), set(), set()),
+        (TopicSelection(joints="joint_states"), {"/arm/joint_states"}, set()),
+        (
+            TopicSelection(joints="/joint_command"),
+            {"/joint_states", "/arm/joint_states"},
+            {"/joint_command"},
+        ),
+        (TopicSelection(imus=("/imu/data",)), {"/camera/imu"}, set()),
+        (TopicSelection(imus=()), {"/imu/data", "/camera/imu"}, set()),
+        (
+            TopicSelection(wrenches=("left_foot/wrench_raw",)),
+            {"/left_foot/wrench", "/right_foot/wrench"},
+            {"/left_foot/wrench_raw"},
+        ),
+        # A name does not make up for another type.
+        (
+            TopicSelection(wrenches=("/wrench", "/tf")),
+            {"/left_foot/wrench", "/right_foot/wrench"},
+            set(),
+        ),
+    ],
+    ids=str,
+)
+def test_what_is_wanted_follows_from_type_and_name(selection, gone, come) -> None:
+    selector = Selector("log", selection)
+    wanted = {name for name, msgtype in TOPICS.items() if selector.wants(Topic(name, msgtype))}
+    assert wanted == BY_DEFAULT - gone | come
+
+
+def test_what_is_selected_is_what_is_wanted() -> None:
+    selector = Selector("log", TopicSelection(joints="/joint_states"))
+    counts = {Topic(name, msgtype): 1 for name, msgtype in TOPICS.items()}
+    selector.counts.update(counts)
+    selected = selector.selected()
+    assert set(selected.all) == {topic for topic in counts if selector.wants(topic)}
+    assert selected.joints.name == "/joint_states"
+    assert [topic.name for topic in selected.imus] == ["/camera/imu", "/imu/data"]

@@ -1,0 +1,88 @@
+"""Forgetting against dense sums: every row loses weight by its age, whatever was lost between."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gaussian_logs import gaussian_log
+
+from symbid_ros.online.block_rows import BlockRows
+from symbid_ros.online.memory import Memory, Whole
+
+SECOND = 1_000_000_000
+BLOCK = 4 * SECOND
+SPAN = 3.0
+# The rows of each stretch; the second block, from 4 s to 8 s, is lost.
+FIRST, THIRD, PIECE = slice(0, 40), slice(40, 80), slice(80, 120)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return gaussian_log(3, count=120)
+
+
+@pytest.fixture(scope="module")
+def empty(log):
+    return replace(log[:0].observations(), window=0.081)
+
+
+def stretch(log, start, stop, part):
+    return BlockRows(start, stop, ((log[part].rows(),),))
+
+
+def dense(log, *weighted):
+    """Return Σ weight [K y]ᵀ[K y] over parts of a log, all coordinates side by side."""
+    count = len(log.parameters) + 1
+    gram = np.zeros((log.K.shape[1], count, count))
+    for weight, part in weighted:
+        rows = np.concatenate([log.K[part], log.y[part][:, :, None]], axis=2)
+        gram += weight * np.einsum("nip,niq->ipq", rows, rows)
+    return gram
+
+
+def assert_holds(observations, log, *weighted):
+    """Compare what is known of each coordinate with weighted sums of rows."""
+    expected = dense(log, *weighted)
+    for index, columns in enumerate(log.layout.columns):
+        factor = observations.rows.coordinate_factor(index)
+        kept = np.append(columns, len(log.parameters))
+        wanted = expected[index][np.ix_(kept, kept)]
+        np.testing.assert_allclose(factor.T @ factor, wanted, atol=1e-9 * np.abs(wanted).max())
+    samples = sum(weight * len(log[part]) for weight, part in weighted)
+    assert observations.rows.samples == pytest.approx(samples)
+
+
+def test_rows_age_while_a_block_is_lost(log, empty) -> None:
+    whole = Whole((empty,), SPAN).with_block(stretch(log, 0, BLOCK, FIRST))
+    assert_holds(whole.observations[0], log, (1.0, FIRST))
+    later = whole.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD))
+    assert_holds(later.observations[0], log, (np.exp(-8 / SPAN), FIRST), (1.0, THIRD))
+    # What was known at the beginning ages from the first block on.
+    assert later.observations[0].kept == pytest.approx(np.exp(-12 / SPAN))
+    assert (later.until, later.blocks) == (3 * BLOCK, 2)
+
+
+def test_rows_age_while_no_piece_comes(log, empty) -> None:
+    whole = Whole((empty,), SPAN).with_block(stretch(log, 0, BLOCK, FIRST))
+    memory = Memory(whole, 0)
+    memory.add(stretch(log, 2 * BLOCK, 2 * BLOCK + SECOND, THIRD))
+    memory.add(stretch(log, 3 * BLOCK, 3 * BLOCK + SECOND, PIECE))
+    ages = np.exp(-np.array([9.0, 4.0, 0.0]) / SPAN)
+    assert_holds(memory.now, log, (ages[0], FIRST), (ages[1], THIRD), (ages[2], PIECE))
+    # The block that comes in place of the first piece changes nothing about the second.
+    memory.settle(whole.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD)))
+    ages = np.exp(-np.array([9.0, 1.0, 0.0]) / SPAN)
+    assert_holds(memory.now, log, (ages[0], FIRST), (ages[1], THIRD), (ages[2], PIECE))
+
+
+def test_a_clock_that_begins_again_ages_nothing_between(log, empty) -> None:
+    first = Whole((empty,), SPAN).with_block(stretch(log, 25 * BLOCK, 26 * BLOCK, FIRST))
+    again = first.new_time().with_block(stretch(log, BLOCK, 2 * BLOCK, THIRD))
+    assert_holds(again.observations[0], log, (np.exp(-4 / SPAN), FIRST), (1.0, THIRD))
+
+
+def test_an_endless_memory_forgets_nothing(log, empty) -> None:
+    whole = Whole((empty,), np.inf).with_block(stretch(log, 0, BLOCK, FIRST))
+    later = whole.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD))
+    assert_holds(later.observations[0], log, (1.0, FIRST), (1.0, THIRD))
+    assert later.observations[0].kept == 1.0

@@ -1,0 +1,123 @@
+"""Topics at rates of their own against the sines that they sample."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from analytic_log import analytic_samples, imu_motion, readings_of
+from random_robots import random_robot
+
+from symbid_ros.dynamics.imu import BaseMotion
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.alignment import align
+from symbid_ros.signals.readings import at_base
+from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
+
+MILLISECOND = 1_000_000
+SECONDS = 2.0
+# Interpolated at a hundredth of a second, a sine of 4 Hz is known to 5 (2π 4/100)⁴ / 384 = 5e-5.
+FREQUENCY = 4.0
+
+
+@pytest.fixture(scope="module")
+def model():
+    return random_robot(1, links=4, wrench_frames=1)
+
+
+def wave(stamp, columns):
+    """Return sines (N, columns) at stamps, ns."""
+    return np.sin(2 * np.pi * FREQUENCY * stamp[:, None] * 1e-9 + np.arange(columns))
+
+
+def ticks(period, first=0):
+    """Return stamps of a topic, ns."""
+    return np.arange(first, round(SECONDS * 1e9), period, dtype=np.int64)
+
+
+def without(stamp, start, stop):
+    """Return the stamps outside of a gap, s."""
+    return stamp[(stamp < start * 1e9) | (stamp >= stop * 1e9)]
+
+
+def streams(model, joints, imu, wrench):
+    """Return sines sampled at the stamps of each topic."""
+    names, nothing = model.joint_names, np.zeros((len(joints), len(model.joints)))
+    values = wave(joints, 2 * len(names))
+    position, effort = values[:, : len(names)], values[:, len(names) :]
+    rate, force = wave(imu, 6)[:, :3], wave(imu, 6)[:, 3:]
+    moment, push = wave(wrench, 6)[:, :3], wave(wrench, 6)[:, 3:]
+    return Streams(
+        "sines",
+        JointStream("/joint_states", names, joints, position, nothing, effort),
+        (ImuStream("/imu/data", "imu_link", imu, None, rate, force),),
+        (WrenchStream("/wrench", "wrench_0", wrench, push, moment),),
+    )
+
+
+def assert_sampled(segments, tolerance):
+    """Compare every channel with its sine."""
+    for segment in segments:
+        joints = wave(segment.stamp, 2 * segment.position.shape[1])
+        found = np.concatenate([segment.position, segment.effort], axis=1)
+        np.testing.assert_allclose(found, joints, atol=tolerance)
+        sensors = wave(segment.stamp, 6)
+        imu = np.concatenate([segment.angular_velocity, segment.linear_acceleration], axis=2)
+        np.testing.assert_allclose(imu[:, 0], sensors, atol=tolerance)
+        np.testing.assert_allclose(segment.wrenches[:, 0], sensors, atol=tolerance)
+
+
+@pytest.mark.parametrize("phase", [0, 3_700_000])
+def test_a_topic_at_a_tenth_of_the_rate_cuts_nothing(model, phase) -> None:
+    fast, slow = ticks(MILLISECOND), ticks(10 * MILLISECOND, phase)
+    (segment,) = align(streams(model, fast, fast, slow), model)
+    inside = (fast >= slow[0]) & (fast <= slow[-1])
+    np.testing.assert_array_equal(segment.stamp, fast[inside])
+    # A spline is less good where it ends.
+    assert_sampled([segment], 1e-2)
+    assert_sampled([segment.cut(50, len(segment) - 50)], 1e-4)
+
+
+def test_a_gap_is_measured_by_the_period_of_its_own_topic(model) -> None:
+    fast, slow = ticks(MILLISECOND), ticks(10 * MILLISECOND)
+    bridged = without(slow, 0.505, 0.545)  # 50 ms from one message to the next
+    assert len(align(streams(model, fast, fast, bridged), model)) == 1
+    cut = align(streams(model, fast, fast, without(slow, 0.505, 0.555)), model)
+    edges = [(one.stamp[0], one.stamp[-1]) for one in cut]
+    last = slow[-1]
+    assert edges == [(0, 500 * MILLISECOND), (560 * MILLISECOND, last)]
+    # The same time without a message of a fast topic is a gap.
+    assert len(align(streams(model, fast, without(fast, 0.505, 0.545), slow), model)) == 2
+
+
+def test_where_another_topic_has_a_gap_splines_reach_beyond_the_cut(model) -> None:
+    """The ends of a stretch are as good as its middle where the slow topic goes on."""
+    fast, slow = ticks(MILLISECOND), ticks(10 * MILLISECOND, 3_700_000)
+    found = align(streams(model, fast, without(fast, 0.8, 1.2), slow), model)
+    assert len(found) == 2
+    first, second = found
+    assert_sampled([first.cut(50, len(first)), second.cut(0, len(second) - 50)], 1e-4)
+
+
+def test_several_imus_count_alike() -> None:
+    """Errors that are opposite at the base cancel in the mean, and in nothing else."""
+    parameters = ParameterSet(random_robot(2, links=5, wrench_frames=1))
+    model, frame = parameters.model, parameters.model.links[0].name
+    samples = analytic_samples(parameters, ticks(20 * MILLISECOND), 2)
+    truth, other = imu_motion(model, samples, frame), imu_motion(model, samples, "imu_link")
+    error = 0.1 * np.random.default_rng(2).normal(size=(3, len(samples), 3))
+    exact = [truth.angular_velocity, truth.angular_acceleration, truth.specific_force]
+    readings = readings_of(model, samples, (frame, "imu_link"))
+    for imus, remaining in (
+        ((BaseMotion(*(exact + error)), BaseMotion(*(exact - error)), other), 0.0),
+        ((BaseMotion(*(exact + error)), other, other), 1 / 3),
+        ((other, other, BaseMotion(*(exact + error))), 1 / 3),
+    ):
+        frames = tuple("imu_link" if imu is other else frame for imu in imus)
+        found = at_base(replace(readings, imus=imus, imu_frames=frames), model)
+        for name, was, wrong in zip(
+            ("base_angular_velocity", "base_angular_acceleration", "base_specific_force"),
+            exact,
+            error,
+            strict=True,
+        ):
+            np.testing.assert_allclose(getattr(found, name), was + remaining * wrong, atol=1e-9)
