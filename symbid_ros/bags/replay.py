@@ -12,6 +12,7 @@ from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.container.files import bag_files
 from symbid_ros.bags.container.index import FileIndex, RecordedTopic
 from symbid_ros.bags.container.mcap_index import read_mcap_index
+from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_index
 from symbid_ros.bags.container.summary import warn_of_counts
 from symbid_ros.bags.streams.selection import listing
 from symbid_ros.errors import BagError
@@ -60,7 +61,7 @@ class Recording:
 
     @classmethod
     def of(cls, bags: Sequence[Path]) -> "Recording":
-        """Return what bag folders or .mcap files hold together.
+        """Return what bag folders or files, MCAP or SQLite, hold together.
 
         Raises
         ------
@@ -70,7 +71,7 @@ class Recording:
         if not bags:
             raise BagError("no bag given; name at least one")
         source = ", ".join(str(bag) for bag in bags)
-        files = tuple(read_mcap_index(file) for bag in bags for file in bag_files(bag))
+        files = tuple(_read_index(file) for bag in bags for file in bag_files(bag))
         topics: dict[str, RecordedTopic] = {}
         for topic in (topic for file in files for topic in file.topics.values()):
             known = topics.setdefault(topic.name, topic)
@@ -147,3 +148,7 @@ class Recording:
             if not left and file.file not in self._compared:
                 self._compared.add(file.file)
                 warn_of_counts(file.file, file.statistics, found)
+
+
+def _read_index(file: Path) -> FileIndex:
+    return (read_sqlite_index if file.suffix == SQLITE_SUFFIX else read_mcap_index)(file)

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 from mcap.records import Statistics
 
+from symbid_ros.bags.container.catalogue import Catalogue, full_name
 from symbid_ros.bags.metadata import OfferedQos
 
-EXTENT_SIZE = 1 << 20  # bytes of messages outside chunks that are read together
+EXTENT_SIZE = 1 << 20  # bytes of messages, other than chunks, that are read together
 
 
 @dataclass(frozen=True)
@@ -78,3 +79,16 @@ class FileIndex:
     extents: tuple[Extent, ...]
     statistics: Statistics | None
     messages: Callable[[Extent], list[StoredMessage]]
+
+
+def recorded_topics(catalogue: Catalogue) -> dict[int, RecordedTopic]:
+    """Return the topics of a file by channel."""
+    return {
+        number: RecordedTopic(
+            name=channel.topic,
+            msgtype=full_name(schema.name) if (schema := catalogue.schema(channel)) else "",
+            encoding=channel.message_encoding,
+            qos=catalogue.offers(channel),
+        )
+        for number, channel in catalogue.channels.items()
+    }

@@ -7,7 +7,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Statistics
 
-from symbid_ros.bags.container.catalogue import Catalogue, full_name
+from symbid_ros.bags.container.catalogue import Catalogue
 from symbid_ros.bags.container.compression import ChunkRecord, unpacked_message
 from symbid_ros.bags.container.framing import (
     INDEX_ENTRY,
@@ -22,8 +22,8 @@ from symbid_ros.bags.container.index import (
     EXTENT_SIZE,
     Extent,
     FileIndex,
-    RecordedTopic,
     StoredMessage,
+    recorded_topics,
 )
 from symbid_ros.bags.container.summary import Summary, read_summary
 from symbid_ros.bags.limits import MAX_CHUNK, MAX_EXTENTS, within
@@ -90,15 +90,7 @@ def _indexed(chunk: ChunkIndex) -> float:
 def _file_index(
     file: Path, catalogue: Catalogue, extents: tuple[Extent, ...], statistics: Statistics | None
 ) -> FileIndex:
-    topics = {
-        number: RecordedTopic(
-            name=channel.topic,
-            msgtype=full_name(schema.name) if (schema := catalogue.schema(channel)) else "",
-            encoding=channel.message_encoding,
-            qos=catalogue.offers(channel),
-        )
-        for number, channel in catalogue.channels.items()
-    }
+    topics = recorded_topics(catalogue)
 
     def messages(extent: Extent) -> list[StoredMessage]:
         with damage_named(file):
