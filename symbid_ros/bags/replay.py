@@ -86,13 +86,13 @@ class Recording:
         start, end = min(extent.start for extent in extents), max(extent.end for extent in extents)
         return cls(source, topics, start, end, files)
 
-    def select(self, names: Sequence[str]) -> tuple[RecordedTopic, ...]:
+    def find(self, names: Sequence[str]) -> tuple[RecordedTopic, ...]:
         """Return the named topics; a leading slash may be left out.
 
         Raises
         ------
         BagError
-            When there is no such topic, or its messages are not ROS 2's.
+            When there is no such topic.
         """
         by_name = {name.lstrip("/"): topic for name, topic in self.topics.items()}
         for name in names:
@@ -101,14 +101,15 @@ class Recording:
                 raise BagError(
                     f"{self.source}: no topic {name}, it holds {held}; name one of these"
                 )
-        chosen = tuple(dict.fromkeys(by_name[name.lstrip("/")] for name in names))
-        for topic in chosen:
-            if topic.encoding != CDR:
-                raise BagError(
-                    f"{self.source}: messages on {topic.name} are encoded as "
-                    f"{topic.encoding or 'nothing known'}, not {CDR}; leave the topic out"
-                )
-        return chosen
+        return tuple(dict.fromkeys(by_name[name.lstrip("/")] for name in names))
+
+    def require_cdr(self, topic: RecordedTopic) -> None:
+        """Raise BagError if a topic's messages are not serialised as ROS 2 does it."""
+        if topic.encoding != CDR:
+            raise BagError(
+                f"{self.source}: messages on {topic.name} are encoded as "
+                f"{topic.encoding or 'nothing known'}, not {CDR}; leave the topic out"
+            )
 
     def messages(self, topics: Collection[str], start: int, stop: int) -> Iterator[RecordedMessage]:
         """Yield the messages of some topics with start ≤ log time < stop, by log time.

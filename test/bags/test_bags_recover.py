@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from foreign_bags import STORE, joint_state
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
@@ -180,6 +181,24 @@ def test_metadata_of_a_finished_recording_tell_what_a_cut_copy_lacks(file: Path,
     alone = recover(file)
     assert not alone.is_counted
     assert alone.kept == recovery.kept
+
+
+@pytest.mark.parametrize("stated", [3, STEPS, STEPS + 50])
+def test_lost_messages_are_counted_by_what_states_most(file: Path, bag: Path, stated: int) -> None:
+    """A chunk is damaged; metadata.yaml counts less than the file's summary, as much, or more."""
+    image = bytearray(file.read_bytes())
+    start, end = chunks(image)[7]
+    image[(start + end) // 2] ^= 4
+    file.write_bytes(image)
+    metadata = bag / "metadata.yaml"
+    content = yaml.safe_load(metadata.read_text())
+    for entry in content["rosbag2_bagfile_information"]["topics_with_message_count"]:
+        entry["message_count"] = stated
+    metadata.write_text(yaml.safe_dump(content))
+    recovery = recover(bag)
+    kept = len(read_streams([recovery.out]).joints.stamp)
+    assert kept < STEPS
+    assert by_topic(recovery)["/joint_states"] == (kept, max(stated, STEPS) - kept)
 
 
 def test_bytes_that_went_missing_or_came_in_cost_their_chunk_alone(file: Path) -> None:

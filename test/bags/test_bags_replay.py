@@ -284,9 +284,9 @@ def test_quality_of_service_is_what_publishers_offered(tmp_path: Path) -> None:
 
 def test_topics_are_named_with_or_without_slash(tmp_path: Path) -> None:
     recording = Recording.of([write_mcap(tmp_path / "log.mcap", random_messages(9))])
-    assert [topic.name for topic in recording.select(["b", "/a", "/b"])] == ["/b", "/a"]
+    assert [topic.name for topic in recording.find(["b", "/a", "/b"])] == ["/b", "/a"]
     with pytest.raises(BagError, match=r"no topic /d, it holds /a \(sensor_msgs.*; name one"):
-        recording.select(["/d"])
+        recording.find(["/d"])
 
 
 def test_foreign_encoding_is_refused_when_wanted(tmp_path: Path) -> None:
@@ -294,7 +294,7 @@ def test_foreign_encoding_is_refused_when_wanted(tmp_path: Path) -> None:
         [write_mcap(tmp_path / "log.mcap", random_messages(9), encoding="json")]
     )
     with pytest.raises(BagError, match="messages on /a are encoded as json, not cdr; leave"):
-        recording.select(["/a"])
+        recording.require_cdr(recording.topics["/a"])
 
 
 def test_a_topic_of_two_types_is_refused(tmp_path: Path) -> None:
