@@ -1,8 +1,10 @@
-"""The wish to end, as an event that work can wait for."""
+"""Reactions to SIGINT, SIGTERM and SIGHUP: an event for nodes, an exception for commands."""
 
 import os
 import signal
+import sys
 from threading import Event, Thread
+from typing import NoReturn
 
 SIGNALS = signal.SIGINT, signal.SIGTERM
 
@@ -30,3 +32,19 @@ def stop_on_signals() -> Event:
 
     Thread(target=watch, name="signals", daemon=True).start()
     return stop
+
+
+def exit_on_signals() -> None:
+    """Make SIGTERM and SIGHUP unwind the stack as Ctrl-C does, so that work can clean up.
+
+    A signal that is ignored, as with ``nohup``, stays ignored.
+    """
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, unwind)
+
+
+def unwind(number: int, _: object) -> NoReturn:
+    """Handle a signal: end the process with the status that shells give it."""
+    signal.signal(number, signal.SIG_IGN)  # the next would interrupt the cleaning up
+    sys.exit(128 + number)

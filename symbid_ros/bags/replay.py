@@ -1,15 +1,19 @@
 """The messages of bags as they were recorded, in order of log time."""
 
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.container.files import bag_files
-from symbid_ros.bags.container.index import FileIndex, RecordedTopic, read_index
+from symbid_ros.bags.container.index import FileIndex, RecordedTopic
+from symbid_ros.bags.container.mcap_index import read_mcap_index
+from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_index
+from symbid_ros.bags.container.summary import warn_of_counts
 from symbid_ros.bags.streams.selection import listing
 from symbid_ros.errors import BagError
 
@@ -53,10 +57,11 @@ class Recording:
     start: int
     end: int
     _files: tuple[FileIndex, ...]
+    _compared: set[Path] = field(default_factory=set)
 
     @classmethod
     def of(cls, bags: Sequence[Path]) -> "Recording":
-        """Return what bag folders or .mcap files hold together.
+        """Return what bag folders or files, MCAP or SQLite, hold together.
 
         Raises
         ------
@@ -66,7 +71,7 @@ class Recording:
         if not bags:
             raise BagError("no bag given; name at least one")
         source = ", ".join(str(bag) for bag in bags)
-        files = tuple(read_index(file) for bag in bags for file in bag_files(bag))
+        files = tuple(_read_index(file) for bag in bags for file in bag_files(bag))
         topics: dict[str, RecordedTopic] = {}
         for topic in (topic for file in files for topic in file.topics.values()):
             known = topics.setdefault(topic.name, topic)
@@ -81,13 +86,13 @@ class Recording:
         start, end = min(extent.start for extent in extents), max(extent.end for extent in extents)
         return cls(source, topics, start, end, files)
 
-    def select(self, names: Sequence[str]) -> tuple[RecordedTopic, ...]:
+    def find(self, names: Sequence[str]) -> tuple[RecordedTopic, ...]:
         """Return the named topics; a leading slash may be left out.
 
         Raises
         ------
         BagError
-            When there is no such topic, or its messages are not ROS 2's.
+            When there is no such topic.
         """
         by_name = {name.lstrip("/"): topic for name, topic in self.topics.items()}
         for name in names:
@@ -96,20 +101,22 @@ class Recording:
                 raise BagError(
                     f"{self.source}: no topic {name}, it holds {held}; name one of these"
                 )
-        chosen = tuple(dict.fromkeys(by_name[name.lstrip("/")] for name in names))
-        for topic in chosen:
-            if topic.encoding != CDR:
-                raise BagError(
-                    f"{self.source}: messages on {topic.name} are encoded as "
-                    f"{topic.encoding or 'nothing known'}, not {CDR}; leave the topic out"
-                )
-        return chosen
+        return tuple(dict.fromkeys(by_name[name.lstrip("/")] for name in names))
+
+    def require_cdr(self, topic: RecordedTopic) -> None:
+        """Raise BagError if a topic's messages are not serialised as ROS 2 does it."""
+        if topic.encoding != CDR:
+            raise BagError(
+                f"{self.source}: messages on {topic.name} are encoded as "
+                f"{topic.encoding or 'nothing known'}, not {CDR}; leave the topic out"
+            )
 
     def messages(self, topics: Collection[str], start: int, stop: int) -> Iterator[RecordedMessage]:
         """Yield the messages of some topics with start ≤ log time < stop, by log time.
 
-        Equal times keep the order of recording. No more is held in memory than the
-        chunks whose times overlap.
+        Equal times keep the order of recording. Only chunks whose times overlap are in
+        memory together. A warning names each file that was read completely and does not
+        hold as many messages as its summary counts.
         """
         extents = sorted(
             (
@@ -120,16 +127,29 @@ class Recording:
             ),
             key=lambda place: (place[0].start, place[1], place[0].offset),
         )
+        unread = [len(file.extents) for file in self._files]
+        counts: list[Counter[int]] = [Counter() for _ in self._files]
         waiting: list[RecordedMessage] = []
         for extent, number in extents:
             ready = bisect_left(waiting, extent.start, key=itemgetter(0))
             yield from waiting[:ready]
             file = self._files[number]
             names = {c: topic.name for c, topic in file.topics.items() if topic.name in topics}
+            stored = file.messages(extent)
+            unread[number] -= 1
+            counts[number].update(message.channel for message in stored)
             waiting = waiting[ready:] + [
                 RecordedMessage(message.log_time, names[message.channel], message.payload)
-                for message in file.messages(extent)
+                for message in stored
                 if message.channel in names and start <= message.log_time < stop
             ]
             waiting.sort(key=attrgetter("log_time"))
         yield from waiting
+        for file, left, found in zip(self._files, unread, counts, strict=True):
+            if not left and file.file not in self._compared:
+                self._compared.add(file.file)
+                warn_of_counts(file.file, file.statistics, found)
+
+
+def _read_index(file: Path) -> FileIndex:
+    return (read_sqlite_index if file.suffix == SQLITE_SUFFIX else read_mcap_index)(file)

@@ -20,6 +20,7 @@ from symbid_ros.cli.report import report
 from symbid_ros.cli.simulate import simulate
 from symbid_ros.cli.study import study
 from symbid_ros.cli.udp_client import udp_client
+from symbid_ros.ending import exit_on_signals
 from symbid_ros.errors import SymbidError
 
 app = typer.Typer(
@@ -58,6 +59,7 @@ def _symbid(
 
 def main() -> None:
     """Run the command line; errors of ours are one line on stderr and status 2."""
+    exit_on_signals()
     console = Console(stderr=True, soft_wrap=True)
     handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler])

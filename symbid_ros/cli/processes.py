@@ -9,9 +9,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn
+from typing import Any
 
 from symbid_ros.cli.domain import unused_domain
+from symbid_ros.ending import unwind
 from symbid_ros.errors import SymbidError
 from symbid_ros.share import config_file
 
@@ -26,7 +27,7 @@ def private_graph() -> Iterator[dict[str, str]]:
     blocks do not outlive the command.
     """
     numbers = signal.SIGTERM, signal.SIGHUP
-    before = {number: signal.signal(number, _unwind) for number in numbers}
+    before = {number: signal.signal(number, unwind) for number in numbers}
     try:
         with unused_domain() as domain:
             yield os.environ | {
@@ -36,10 +37,6 @@ def private_graph() -> Iterator[dict[str, str]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _unwind(number: int, _: object) -> NoReturn:
-    sys.exit(128 + number)
 
 
 class NodeProcess:

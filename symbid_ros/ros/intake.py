@@ -15,7 +15,9 @@ from rclpy.subscription import Subscription
 from symbid_ros.bags.metadata import OfferedQos
 from symbid_ros.ros.messages import matching, message_class, offered
 
-BATCH = 256  # messages taken from one queue before the next has its turn
+# Messages, and bytes of them, taken from one queue before the next has its turn.
+BATCH = 256
+BATCH_SIZE = 1 << 20
 
 
 class Polled(CallbackGroup):  # type: ignore[misc]
@@ -54,12 +56,14 @@ class Intake:
     def arrivals(self) -> Iterator[Arrival]:
         """Take what lies in the queue, a batch at most."""
         handle, kind = self._subscription.handle, self._subscription.msg_type
+        size = 0
         with handle:
             for _ in range(BATCH):
-                taken = handle.take_message(kind, True)
+                taken = None if size >= BATCH_SIZE else handle.take_message(kind, True)
                 if taken is None:
                     return
                 payload, times = taken
+                size += len(payload)
                 yield Arrival(payload, times["received_timestamp"], times["source_timestamp"])
 
 

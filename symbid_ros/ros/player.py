@@ -20,8 +20,8 @@ from symbid_ros.bags.gaps import has_stamp, stamp_of
 from symbid_ros.bags.layout import typestore
 from symbid_ros.bags.replay import RecordedMessage, Recording
 from symbid_ros.bags.streams.selection import Selector, TopicSelection
-from symbid_ros.errors import BagError
-from symbid_ros.ros.messages import reliable
+from symbid_ros.errors import BagError, SymbidError
+from symbid_ros.ros.messages import message_class, reliable
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.playback import (
     CLOCK_TOPIC,
@@ -47,7 +47,10 @@ PARAMETERS = (
     Parameter("loop", False, "Begin again at the end; stamps jump back."),
     Parameter("start", 0.0, "Where to begin, s after the bag's first message.", minimum=0.0),
     Parameter("duration", 0.0, "How much to replay, s of the bag; 0: to its end.", minimum=0.0),
-    Parameter("topics", [""], "Topics to replay; empty for all but /clock."),
+    Parameter(
+        "topics", [""], "Topics to replay; empty for all but /clock whose type is installed."
+    ),
+    Parameter("exclude", [""], "Topics not to replay."),
     Parameter("publish_clock", False, "Publish /clock, for nodes with use_sim_time."),
     Parameter(
         "clock_rate",
@@ -84,8 +87,8 @@ class Player:
 
     def __init__(self, node: Node, values: dict[str, Any], stop: Event) -> None:
         self._recording = Recording.of([Path(bag) for bag in _bags(values)])
-        topics = self._recording.select(_topics(values, self._recording))
         self._begin, self._end = _interval(values, self._recording)
+        topics = _topics(values, self._recording)
         self._loop: bool = values["loop"]
         self._is_patient = values["lossless"] or not values["rate"]
         self._stop = stop
@@ -226,17 +229,38 @@ def _bags(values: dict[str, Any]) -> list[str]:
     return bags
 
 
-def _topics(values: dict[str, Any], recording: Recording) -> list[str]:
+def _topics(values: dict[str, Any], recording: Recording) -> tuple[RecordedTopic, ...]:
+    """Return the topics to replay.
+
+    Topics that are named must be replayable; of the others those that are not are skipped with a
+    warning.
+    """
     named = [name for name in values["topics"] if name]
     if values["publish_clock"] and "clock" in (name.lstrip("/") for name in named):
         raise ParameterError(
             "parameter topics: /clock is also published anew; leave it out or set publish_clock "
             "to false"
         )
-    chosen = named or [name for name in recording.topics if name != CLOCK_TOPIC.name]
+    excluded = recording.find([name for name in values["exclude"] if name])
+    wanted = recording.find(named) if named else tuple(recording.topics.values())
+    chosen = []
+    for topic in wanted:
+        if topic in excluded or (not named and topic.name == CLOCK_TOPIC.name):
+            continue
+        try:
+            recording.require_cdr(topic)
+            message_class(topic.msgtype)
+        except SymbidError as error:
+            if named:
+                raise
+            print(f"player: {topic.name}: not replayed: {error}", file=sys.stderr)
+        else:
+            chosen.append(topic)
     if not chosen:
-        raise BagError(f"{recording.source}: no topic but /clock; name it in topics")
-    return chosen
+        raise BagError(
+            f"{recording.source}: no topic left to replay; name some in topics, or fewer in exclude"
+        )
+    return tuple(chosen)
 
 
 def _interval(values: dict[str, Any], recording: Recording) -> tuple[int, int]:

@@ -16,8 +16,9 @@ from rich.console import Console
 
 from symbid_ros.bags.gaps import has_stamp, stamp_of
 from symbid_ros.bags.layout import ENCAPSULATION, typestore
-from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage
+from symbid_ros.bags.writing.background import BackgroundWriter
 from symbid_ros.bags.writing.gap_count import GapCount
+from symbid_ros.bags.writing.message_queue import QueuedMessage
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.ros.discovery import Discovery, TopicFilter
@@ -45,7 +46,12 @@ PARAMETERS = (
     ),
     Parameter("exclude_regex", "", "Record no topic in whose full name this expression is found."),
     Parameter("queue_depth", 5000, "Messages each topic may wait to be taken.", minimum=1),
-    Parameter("queue_size", 256, "MB of messages that may wait for a slow disk.", minimum=1),
+    Parameter(
+        "queue_size",
+        256,
+        "MB of messages that may wait for a slow disk; beyond, the largest topic loses messages.",
+        minimum=1,
+    ),
     Parameter(
         "flush_period",
         0.05,
@@ -204,10 +210,11 @@ class Recorder:
         if isinstance(self._writer.failure, BagError):
             missing = "what was written last may be missing"
             if lost:
-                missing = (
-                    f"{sum(lost.values())} messages from {_clock_time(self._bag.end)} to "
-                    f"{_clock_time(self._writer.latest)} are missing ({told})"
-                )
+                period = ""
+                if self._bag.end:
+                    first, last = map(_clock_time, (self._bag.end, self._writer.latest))
+                    period = f" from {first} to {last}"
+                missing = f"{sum(lost.values())} messages{period} are missing ({told})"
             raise BagError(f"{self._writer.failure}: {missing}") from self._writer.failure
         if self._writer.failure is not None:
             raise self._writer.failure

@@ -76,9 +76,9 @@ class RecordingProgress:
             "bytes": state.size,
             "rate": f"{self._rate:.1f}",
             "queued": state.queued,
-            "dropped": state.dropped,
+            "dropped": sum(state.dropped.values()),
             "sync_age": f"{state.sync_age:.2f}",
-        }
+        } | {f"dropped {topic}": count for topic, count in state.dropped.items()}
         return Health("recording", level, message, values)
 
     def _line(self, state: WriterState) -> Text:
@@ -91,7 +91,7 @@ class RecordingProgress:
             self._bag,
         ]
         if state.dropped:
-            parts.insert(0, f"{state.dropped} dropped")
+            parts.insert(0, f"{sum(state.dropped.values())} dropped")
         text = Text("recording  " + "  ".join(parts), no_wrap=True, overflow="ellipsis")
         if state.dropped:
             text.stylize("red")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from symbid_ros.bags.writing.new_folder import new_folder
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.simulator import Simulator
@@ -30,8 +31,7 @@ def record(
     simulator : Simulator
         At its start.
     out : Path
-        The bag's folder, which must not exist; removed again should the
-        simulation fail.
+        The bag's folder, which must not exist. It appears when the bag is complete.
     progress : callable, optional
         Called with the number of instants written and of all instants.
 
@@ -41,7 +41,7 @@ def record(
         Messages written, by topic.
     """
     topics = [*sensor_topics(simulator), *truth_topics(simulator)]
-    with BagWriter(out) as bag:
+    with new_folder(out) as folder, BagWriter(folder) as bag:
         channels = [bag.add_topic(f"/{topic.name}", topic.layout.msgtype) for topic in topics]
         done = 0
         while done < simulator.steps:

@@ -1,6 +1,7 @@
 """A bag behind a queue: slow disks, full queues, failures."""
 
 import resource
+import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -8,11 +9,13 @@ from threading import Event
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 from whole_bags import whole_messages
 
 from symbid_ros.bags.messages import IMU, WRENCH
 from symbid_ros.bags.metadata import OfferedQos
-from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage
+from symbid_ros.bags.writing.background import BackgroundWriter
+from symbid_ros.bags.writing.message_queue import QueuedMessage
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
 
@@ -65,7 +68,7 @@ def test_slow_disk_loses_nothing_and_holds_nobody_up(tmp_path: Path) -> None:
     bag.syncs.set()
     writer.close()
     assert [time for _, time, _ in whole_messages(tmp_path / "log")] == list(range(5000))
-    assert (writer.lost, writer.state.dropped, writer.state.queued) == ({}, 0, 0)
+    assert (writer.lost, writer.state.dropped, writer.state.queued) == ({}, {}, 0)
 
 
 def test_slow_sync_does_not_hold_the_writing_up(tmp_path: Path) -> None:
@@ -82,7 +85,7 @@ def test_slow_sync_does_not_hold_the_writing_up(tmp_path: Path) -> None:
     assert len(whole_messages(tmp_path / "log")) == 1000
 
 
-def test_full_queue_drops_and_counts(tmp_path: Path) -> None:
+def test_full_queue_drops_from_the_largest_topic_and_counts(tmp_path: Path) -> None:
     bag = SlowDisk(tmp_path / "log")
     writer = in_background(bag, capacity=100 * len(PAYLOAD))
     imu, plate = (
@@ -93,13 +96,13 @@ def test_full_queue_drops_and_counts(tmp_path: Path) -> None:
         writer.put(
             messages(imu, range(start, start + 9)) + messages(plate, range(start, start + 1))
         )
-    assert writer.state.dropped == 200
+    assert writer.state.dropped == {"/i": 200}
     bag.writes.set()
     bag.syncs.set()
     writer.close()
     found = whole_messages(tmp_path / "log")
-    assert [time for topic, time, _ in found if topic == "/p"] == list(range(0, 100, 10))
-    assert writer.lost == {"/i": 180, "/p": 20}
+    assert [time for topic, time, _ in found if topic == "/p"] == list(range(0, 300, 10))
+    assert writer.lost == {"/i": 200}
     assert writer.failure is None
 
 
@@ -141,3 +144,53 @@ def test_unknown_type_is_refused_before_anything_is_queued(tmp_path: Path) -> No
     assert writer.add_topic("/imu", IMU, [OfferedQos()]) == 0
     writer.discard()
     assert list(tmp_path.iterdir()) == []
+
+
+def unlink(bag: Path) -> None:
+    (bag / "log_0.mcap").unlink()
+
+
+def replace(bag: Path) -> None:
+    (bag / "copy").write_bytes((bag / "log_0.mcap").read_bytes())
+    (bag / "copy").replace(bag / "log_0.mcap")
+
+
+def move(bag: Path) -> None:
+    bag.rename(bag.with_name("elsewhere"))
+
+
+@pytest.mark.parametrize(
+    ("remove", "word"),
+    [(unlink, "deleted"), (shutil.rmtree, "deleted"), (replace, "deleted"), (move, "moved")],
+)
+def test_file_that_is_gone_ends_the_recording(
+    tmp_path: Path, remove: Callable[[Path], None], word: str
+) -> None:
+    writer = in_background(BagWriter(tmp_path / "log"))
+    imu = writer.add_topic("/imu", IMU, [OfferedQos()])
+    writer.put(messages(imu, range(5)))
+    wait_until(lambda: writer.state.messages == 5)
+    remove(tmp_path / "log")
+    wait_until(lambda: writer.failure is not None)
+    writer.close()
+    assert isinstance(writer.failure, BagError)
+    assert f"log_0.mcap: the file or its folder was {word} while" in str(writer.failure)
+    assert writer.lost == {"/imu": 5}
+    assert not (tmp_path / "log" / "metadata.yaml").exists()
+    if remove is move:  # where it is now, the file is complete
+        file = tmp_path / "elsewhere" / "log_0.mcap"
+        assert sum(1 for _ in make_reader(file.open("rb")).iter_messages()) == 5
+
+
+def test_file_deleted_after_a_split_is_named(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "log", split_duration=10)
+    imu = bag.add_topic("/imu", IMU)
+    for number in range(30):
+        bag.write(imu, number, PAYLOAD)
+    (tmp_path / "log" / "log_1.mcap").unlink()
+    with pytest.raises(BagError, match=r"log: log_1.mcap was deleted or moved while"):
+        bag.close()
+    assert [time for _, time, _ in whole_messages(tmp_path / "log")] == [
+        *range(10),
+        *range(20, 30),
+    ]

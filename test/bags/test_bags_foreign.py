@@ -123,26 +123,6 @@ def sqlite_file(file: Path, version: int = 3, definition: tuple[str, str] | None
     return file
 
 
-@pytest.mark.skipif(shutil.which("sqlite3") is None, reason="the command needs sqlite3")
-def test_a_damaged_sqlite_file_is_read_once_it_is_saved_as_told(tmp_path: Path) -> None:
-    file = sqlite_file(tmp_path / "it's broken.db3")
-    image = bytearray(file.read_bytes())
-    image[-4096:] = bytes(4096)  # a page of messages
-    file.write_bytes(image)
-    told = refusal(file)
-    assert "damaged SQLite file" in told
-    with pytest.raises(BagError) as asked:
-        recover(file)
-    for line in (told, str(asked.value)):
-        run_as_told(line.split("`")[1])
-        saved = tmp_path / "it's broken_recovered.db3"
-        kept = positions(saved)
-        assert 0 < len(kept) < COUNT
-        assert set(kept) < set(VALUES)
-        saved.unlink()
-    assert file.read_bytes() == image
-
-
 @pytest.mark.parametrize("version", [1, 2, 3, 4])
 def test_sqlite_of_every_version(tmp_path: Path, version: int) -> None:
     file = sqlite_file(tmp_path / "log.db3", version)
@@ -163,14 +143,34 @@ def test_sqlite_definitions_are_looked_at(tmp_path: Path) -> None:
     assert f"/joint_states ({JOINT_STATE} of another definition)" in refusal(other)
 
 
-def test_sqlite_is_replayed_once_it_is_converted_as_told(tmp_path: Path) -> None:
+def test_sqlite_is_replayed_in_order_of_time(tmp_path: Path) -> None:
+    """Rows overtake each other by up to ten, across the ranges of rows that are read together."""
     file = sqlite_file(tmp_path / "log.db3")
-    with pytest.raises(BagError, match="an SQLite file; convert it with") as caught:
-        Recording.of([file])
-    run_as_told(str(caught.value).split("`")[1])
-    recording = Recording.of([tmp_path / "log"])
+    order = [n ^ 7 for n in range(1000)]
+    large = bytes(10_000)
+    with sqlite3.connect(file) as database:
+        database.execute("DELETE FROM messages")
+        database.execute("DROP INDEX timestamp_idx")
+        for n in order:
+            row = (3 * n, 1000 + n, n.to_bytes(4, "big") + large)
+            database.execute("INSERT INTO messages VALUES(?, 1, ?, ?)", row)
+    database.close()
+    recording = Recording.of([file])
+    assert (recording.start, recording.end) == (1000, 1999)
+    assert recording.topics["/joint_states"].msgtype == JOINT_STATE
+    assert recording.topics["/joint_states"].qos[0].depth == 7
+    played = list(recording.messages({"/joint_states"}, 1100, 1900))
+    assert [message.log_time for message in played] == list(range(1100, 1900))
+    assert all(
+        message.payload[:4] == (message.log_time - 1000).to_bytes(4, "big") for message in played
+    )
+
+
+def test_sqlite_and_mcap_are_replayed_as_one(tmp_path: Path) -> None:
+    sqlite, mcap = sqlite_file(tmp_path / "log.db3"), plain_file(tmp_path / "log.mcap")
+    recording = Recording.of([sqlite, mcap])
     played = recording.messages({"/joint_states"}, 0, COUNT + 1)
-    assert [message.payload for message in played] == [state(n) for n in VALUES]
+    assert [message.payload for message in played] == [state(n) for n in VALUES for _ in range(2)]
 
 
 def test_what_an_interrupted_sqlite_recording_left_in_its_log_is_read(

@@ -345,7 +345,7 @@ def test_a_missing_chunk_is_missed(log: Path, caplog: pytest.LogCaptureFixture) 
     file.write_bytes(image)
     read_streams([file])
     assert "its summary counts 2100 messages, " in caplog.text
-    assert f"`symbid bag recover {file}` tells what is lost" in caplog.text
+    assert f"`symbid bag recover {file}` reports what is lost" in caplog.text
     assert "1 records of private kinds passed over" in caplog.text
 
 

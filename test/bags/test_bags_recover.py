@@ -1,6 +1,7 @@
 """What is saved of interrupted and damaged bags, and what is said of the rest."""
 
 import json
+import os
 import shutil
 import signal
 import struct
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from foreign_bags import STORE, joint_state
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
@@ -30,6 +32,7 @@ from symbid_ros.errors import BagError
 MAGIC = 8
 CHUNK, MESSAGE_INDEX, DATA_END = 6, 7, 15
 STEPS = 200
+DEADLINE = 300.0  # s; only a hang takes as long
 
 
 def write(bag: Path, *, first: int = 0, steps: int = STEPS) -> Path:
@@ -178,6 +181,24 @@ def test_metadata_of_a_finished_recording_tell_what_a_cut_copy_lacks(file: Path,
     alone = recover(file)
     assert not alone.is_counted
     assert alone.kept == recovery.kept
+
+
+@pytest.mark.parametrize("stated", [3, STEPS, STEPS + 50])
+def test_lost_messages_are_counted_by_what_states_most(file: Path, bag: Path, stated: int) -> None:
+    """A chunk is damaged; metadata.yaml counts less than the file's summary, as much, or more."""
+    image = bytearray(file.read_bytes())
+    start, end = chunks(image)[7]
+    image[(start + end) // 2] ^= 4
+    file.write_bytes(image)
+    metadata = bag / "metadata.yaml"
+    content = yaml.safe_load(metadata.read_text())
+    for entry in content["rosbag2_bagfile_information"]["topics_with_message_count"]:
+        entry["message_count"] = stated
+    metadata.write_text(yaml.safe_dump(content))
+    recovery = recover(bag)
+    kept = len(read_streams([recovery.out]).joints.stamp)
+    assert kept < STEPS
+    assert by_topic(recovery)["/joint_states"] == (kept, max(stated, STEPS) - kept)
 
 
 def test_bytes_that_went_missing_or_came_in_cost_their_chunk_alone(file: Path) -> None:
@@ -362,22 +383,31 @@ def test_nothing_is_overwritten_and_nothing_is_left_behind(bag: Path, tmp_path: 
     assert names == ["empty.mcap", "file", "log", "noise.mcap", "there"]
 
 
-def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "log") as writer:
-        text = writer.add_topic("/log", "std_msgs/msg/String")
-        for n in range(300_000):
-            writer.write(text, n, b"\0\1\0\0\2\0\0\0a\0")
+def stopped(bag: Path, number: signal.Signals) -> subprocess.Popen[bytes]:
+    """Send a signal to ``symbid bag recover`` once it writes, and wait for its end."""
     process = subprocess.Popen(
-        [Path(sys.executable).parent / "symbid", "bag", "recover", tmp_path / "log"],
-        stderr=subprocess.PIPE,
+        [Path(sys.executable).parent / "symbid", "bag", "recover", bag], stderr=subprocess.PIPE
     )
-    while process.poll() is None and not [*tmp_path.glob(".log_recovered.*/*.mcap")]:
+    while process.poll() is None and not [*bag.parent.glob(".log_recovered.*/*/*.mcap")]:
         time.sleep(0.001)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=300)
-    assert process.returncode == 130
-    assert b"interrupted" in said
-    assert [path.name for path in tmp_path.iterdir()] == ["log"]
+    process.send_signal(number)
+    process.wait(DEADLINE)
+    return process
+
+
+def test_recovery_that_is_stopped_leaves_nothing_in_its_place(file: Path, bag: Path) -> None:
+    size = file.stat().st_size
+    os.truncate(file, 1 << 36)  # zeros without blocks on the disk, which take a minute to search
+    for number, status in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):
+        process = stopped(bag, number)
+        assert process.returncode == status
+        assert (b"interrupted" in process.stderr.read()) == (number == signal.SIGINT)
+        assert [path.name for path in bag.parent.iterdir()] == ["log"]
+    stopped(bag, signal.SIGKILL)
+    (left,) = {path.name for path in bag.parent.iterdir()} - {"log"}
+    assert left.startswith(".log_recovered.")
+    os.truncate(file, size)
+    assert recover(bag).is_whole
 
 
 def test_an_unfinished_bag_is_described(file: Path, bag: Path) -> None:

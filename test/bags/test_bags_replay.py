@@ -1,15 +1,31 @@
 """Messages as they were recorded, in order of log time, whoever wrote the bag."""
 
 import tracemalloc
-from collections.abc import Sequence
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from foreign_bags import write_rosbags
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Message,
+    MessageIndex,
+    Schema,
+    Statistics,
+)
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
+from mcap_features import MAGIC, encoded
 
 from symbid_ros.bags.messages import IMU, JOINT_STATE
 from symbid_ros.bags.replay import RecordedMessage, Recording
@@ -75,6 +91,138 @@ def everything(recording: Recording) -> list[RecordedMessage]:
     return list(recording.messages(recording.topics, recording.start, recording.end + 1))
 
 
+@dataclass(frozen=True)
+class Oddity:
+    """How a file departs from what most writers produce.
+
+    ``outside`` and ``unindexed`` are the numbers of the chunks that are written as plain messages
+    and without message index; ``times`` replaces those of the chunks; ``stated`` is added to the
+    number of messages that the summary counts.
+    """
+
+    outside: frozenset[int] = frozenset()
+    unindexed: frozenset[int] = frozenset()
+    times: Callable[[int, int], tuple[int, int]] = lambda start, end: (start, end)
+    stated: int = 0
+
+
+def write_odd_mcap(file: Path, messages: Sequence[RecordedMessage], oddity: Oddity) -> Path:
+    """Write a file of plain chunks, 20 messages each, record by record."""
+    announced: list[McapRecord] = []
+    for number, (topic, kind) in enumerate(TYPES.items(), 1):
+        announced.append(Schema(id=number, name=kind, encoding="ros2msg", data=b""))
+        announced.append(
+            Channel(id=number, topic=topic, message_encoding="cdr", metadata={}, schema_id=number)
+        )
+    data = MAGIC + b"".join(map(encoded, [Header(profile="ros2", library=""), *announced]))
+    indexes = []
+    for number, first in enumerate(range(0, len(messages), 20)):
+        records = [
+            Message(
+                channel_id=1 + list(TYPES).index(message.topic),
+                data=message.payload,
+                log_time=message.log_time,
+                publish_time=message.log_time,
+                sequence=0,
+            )
+            for message in messages[first : first + 20]
+        ]
+        raw = b"".join(map(encoded, records))
+        if number in oddity.outside:
+            data += raw
+            continue
+        times = [record.log_time for record in records]
+        start, end = oddity.times(min(times), max(times))
+        chunk = Chunk(
+            compression="",
+            data=raw,
+            message_start_time=start,
+            message_end_time=end,
+            uncompressed_crc=zlib.crc32(raw),
+            uncompressed_size=len(raw),
+        )
+        entries = {channel: [] for channel in {record.channel_id for record in records}}
+        position = 0
+        for record in records:
+            entries[record.channel_id].append((record.log_time, position))
+            position += len(encoded(record))
+        message_indexes = b""
+        if number not in oddity.unindexed:
+            message_indexes = b"".join(
+                encoded(MessageIndex(channel_id=channel, records=places))
+                for channel, places in entries.items()
+            )
+        indexes.append(
+            ChunkIndex(
+                chunk_length=len(encoded(chunk)),
+                chunk_start_offset=len(data),
+                compression="",
+                compressed_size=len(raw),
+                message_end_time=end,
+                message_index_length=len(message_indexes),
+                message_index_offsets=dict.fromkeys(entries if message_indexes else (), 1),
+                message_start_time=start,
+                uncompressed_size=len(raw),
+            )
+        )
+        data += encoded(chunk) + message_indexes
+    data += encoded(DataEnd(data_section_crc=0))
+    statistics = Statistics(
+        attachment_count=0,
+        channel_count=len(TYPES),
+        channel_message_counts={},
+        chunk_count=len(indexes),
+        message_count=len(messages) + oddity.stated,
+        message_end_time=max(message.log_time for message in messages),
+        message_start_time=min(message.log_time for message in messages),
+        metadata_count=0,
+        schema_count=len(TYPES),
+    )
+    footer = Footer(summary_start=len(data), summary_offset_start=0, summary_crc=0)
+    file.write_bytes(
+        data + b"".join(map(encoded, [*announced, statistics, *indexes, footer])) + MAGIC
+    )
+    return file
+
+
+@pytest.mark.parametrize(
+    "oddity",
+    [
+        Oddity(),
+        Oddity(outside=frozenset({3, 4, 29})),
+        Oddity(unindexed=frozenset({0, 7})),
+        Oddity(times=lambda start, end: (end, start)),
+        Oddity(times=lambda start, end: (0, 0)),
+        Oddity(frozenset({1}), frozenset({2}), lambda start, end: (end, start)),
+    ],
+    ids=["none", "messages outside chunks", "no message index", "reversed", "no times", "all"],
+)
+def test_no_message_is_skipped_silently(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, oddity: Oddity
+) -> None:
+    messages = random_messages(600)
+    file = write_odd_mcap(tmp_path / "log.mcap", messages, oddity)
+    recording = Recording.of([file])
+    assert (recording.start, recording.end) == (1_000_000, 1_599_000)
+    assert everything(recording) == sorted(messages)
+    assert not caplog.records
+
+
+def test_wrong_message_counts_are_warned_of_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    good = write_odd_mcap(tmp_path / "good.mcap", random_messages(300, 1), Oddity())
+    file = write_odd_mcap(tmp_path / "log.mcap", random_messages(300), Oddity(stated=1))
+    recording = Recording.of([good, file])
+    part = recording.messages(recording.topics, recording.start, recording.start + 1000)
+    assert len(list(part)) == 2
+    assert not caplog.records  # most chunks were not read
+    for _ in range(2):
+        assert len(everything(recording)) == 600
+    (warning,) = caplog.messages
+    assert warning.startswith(f"{file}: damaged: its summary counts 301 messages, but it holds 300")
+
+
 @pytest.mark.parametrize("options", WRITERS.values(), ids=WRITERS)
 def test_messages_come_in_order_and_unchanged(tmp_path: Path, options: dict[str, Any]) -> None:
     messages = random_messages(600)
@@ -136,9 +284,9 @@ def test_quality_of_service_is_what_publishers_offered(tmp_path: Path) -> None:
 
 def test_topics_are_named_with_or_without_slash(tmp_path: Path) -> None:
     recording = Recording.of([write_mcap(tmp_path / "log.mcap", random_messages(9))])
-    assert [topic.name for topic in recording.select(["b", "/a", "/b"])] == ["/b", "/a"]
+    assert [topic.name for topic in recording.find(["b", "/a", "/b"])] == ["/b", "/a"]
     with pytest.raises(BagError, match=r"no topic /d, it holds /a \(sensor_msgs.*; name one"):
-        recording.select(["/d"])
+        recording.find(["/d"])
 
 
 def test_foreign_encoding_is_refused_when_wanted(tmp_path: Path) -> None:
@@ -146,7 +294,7 @@ def test_foreign_encoding_is_refused_when_wanted(tmp_path: Path) -> None:
         [write_mcap(tmp_path / "log.mcap", random_messages(9), encoding="json")]
     )
     with pytest.raises(BagError, match="messages on /a are encoded as json, not cdr; leave"):
-        recording.select(["/a"])
+        recording.require_cdr(recording.topics["/a"])
 
 
 def test_a_topic_of_two_types_is_refused(tmp_path: Path) -> None:

@@ -1,5 +1,11 @@
 """``symbid simulate`` as a user runs it."""
 
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -68,3 +74,17 @@ def test_bad_options_end_with_one_line(symbid, tmp_path, options, message):
     assert message in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "bag").exists()
+
+
+def test_simulation_that_is_terminated_leaves_nothing(tmp_path):
+    process = subprocess.Popen(
+        [
+            *(Path(sys.executable).parent / "symbid", "simulate"),
+            *("--moves", "1000", "--out", tmp_path / "bag"),
+        ]
+    )
+    while process.poll() is None and not [*tmp_path.glob(".bag.*/bag/bag_0.mcap")]:
+        time.sleep(0.01)
+    process.terminate()
+    assert process.wait(300) == 128 + signal.SIGTERM
+    assert list(tmp_path.iterdir()) == []

@@ -11,6 +11,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from foreign_bags import STORE, TYPES
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
+from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -289,13 +290,49 @@ def test_latched_messages_reach_late_subscribers(graph, tmp_path: Path) -> None:
     assert player.ended().status == 0
 
 
+def test_sqlite_is_replayed_but_for_excluded_topics_and_types_not_installed(
+    graph, tmp_path: Path
+) -> None:
+    log = tmp_path / "old"
+    uninstalled = "stereo_msgs/msg/DisparityImage"
+    with RosbagsWriter(log, version=9) as writer:
+        links = {
+            name: writer.add_connection(name, kind, typestore=STORE)
+            for name, kind in (("/a", STRING), ("/b", STRING), ("/disparity", uninstalled))
+        }
+        for n in range(10):
+            text = bytes(STORE.serialize_cdr(TYPES[STRING](data=str(n)), STRING))
+            for link in links.values():
+                writer.write(link, RECORDED + n, text)
+    heard: list[str] = []
+    graph.node.create_subscription(String, "a", lambda message: heard.append(message.data), DEEP)
+    player = graph.start(
+        "player", bag=f"[{log}]", exclude="[b]", rate=0.0, wait_for_subscribers=True
+    )
+    graph.wait_until(lambda: len(heard) == 10)
+    assert heard == [str(n) for n in range(10)]
+    ended = player.ended()
+    assert ended.status == 0
+    assert json.loads(ended.out)["published"] == {"/a": 10}
+    (line,) = ended.err.splitlines()
+    assert line.startswith(f"player: /disparity: not replayed: message type {uninstalled}: not ")
+
+
 @pytest.mark.parametrize(
     ("parameters", "line"),
     [
         ({"bag": "['']"}, "parameter bag: empty; give -p bag:=[PATH]"),
         ({"bag": "[/nowhere]"}, "/nowhere: no such bag; give a bag's folder or an .mcap file"),
         ({"topics": "[imu]"}, "LOG: no topic imu, it holds /clock (rosgraph_msgs/msg/Clock), "),
-        ({}, "message type stereo_msgs/msg/DisparityImage: not installed; install its package or "),
+        (
+            {"topics": "[disparity]"},
+            "message type stereo_msgs/msg/DisparityImage: not installed; install its package or ",
+        ),
+        ({"exclude": "[imu]"}, "LOG: no topic imu, it holds /clock (rosgraph_msgs/msg/Clock), "),
+        (
+            {"topics": "[note]", "exclude": "[/note]"},
+            "LOG: no topic left to replay; name some in topics, or fewer in exclude",
+        ),
         ({"start": 9.0}, "parameter start: 9 s is beyond the end of LOG; give less than 0.009"),
         ({"rate": -1.0}, "parameter rate: not a valid value; give a number with a decimal point "),
         ({"clock_source": "sun"}, "parameter clock_source: 'sun' is not known; give one of header"),

@@ -3,6 +3,7 @@
 import json
 import random
 import re
+import shutil
 import signal
 import time
 from collections.abc import Iterator
@@ -233,6 +234,23 @@ def test_full_disk_ends_the_recording_with_a_whole_bag(graph, disk: Path) -> Non
         read = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()]
     assert [message.position[0] for message in read] == list(range(recorded))
     assert len(found) == recorded <= sent - summary["lost"]["/joint_states"]
+
+
+def test_folder_deleted_while_recording_ends_with_status_2(graph, tmp_path: Path) -> None:
+    publisher = graph.node.create_publisher(JointState, "joint_states", RELIABLE)
+    bag = tmp_path / "bag"
+    recorder = graph.start("recorder", bag=bag, topics="[joint_states]")
+    graph.wait_until(publisher.get_subscription_count)
+    publisher.publish(joint_state(1))
+    assert publisher.wait_for_all_acked()
+    shutil.rmtree(bag)
+    ended = recorder.ended()
+    assert ended.status == 2
+    (line,) = ended.err.splitlines()
+    assert line.startswith(f"recorder: {bag}/bag_0.mcap: the file or its folder was deleted while ")
+    summary = json.loads(ended.out)
+    assert (summary["recorded"], summary["lost"]) == ({"/joint_states": 0}, {"/joint_states": 1})
+    assert not bag.exists()
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,10 @@ from symbid_ros.errors import BagError
 from symbid_ros.ros.health import ERROR, OK, WARN
 from symbid_ros.ros.recorder_progress import LATE_SYNC, REFRESH, RecordingProgress
 
-STATE = WriterState(messages=12_345, size=67_800_000, queued=4321, dropped=0, sync_age=0.2)
-LOSING = WriterState(messages=12_345, size=67_800_000, queued=4321, dropped=17, sync_age=0.2)
+STATE = WriterState(messages=12_345, size=67_800_000, queued=4321, dropped={}, sync_age=0.2)
+LOSING = WriterState(
+    messages=12_345, size=67_800_000, queued=4321, dropped={"/camera": 16, "/imu": 1}, sync_age=0.2
+)
 
 
 def shown(state: WriterState, width: int, *, is_terminal: bool = True) -> str:
@@ -62,8 +64,8 @@ def test_health_tells_the_figures_and_what_is_wrong() -> None:
         "dropped": 0,
         "sync_age": "0.20",
     }
-    late = WriterState(1, 1, 0, 0, LATE_SYNC + 1.0)
-    assert progress.health(WriterState(0, 1, 0, 0, 0.0), None).message == "waiting for messages"
+    late = WriterState(1, 1, 0, {}, LATE_SYNC + 1.0)
+    assert progress.health(WriterState(0, 1, 0, {}, 0.0), None).message == "waiting for messages"
     assert progress.health(late, None).level == WARN
     assert progress.health(LOSING, None).level == WARN
     failed = progress.health(LOSING, BagError("the disk is full"))

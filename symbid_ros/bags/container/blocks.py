@@ -33,7 +33,12 @@ from symbid_ros.bags.container.framing import (
     damage_named,
     message_starts,
 )
-from symbid_ros.bags.container.summary import DATA_END_SIZE, Summary, read_summary
+from symbid_ros.bags.container.summary import (
+    DATA_END_SIZE,
+    Summary,
+    read_summary,
+    warn_of_counts,
+)
 from symbid_ros.bags.layout import ByteArray, gathered
 from symbid_ros.bags.limits import MAX_CHUNK, MIB, within
 from symbid_ros.errors import BagError
@@ -242,20 +247,8 @@ class _FileReader:
             logger.warning(
                 "%s: %d of %d chunks carry no checksum", self.file, self.unchecked, self.chunks
             )
-        told = self.summary.statistics
-        if told is None:
-            return
         found = {int(channel): int(self.counts[channel]) for channel in np.flatnonzero(self.counts)}
-        by_channel = {channel: n for channel, n in told.channel_message_counts.items() if n}
-        if sum(found.values()) != told.message_count or by_channel not in ({}, found):
-            logger.warning(
-                "%s: damaged: its summary counts %d messages, %d are in it; "
-                "`symbid bag recover %s` tells what is lost",
-                self.file,
-                told.message_count,
-                sum(found.values()),
-                self.file,
-            )
+        warn_of_counts(self.file, self.summary.statistics, found)
 
 
 def _message_heads(data: ByteArray, starts: IntArray) -> NDArray[np.void] | None:

@@ -104,7 +104,7 @@ class Catalogue:
 
 def described_type(schema: Schema | None, message_encoding: str) -> str:
     """Return a message type; with a remark where its messages are not what the name says."""
-    name = "" if schema is None else _full_name(schema.name)
+    name = "" if schema is None else full_name(schema.name)
     if message_encoding != CDR:
         return f"{name or 'something'}{ENCODED}{message_encoding or 'nothing known'}"
     if schema is not None and name in READ and not _is_jazzy(name, schema):
@@ -112,7 +112,7 @@ def described_type(schema: Schema | None, message_encoding: str) -> str:
     return name
 
 
-def _full_name(name: str) -> str:
+def full_name(name: str) -> str:
     """Return a type's name as ROS 2 has it; some writers leave ``msg`` out, as ROS 1 did."""
     package, _, short = name.partition("/")
     return f"{package}/msg/{short}" if short and "/" not in short else name

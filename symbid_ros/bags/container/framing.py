@@ -71,10 +71,8 @@ def other_kind(file: Path) -> str:
     )
     if head.startswith(b"#ROSBAG"):
         return f"a bag of ROS 1; convert it with `{conversion} {TO_ROS2}`"
-    if head.startswith(b"SQLite format 3\0") and file.suffix != ".db3":
-        return "an SQLite file; give it the ending .db3"
     if head.startswith(b"SQLite format 3\0"):
-        return f"an SQLite file; convert it with `{conversion}`"
+        return "an SQLite file; give it the ending .db3"
     if head.startswith(b"\x28\xb5\x2f\xfd"):
         return f"compressed as a whole; unpack it with `zstd -d {quoted(file)}`"
     if head.startswith(b"\x04\x22\x4d\x18"):

@@ -2,7 +2,7 @@
 
 import logging
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +10,20 @@ from urllib.parse import quote
 
 import apsw
 import numpy as np
-from mcap.records import Schema
+from mcap.records import Channel, Schema
 
 from symbid_ros.bags.container.blocks import BLOCK_SIZE, Block, Topic
-from symbid_ros.bags.container.catalogue import described_type, offered
+from symbid_ros.bags.container.catalogue import Catalogue
+from symbid_ros.bags.container.compression import unpacked_message
 from symbid_ros.bags.container.framing import quoted
+from symbid_ros.bags.container.index import (
+    EXTENT_SIZE,
+    Extent,
+    FileIndex,
+    StoredMessage,
+    recorded_topics,
+)
+from symbid_ros.bags.container.sqlite_pages import WholePages
 from symbid_ros.bags.limits import MAX_CHANNELS, MAX_CHUNK, within
 from symbid_ros.bags.metadata import OfferedQos
 from symbid_ros.errors import BagError
@@ -53,43 +62,84 @@ def sqlite_contents(file: Path) -> SqliteContents:
     """Return what an SQLite file holds."""
     counts: Counter[Topic] = Counter()
     qos: dict[Topic, tuple[OfferedQos, ...]] = {}
-    with _opened(file) as database:
-        topics = _topics(database)
-        for topic, profiles in topics.values():
+    with opened_database(file) as database:
+        catalogue = read_catalogue(database)
+        topics = _topics(catalogue)
+        for number, topic in topics.items():
             counts[topic] += 0
             with suppress(ValueError):
-                qos[topic] = qos.get(topic) or offered(topic.name, profiles)
+                qos[topic] = qos.get(topic) or catalogue.offers(catalogue.channels[number])
         for number, count in database.execute(
             "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
         ):
-            counts[_known(topics, number)] += count
+            counts[topics[_known(topics, number)]] += count
         ((start, end),) = database.execute("SELECT min(timestamp), max(timestamp) FROM messages")
     return SqliteContents(counts, qos, start, end, not _leftovers(file))
 
 
 def sqlite_blocks(file: Path) -> Iterator[Block]:
     """Yield all messages as they were recorded, as `blocks.iterate_blocks` does."""
-    if leftovers := _leftovers(file):
-        logger.warning(
-            "%s: the recording was interrupted; what it wrote last is taken from %s",
-            file,
-            ", ".join(place.name for place in leftovers),
-        )
-    with _opened(file) as database:
-        topics = _topics(database)
-        waiting: dict[Topic, list[tuple[int, int]]] = {topic: [] for topic, _ in topics.values()}
+    warn_of_leftovers(file)
+    with opened_database(file) as database:
+        topics = _topics(read_catalogue(database))
+        waiting: dict[Topic, list[tuple[int, int]]] = {topic: [] for topic in topics.values()}
         data = bytearray()
         for number, payload in database.execute(
             "SELECT topic_id, data FROM messages ORDER BY rowid"
         ):
             if not isinstance(payload, bytes):
                 raise TypeError("a message is no bytes")
-            waiting[_known(topics, number)].append((len(data), len(payload)))
+            waiting[topics[_known(topics, number)]].append((len(data), len(payload)))
             data += payload
             if len(data) >= BLOCK_SIZE:
                 yield _block(data, waiting)
                 data = bytearray()
         yield _block(data, waiting)
+
+
+def read_sqlite_index(file: Path) -> FileIndex:
+    """Return the index of an SQLite file."""
+    warn_of_leftovers(file)
+    with opened_database(file) as database:
+        catalogue = read_catalogue(database)
+        extents = tuple(_extents(database))
+
+    def messages(extent: Extent) -> list[StoredMessage]:
+        with opened_database(file) as database:
+            rows = database.execute(
+                "SELECT topic_id, timestamp, data FROM messages "
+                "WHERE rowid BETWEEN ? AND ? ORDER BY rowid",
+                (extent.offset, extent.offset + extent.length - 1),
+            )
+            return [
+                StoredMessage(
+                    time, _known(catalogue.channels, number), unpacked_message(payload, MAX_CHUNK)
+                )
+                for number, time, payload in rows
+            ]
+
+    return FileIndex(file, recorded_topics(catalogue), extents, None, messages)
+
+
+def _extents(database: apsw.Connection) -> Iterator[Extent]:
+    """Yield ranges of rows, `EXTENT_SIZE` bytes of messages each."""
+    first = last = start = end = size = 0
+    rows = database.execute(
+        "SELECT rowid, timestamp, length(data), typeof(timestamp) || typeof(data) "
+        "FROM messages ORDER BY rowid"
+    )
+    for number, (row, time, length, types) in enumerate(rows):
+        if types != "integerblob":
+            raise TypeError("a message is no bytes, or its time is no number")
+        if number and size + length > EXTENT_SIZE:
+            yield Extent(start, end, first, last - first + 1)
+            size = 0
+        if not size:
+            first, start, end = row, time, time
+        last, start, end = row, min(start, time), max(end, time)
+        size += max(length, 1)
+    if size:
+        yield Extent(start, end, first, last - first + 1)
 
 
 def _block(data: bytearray, waiting: dict[Topic, list[tuple[int, int]]]) -> Block:
@@ -100,30 +150,48 @@ def _block(data: bytearray, waiting: dict[Topic, list[tuple[int, int]]]) -> Bloc
     return Block(np.frombuffer(bytes(data), dtype=np.uint8), spans)
 
 
-def _topics(database: apsw.Connection) -> dict[int, tuple[Topic, str]]:
-    """Return topics, and what their publishers offered as it was written, by number."""
-    schemas = {}
-    # Of Jazzy and later; of a type whose definition its recorder did not find it says so.
+def read_catalogue(database: apsw.Connection) -> Catalogue:
+    """Return the topics of a file as channels, each with a schema of the same number."""
+    definitions = {}
+    # Since Jazzy; rosbag2 writes "unknown" for a type whose definition it did not find.
     if _columns(database, "message_definitions"):
         rows = database.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         )
         for name, encoding, definition in map(_texts, rows):
-            schemas[name] = Schema(id=1, name=name, encoding=encoding, data=definition.encode())
-            within("a number of definitions", len(schemas), MAX_CHANNELS)
+            definitions[name] = encoding, definition.encode()
+            within("a number of definitions", len(definitions), MAX_CHANNELS)
     columns = _columns(database, "topics")
     if not columns or not _columns(database, "messages"):
         raise ValueError("it has no tables of topics and messages")
-    profiles = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
-    topics = {}
-    for number, *texts in database.execute(
-        f"SELECT id, name, type, serialization_format, {profiles} FROM topics"
+    profiles, type_hash = (
+        name if name in columns else "''"
+        for name in ("offered_qos_profiles", "type_description_hash")
+    )
+    catalogue = Catalogue()
+    for identifier, *texts in database.execute(
+        f"SELECT id, name, type, serialization_format, {profiles}, {type_hash} FROM topics"
     ):
-        name, msgtype, encoding, offers = _texts(texts)
-        schema = schemas.get(msgtype, Schema(id=1, name=msgtype, encoding="", data=b""))
-        topics[int(number)] = Topic(name, described_type(schema, encoding)), offers
-        within("a number of topics", len(topics), MAX_CHANNELS)
-    return topics
+        number = int(identifier)
+        topic, msgtype, message_encoding, offers, digest = _texts(texts)
+        encoding, data = definitions.get(msgtype, ("", b""))
+        catalogue.schemas[number] = Schema(id=number, name=msgtype, encoding=encoding, data=data)
+        catalogue.channels[number] = Channel(
+            id=number,
+            topic=topic,
+            message_encoding=message_encoding,
+            metadata={"offered_qos_profiles": offers, "topic_type_hash": digest},
+            schema_id=number,
+        )
+        within("a number of topics", len(catalogue.channels), MAX_CHANNELS)
+    return catalogue
+
+
+def _topics(catalogue: Catalogue) -> dict[int, Topic]:
+    return {
+        number: Topic(channel.topic, catalogue.msgtype(channel))
+        for number, channel in catalogue.channels.items()
+    }
 
 
 def _texts(values: Sequence[object]) -> list[str]:
@@ -134,10 +202,10 @@ def _texts(values: Sequence[object]) -> list[str]:
     return texts
 
 
-def _known(topics: Mapping[int, tuple[Topic, str]], number: int) -> Topic:
+def _known(topics: Collection[int], number: int) -> int:
     if number not in topics:
         raise ValueError("a message's topic was never announced")
-    return topics[number][0]
+    return number
 
 
 def _columns(database: apsw.Connection, table: str) -> set[str]:
@@ -151,13 +219,15 @@ def _columns(database: apsw.Connection, table: str) -> set[str]:
 
 
 @contextmanager
-def _opened(file: Path) -> Iterator[apsw.Connection]:
-    """Open a file without writing anything to it or beside it."""
+def opened_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Connection]:
+    """Open a file without writing anything to it or beside it; a damaged one as far as possible."""
     leftovers = _leftovers(file)
     # What lies beside it is read by this VFS alone without a lock or an index written there.
-    vfs, mode = ("unix-none", "mode=ro") if leftovers else (None, "immutable=1")
+    base, mode = ("unix-none", "mode=ro") if leftovers else ("", "immutable=1")
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
     try:
+        whole_pages = WholePages(base, file) if is_damaged else None  # registered while it lives
+        vfs = whole_pages.name if whole_pages else base or None
         with closing(apsw.Connection(f"file:{quote(str(file))}?{mode}", flags, vfs)) as database:
             # Whoever claims a larger blob is not believed.
             database.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
@@ -165,28 +235,27 @@ def _opened(file: Path) -> Iterator[apsw.Connection]:
             database.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
             database.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
             database.execute("PRAGMA locking_mode = EXCLUSIVE")
+            if is_damaged:  # otherwise a file that was cut off is not opened at all
+                database.execute("PRAGMA writable_schema = ON")
             yield database
     except (apsw.Error, ValueError, TypeError, MemoryError, OverflowError) as error:
         detail = " ".join(str(error).split())[:200] or "it ends early"
-        remedy = f"take another copy, or save what can still be read by `{saving_command(file)}`"
-        if leftovers:
-            remedy = (
-                "take another copy, or try "
-                f"`sqlite3 {quoted(file)} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
-            )
-        raise BagError(f"{file}: damaged SQLite file: {detail}; {remedy}") from error
+        raise BagError(
+            f"{file}: damaged SQLite file: {detail}; take another copy or run "
+            f"`symbid bag recover {quoted(file)}`"
+        ) from error
     except OSError as error:
         raise BagError(f"{file}: cannot read: {error.strerror}") from error
 
 
-def saving_command(file: Path) -> str:
-    """Return the command that writes what can still be read of a damaged file into a new one.
-
-    SQLite's own ``.recover`` is not in every distribution's build, and a dump ends with a
-    rollback where it met damage.
-    """
-    saved = quoted(file.with_name(f"{file.stem}_recovered{SQLITE_SUFFIX}"))
-    return f"sqlite3 {quoted(file)} .dump | sed 's/^ROLLBACK.*/COMMIT;/' | sqlite3 {saved}"
+def warn_of_leftovers(file: Path) -> None:
+    """Warn if the recorder of a file was interrupted."""
+    if leftovers := _leftovers(file):
+        logger.warning(
+            "%s: the recording was interrupted; its last messages are read from %s",
+            file,
+            ", ".join(place.name for place in leftovers),
+        )
 
 
 def _leftovers(file: Path) -> list[Path]:

@@ -1,7 +1,8 @@
 """The end of an MCAP file, checked: what the writer says the file holds."""
 
+import logging
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from operator import itemgetter
@@ -12,10 +13,18 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, DataEnd, Footer, Statistics
 
 from symbid_ros.bags.container.catalogue import Catalogue, UnknownSchemaError, parsed
-from symbid_ros.bags.container.framing import FOOTER_SIZE, MAGIC, RECORD, checked_size
+from symbid_ros.bags.container.framing import (
+    FOOTER_SIZE,
+    MAGIC,
+    RECORD,
+    checked_size,
+    quoted,
+)
 from symbid_ros.bags.limits import MAX_CATALOGUE, MAX_EXTENTS, MAX_RECORD, within
 
 DATA_END_SIZE = RECORD.size + 4
+
+logger = logging.getLogger("symbid_ros.bags")
 
 
 @dataclass(frozen=True)
@@ -95,6 +104,30 @@ def read_summary(file: Path, *, with_chunks: bool = False) -> Summary:
     if footer.summary_start and footer.summary_crc not in (0, crc):
         raise ValueError("its summary does not match its checksum")
     return Summary(_catalogue(announced), statistics, tuple(chunks), start, data_crc)
+
+
+def warn_of_counts(file: Path, stated: Statistics | None, found: Mapping[int, int]) -> None:
+    """Warn if the messages found in a file, by channel, are not those its statistics count."""
+    if stated is None:
+        return
+    by_channel = {
+        channel: count for channel, count in stated.channel_message_counts.items() if count
+    }
+    total = sum(found.values())
+    if total != stated.message_count:
+        held = f"but it holds {total}"
+    elif by_channel not in ({}, dict(found)):  # writers may leave the channels' counts out
+        held = "and as many are in it, but on other topics"
+    else:
+        return
+    logger.warning(
+        "%s: damaged: its summary counts %d messages, %s; `symbid bag recover %s` reports "
+        "what is lost",
+        file,
+        stated.message_count,
+        held,
+        quoted(file),
+    )
 
 
 def _catalogue(announced: Iterable[tuple[int, bytes]]) -> Catalogue:

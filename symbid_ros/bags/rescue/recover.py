@@ -1,33 +1,21 @@
 """An interrupted or damaged bag into an indexed one, with an account of what is missing."""
 
-import os
-import shutil
-import tempfile
-from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
 from pathlib import Path
 
-from mcap.opcode import Opcode
-from mcap.records import Metadata, Statistics
-
-from symbid_ros.bags.container.attachment import Attachment, record_parts
 from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.container.catalogue import Catalogue
 from symbid_ros.bags.container.files import bag_metadata, files_present, listed_names
 from symbid_ros.bags.container.framing import (
-    MESSAGE,
-    PAYLOAD,
-    RECORD,
     damage_named,
     other_kind,
 )
-from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, saving_command
-from symbid_ros.bags.container.summary import read_summary
-from symbid_ros.bags.rescue.recovery import LostStretch, RecordCount, Recovery, TopicRecovery
-from symbid_ros.bags.rescue.rewriting import ROSBAG2, RewrittenBag
-from symbid_ros.bags.rescue.salvage import Hole, Private, Salvage, Stretch
+from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX
+from symbid_ros.bags.rescue.account import Account
+from symbid_ros.bags.rescue.mcap_rescue import McapRescue
+from symbid_ros.bags.rescue.recovery import LostStretch, Recovery
+from symbid_ros.bags.rescue.rewriting import RewrittenBag
+from symbid_ros.bags.rescue.sqlite_rescue import SqliteRescue
+from symbid_ros.bags.writing.new_folder import new_folder
 from symbid_ros.errors import BagError
 
 MESSAGE_MODE = "MESSAGE"
@@ -52,23 +40,19 @@ def recover(bag: Path, out: Path | None = None) -> Recovery:
     files = files_present(bag)
     for file in files:
         if file.suffix == SQLITE_SUFFIX:
-            raise BagError(
-                f"{file}: an SQLite file; if it is damaged, save what can still be read by "
-                f"`{saving_command(file)}`"
-            )
+            continue
         with damage_named(file):
             kind = other_kind(file)
         if kind and len(files) == 1:
             raise BagError(f"{file}: {kind}")
     place = bag.resolve()
     target = out or place.with_name(f"{place.stem if bag.is_file() else place.name}_recovered")
-    if target.exists() or target.is_symlink():
-        raise BagError(f"{target}: exists already; choose another name or remove it")
     mode = _compression_mode(bag)
-    with _folder_in_the_end(target) as folder, RewrittenBag(folder, target.name, mode) as new:
-        account = _Account()
+    with new_folder(target) as folder, RewrittenBag(folder, mode) as new:
+        account = Account()
         for file in files:
-            _FileRescue(file, new, account).run()
+            rescue = SqliteRescue if file.suffix == SQLITE_SUFFIX else McapRescue
+            rescue(file, new, account).run()
             new.end_file()
         _count_what_metadata_tell(bag, files, account)
         if not account.kept.total() and not account.records.total():
@@ -85,191 +69,7 @@ def _compression_mode(bag: Path) -> str:
     return ""
 
 
-@contextmanager
-def _folder_in_the_end(target: Path) -> Iterator[Path]:
-    """Give a folder that takes the target's place once it is complete, or is removed."""
-    folder = None
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name}."))
-        yield folder
-        umask = os.umask(0)
-        os.umask(umask)
-        # mkdtemp makes private folders; a bag is as public as any other output.
-        folder.chmod(0o777 & ~umask)
-        folder.rename(target)
-    except OSError as error:
-        raise BagError(f"{target}: cannot write: {error.strerror}; choose another place") from None
-    finally:
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-@dataclass
-class _Account:
-    """Messages by topic, those kept and those that the bag says it holds; records by opcode."""
-
-    kept: Counter[Topic] = field(default_factory=Counter)
-    told: Counter[Topic] = field(default_factory=Counter)
-    holes: list[LostStretch] = field(default_factory=list)
-    records: Counter[int] = field(default_factory=Counter)
-    records_lost: Counter[int] = field(default_factory=Counter)
-    repeated: int = 0
-    is_counted: bool = True
-
-    def recovery(self, bag: Path, out: Path) -> Recovery:
-        topics = tuple(
-            TopicRecovery(
-                topic.name,
-                topic.msgtype,
-                self.kept[topic],
-                max(0, self.told[topic] - self.kept[topic]),
-            )
-            for topic in sorted({*self.told, *self.kept}, key=lambda topic: topic.name)
-        )
-        attachments, metadata = (
-            RecordCount(self.records[opcode], self.records_lost[opcode])
-            for opcode in (Opcode.ATTACHMENT, Opcode.METADATA)
-        )
-        return Recovery(
-            bag,
-            out,
-            topics,
-            tuple(self.holes),
-            attachments,
-            metadata,
-            self.repeated,
-            self.is_counted,
-        )
-
-
-@dataclass
-class _FileRescue:
-    """Copies what can be trusted in one file."""
-
-    file: Path
-    new: RewrittenBag
-    account: _Account
-    catalogue: Catalogue = field(default_factory=Catalogue)
-    found: Counter[int] = field(default_factory=Counter)
-    holes: list[LostStretch] = field(default_factory=list)
-    kept: Counter[int] = field(default_factory=Counter)
-    targets: dict[int, int] = field(default_factory=dict)
-    records: Counter[int] = field(default_factory=Counter)
-
-    def run(self) -> None:
-        """Copy what the file holds and keep account of it."""
-        if not self.file.stat().st_size:
-            self.account.holes.append(LostStretch(self.file.name, 0, 0, "empty"))
-            self.account.is_counted = False
-            return
-        statistics = self._statistics()
-        lost: Counter[int] = Counter()
-        latest: int | None = None
-        salvage = Salvage(self.file, self.catalogue)
-        for piece in salvage.pieces():
-            if isinstance(piece, Hole):
-                lost.update(piece.messages)
-                self.account.is_counted &= piece.is_counted or statistics is not None
-                self.holes.append(self._lost(piece, latest))
-            elif isinstance(piece, Metadata | Attachment):
-                self._copy_record(piece)
-            elif isinstance(piece, Private):
-                with self.file.open("rb") as stream:
-                    self.new.add_private(record_parts(stream, *piece))
-            elif len(piece.starts):
-                first, latest = self._copy(piece)
-                self.holes = [h if h.before else replace(h, before=first) for h in self.holes]
-        self._account_for_records(statistics, salvage.damaged)
-        told = self.found + lost if statistics is None else statistics.channel_message_counts
-        for channel, count in told.items():
-            self.account.told[self._topic(channel)] += count
-        for channel, count in self.kept.items():
-            self.account.kept[self._topic(channel)] += count
-        self.account.holes += self.holes
-        self.account.repeated += salvage.repeated
-        for channel in self.catalogue.channels:
-            self._target(channel)  # a topic without a message is a topic all the same
-
-    def _statistics(self) -> Statistics | None:
-        """Return what an intact summary counts, and learn its channels."""
-        with suppress(BagError), damage_named(self.file):
-            summary = read_summary(self.file)
-            self.catalogue = summary.catalogue
-            told = summary.statistics
-            # Writers may leave the messages' channels out.
-            if told is not None and told.message_count == sum(told.channel_message_counts.values()):
-                return told
-        return None
-
-    def _account_for_records(self, told: Statistics | None, damaged: Counter[int]) -> None:
-        totals = damaged + self.records
-        if told is not None:
-            totals = Counter(
-                {Opcode.ATTACHMENT: told.attachment_count, Opcode.METADATA: told.metadata_count}
-            )
-        for opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
-            self.account.records_lost[opcode] += max(0, totals[opcode] - self.records[opcode])
-
-    def _copy_record(self, record: Metadata | Attachment) -> None:
-        """Copy what is no message, but for rosbag2's own metadata, which are written anew."""
-        kind = Opcode.ATTACHMENT if isinstance(record, Attachment) else Opcode.METADATA
-        self.records[kind] += 1
-        if isinstance(record, Attachment):
-            with self.file.open("rb") as stream:
-                self.new.add_attachment(record, stream)
-        elif record.name != ROSBAG2:
-            self.new.add_metadata(record)
-        else:
-            return
-        self.account.records[kind] += 1
-
-    def _lost(self, hole: Hole, after: int | None) -> LostStretch:
-        return LostStretch(
-            self.file.name,
-            hole.offset,
-            hole.length,
-            hole.fault,
-            after=after,
-            messages=sum(hole.messages.values()),
-            is_counted=hole.is_counted,
-        )
-
-    def _copy(self, stretch: Stretch) -> tuple[int, int]:
-        """Copy messages and return their first and last log time."""
-        data = stretch.data
-        first, last = 1 << 64, 0
-        for start in stretch.starts:
-            _, length = RECORD.unpack_from(data, start)
-            channel, sequence, log_time, publish_time = MESSAGE.unpack_from(
-                data, start + RECORD.size
-            )
-            first, last = min(first, log_time), max(last, log_time)
-            self.found[channel] += 1
-            target = self._target(channel)
-            if target is not None:
-                payload = bytes(data[start + PAYLOAD : start + RECORD.size + length])
-                self.new.write(target, log_time, publish_time, payload, sequence)
-                self.kept[channel] += 1
-        return first, last
-
-    def _target(self, channel: int) -> int | None:
-        """Return the channel in the new bag; None if it was never announced."""
-        if channel not in self.targets:
-            known = self.catalogue.channels.get(channel)
-            if known is None:  # a later record may still announce it
-                return None
-            self.targets[channel] = self.new.channel(self.catalogue, known)
-        return self.targets[channel]
-
-    def _topic(self, channel: int) -> Topic:
-        known = self.catalogue.channels.get(channel)
-        if known is None:
-            return Topic(f"channel {channel}, of which nothing is known", "")
-        return Topic(known.topic, self.catalogue.msgtype(known))
-
-
-def _count_what_metadata_tell(bag: Path, files: list[Path], account: _Account) -> None:
+def _count_what_metadata_tell(bag: Path, files: list[Path], account: Account) -> None:
     """Add what metadata.yaml, written when the recording was finished, tells beyond the files."""
     try:
         information = bag_metadata(bag / "metadata.yaml")

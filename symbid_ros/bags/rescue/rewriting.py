@@ -53,15 +53,12 @@ class RewrittenBag:
     Attributes
     ----------
     folder : Path
-        Where to write.
-    name : str
-        Of the bag, after which its files are named.
+        To be created; files are named after it.
     compression_mode : str
         ``MESSAGE`` where each message is compressed by itself, which it then remains.
     """
 
     folder: Path
-    name: str
     compression_mode: str = ""
     _channels: dict[_Origin, int] = field(default_factory=dict)
     _files: list[FileMetadata] = field(default_factory=list)
@@ -124,6 +121,7 @@ class RewrittenBag:
         write_metadata(self.folder, self._information())
 
     def __enter__(self) -> Self:
+        self.folder.mkdir()
         return self
 
     def __exit__(
@@ -138,7 +136,7 @@ class RewrittenBag:
     def _output(self) -> ChunkWriter:
         """Return the writer of the current file, begun when there is something to write."""
         if self._writer is None:
-            self._stream = (self.folder / f"{self.name}_{len(self._files)}.mcap").open("xb")
+            self._stream = (self.folder / f"{self.folder.name}_{len(self._files)}.mcap").open("xb")
             self._writer = ChunkWriter(self._stream, CHUNK_SIZE)
             for origin in self._channels:
                 origin.announce(self._writer)

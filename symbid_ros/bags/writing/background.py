@@ -1,7 +1,6 @@
 """A bag written by threads of its own, so that nobody who has data waits for a disk."""
 
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from threading import Condition, Event, Thread
@@ -9,16 +8,8 @@ from typing import NamedTuple
 
 from symbid_ros.bags.definitions import find_definition
 from symbid_ros.bags.metadata import OfferedQos
+from symbid_ros.bags.writing.message_queue import MessageQueue, QueuedMessage
 from symbid_ros.bags.writing.writer import CHUNK_SIZE, BagWriter
-
-
-class QueuedMessage(NamedTuple):
-    """A message on its way into a bag: topic's number, times in nanoseconds, bytes."""
-
-    topic: int
-    log_time: int
-    publish_time: int
-    payload: bytes
 
 
 @dataclass(frozen=True)
@@ -33,8 +24,8 @@ class WriterState:
         Bytes of the files.
     queued : int
         Bytes of messages that wait to be written.
-    dropped : int
-        Messages that found the queue full.
+    dropped : dict of str to int
+        Messages dropped because the queue was full, by topic; only topics that lost any.
     sync_age : float
         Seconds; what is older than these lies on the disk.
     """
@@ -42,12 +33,11 @@ class WriterState:
     messages: int
     size: int
     queued: int
-    dropped: int
+    dropped: dict[str, int]
     sync_age: float
 
 
-@dataclass(frozen=True)
-class _Announcement:
+class _Announcement(NamedTuple):
     name: str
     msgtype: str
     qos: tuple[OfferedQos, ...]
@@ -69,7 +59,8 @@ class BackgroundWriter:
         Seconds that data then wait at most to be forced onto the disk, which keeps
         them should the power be cut.
     capacity : int
-        Bytes that may wait; messages beyond are dropped and counted.
+        Bytes that may wait. When more arrive, the topic with the most bytes waiting loses its
+        newest messages, which are counted.
     """
 
     def __init__(
@@ -78,12 +69,12 @@ class BackgroundWriter:
         self.failure: Exception | None = None
         self._bag = bag
         self._flush_period, self._sync_period = flush_period, sync_period
-        self._capacity = capacity
         self._names: list[str] = []
         self._received: list[int] = []
         self._latest = 0
-        self._jobs: deque[_Announcement | Sequence[QueuedMessage]] = deque()
-        self._queued = self._dropped = self._messages = 0
+        self._announced: list[_Announcement] = []
+        self._queue = MessageQueue(capacity)
+        self._messages = 0
         self._changed = Condition()
         self._ended = Event()
         self._is_closing = False
@@ -99,7 +90,9 @@ class BackgroundWriter:
     def state(self) -> WriterState:
         """How far the bag has come."""
         age = time.monotonic() - self._synced
-        return WriterState(self._messages, self._bag.size, self._queued, self._dropped, age)
+        with self._changed:
+            dropped = {self._names[topic]: n for topic, n in self._queue.dropped.items()}
+            return WriterState(self._messages, self._bag.size, self._queue.size, dropped, age)
 
     @property
     def received(self) -> int:
@@ -131,25 +124,19 @@ class BackgroundWriter:
         """
         find_definition(msgtype)  # here, where the caller can still do without the topic
         with self._changed:
-            self._jobs.append(_Announcement(name, msgtype, tuple(qos)))
-        self._names.append(name)
-        self._received.append(0)
-        return len(self._names) - 1
+            self._announced.append(_Announcement(name, msgtype, tuple(qos)))
+            self._names.append(name)
+            self._received.append(0)
+            return len(self._names) - 1
 
     def put(self, messages: Sequence[QueuedMessage]) -> None:
         """Hand messages over, in order of arrival; never waits."""
-        size = 0
-        for message in messages:
-            self._received[message.topic] += 1
-            self._latest = max(self._latest, message.log_time)
-            size += len(message.payload)
         with self._changed:
-            if self._queued and self._queued + size > self._capacity:
-                self._dropped += len(messages)
-                return
-            self._jobs.append(messages)
-            self._queued += size
-            if self._queued >= CHUNK_SIZE:
+            for message in messages:
+                self._received[message.topic] += 1
+                self._latest = max(self._latest, message.log_time)
+                self._queue.put(message)
+            if self._queue.size >= CHUNK_SIZE:
                 self._changed.notify()
 
     def close(self) -> None:
@@ -188,29 +175,29 @@ class BackgroundWriter:
 
     def _write(self) -> None:
         channels: list[int] = []
-        is_last = False
-        while not is_last and self.failure is None:
+        flush_due = time.monotonic() + self._flush_period
+        is_done = False
+        while not is_done and self.failure is None:
             with self._changed:
                 self._changed.wait_for(
-                    lambda: self._is_closing or self._queued >= CHUNK_SIZE, self._flush_period
+                    lambda: self._is_closing or self._queue.size >= CHUNK_SIZE,
+                    max(0.0, flush_due - time.monotonic()),
                 )
-                is_last = self._is_closing
-                jobs, self._jobs = self._jobs, deque()
-            while jobs:
-                self._write_job(jobs.popleft(), channels)
-            self._bag.flush()
-
-    def _write_job(self, job: _Announcement | Sequence[QueuedMessage], channels: list[int]) -> None:
-        if isinstance(job, _Announcement):
-            channels.append(self._bag.add_topic(job.name, job.msgtype, job.qos))
-            return
-        for message in job:
-            self._bag.write(
-                channels[message.topic], message.log_time, message.payload, message.publish_time
-            )
-        self._messages += len(job)
-        with self._changed:
-            self._queued -= sum(len(message.payload) for message in job)
+                # No more than this: messages can be dropped only while they are in the queue.
+                messages = self._queue.take(CHUNK_SIZE)
+                announced, self._announced = self._announced, []
+                is_done = self._is_closing and not messages
+            channels += [
+                self._bag.add_topic(each.name, each.msgtype, each.qos) for each in announced
+            ]
+            for message in messages:
+                self._bag.write(
+                    channels[message.topic], message.log_time, message.payload, message.publish_time
+                )
+            self._messages += len(messages)
+            if is_done or time.monotonic() >= flush_due:
+                self._bag.flush()
+                flush_due = time.monotonic() + self._flush_period
 
     def _sync(self) -> None:
         while not self._ended.wait(self._sync_period):

@@ -77,6 +77,18 @@ class Segment:
                 if not self.mcap.take_back(room):
                     raise
 
+    @property
+    def displacement(self) -> str:
+        """What happened to the file if it is no longer at its path; else empty.
+
+        Writing to a file that was deleted or moved succeeds all the same.
+        """
+        own = os.fstat(self._stream.fileno())
+        with suppress(FileNotFoundError, NotADirectoryError):
+            if os.path.samestat(own, self.path.stat()):
+                return ""
+        return "moved" if own.st_nlink else "deleted"
+
     def sync(self) -> None:
         """Wait until the disk holds what has been written."""
         os.fdatasync(self._stream.fileno())

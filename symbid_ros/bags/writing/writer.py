@@ -27,7 +27,8 @@ class BagWriter:
     """Writes one bag; complete once closed, removed when left by an exception.
 
     The folder carries no metadata.yaml and the last file no footer until `close`
-    succeeds, so that an interrupted bag can be told from a complete one. Room for both
+    succeeds, so that an interrupted bag can be told from a complete one. `flush` and `close` fail
+    if the file has been deleted or moved. Room for both
     is held on the disk from the beginning: after a failed write, `salvage` completes
     the bag with all that had been written until then.
 
@@ -61,7 +62,7 @@ class BagWriter:
         self._unsynced: list[Segment] = []
         self._first: int | None = None  # log time of the file's first message
         self._described = DESCRIPTION
-        self._has_failed = self._is_closed = False
+        self._has_failed = self._is_closed = self._is_displaced = False
         if path.exists() or path.is_symlink():
             raise BagError(f"{path}: exists already; choose another name or remove it")
         try:
@@ -89,7 +90,7 @@ class BagWriter:
     @property
     def size(self) -> int:
         """Bytes in the files so far."""
-        return self._earlier_size + self._segment.mcap.size
+        return self._earlier_size + (0 if self._is_displaced else self._segment.mcap.size)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -103,7 +104,7 @@ class BagWriter:
     @property
     def end(self) -> int:
         """Largest log time in the files so far, nanoseconds; 0 without a message."""
-        return max(file.end for file in self._files())
+        return max((file.end for file in self._files()), default=0)
 
     def add_topic(
         self, name: str, msgtype: str, qos: Sequence[OfferedQos] = (OfferedQos(),)
@@ -156,6 +157,7 @@ class BagWriter:
         """Hand everything written so far to the operating system, closing the open chunk."""
         self._require_health()
         try:
+            self._require_file()
             self._segment.mcap.end_chunk()
             self._hold_room()
         except OSError as error:
@@ -173,20 +175,43 @@ class BagWriter:
             raise self._failure(error) from error
 
     def close(self) -> None:
-        """Write index, footer and metadata.yaml; the bag is complete afterwards."""
+        """Write index, footer and metadata.yaml; the bag is complete afterwards.
+
+        Raises
+        ------
+        BagError
+            When it is not, or when an earlier file of it is missing.
+        """
         if self._is_closed:
             return
         self._require_health()
-        self._reserve.release()
         try:
+            self._require_file()
+            self._reserve.release()
             self._segment.finish(self._information)
+            missing = [file for file in self._earlier if not (self.path / file.name).is_file()]
+            self._earlier = [file for file in self._earlier if file not in missing]
             self._complete()
         except OSError as error:
             raise self._failure(error) from error
+        if missing:
+            names = ", ".join(file.name for file in missing)
+            raise BagError(
+                f"{self.path}: {names} was deleted or moved while the bag was being written; "
+                "the bag consists of the other files"
+            )
 
     def salvage(self) -> None:
-        """Complete the bag after a failed write; `counts` then tells what it holds."""
+        """Complete the bag after a failed write; `counts` then tells what it holds.
+
+        A file that was deleted or moved is not part of it any more.
+        """
         self._reserve.release()
+        if self._is_closed:
+            return
+        if self._is_displaced:
+            self._abandon()
+            return
         try:
             if not self._segment.is_finished:
                 self._segment.salvage(self._information)
@@ -223,6 +248,25 @@ class BagWriter:
         if self._has_failed:
             raise BagError(f"{self.path}: a write has failed, nothing follows; record anew")
 
+    def _require_file(self) -> None:
+        """Raise BagError if the current file has been deleted or moved."""
+        if displacement := self._segment.displacement:
+            self._has_failed = self._is_displaced = True
+            raise BagError(
+                f"{self.file}: the file or its folder was {displacement} while the bag was being "
+                "written; record again and leave the bag in place until the recording has ended"
+            )
+
+    def _abandon(self) -> None:
+        """End the current file, which is not in the bag's folder, as well as possible."""
+        with suppress(OSError):
+            self._segment.salvage(self._information)
+        for segment in [*self._unsynced, self._segment]:
+            with suppress(OSError):
+                segment.sync()
+            segment.close()
+        self._is_closed = True
+
     def _failure(self, error: OSError) -> BagError:
         self._has_failed = True
         return BagError(f"{self.file}: cannot write: {error.strerror}; the bag is incomplete")
@@ -234,6 +278,7 @@ class BagWriter:
 
     def _begin_next(self) -> None:
         """Finish the file and begin another with the same topics."""
+        self._require_file()
         finished = self._segment
         finished.finish(self._information)
         self._segment = self._segment_number(len(self._earlier) + 1)
@@ -265,7 +310,7 @@ class BagWriter:
         self._is_closed = True
 
     def _files(self) -> list[FileMetadata]:
-        return [*self._earlier, self._segment.metadata]
+        return [*self._earlier, *([] if self._is_displaced else [self._segment.metadata])]
 
     def _information(self) -> dict[str, Any]:
         return bag_information(self._topics, self._files())

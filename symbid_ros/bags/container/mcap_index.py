@@ -1,0 +1,190 @@
+"""The index of an MCAP file: from its summary if that covers every message, else from its data."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.records import ChunkIndex, Statistics
+
+from symbid_ros.bags.container.catalogue import Catalogue
+from symbid_ros.bags.container.compression import ChunkRecord, unpacked_message
+from symbid_ros.bags.container.framing import (
+    INDEX_ENTRY,
+    INDEX_HEAD,
+    MAGIC,
+    MESSAGE,
+    RECORD,
+    Buffer,
+    damage_named,
+)
+from symbid_ros.bags.container.index import (
+    EXTENT_SIZE,
+    Extent,
+    FileIndex,
+    StoredMessage,
+    recorded_topics,
+)
+from symbid_ros.bags.container.summary import Summary, read_summary
+from symbid_ros.bags.limits import MAX_CHUNK, MAX_EXTENTS, within
+
+INDEX_RECORD = RECORD.size + INDEX_HEAD.size  # bytes of a message index without entries
+
+
+def read_mcap_index(file: Path) -> FileIndex:
+    """Return the index of an MCAP file.
+
+    A summary that does not account for every message is ignored, and the whole file is read
+    once. This happens if messages are outside chunks, a chunk has no message index, or the times
+    of the chunks contradict the statistics.
+    """
+    with damage_named(file):
+        summary = read_summary(file, with_chunks=True)
+        if not _is_complete(summary):
+            return _Survey(file, summary).index()
+        extents = tuple(
+            Extent(
+                chunk.message_start_time,
+                chunk.message_end_time,
+                chunk.chunk_start_offset,
+                chunk.chunk_length,
+            )
+            for chunk in summary.chunks
+            if _indexed(chunk)
+        )
+        if any(extent.offset + extent.length > summary.data_end for extent in extents):
+            raise ValueError("its index points beyond its end")
+        if len({extent.offset for extent in extents}) < len(extents):
+            raise ValueError("its index names a chunk twice")
+        return _file_index(file, summary.catalogue, extents, summary.statistics)
+
+
+def _is_complete(summary: Summary) -> bool:
+    """Tell whether a summary names all channels, and its chunk indexes account for all messages."""
+    stated = summary.statistics
+    if (
+        stated is None
+        or stated.channel_count != len(summary.catalogue.channels)
+        or stated.chunk_count != len(summary.chunks)
+        or stated.message_count != sum(map(_indexed, summary.chunks))
+    ):
+        return False
+    filled = [chunk for chunk in summary.chunks if _indexed(chunk)]
+    starts = [chunk.message_start_time for chunk in filled]
+    ends = [chunk.message_end_time for chunk in filled]
+    return not filled or (
+        all(start <= end for start, end in zip(starts, ends, strict=True))
+        and (min(starts), max(ends)) == (stated.message_start_time, stated.message_end_time)
+    )
+
+
+def _indexed(chunk: ChunkIndex) -> float:
+    """Return how many messages of a chunk are in its message indexes.
+
+    The result is not an integer if these have fields of a later version of the format.
+    """
+    frames = INDEX_RECORD * len(chunk.message_index_offsets)
+    return float(chunk.message_index_length - frames) / INDEX_ENTRY
+
+
+def _file_index(
+    file: Path, catalogue: Catalogue, extents: tuple[Extent, ...], statistics: Statistics | None
+) -> FileIndex:
+    topics = recorded_topics(catalogue)
+
+    def messages(extent: Extent) -> list[StoredMessage]:
+        with damage_named(file):
+            with file.open("rb") as stream:
+                stream.seek(extent.offset)
+                data = stream.read(within("a chunk", extent.length, MAX_CHUNK))
+            found = [
+                _message(records, start, stop)
+                for opcode, start, stop, records in _records(data)
+                if opcode == Opcode.MESSAGE
+            ]
+            if not topics.keys() >= {message.channel for message in found}:
+                raise ValueError("a message's channel was never announced")
+            if not all(extent.start <= message.log_time <= extent.end for message in found):
+                raise ValueError("a chunk's times are not what its index says")
+        return found
+
+    return FileIndex(file, topics, extents, statistics, messages)
+
+
+@dataclass
+class _Survey:
+    """A reading of a whole file that keeps no message."""
+
+    file: Path
+    summary: Summary
+    catalogue: Catalogue = field(default_factory=Catalogue)
+    extents: list[Extent] = field(default_factory=list)
+
+    def index(self) -> FileIndex:
+        end = self.summary.data_end
+        with self.file.open("rb") as stream:
+            stream.seek(len(MAGIC))
+            while (offset := stream.tell()) < end:
+                head = stream.read(RECORD.size)
+                opcode, length = RECORD.unpack(head)
+                if offset + RECORD.size + length > end:
+                    raise ValueError("a record is cut short")
+                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK):
+                    body = stream.read(within("a record", length, MAX_CHUNK))
+                    self._add(offset, head + body)
+                else:
+                    stream.seek(length, 1)
+        return _file_index(self.file, self.catalogue, tuple(self.extents), self.summary.statistics)
+
+    def _add(self, offset: int, record: bytes) -> None:
+        times = []
+        for opcode, start, stop, data in _records(record):
+            if opcode == Opcode.MESSAGE:
+                times.append(_message(data, start, stop).log_time)
+            else:
+                self.catalogue.add(opcode, data[start:stop])
+        if times:
+            self._extend(Extent(min(times), max(times), offset, len(record)))
+
+    def _extend(self, extent: Extent) -> None:
+        """Keep an extent, joined to the one before if both are small and touch."""
+        if self.extents:
+            last = self.extents[-1]
+            length = last.length + extent.length
+            if last.offset + last.length == extent.offset and length <= EXTENT_SIZE:
+                self.extents[-1] = Extent(
+                    min(last.start, extent.start), max(last.end, extent.end), last.offset, length
+                )
+                return
+        self.extents.append(extent)
+        within("a number of chunks", len(self.extents), MAX_EXTENTS)
+
+
+def _records(data: Buffer, *, inside: bool = False) -> Iterator[tuple[int, int, int, Buffer]]:
+    """Yield opcode, beginning and end of each record's body and the bytes these lie in.
+
+    Chunks are opened, what they hold is yielded instead; chunks hold none themselves.
+    """
+    position, end = 0, len(data)
+    while position < end:
+        opcode, length = RECORD.unpack_from(data, position)
+        start = position + RECORD.size
+        position = start + length
+        if position > end:
+            raise ValueError("a record reaches beyond its chunk")
+        if opcode != Opcode.CHUNK:
+            yield opcode, start, position, data
+        elif inside:
+            raise ValueError(f"a record of kind {opcode} is in a chunk")
+        else:
+            chunk = ChunkRecord.of(memoryview(data)[start:position])
+            yield from _records(chunk.records(), inside=True)
+
+
+def _message(data: Buffer, start: int, stop: int) -> StoredMessage:
+    """Return the message whose record's body lies from ``start`` to ``stop``."""
+    body = start + MESSAGE.size
+    if body > stop:
+        raise ValueError("a message record is too short")
+    channel, _, log_time, _ = MESSAGE.unpack_from(data, start)
+    return StoredMessage(log_time, channel, unpacked_message(bytes(data[body:stop]), MAX_CHUNK))
