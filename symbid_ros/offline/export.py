@@ -11,6 +11,8 @@ from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identification import Identification
 
+RESULT_FILES = "model.urdf", "model.xml", "information.npz", "estimate.json"
+
 
 def write_identification(found: Identification, parameters: ParameterSet, out: Path) -> None:
     """Write estimate.json, information.npz, model.urdf and model.xml into a folder.

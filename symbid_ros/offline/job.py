@@ -20,7 +20,8 @@ from symbid_ros.offline.examination import examine
 from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.identification import Identification, Solver
 from symbid_ros.offline.problem import GAUSSIAN, METHODS, Method, Problem, Truncation
-from symbid_ros.offline.record import Processing, Record, read_record
+from symbid_ros.offline.record import Filter, Processing, Record, read_record
+from symbid_ros.signals.filters import Channels
 
 logger = logging.getLogger(__name__)
 
@@ -173,6 +174,20 @@ def load_parameters(job: Job) -> ParameterSet:
     return parameters
 
 
+def chosen_filter(
+    named: Filter | None, method: Method, cutoff: float | None, channels: Channels | None
+) -> Filter:
+    """Return the filter of the rows: the one named, or the one that the other options imply.
+
+    The thesis's methods were published with Butterworth-filtered rows, so a cutoff or channels
+    given with one of them ask for that filter.
+    """
+    if named is not None:
+        return named
+    is_butterworth = method not in GAUSSIAN and not (cutoff is None and channels is None)
+    return "butterworth" if is_butterworth else "weak"
+
+
 def check(job: Job) -> None:
     """Refuse what the method cannot take: an option without effect is a misunderstanding.
 
@@ -210,6 +225,7 @@ def _problem(
         known=known,
         empirical=job.prior.empirical,
         inputs=job.inputs,
+        has_wrenches=bool(record.samples.wrench_frames),
     )
     if job.facts.kinds:
         problem = _calibrated(job, problem, record)

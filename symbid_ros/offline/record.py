@@ -35,6 +35,8 @@ from symbid_ros.signals.weak_form import (
     windowed_rows,
 )
 
+Filter = Literal["weak", "butterworth", "savitzky_golay"]
+
 BLOCK = 1024  # samples whose rows are built at once
 
 # Seconds between instants at which sensor noise is carried over to the rows.
@@ -72,7 +74,7 @@ class Processing:
 
 
 def processing(
-    name: Literal["weak", "butterworth", "savitzky_golay"],
+    name: Filter,
     window: float | None,
     cutoff: float | None,
     channels: Channels | None,
@@ -90,7 +92,10 @@ def processing(
     if window is not None and not 0 < window < np.inf:
         raise DataError(f"a window of {window:g} s is none; give a positive length")
     if name != "butterworth" and (cutoff is not None or channels is not None):
-        raise DataError(f"{name} has neither cutoff nor channels; ask for butterworth with these")
+        raise DataError(
+            f"{name} has neither cutoff nor channels; give --filter butterworth, or leave --cutoff "
+            "and --channels out"
+        )
     if name == "butterworth":
         if window is not None:
             raise DataError("butterworth has no window; give a cutoff, or another filter")

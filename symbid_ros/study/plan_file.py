@@ -78,7 +78,8 @@ def _first_fault(error: ValidationError, content: dict[str, Any]) -> str:
         return f"unknown key {where}{nearest(str(fault['loc'][-1]), fields)}; known are " + (
             ", ".join(fields)
         )
-    message = fault["msg"].removeprefix("Value error, ")
+    # Of an error that a check of ours raised, pydantic's message begins with "Value error, ".
+    message = str(fault.get("ctx", {}).get("error", fault["msg"]))
     return f"{where}: {message}" if where else message
 
 

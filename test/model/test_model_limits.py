@@ -148,6 +148,20 @@ class TestUrdf:
             r"line \d+: .*run.*xacro", refusal(written(tmp_path, URDF.replace(old, new)))
         )
 
+    @pytest.mark.parametrize(
+        ("name", "expanded"),
+        [
+            ("a.urdf.xacro", "a.urdf"),
+            ("a.xacro", "a.urdf"),
+            ("a.urdf", "a_expanded.urdf"),
+            ("a.v2.urdf.xacro", "a.v2.urdf"),
+        ],
+    )
+    def test_what_xacro_makes_gets_a_name_of_its_own(self, name, expanded, tmp_path):
+        path = tmp_path / name
+        path.write_text(URDF.replace('<link name="base"/>', "<xacro:arm/>"))
+        assert f"run `xacro {name} > {expanded}` and give" in refusal(path)
+
     def test_a_xacro_namespace_alone_does_not_matter(self, tmp_path):
         text = URDF.replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"')
         assert load_model(written(tmp_path, text)).name == "arm"
