@@ -51,7 +51,7 @@ def load_plan(name: str) -> tuple[Plan, Path]:
             f"{path}: cannot be read ({error.strerror}); name an existing file"
         ) from None
     except ValueError as error:
-        raise StudyError(f"{path}: {error}; mend that line") from None
+        raise StudyError(f"{path}: {error}; correct that line") from None
     if not isinstance(content, dict):
         raise StudyError(f"{path}: no study; begin with title, data and priors")
     try:
