@@ -246,6 +246,15 @@ def _with_earlier(
     if information is None:
         return observations
     earlier = {one.window: one for one in load_archive(information)}
+    now, before = (
+        frozenset[int]().union(*(one.seconds for one in run))
+        for run in (observations, earlier.values())
+    )
+    if again := now & before:
+        raise EstimateError(
+            f"{information}: holds {len(again)} s of this log already, which would be counted "
+            "twice; leave --information out, or name another log"
+        )
     try:
         both = tuple(
             earlier[one.window].merge(one) for one in observations if one.window in earlier

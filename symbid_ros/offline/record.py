@@ -24,6 +24,7 @@ from symbid_ros.signals.filters import (
     Smoothing,
     row_inflation,
 )
+from symbid_ros.signals.fingerprint import fingerprint
 from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.readings import at_base, smoothed
 from symbid_ros.signals.samples import build_samples, joined
@@ -180,7 +181,8 @@ def fold_record(
         samples = build_samples(stretches, model, smoothing, source)
         inflation = row_inflation(smoothing, stretches[0].rate)
         rows = (sampled_rows(parameters, block) for block in samples.blocks(BLOCK))
-        observations = (Observations.unwindowed(RowLayout.of(parameters), rows, inflation),)
+        unwindowed = Observations.unwindowed(RowLayout.of(parameters), rows, inflation)
+        observations = (unwindowed.covering(frozenset().union(*map(fingerprint, stretches))),)
         segments = stretches
     return Record(tuple(bags), segments, samples, observations)
 
@@ -199,6 +201,8 @@ def observe(
             observations = [
                 one.fold([block]) for one, block in zip(observations, blocks, strict=True)
             ]
+        covered = fingerprint(segment)
+        observations = [one.covering(covered) for one in observations]
     return tuple(observations)
 
 
