@@ -1,18 +1,56 @@
 """YAML and JSON by another hand, read within limits."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import yaml
+
+from symbid_ros.user_files import read_regular
 
 MAX_YAML_BYTES = 1 << 20
 MAX_JSON_BYTES = 64 << 20
 MAX_DEPTH = 50
 MAX_NODES = 100_000  # keys, values and lists
 
-# Many times faster where PyYAML was built with libyaml, as its wheels are.
-_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+LARGEST_INTEGER = 2**63 - 1
+LONGEST_QUOTE = 40
+
+if TYPE_CHECKING:
+    from yaml import SafeLoader as _SafeLoader
+else:
+    # Many times faster where PyYAML was built with libyaml, as its wheels are.
+    _SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Loader(_SafeLoader):
+    """PyYAML's safe loader; values that their type does not admit are refused with their line."""
+
+
+def _checked(construct: Callable[[Any, yaml.ScalarNode], Any]) -> Callable[[Any, Any], Any]:
+    """Return the constructor of a scalar with every failure as one kind of error."""
+
+    def constructed(loader: Any, node: yaml.ScalarNode) -> Any:
+        quote = repr(node.value[:LONGEST_QUOTE])
+        if ":" in node.value and "timestamp" not in node.tag:
+            # YAML 1.1 reads 1:30 as 90. Nobody who writes it means that.
+            _refuse(node.start_mark, f"{quote} is a number in base 60; write it with decimals")
+        try:
+            value = construct(loader, node)
+        except (ValueError, ArithmeticError, LookupError, AttributeError, TypeError):
+            kind = node.tag.rpartition(":")[2]
+            _refuse(node.start_mark, f"{quote} is not a valid {kind}; correct it")
+        if isinstance(value, int) and abs(value) > LARGEST_INTEGER:
+            _refuse(node.start_mark, f"{quote} has more than 64 bits; give a smaller number")
+        return value
+
+    return constructed
+
+
+for _kind in ("int", "float", "bool", "timestamp"):
+    _tag = f"tag:yaml.org,2002:{_kind}"
+    _Loader.add_constructor(_tag, _checked(_SafeLoader.yaml_constructors[_tag]))
 
 
 def load_yaml(path: Path) -> Any:
@@ -21,11 +59,11 @@ def load_yaml(path: Path) -> Any:
     Raises
     ------
     OSError
-        When the file cannot be read.
+        When the file cannot be read, or is not a regular file.
     ValueError
         When it is larger than ``MAX_YAML_BYTES``, or as :func:`parse_yaml`.
     """
-    return parse_yaml(_read(path, MAX_YAML_BYTES))
+    return parse_yaml(read_regular(path, MAX_YAML_BYTES).decode("utf-8"))
 
 
 def parse_yaml(text: str, most_nodes: int = MAX_NODES) -> Any:
@@ -34,9 +72,10 @@ def parse_yaml(text: str, most_nodes: int = MAX_NODES) -> Any:
     Raises
     ------
     ValueError
-        When it is no YAML, says one key of a mapping twice, or, with what ``*name`` repeats
-        written out, is nested deeper than ``MAX_DEPTH`` or has more than ``most_nodes`` parts:
-        a few lines can stand for gigabytes.
+        When it is no YAML, gives one key of a mapping twice, holds a value that its type does
+        not admit (a number in base 60 or beyond 64 bits, a date that does not exist), or, with
+        what ``*name`` repeats written out, is nested deeper than ``MAX_DEPTH`` or has more than
+        ``most_nodes`` parts: a few lines can stand for gigabytes.
     """
     try:
         _check_events(text, most_nodes)
@@ -59,25 +98,28 @@ def load_json(path: Path) -> Any:
     Raises
     ------
     OSError
-        When the file cannot be read.
+        When the file cannot be read, or is not a regular file.
     ValueError
-        When it is no JSON, larger than ``MAX_JSON_BYTES`` or nested too deeply.
+        When it is no JSON, larger than ``MAX_JSON_BYTES`` or nested too deeply, or gives a key of
+        an object twice.
     """
+    content = read_regular(path, MAX_JSON_BYTES).decode("utf-8")
     try:
-        return json.loads(_read(path, MAX_JSON_BYTES))
+        return json.loads(content, object_pairs_hook=_each_once)
     except RecursionError:
         raise ValueError("nested too deeply") from None
 
 
-def _read(path: Path, limit: int) -> str:
-    # A device or a pipe would be read without end.
-    if path.exists() and not path.is_file():
-        raise ValueError("no regular file")
-    with path.open("rb") as stream:
-        content = stream.read(limit + 1)
-    if len(content) > limit:
-        raise ValueError(f"larger than {limit >> 20} MiB, the limit")
-    return content.decode("utf-8")
+def _each_once(entries: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object; JSON itself lets a key come twice, and the last one win."""
+    content = dict(entries)
+    if len(content) < len(entries):
+        seen: set[str] = set()
+        for key, _ in entries:
+            if key in seen:
+                raise ValueError(f"key {key!r} is given twice")
+            seen.add(key)
+    return content
 
 
 def _check_events(text: str, most_nodes: int) -> None:
@@ -127,7 +169,7 @@ def _children(node: yaml.Node) -> list[yaml.Node]:
     for key in keys:
         if isinstance(key, yaml.ScalarNode):
             if key.value in seen:
-                _refuse(key.start_mark, f"{key.value} is said twice")
+                _refuse(key.start_mark, f"{key.value} is given twice")
             seen.add(key.value)
     return keys + [value for _, value in node.value]
 

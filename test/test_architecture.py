@@ -30,7 +30,7 @@ BAG_ROOMS: dict[str, set[str]] = {
     "rescue": {"container", "writing"},
     "streams": {"container"},
 }
-FREE = {"arrays", "atomic", "documents", "ending", "errors", "share"}
+FREE = {"arrays", "atomic", "documents", "ending", "errors", "share", "user_files"}
 ROS_LIBRARIES = {
     "rclpy",
     "rosidl_runtime_py",

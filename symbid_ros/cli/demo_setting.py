@@ -1,6 +1,5 @@
 """What both demos set up: a folder, a prior off the truth, and an ideal bag to judge by."""
 
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from symbid_ros.errors import SymbidError
+from symbid_ros.cli.overwriting import clear_folder
 
 MOTION_SEED, VALIDATION_SEED = 1, 2
 
@@ -26,12 +25,12 @@ def progress_bars(console: Console) -> Progress:
 
 def prepare_folder(out: Path, *, overwrite: bool) -> None:
     """Make an empty folder, in place of an earlier demo's only if that is wanted."""
-    if out.exists():
-        if not overwrite:
-            raise SymbidError(f"{out}: exists; remove it, choose another --out or pass --overwrite")
-        if not (out / "prior.json").is_file():
-            raise SymbidError(f"{out}: exists and is no demo's folder; choose another --out")
-        shutil.rmtree(out)
+    clear_folder(
+        out,
+        lambda folder: (folder / "prior.json").is_file(),
+        "the folder of a demo",
+        overwrite=overwrite,
+    )
     out.mkdir(parents=True)
 
 

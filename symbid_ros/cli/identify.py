@@ -118,15 +118,16 @@ def identify(
         ),
     ] = None,
     row_filter: Annotated[
-        Filter,
+        Filter | None,
         typer.Option(
             "--filter",
             metavar="FILTER",
             help="weak: average the equation over short windows; butterworth, savitzky_golay: "
-            "filter the signals and take single instants.",
+            "filter the signals and take single instants. Default: weak, or butterworth where ols, "
+            "wls_r, wls_c or wls_rc is given --cutoff or --channels.",
             rich_help_panel=ROWS,
         ),
-    ] = "weak",
+    ] = None,
     window: Annotated[
         float | None,
         typer.Option(
@@ -189,6 +190,9 @@ def identify(
             "--unchecked", help="Go on with data that contradict the model (doc/diagnosis.md)."
         ),
     ] = False,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the result of an earlier run in --out.")
+    ] = False,
 ) -> None:
     """Identify a robot's parameters from bags.
 
@@ -198,15 +202,17 @@ def identify(
     """
     from symbid_ros.bags.streams.selection import TopicSelection
     from symbid_ros.bags.streams.slices import TimeRange
+    from symbid_ros.cli.overwriting import require_no_files
     from symbid_ros.cli.summary import print_estimate
     from symbid_ros.estimation.row_weights import SensorDeviation
     from symbid_ros.model.parameters import joint_terms
-    from symbid_ros.offline.export import write_identification
+    from symbid_ros.offline.export import RESULT_FILES, write_identification
     from symbid_ros.offline.facts import Facts, PriorChoice, weighing
-    from symbid_ros.offline.job import Job, prepare
+    from symbid_ros.offline.job import Job, chosen_filter, prepare
     from symbid_ros.offline.record import processing
     from symbid_ros.signals.sensor_errors import parse_kinds
 
+    require_no_files(out, RESULT_FILES, overwrite=overwrite)
     topics = TopicSelection(
         joints=joint_topic,
         imus=tuple(imu_topic) if imu_topic else None,
@@ -220,7 +226,12 @@ def identify(
         method=method,
         terms=joint_terms(friction, armature, offset),
         processing=processing(
-            row_filter, window, cutoff, channels, topics, part=TimeRange(start, stop)
+            chosen_filter(row_filter, method, cutoff, channels),
+            window,
+            cutoff,
+            channels,
+            topics,
+            part=TimeRange(start, stop),
         ),
         facts=Facts(
             total_mass=weighing(total_mass, total_mass_std),

@@ -11,7 +11,7 @@ Scenario = Literal["smooth", "squat", "vibrating", "suspended", "tare"]
 
 
 def simulate(
-    out: Annotated[Path, typer.Option(help="Bag folder to write; must not exist.")],
+    out: Annotated[Path, typer.Option(help="Bag folder to write.")],
     scenario: Annotated[Scenario, typer.Option(help="What the robot does.")] = "smooth",
     moves: Annotated[int, typer.Option(min=1, max=1000, help="Number of moves.")] = 20,
     motion_seed: Annotated[int, typer.Option(min=0, help="Seed of the motion.")] = 0,
@@ -46,6 +46,9 @@ def simulate(
             help="MJCF to write of the robot as simulated, without payload, for symbid evaluate."
         ),
     ] = None,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the bag of an earlier run.")
+    ] = False,
 ) -> None:
     """Simulate the Symbitron in MuJoCo and record its sensors and the truth to a bag.
 
@@ -62,6 +65,7 @@ def simulate(
     333 Hz, [b]delays[/b] 1-5 ms, each sensor its own, [b]quantisation[/b] 16 to 18 bits.
     """
     from symbid_ros.atomic import write_text
+    from symbid_ros.cli.overwriting import clear_folder, is_simulated_bag
     from symbid_ros.errors import SimulationError
     from symbid_ros.simulation.payload import Payload
     from symbid_ros.simulation.recording import record
@@ -83,6 +87,7 @@ def simulate(
         payload=payload,
         payload_time=payload_time,
     )
+    clear_folder(out, is_simulated_bag, "a bag", overwrite=overwrite)
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(f"simulating {scenario}", total=simulator.steps)

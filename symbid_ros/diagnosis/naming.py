@@ -53,8 +53,8 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
                 Kind.SILENT,
                 "",
                 Severity.UNUSABLE,
-                f"{streams.source}: {model.source} floats but no topic is of type "
-                "sensor_msgs/msg/Imu; record the IMU, or say --base fixed",
+                f"{streams.source}: the base of {model.source} floats, but no topic is of type "
+                "sensor_msgs/msg/Imu; record the IMU, or give --base fixed if it is bolted down",
             )
         )
     return found

@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from tokenize import TokenError
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
 import numpy as np
 
@@ -16,10 +16,12 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.user_files import open_regular
 
 FORMAT = 2
 MAX_ARRAYS = 10_000
 MAX_BYTES = 512 << 20  # of all arrays, unpacked
+LARGEST_ENTRY = 1e15  # an hour of large forces at a high rate stays far below
 
 
 def write_archive(
@@ -45,6 +47,9 @@ def write_archive(
         "window": np.array([one.window for one in observations]),
         "inflation": np.array([one.inflation for one in observations]),
         "kept": np.array([one.kept for one in observations]),
+        "seconds": np.array(
+            sorted(frozenset[int]().union(*(one.seconds for one in observations))), dtype=np.int64
+        ),
     }
     upper = np.triu_indices(layout.width)
     for index, one in enumerate(observations):
@@ -75,23 +80,32 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
                 "the log again"
             )
         layout = _layout(content)
+        windows, inflations, kept = (
+            _numbers(content, name, (len(content["window"]),))
+            for name in ("window", "inflation", "kept")
+        )
+        _require(np.all(inflations >= 1), "inflation must be at least 1")
+        _require(np.all(kept <= 1), "kept must be at most 1")
+        seconds = frozenset(_seconds(content))
         return tuple(
             Observations(
-                rows=_information(layout, content[f"rows_{i}"], content[f"samples_{i}"][0]),
-                noise=_information(layout, content[f"noise_{i}"], content[f"samples_{i}"][1]),
-                counts=_counts(content[f"counts_{i}"], layout),
-                window=float(window),
-                inflation=float(inflation),
-                kept=_share(kept),
+                rows=_information(layout, content, "rows", i),
+                noise=_information(layout, content, "noise", i),
+                counts=_counts(content, i, layout),
+                window=float(windows[i]),
+                inflation=float(inflations[i]),
+                kept=float(kept[i]),
+                seconds=seconds,
             )
-            for i, (window, inflation, kept) in enumerate(
-                zip(content["window"], content["inflation"], content["kept"], strict=True)
-            )
+            for i in range(len(windows))
         )
-    except (KeyError, ValueError, TypeError, IndexError) as error:
-        raise EstimateError(
-            f"{path}: no information.npz of symbid identify ({type(error).__name__}: {error})"
-        ) from None
+    except KeyError as error:
+        reason = f"it lacks {error}"
+    except (ValueError, TypeError, IndexError, OverflowError) as error:
+        reason = str(error)
+    raise EstimateError(
+        f"{path}: no information.npz of symbid identify ({reason}); give the file that a run wrote"
+    )
 
 
 def load_deviation_factor(path: Path) -> FloatArray | None:
@@ -110,21 +124,38 @@ def load_deviation_factor(path: Path) -> FloatArray | None:
     return factor
 
 
-def _information(layout: RowLayout, triangle: FloatArray, samples: int) -> Information:
-    if triangle.shape != (layout.width * (layout.width + 1) // 2,):
-        raise ValueError("a factor is not as wide as its layout")
-    factor = np.zeros((layout.width, layout.width), order="F")
-    factor[np.triu_indices(layout.width)] = triangle
-    count = float(samples)
-    if not (np.all(np.isfinite(factor)) and np.isfinite(count)):
-        raise ValueError("a number is not finite")
-    return Information(layout, factor, count)
+def _information(
+    layout: RowLayout, content: dict[str, np.ndarray], kind: str, index: int
+) -> Information:
+    width = layout.width
+    triangle = _numbers(
+        content, f"{kind}_{index}", (width * (width + 1) // 2,), least=-LARGEST_ENTRY
+    )
+    rows, noise = _numbers(content, f"samples_{index}", (2,))
+    factor = np.zeros((width, width), order="F")
+    factor[np.triu_indices(width)] = triangle
+    return Information(layout, factor, float(rows if kind == "rows" else noise))
 
 
-def _share(kept: float) -> float:
-    if not 0 <= kept <= 1:
-        raise ValueError("a share is none")
-    return float(kept)
+def _numbers(
+    content: dict[str, np.ndarray], name: str, shape: tuple[int, ...], least: float = 0.0
+) -> FloatArray:
+    """Return an array of real numbers from ``least`` to the largest that any run writes."""
+    found = content[name]
+    _require(found.shape == shape, f"{name} has shape {found.shape}, not {shape}")
+    _require(found.dtype.kind in "fiu", f"{name} is of type {found.dtype}, not real numbers")
+    numbers = found.astype(np.float64)
+    # Written so that NaN is refused.
+    _require(
+        np.all((numbers >= least) & (numbers <= LARGEST_ENTRY)),
+        f"{name} has a number that is not from {least:g} to {LARGEST_ENTRY:g}",
+    )
+    return numbers
+
+
+def _require(condition: bool | np.bool_, message: str) -> None:
+    if not condition:
+        raise ValueError(message)
 
 
 def _layout(content: dict[str, np.ndarray]) -> RowLayout:
@@ -136,19 +167,32 @@ def _layout(content: dict[str, np.ndarray]) -> RowLayout:
     return RowLayout(coordinates, parameters, structure)
 
 
-def _counts(counts: np.ndarray, layout: RowLayout) -> FloatArray:
+def _counts(content: dict[str, np.ndarray], index: int, layout: RowLayout) -> FloatArray:
     n = len(layout.coordinates)
-    if counts.shape != (n, n) or not np.all(np.isfinite(counts)):
-        raise ValueError("its counts are none")
-    return counts.astype(np.float64)
+    counts = _numbers(content, f"counts_{index}", (n, n))
+    _require(
+        np.array_equal(counts, counts.T) and np.all(counts <= counts.diagonal()),
+        f"counts_{index} must be symmetric, and largest on its diagonal",
+    )
+    return counts
+
+
+def _seconds(content: dict[str, np.ndarray]) -> list[int]:
+    """Return the fingerprints of the seconds covered; earlier versions wrote none."""
+    found = content.get("seconds", np.zeros(0, dtype=np.int64))
+    _require(found.ndim == 1 and found.dtype == np.int64, "seconds must be a list of integers")
+    seconds: list[int] = found.tolist()
+    return seconds
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
     try:
-        # A lone array is no context: that is the TypeError below.
-        _check_sizes(path)
-        with np.load(path, allow_pickle=False) as stored:
-            return dict(stored)
+        with open_regular(path) as stream:
+            _check_sizes(path, stream)
+            stream.seek(0)
+            # A lone array is no context: that is the TypeError below.
+            with np.load(stream, allow_pickle=False) as stored:
+                return dict(stored)
     except OSError as error:
         reason = error.strerror or "not a zip of arrays"
         raise EstimateError(f"{path}: cannot read it ({reason}); check the path") from None
@@ -159,9 +203,9 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         ) from None
 
 
-def _check_sizes(path: Path) -> None:
+def _check_sizes(path: Path, file: BinaryIO) -> None:
     """Refuse arrays that are larger than their bytes or than any run's, before they are made."""
-    with zipfile.ZipFile(path) as archive:
+    with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
         if len(members) > MAX_ARRAYS or sum(one.file_size for one in members) > MAX_BYTES:
             raise EstimateError(

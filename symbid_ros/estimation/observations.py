@@ -45,6 +45,8 @@ class Observations:
         By how much overlapping windows make the rows look more than they are.
     kept : float
         Share of the first rows' weight that has not faded.
+    seconds : frozenset of int
+        Fingerprints of the seconds that the rows cover; none for rows of unknown origin.
     """
 
     rows: Information
@@ -53,6 +55,7 @@ class Observations:
     window: float
     inflation: float = INFLATION
     kept: float = 1.0
+    seconds: frozenset[int] = frozenset()
 
     @classmethod
     def empty(cls, layout: RowLayout, window: float) -> "Observations":
@@ -112,6 +115,10 @@ class Observations:
             kept=share * self.kept,
         )
 
+    def covering(self, seconds: frozenset[int]) -> "Observations":
+        """Return the observations as covering these seconds, too."""
+        return replace(self, seconds=self.seconds | seconds)
+
     def merge(self, other: "Observations") -> "Observations":
         """Return what both records say together.
 
@@ -133,6 +140,7 @@ class Observations:
             noise=self.noise.merge(other.noise),
             counts=self.counts + other.counts,
             kept=min(self.kept, other.kept),
+            seconds=self.seconds | other.seconds,
         )
 
     def residual_covariance(self, phi: FloatArray) -> FloatArray:

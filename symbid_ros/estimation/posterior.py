@@ -15,6 +15,7 @@ from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import brentq
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
@@ -140,7 +141,15 @@ class _Square:
         rough: bool,
     ) -> "_Square":
         covariance = observations.residual_covariance(phi)
-        whitening = np.asarray(np.linalg.inv(cholesky(covariance, lower=True)), dtype=np.float64)
+        try:
+            root = cholesky(covariance, lower=True)
+        except np.linalg.LinAlgError:
+            raise EstimateError(
+                "the residuals of the prior's mean are so large that rounding hides how they "
+                "differ between coordinates; correct the value of the prior that is out of all "
+                "proportion"
+            ) from None
+        whitening = np.asarray(np.linalg.inv(root), dtype=np.float64)
         precision = whitening.T @ whitening
         # From [K y] to rows in prior deviations: [K y] to_prior = [K L, y - K mean].
         to_prior = np.block([[L, -mean[:, None]], [np.zeros(len(mean)), 1.0]])

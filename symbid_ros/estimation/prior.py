@@ -98,7 +98,19 @@ class Prior:
         )
 
     def write(self, path: Path) -> None:
-        """Write prior.json."""
+        """Write prior.json.
+
+        Raises
+        ------
+        PriorError
+            When a mass is negative, which no reader accepts.
+        """
+        for name, value in zip(self.names, self.mean, strict=True):
+            if name.endswith("/m") and value < 0:
+                raise PriorError(
+                    f"{path}: not written, as {name} came out as {value:.3g} kg; choose another "
+                    "seed or a smaller half-width"
+                )
         parameters = {
             name: {"value": float(value), "std": float(std)}
             for name, value, std in zip(self.names, self.mean, self.std, strict=True)

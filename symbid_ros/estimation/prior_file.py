@@ -8,6 +8,10 @@ from symbid_ros.documents import load_json
 from symbid_ros.errors import PriorError
 from symbid_ros.estimation.prior import Prior, model_prior
 from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.model.xml_tree import LARGEST
+
+# The moment of inertia of a gram within a millimetre is 1e-9 kg m²; this is a billionth of it.
+LEAST_STD = 1e-18
 
 
 def load_prior(path: Path, parameters: ParameterSet) -> Prior:
@@ -37,17 +41,35 @@ def load_prior(path: Path, parameters: ParameterSet) -> Prior:
         rows = document.get("covariance_factor")
         factor = None if rows is None else np.array(rows, dtype=float)
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise PriorError(
-            f"{path}: not a prior.json ({type(error).__name__}: {error}); write one with "
-            "`symbid prior`"
+            f"{path}: not a prior.json ({reason}); write one with `symbid prior`"
         ) from None
     _check_belongs(path, model, values, parameters)
+    _check_size(path, values)
     mean, std = np.array(list(values.values())).T
     try:
         read = Prior(model, kind, seed, tuple(values), mean, std, factor)
         return _for_columns(read, parameters)
     except PriorError as error:
         raise PriorError(f"{path}: {error}") from None
+
+
+def _check_size(path: Path, values: dict[str, tuple[float, float]]) -> None:
+    """Refuse numbers that are no robot's, whose squares would overflow or vanish."""
+    for name, (value, std) in values.items():
+        if abs(value) > LARGEST:
+            raise PriorError(
+                f"{path}: {name} has value {value:g}, no robot's; give at most {LARGEST:g} in SI "
+                "units"
+            )
+        if value < 0 and name.endswith("/m"):
+            raise PriorError(f"{path}: {name} has value {value:g}; give a mass of 0 kg or more")
+        if 0 < std < LEAST_STD or std > LARGEST:
+            raise PriorError(
+                f"{path}: {name} has std {std:g}; give one from {LEAST_STD:g} to {LARGEST:g}, or "
+                "drop --prior and give --prior-percent"
+            )
 
 
 def _for_columns(prior: Prior, parameters: ParameterSet) -> Prior:

@@ -96,6 +96,7 @@ def judge(
     window: float,
     whiteness: float,
     sensors: tuple[Sequence[str], Sequence[str]] = ((), ()),
+    has_wrenches: bool = True,
 ) -> Verdict:
     """Return the verdict on an estimate.
 
@@ -111,6 +112,8 @@ def judge(
         As in :class:`Verdict`.
     sensors : pair of sequences of str
         Names and units of the sensors' errors.
+    has_wrenches : bool
+        Whether the robot has wrench sensors, which a tare could calibrate.
     """
     p = len(parameters)
     prior, factor = posterior.prior.covariance_factor(), posterior.deviation_factor
@@ -146,7 +149,7 @@ def judge(
         prior_scale=posterior.prior_scale,
         whiteness=whiteness,
         noise_share=posterior.noise_share,
-        alarms=alarms(posterior, whiteness),
+        alarms=alarms(posterior, whiteness, has_wrenches=has_wrenches),
         effective=known.effective,
         gain=known.gain,
         link_gain=known.link_gain,
@@ -164,8 +167,8 @@ def _square(factor: FloatArray) -> FloatArray:
     return triangle.T
 
 
-def alarms(posterior: Posterior, whiteness: float) -> tuple[str, ...]:
-    """Return what is wrong with an estimate, one line each; ``whiteness`` as in `Verdict`."""
+def alarms(posterior: Posterior, whiteness: float, *, has_wrenches: bool = True) -> tuple[str, ...]:
+    """Return what is wrong with an estimate, one line each; arguments as in :func:`judge`."""
     found = []
     if posterior.prior_scale > SUSPICIOUS_SCALE:
         found.append(
@@ -173,10 +176,11 @@ def alarms(posterior: Posterior, whiteness: float) -> tuple[str, ...]:
             "the kinematics or a sensor's calibration is wrong"
         )
     if whiteness > SUSPICIOUS_WHITENESS:
+        tare = "--tare, " if has_wrenches else ""
         found.append(
             f"residuals last longer than noise would (whiteness {whiteness:.1f}, at most 1 for "
-            "noise): the model or a sensor's calibration is wrong; add --tare, --sensor-errors "
-            "typical or the joint terms that are missing"
+            f"noise): the model or a sensor's calibration is wrong; add {tare}--sensor-errors "
+            "typical or the joint terms that are missing (--friction, --armature, --offset)"
         )
     if posterior.noise_share > SUSPICIOUS_NOISE:
         found.append(

@@ -26,22 +26,35 @@ def load_model(path: Path, base: Base = "auto") -> RobotModel:
     path : Path
         ``.urdf`` or ``.xml`` file.
     base : {"auto", "floating", "fixed"}
-        Whether the base may move; an MJCF says so itself and accepts only "auto".
+        Whether the base may move. An MJCF states that itself, by a free joint; "floating" and
+        "fixed" must agree with it.
 
     Raises
     ------
     ModelError
-        When the file cannot be read as either.
+        When the file cannot be read as either, or an MJCF contradicts ``base``.
     """
     if not is_mjcf(path):
         model = load_urdf(path, base)
-    elif base != "auto":
-        raise ModelError(f"{path}: an MJCF says itself whether its base floats; drop --base {base}")
     else:
         model = load_mjcf(path)
+        _require_base(model, path, base)
         _report_ignored(path)
     _report_massless(model)
     return model
+
+
+def _require_base(model: RobotModel, path: Path, base: Base) -> None:
+    if base == "fixed" and model.floating:
+        raise ModelError(
+            f"{path}: its base has a free joint, so it is not fixed; remove that joint, or drop "
+            "--base fixed"
+        )
+    if base == "floating" and not model.floating:
+        raise ModelError(
+            f"{path}: its base has no free joint, so it is fixed; add <freejoint/> to the base, "
+            "or drop --base floating"
+        )
 
 
 def _report_ignored(path: Path) -> None:

@@ -48,8 +48,8 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
     for element in robot:
         if element.tag.startswith("xacro:"):
             raise ModelError(
-                f"{place(element)}: <{element.tag}> is xacro, no URDF yet; run `xacro {path.name} "
-                f"> {path.stem}.urdf` first"
+                f"{place(element)}: <{element.tag}> is xacro; run `xacro {path.name} > "
+                f"{_expanded_name(path)}` and give that file"
             )
     reader = UrdfReader(str(path), robot)
     bodies, world_joint = reader.bodies()
@@ -58,6 +58,12 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
     return assemble(
         robot.get("name", path.stem), bodies, floating=floating, gravity=gravity, source=str(path)
     )
+
+
+def _expanded_name(path: Path) -> str:
+    """Return a name for what xacro makes of a file: the same without .xacro, never itself."""
+    stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
+    return f"{stem}.urdf" if path.name != f"{stem}.urdf" else f"{stem}_expanded.urdf"
 
 
 class UrdfReader:

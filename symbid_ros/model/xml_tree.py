@@ -5,9 +5,12 @@ from pathlib import Path
 from xml.parsers import expat
 
 from symbid_ros.errors import ModelError
+from symbid_ros.user_files import read_regular
 
 MAX_BYTES = 4 << 20
 MAX_ELEMENTS = 10_000
+# Several times those of any element of either format; MuJoCo's parser takes time with the square.
+MAX_ATTRIBUTES = 200
 MAX_DEPTH = 200
 LARGEST = 1e9  # SI units; no mass, length or inertia of a robot is as large
 
@@ -44,7 +47,8 @@ def read_xml(path: Path) -> Element:
     ModelError
         When the file cannot be read, is not XML, declares a document type (and with it
         entities, which may expand without end or read other files), is larger than
-        ``MAX_BYTES``, or has more than ``MAX_ELEMENTS`` elements or ``MAX_DEPTH`` levels.
+        ``MAX_BYTES``, or has more than ``MAX_ELEMENTS`` elements, ``MAX_DEPTH`` levels or
+        ``MAX_ATTRIBUTES`` attributes of an element.
     """
     return _Builder(path).root(read_bytes(path, MAX_BYTES))
 
@@ -69,17 +73,13 @@ def read_bytes(path: Path, limit: int) -> bytes:
         When there is no such file, or it is larger than ``limit`` bytes.
     """
     try:
-        # A device or a pipe would be read without end.
-        if path.exists() and not path.is_file():
-            raise ModelError(f"{path}: cannot read the model (no regular file); name a file")
-        with path.open("rb") as stream:
-            content = stream.read(limit + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ModelError(f"{path}: cannot read the model ({reason}); check the path") from None
-    if len(content) > limit:
-        raise ModelError(f"{path}: larger than {limit >> 20} MiB, the limit; reduce it")
-    return content
+        return read_regular(path, limit)
+    except OSError as error:
+        raise ModelError(
+            f"{path}: cannot read the model ({error.strerror}); check the path"
+        ) from None
+    except ValueError as error:
+        raise ModelError(f"{path}: {error}; reduce it") from None
 
 
 class _Builder:
@@ -114,6 +114,11 @@ class _Builder:
         element.start = self._parser.CurrentByteIndex
         if self._count > MAX_ELEMENTS:
             raise ModelError(f"{element.place}: more than {MAX_ELEMENTS} elements; split the model")
+        if len(attributes) > MAX_ATTRIBUTES:
+            raise ModelError(
+                f"{element.place}: <{tag}> has more than {MAX_ATTRIBUTES} attributes; remove those "
+                "that its format does not know"
+            )
         if len(self._open) > MAX_DEPTH:
             raise ModelError(
                 f"{element.place}: <{tag}> is more than {MAX_DEPTH} levels deep; flatten the model"

@@ -14,6 +14,8 @@ from symbid_ros.offline.identification import Identification
 
 logger = logging.getLogger(__name__)
 
+RESULT_FILES = "model.urdf", "model.xml", "information.npz", "estimate.json"
+
 
 def write_identification(found: Identification, parameters: ParameterSet, out: Path) -> None:
     """Write estimate.json, information.npz, model.urdf and model.xml into a folder.

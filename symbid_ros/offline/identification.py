@@ -80,7 +80,7 @@ class Solver:
     @property
     def alarms(self) -> tuple[str, ...]:
         """What is wrong, one line each."""
-        return alarms(self.posterior, self.whiteness)
+        return alarms(self.posterior, self.whiteness, has_wrenches=self.problem.has_wrenches)
 
     def map(self, *, judged: bool = True) -> Identification:
         """Return the most probable parameters, with or without a verdict."""
@@ -117,6 +117,7 @@ class Solver:
                 window=self.chosen.window,
                 whiteness=self.whiteness,
                 sensors=(problem.sensor_names, problem.sensors),
+                has_wrenches=problem.has_wrenches,
             )
         estimate = self._estimate(
             method,

@@ -20,7 +20,8 @@ from symbid_ros.offline.examination import examine
 from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.identification import Identification, Solver
 from symbid_ros.offline.problem import GAUSSIAN, METHODS, Method, Problem, Truncation
-from symbid_ros.offline.record import Processing, Record, read_record
+from symbid_ros.offline.record import Filter, Processing, Record, read_record
+from symbid_ros.signals.filters import Channels
 
 logger = logging.getLogger(__name__)
 
@@ -177,6 +178,20 @@ def load_parameters(job: Job) -> ParameterSet:
     return parameters
 
 
+def chosen_filter(
+    named: Filter | None, method: Method, cutoff: float | None, channels: Channels | None
+) -> Filter:
+    """Return the filter of the rows: the one named, or the one that the other options imply.
+
+    The thesis's methods were published with Butterworth-filtered rows, so a cutoff or channels
+    given with one of them ask for that filter.
+    """
+    if named is not None:
+        return named
+    is_butterworth = method not in GAUSSIAN and not (cutoff is None and channels is None)
+    return "butterworth" if is_butterworth else "weak"
+
+
 def check(job: Job) -> None:
     """Refuse what the method cannot take: an option without effect is a misunderstanding.
 
@@ -214,6 +229,7 @@ def _problem(
         known=known,
         empirical=job.prior.empirical,
         inputs=job.inputs,
+        has_wrenches=bool(record.samples.wrench_frames),
     )
     if job.facts.kinds:
         problem = _calibrated(job, problem, record)
@@ -234,6 +250,15 @@ def _with_earlier(
     if information is None:
         return observations
     earlier = {one.window: one for one in load_archive(information)}
+    now, before = (
+        frozenset[int]().union(*(one.seconds for one in run))
+        for run in (observations, earlier.values())
+    )
+    if again := now & before:
+        raise EstimateError(
+            f"{information}: holds {len(again)} s of this log already, which would be counted "
+            "twice; leave --information out, or name another log"
+        )
     try:
         both = tuple(
             earlier[one.window].merge(one) for one in observations if one.window in earlier

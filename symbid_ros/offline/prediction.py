@@ -107,8 +107,8 @@ def read_realistic_motion(
     truth = true_motion(read_truth(bags), streams, model)
     if model.floating and not streams.imus:
         raise DataError(
-            f"{streams.source}: {model.source} floats but the bag has no sensor_msgs/msg/Imu "
-            "topic; record the IMU, or say that the base is fixed"
+            f"{streams.source}: the base of {model.source} floats, but the bag has no "
+            "sensor_msgs/msg/Imu topic; record the IMU, or give --base fixed if it is bolted down"
         )
     low_pass = low_pass or CausalLowPass()
     known = [_known(segment, streams, model, low_pass) for segment in align(streams, model)]

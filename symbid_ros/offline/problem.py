@@ -57,6 +57,8 @@ class Problem:
         Whether only the longest window will do.
     inputs : tuple of str
         What to write down as the estimate's origin.
+    has_wrenches : bool
+        Whether the robot has wrench sensors.
     """
 
     observations: tuple[Observations, ...]
@@ -67,6 +69,7 @@ class Problem:
     empirical: bool = False
     longest: bool = False
     inputs: tuple[str, ...] = ()
+    has_wrenches: bool = True
 
     @property
     def sensor_names(self) -> tuple[str, ...]:

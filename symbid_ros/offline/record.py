@@ -24,6 +24,7 @@ from symbid_ros.signals.filters import (
     Smoothing,
     row_inflation,
 )
+from symbid_ros.signals.fingerprint import fingerprint
 from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.readings import at_base, smoothed
 from symbid_ros.signals.samples import build_samples, joined
@@ -34,6 +35,8 @@ from symbid_ros.signals.weak_form import (
     sampled_rows,
     windowed_rows,
 )
+
+Filter = Literal["weak", "butterworth", "savitzky_golay"]
 
 BLOCK = 1024  # samples whose rows are built at once
 
@@ -72,7 +75,7 @@ class Processing:
 
 
 def processing(
-    name: Literal["weak", "butterworth", "savitzky_golay"],
+    name: Filter,
     window: float | None,
     cutoff: float | None,
     channels: Channels | None,
@@ -90,7 +93,10 @@ def processing(
     if window is not None and not 0 < window < np.inf:
         raise DataError(f"a window of {window:g} s is none; give a positive length")
     if name != "butterworth" and (cutoff is not None or channels is not None):
-        raise DataError(f"{name} has neither cutoff nor channels; ask for butterworth with these")
+        raise DataError(
+            f"{name} has neither cutoff nor channels; give --filter butterworth, or leave --cutoff "
+            "and --channels out"
+        )
     if name == "butterworth":
         if window is not None:
             raise DataError("butterworth has no window; give a cutoff, or another filter")
@@ -175,7 +181,8 @@ def fold_record(
         samples = build_samples(stretches, model, smoothing, source)
         inflation = row_inflation(smoothing, stretches[0].rate)
         rows = (sampled_rows(parameters, block) for block in samples.blocks(BLOCK))
-        observations = (Observations.unwindowed(RowLayout.of(parameters), rows, inflation),)
+        unwindowed = Observations.unwindowed(RowLayout.of(parameters), rows, inflation)
+        observations = (unwindowed.covering(frozenset().union(*map(fingerprint, stretches))),)
         segments = stretches
     return Record(tuple(bags), segments, samples, observations)
 
@@ -194,6 +201,8 @@ def observe(
             observations = [
                 one.fold([block]) for one, block in zip(observations, blocks, strict=True)
             ]
+        covered = fingerprint(segment)
+        observations = [one.covering(covered) for one in observations]
     return tuple(observations)
 
 

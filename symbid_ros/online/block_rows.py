@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from symbid_ros.online.timeline import Stretch
+from symbid_ros.signals.fingerprint import fingerprint
 from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.weak_form import RowBuilder, WindowedRows, windowed_rows
 
@@ -18,11 +19,14 @@ class BlockRows:
         From where up to where, ns.
     rows : tuple of tuple of WindowedRows
         Part by part, in each part window by window.
+    seconds : frozenset of int
+        Fingerprints of the seconds covered.
     """
 
     start: int
     stop: int
     rows: tuple[tuple[WindowedRows, ...], ...]
+    seconds: frozenset[int] = frozenset()
 
     def of_window(self, index: int) -> tuple[WindowedRows, ...]:
         """Return the rows of one length of window."""
@@ -41,4 +45,5 @@ def block_rows(
         for segment in stretch.segments
         for part in windowed_rows(segment, build, windows, noisy_channels)
     ]
-    return BlockRows(stretch.start, stretch.stop, tuple(parts))
+    seconds = frozenset[int]().union(*map(fingerprint, stretch.segments))
+    return BlockRows(stretch.start, stretch.stop, tuple(parts), seconds)

@@ -85,7 +85,11 @@ class OnlineIdentification:
         self._windows = beginning.job.processing.windows
         self._build = equation_rows(self._parameters)
         topics = tuple(topic.name for topic in selected.all)
-        self._problem = replace(beginning.problem, inputs=(*beginning.problem.inputs, *topics))
+        self._problem = replace(
+            beginning.problem,
+            inputs=(*beginning.problem.inputs, *topics),
+            has_wrenches=bool(selected.wrenches),
+        )
         self._timeline = Timeline(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
         self.lost_blocks = self.clock_jumps = 0

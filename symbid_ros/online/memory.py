@@ -35,7 +35,7 @@ class Whole:
         """Return what is known with one block more."""
         share = self.kept(block.stop, block.start)
         folded = tuple(
-            _folded(one, share, block.of_window(index))
+            _folded(one, share, block.of_window(index)).covering(block.seconds)
             for index, one in enumerate(self.observations)
         )
         return replace(self, observations=folded, until=block.stop, blocks=self.blocks + 1)

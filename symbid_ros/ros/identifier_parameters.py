@@ -8,7 +8,7 @@ from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.bags.streams.slices import TimeRange
 from symbid_ros.model.parameters import joint_terms
 from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.job import Job
+from symbid_ros.offline.job import Job, chosen_filter
 from symbid_ros.offline.problem import METHODS
 from symbid_ros.offline.record import processing
 from symbid_ros.ros.parameters import Parameter, ParameterError
@@ -64,7 +64,8 @@ PARAMETERS = (
     Parameter(
         "filter",
         "weak",
-        "Average the equation over windows, or filter the signals and take single instants.",
+        "Average the equation over windows, or filter the signals and take single instants; weak "
+        "becomes butterworth where one of the thesis's methods is given a cutoff or channels.",
         choices=("weak", "butterworth", "savitzky_golay"),
     ),
     Parameter("window", 0.0, "Length of the windows, s; 0: chosen by the data.", minimum=0.0),
@@ -186,6 +187,8 @@ def job_from(values: dict[str, Any]) -> Job:
     # A parameter always has a value: its default counts as not given.
     cutoff = None if values["cutoff"] == CUTOFF else values["cutoff"]
     channels = None if values["channels"] == "all" else values["channels"]
+    named = None if values["filter"] == "weak" else values["filter"]
+    row_filter = chosen_filter(named, values["method"], cutoff, channels)
     return Job(
         bags=tuple(map(Path, bags)),
         model=Path(values["model"]),
@@ -198,7 +201,7 @@ def job_from(values: dict[str, Any]) -> Job:
         method=values["method"],
         terms=joint_terms(values["friction"], values["armature"], values["offset"]),
         processing=processing(
-            values["filter"], window or None, cutoff, channels, topics, part=_part(values)
+            row_filter, window or None, cutoff, channels, topics, part=_part(values)
         ),
         facts=Facts(
             total_mass=(mass, values["total_mass_std"]) if mass else None,

@@ -62,8 +62,8 @@ def moving_segments(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     """
     if model.floating and not streams.imus:
         raise DataError(
-            f"{streams.source}: {model.source} floats but the bag has no sensor_msgs/msg/Imu "
-            "topic; record the IMU, or say that the base is fixed"
+            f"{streams.source}: the base of {model.source} floats, but the bag has no "
+            "sensor_msgs/msg/Imu topic; record the IMU, or give --base fixed if it is bolted down"
         )
     return align(streams, model)
 

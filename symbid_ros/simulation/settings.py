@@ -20,9 +20,11 @@ def read_mapping(path: Path) -> dict[str, Any]:
     try:
         content = load_yaml(path)
     except OSError as error:
-        raise SimulationError(f"{path}: cannot be read ({error}); name an existing file") from error
+        raise SimulationError(
+            f"{path}: cannot be read ({error.strerror}); name an existing file"
+        ) from None
     except ValueError as error:
-        raise SimulationError(f"{path}: {error}; mend that line") from None
+        raise SimulationError(f"{path}: {error}; correct that line") from None
     if not isinstance(content, dict):
         raise SimulationError(f"{path}: not a mapping; give one line 'name: value' for each entry")
     return {str(name): value for name, value in content.items()}

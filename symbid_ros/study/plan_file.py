@@ -51,7 +51,7 @@ def load_plan(name: str) -> tuple[Plan, Path]:
             f"{path}: cannot be read ({error.strerror}); name an existing file"
         ) from None
     except ValueError as error:
-        raise StudyError(f"{path}: {error}; mend that line") from None
+        raise StudyError(f"{path}: {error}; correct that line") from None
     if not isinstance(content, dict):
         raise StudyError(f"{path}: no study; begin with title, data and priors")
     try:
@@ -78,7 +78,8 @@ def _first_fault(error: ValidationError, content: dict[str, Any]) -> str:
         return f"unknown key {where}{nearest(str(fault['loc'][-1]), fields)}; known are " + (
             ", ".join(fields)
         )
-    message = fault["msg"].removeprefix("Value error, ")
+    # Of an error that a check of ours raised, pydantic's message begins with "Value error, ".
+    message = str(fault.get("ctx", {}).get("error", fault["msg"]))
     return f"{where}: {message}" if where else message
 
 

@@ -111,7 +111,9 @@ def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
         ({"method": "ols", "total_mass": 41}, "ols takes neither sensor errors, a tare nor"),
         ({"total_mass_std": 0.1}, "of no use without --total-mass"),
         ({"sensor_errors": ","}, "no sensor error is named"),
-        ({"cutoff": 20}, "weak has neither cutoff nor channels"),
+        ({"cutoff": 20}, "weak has neither cutoff nor channels; give --filter butterworth"),
+        ({"method": "wls_rc", "cutoff": 0.05}, "too short for this filter"),
+        ({"base": "fixed"}, "has a free joint, so it is not fixed; remove that joint, or drop"),
         ({"filter": "savitzky_golay", "channels": "thesis"}, "has neither cutoff nor channels"),
         ({"filter": "butterworth", "window": 0.1}, "butterworth has no window"),
         ({"window": 0}, "give a positive length"),
@@ -197,12 +199,17 @@ def test_what_was_there_stays(symbid, good) -> None:
     out.mkdir()
     (out / "estimate.json").write_text("of yesterday")
     (out / "thesis.txt").write_text("years of work")
-    bad = symbid("identify", "nowhere", "--model", good["model"], "--out", out)
+    bad = symbid("identify", "nowhere", "--model", good["model"], "--out", out, "--overwrite")
     assert bad.returncode == 2
     assert bad.stderr.startswith("symbid: nowhere")
     assert bad.stderr.count("\n") == 1
     assert (out / "estimate.json").read_text() == "of yesterday"
-    written = symbid("identify", good["bag"], "--model", good["model"], "--out", out)
+    words = ("identify", good["bag"], "--model", good["model"], "--out", out)
+    refused = symbid(*words)
+    assert refused.returncode == 2
+    assert "holds an earlier estimate.json; choose another --out, or give --o" in refused.stderr
+    assert [path.name for path in out.iterdir()].count("model.urdf") == 0
+    written = symbid(*words, "--overwrite")
     assert written.returncode == 0
     assert (out / "thesis.txt").read_text() == "years of work"
     again = symbid("simulate", "--out", good["bag"])

@@ -103,7 +103,8 @@ def test_a_run_goes_on_from_an_earlier_one(symbid, model, log, found, prior, tmp
         model,
         tmp_path / "out",
         *("--prior", prior, "--information", found / "information.npz"),
-        *("--window", earlier["verdict"]["window"]),
+        # The log begins with the earlier one's move.
+        *("--window", earlier["verdict"]["window"], "--start", 7),
     )
     assert both["inputs"][-1] == str(found / "information.npz")
     assert both["samples"] > earlier["samples"]
@@ -113,6 +114,20 @@ def test_a_run_goes_on_from_an_earlier_one(symbid, model, log, found, prior, tmp
         for document in (earlier, both)
     )
     assert np.median(after / before) < 1
+
+
+@pytest.mark.parametrize("part", [("--start", 2.5), ("--filter", "butterworth")])
+def test_a_log_is_not_counted_twice(symbid_here, model, short, found, part, tmp_path) -> None:
+    copy = tmp_path / "renamed"
+    copy.symlink_to(short)
+    ended = symbid_here(
+        *("identify", copy, "--model", model, "--out", tmp_path / "out", *part),
+        *("--information", found / "information.npz"),
+    )
+    assert ended.returncode == 2
+    assert "s of this log already" in ended.stderr
+    assert "leave --information out" in ended.stderr
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_equation_of_motion_closes_on_an_ideal_bag(symbid_here, model, ideal, tmp_path) -> None:

@@ -5,6 +5,7 @@ import pickle
 import tracemalloc
 import zipfile
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -75,6 +76,33 @@ def test_what_was_read_can_be_written_and_gone_on_from(tmp_path):
     write_archive(path, [both])
     assert load_archive(path)[0].rows.samples == 2 * one.rows.samples
     assert load_deviation_factor(path) is None
+
+
+def test_files_from_before_seconds_were_noted_are_read():
+    """The file is as the program wrote it then, with an array less than today."""
+    path = Path(__file__).with_name("data") / "information_without_seconds.npz"
+    log = gaussian_log(0, links=3, floating=False)
+    log = log.with_noisy_regressor(np.random.default_rng(0), 0.1)
+    log = replace(log, inflation=4 / 3)
+    now = (log.observations(), replace(log[::4], window=0.321).observations())
+    for one, other in zip(load_archive(path), now, strict=True):
+        assert one.seconds == frozenset()
+        assert (one.window, one.inflation, one.kept) == (other.window, other.inflation, 1.0)
+        assert one.rows.samples == other.rows.samples
+        np.testing.assert_array_equal(one.counts, other.counts)
+        phi = log.truth + 1.0
+        np.testing.assert_allclose(
+            one.rows.residual_moment(phi), other.rows.residual_moment(phi), rtol=1e-9, atol=1e-9
+        )
+        assert one.merge(other.covering(frozenset({1, 2}))).seconds == {1, 2}
+    np.testing.assert_array_equal(load_deviation_factor(path), np.eye(30))
+
+
+def test_seconds_are_kept_and_joined(tmp_path):
+    one, two = observed(0)[0].covering(frozenset({3, -4})), observed(0)[0]
+    write_archive(tmp_path / "information.npz", [one.merge(two.covering(frozenset({3, 2**62})))])
+    (read,) = load_archive(tmp_path / "information.npz")
+    assert read.seconds == {3, -4, 2**62}
 
 
 def refusal(read, path):
@@ -150,7 +178,41 @@ WRONG = {
     "counts that are no numbers": {"counts_0": np.full((8, 8), np.nan)},
     "samples that are no numbers": {"samples_0": np.array([np.nan, np.nan])},
     "one name for all": {"coordinates": np.array("one")},
+    "a format beyond all": {"format": np.array(np.inf)},
+    "a list of formats": {"format": np.array([2, 2])},
+    "inflation that is NaN": {"inflation": np.array([4 / 3, np.nan])},
+    "infinite inflation": {"inflation": np.array([np.inf, 4 / 3])},
+    "negative inflation": {"inflation": np.array([-4 / 3, 4 / 3])},
+    "inflation below that of white noise": {"inflation": np.array([1e-300, 4 / 3])},
+    "complex inflation": {"inflation": np.array([4 / 3 + 1j, 4 / 3])},
+    "a negative window": {"window": np.array([-0.081, 0.321])},
+    "a window that is NaN": {"window": np.array([np.nan, 0.321])},
+    "more weight than all": {"kept": np.array([1.0, 1.5])},
+    "negative weight": {"kept": np.array([1.0, -0.5])},
+    "weight that is NaN": {"kept": np.array([1.0, np.nan])},
+    "negative counts": {"counts_0": -np.ones((8, 8))},
+    "infinite counts": {"counts_0": np.full((8, 8), np.inf)},
+    "complex counts": {"counts_0": np.ones((8, 8)) * 1j},
+    "counts of one pair that differ": {"counts_0": np.triu(np.ones((8, 8)))},
+    "pairs seen more often than each": {"counts_0": 2 - np.eye(8)},
+    "negative samples": {"samples_0": np.array([-1, 60])},
+    "complex samples": {"samples_0": np.array([60j, 60])},
+    "seconds that are no integers": {"seconds": np.array([0.5])},
+    "one second for all": {"seconds": np.array(5)},
 }
+COMPLEX = ("rows_0", "noise_1")
+HUGE = (1e200, -1e308, np.inf, np.nan)
+
+
+@pytest.mark.parametrize("name", COMPLEX)
+def test_factors_are_real_and_of_a_size_that_can_be_squared(name, stored, tmp_path):
+    path = tmp_path / "wrong.npz"
+    with np.load(stored) as archive:
+        good = archive[name]
+    for wrong in (good * 1j, *(np.append(good[:-1], number) for number in HUGE)):
+        rewritten(stored, path, **{name: wrong})
+        with pytest.raises(EstimateError, match=rf"wrong\.npz: no information\.npz .*{name}"):
+            load_archive(path)
 
 
 @pytest.mark.parametrize("name", WRONG)

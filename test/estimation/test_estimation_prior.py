@@ -5,9 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gaussian_logs import gaussian_log
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from random_robots import CONFIG, random_robot, with_drives
 
-from symbid_ros.errors import PriorError
+from symbid_ros.errors import PriorError, SymbidError
 from symbid_ros.estimation.deviation import TERM_STD
 from symbid_ros.estimation.prior import (
     Prior,
@@ -19,6 +22,8 @@ from symbid_ros.estimation.prior_file import load_prior
 from symbid_ros.model.inertia import is_consistent, phi_from_pseudo_inertia, pseudo_inertia
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.offline.identification import Solver
+from symbid_ros.offline.problem import Problem
 
 
 @pytest.fixture(scope="module")
@@ -331,6 +336,30 @@ BAD = {
         lambda d: edited(d, lambda x: x["parameters"]["R_foot/m"].update(std=0)),
         "R_foot/m has value .* std 0",
     ),
+    "zero in place of a tiny std": (
+        lambda d: edited(d, lambda x: x["parameters"]["R_foot/m"].update(std=1e-300)),
+        "R_foot/m has std 1e-300; give one from 1e-18 to 1e",
+    ),
+    "a std whose square overflows": (
+        lambda d: edited(d, lambda x: x["parameters"]["R_foot/m"].update(std=1e200)),
+        "R_foot/m has std 1e.200; give one from 1e-18 to 1e",
+    ),
+    "a value of no robot": (
+        lambda d: edited(d, lambda x: x["parameters"]["R_foot/Ixy"].update(value=-1e308)),
+        "R_foot/Ixy has value -1e.308, no robot's; give at most 1e.09",
+    ),
+    "a negative mass": (
+        lambda d: edited(d, lambda x: x["parameters"]["R_foot/m"].update(value=-0.1)),
+        "R_foot/m has value -0.1; give a mass of 0 kg or more",
+    ),
+    "a key given twice": (
+        lambda d: json.dumps(d).replace('"R_foot/m"', '"R_foot/mc_x"'),
+        "key 'R_foot/mc_x' is given twice",
+    ),
+    "an integer beyond floats": (
+        lambda d: edited(d, lambda x: x["parameters"]["R_foot/m"].update(value=10**400)),
+        "not a prior.json .*too large",
+    ),
     "NaN": (
         lambda d: edited(d, lambda x: x["parameters"]["R_foot/m"].update(value=float("nan"))),
         "R_foot/m has value nan",
@@ -356,3 +385,41 @@ def test_a_missing_prior_and_a_senseless_amount_are_refused(symbitron, tmp_path)
     for kind, amount in (("percent", 0), ("absolute", -1), ("consistent", 100)):
         with pytest.raises(PriorError):
             draw_prior(symbitron, kind, amount, 0)
+
+
+def test_a_draw_with_a_negative_mass_is_not_written(symbitron, tmp_path):
+    drawn = next(
+        prior
+        for seed in range(100)
+        if (prior := draw_prior(symbitron, "absolute", 0.3, seed)).mean[::10].min() < 0
+    )
+    with pytest.raises(PriorError, match=r"/m came out as -.* kg; choose another seed or a sm"):
+        drawn.write(tmp_path / "prior.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+SIZES = [0.0, 5e-324, 1e-300, 1e-18, 1e-9, 1e-3, 1e5, 1e9, 1e200, 1e308]
+
+
+@settings(max_examples=25)
+@given(data=st.data())
+def test_whatever_numbers_a_prior_holds_it_is_used_or_refused_in_one_line(data, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "prior.json"
+    log = gaussian_log(0, links=2)
+    draw_prior(log.parameters, "percent", 25, 0).write(path)
+    document = json.loads(path.read_text())
+    names = st.sampled_from(sorted(document["parameters"]))
+    for name in data.draw(st.lists(names, min_size=1, max_size=3)):
+        entry = document["parameters"][name]
+        key = data.draw(st.sampled_from(["value", "std"]))
+        entry[key] = data.draw(st.sampled_from(SIZES)) * data.draw(st.sampled_from([1, -1]))
+    path.write_text(json.dumps(document))
+    said = ""
+    try:
+        prior = load_prior(path, log.parameters)
+        solver = Solver.of(Problem((log.observations(),), log.parameters, prior))
+        for found in (solver.map(), solver.map_lmi()):
+            assert np.all(np.isfinite(found.estimate.value))
+    except SymbidError as error:
+        said = str(error)
+    assert "\n" not in said

@@ -141,10 +141,16 @@ def test_sensor_errors_beyond_the_robots_columns_are_told_apart():
     assert verdict.gain < told.gain
 
 
-def alarms(judged, *, whiteness=1.0, **changes):
+def alarms(judged, *, whiteness=1.0, has_wrenches=True, **changes):
     doubtful = replace(judged.posterior, **changes)
-    verdict = judge(doubtful, judged.value, judged.parameters, window=0.081, whiteness=whiteness)
-    return verdict.alarms
+    return judge(
+        doubtful,
+        judged.value,
+        judged.parameters,
+        window=0.081,
+        whiteness=whiteness,
+        has_wrenches=has_wrenches,
+    ).alarms
 
 
 def test_alarms_ring_beyond_their_thresholds_and_not_before(judged):
@@ -158,6 +164,9 @@ def test_alarms_ring_beyond_their_thresholds_and_not_before(judged):
     (white,) = alarms(judged, whiteness=above * SUSPICIOUS_WHITENESS, **calm)
     assert f"whiteness {SUSPICIOUS_WHITENESS:.1f}" in white
     assert "--tare" in white
+    (unarmed,) = alarms(judged, whiteness=2.0, has_wrenches=False, **calm)
+    assert "--tare" not in unarmed, "there is nothing to tare"
+    assert "--sensor-errors" in unarmed
     assert alarms(judged, **calm | {"noise_share": below * SUSPICIOUS_NOISE}) == ()
     (noise,) = alarms(judged, **calm | {"noise_share": above * SUSPICIOUS_NOISE})
     assert "50 %" in noise

@@ -74,6 +74,19 @@ def test_a_random_tree_survives_both_formats(seed, floating, tmp_path):
         np.testing.assert_allclose(urdf.phi, robot.phi, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("suffix", ["xml", "urdf"])
+def test_a_base_may_be_named_as_the_file_has_it(suffix, tmp_path):
+    text = {"xml": mjcf_text, "urdf": urdf_text}[suffix]
+    for floating, base, other in ((True, "floating", "fixed"), (False, "fixed", "floating")):
+        path = tmp_path / f"{base}.{suffix}"
+        model = load_text(text(random_robot(1, links=3, floating=floating)), path, base)
+        assert model.floating == floating
+        assert_same_robot(model, load_model(path))
+        if suffix == "xml":
+            with pytest.raises(ModelError, match=f"{base}.xml: its base .* drop --base {other}"):
+                load_model(path, other)
+
+
 WELDED = """
 <mujoco model="welded">
   <compiler angle="radian"/>

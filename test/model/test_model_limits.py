@@ -80,10 +80,13 @@ class TestEveryFormat:
 
     def test_size_depth_and_number_of_elements_are_limited(self, text, tmp_path):
         end = text.rindex("</")
+        # MuJoCo's parser compares each attribute with all before it: 100 000 take half a minute.
+        many = " ".join(f'a{index}=""' for index in range(xml_tree.MAX_ATTRIBUTES + 1))
         for extra, message in (
             ("<!--" + " " * xml_tree.MAX_BYTES + "-->", "larger than 4 MiB"),
             ("<a>" * 300 + "</a>" * 300, "line 1.: <a> is more than 200 levels deep"),
             ("<a/>" * xml_tree.MAX_ELEMENTS, "more than 10000 elements"),
+            (f"<a {many}/>", "line 1.: <a> has more than 200 attributes"),
         ):
             path = written(tmp_path, text[:end] + extra + text[end:])
             assert re.search(message, refusal(path))
@@ -92,7 +95,7 @@ class TestEveryFormat:
         path = written(tmp_path, text)
         path.unlink()
         os.mkfifo(path)  # reading it would wait for ever
-        assert "no regular file" in refusal(path)
+        assert "not a regular file" in refusal(path)
         path.unlink()
         path.write_bytes(b"\x00\xff\xfe\x01" * 100)
         assert "not well-formed" in refusal(path)
@@ -147,6 +150,20 @@ class TestUrdf:
         assert re.search(
             r"line \d+: .*run.*xacro", refusal(written(tmp_path, URDF.replace(old, new)))
         )
+
+    @pytest.mark.parametrize(
+        ("name", "expanded"),
+        [
+            ("a.urdf.xacro", "a.urdf"),
+            ("a.xacro", "a.urdf"),
+            ("a.urdf", "a_expanded.urdf"),
+            ("a.v2.urdf.xacro", "a.v2.urdf"),
+        ],
+    )
+    def test_what_xacro_makes_gets_a_name_of_its_own(self, name, expanded, tmp_path):
+        path = tmp_path / name
+        path.write_text(URDF.replace('<link name="base"/>', "<xacro:arm/>"))
+        assert f"run `xacro {name} > {expanded}` and give" in refusal(path)
 
     def test_a_xacro_namespace_alone_does_not_matter(self, tmp_path):
         text = URDF.replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"')

@@ -51,6 +51,9 @@ def test_any_tree_is_identified_from_its_bag(tree, method, processing, tmp_path)
         validation=folder / "other" if method == "wls_rc" else None,
     )
     prepared = prepare(job)
+    assert prepared.solver.problem.has_wrenches == any(
+        frame.name.startswith("wrench") for frame in truth.model.frames
+    )
     found = prepared.solve(method)
     motion = read_true_motion([folder / "other"], truth.model)
     vectors = {"found": found.estimate.value, "prior": prepared.prior.mean}

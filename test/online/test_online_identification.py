@@ -74,6 +74,7 @@ def assert_same(online, offline, *, rel=1e-9):
     assert [one.window for one in online] == [one.window for one in offline]
     for one, other in zip(online, offline, strict=True):
         assert one.rows.samples == other.rows.samples
+        assert one.seconds == other.seconds != frozenset()
         np.testing.assert_array_equal(one.counts, other.counts)
         for found, expected in zip(gram(one), gram(other), strict=True):
             scale = np.sqrt(np.diag(expected))

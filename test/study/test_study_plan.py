@@ -78,6 +78,7 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, told):
         load_plan(str(file))
     assert str(caught.value).startswith(f"{file}: ")
     assert "\n" not in str(caught.value)
+    assert "Value error" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

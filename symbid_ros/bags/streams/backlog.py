@@ -42,10 +42,17 @@ class Backlog:
         """Return that of a topic before its first message."""
         return cls(TopicDecoder(source, topic), Tally(source, topic.name))
 
-    def add(self, data: ByteArray, spans: IntArray, worked_until: int = ALWAYS[0]) -> None:
+    def add(
+        self,
+        data: ByteArray,
+        spans: IntArray,
+        worked_until: int = ALWAYS[0],
+        wanted_from: int = ALWAYS[0],
+    ) -> None:
         """Take the payloads (N, 2: start, length) of one block of bytes.
 
-        Those stamped before ``worked_until``, ns, are counted and left out.
+        Those stamped before ``worked_until``, ns, are left out, and counted where they are of the
+        part that is wanted, from ``wanted_from`` on.
 
         Raises
         ------
@@ -68,7 +75,8 @@ class Backlog:
         self._last = recorded[-1:]
         self.tally.during = ALWAYS
         self.tally.see(recorded)
-        self.tally.add(Defect.LATE, recorded, recorded < worked_until)
+        is_late = (recorded >= wanted_from) & (recorded < worked_until)
+        self.tally.add(Defect.LATE, recorded, is_late)
         newest = int(recorded.max())
         self.newest = newest if self.newest is None else max(self.newest, newest)
 

@@ -119,6 +119,7 @@ class _Slicer:
         self._backlogs = {topic: Backlog.of(source, topic) for topic in chosen.all}
         self._joints = self._backlogs[chosen.joints]
         self._until, self._end = ALWAYS
+        self._begin = self._until  # of the part that is wanted
         self._has_begun = False
 
     @property
@@ -130,11 +131,11 @@ class _Slicer:
         """Take the messages of a block."""
         for topic, backlog in self._backlogs.items():
             if topic in block.spans:
-                backlog.add(block.data, block.spans[topic], self._until)
+                backlog.add(block.data, block.spans[topic], self._until, self._begin)
         if not self._has_begun and (first := self._joints.first_from(ALWAYS[0])) is not None:
             self._has_begun = True
             if self._part.start > 0:
-                self._until = first + round(1e9 * self._part.start)
+                self._until = self._begin = first + round(1e9 * self._part.start)
             if np.isfinite(self._part.stop):
                 self._end = first + round(1e9 * self._part.stop)
 

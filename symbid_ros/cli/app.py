@@ -1,0 +1,97 @@
+"""The ``symbid`` command: one line for every error, exit status 2."""
+
+import logging
+import os
+from importlib.metadata import version
+from typing import Annotated, Any
+
+import typer
+import typer.exceptions
+import typer.main
+from rich.console import Console
+from rich.logging import RichHandler
+
+from symbid_ros.cli.bag import app as bag
+from symbid_ros.cli.demo import demo
+from symbid_ros.cli.evaluate import evaluate
+from symbid_ros.cli.identify import identify
+from symbid_ros.cli.prior import prior
+from symbid_ros.cli.report import report
+from symbid_ros.cli.simulate import simulate
+from symbid_ros.cli.study import study
+from symbid_ros.cli.udp_client import udp_client
+from symbid_ros.errors import SymbidError
+
+app = typer.Typer(
+    help="Identify the inertial and friction parameters of a robot from ROS 2 bags.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+_ALL = demo, simulate, prior, identify, evaluate, report, study, udp_client
+USAGE = 2  # status after an error that the user can correct
+
+for command in _ALL:
+    app.command(command.__name__.replace("_", "-"))(command)
+app.add_typer(bag, name="bag")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"symbid_ros {version('symbid_ros')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _symbid(
+    show_version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
+    ] = False,
+) -> None:
+    # Every job here is one stream of small matrices, on which BLAS threads only get in
+    # each other's way (and in the way of whatever else the robot's computer does); with their
+    # number the last digits would change. Read when NumPy and SciPy are loaded, which is later.
+    os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
+
+
+def run() -> int:
+    """Run the command line and return its status; errors of ours are one line on stderr, and 2."""
+    console = Console(stderr=True, soft_wrap=True)
+    handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler])
+    try:
+        # By itself click would name whatever module runs this.
+        return _command()(prog_name="symbid", standalone_mode=False) or 0
+    except SymbidError as error:
+        message = str(error)
+    except OSError as error:
+        # The operating system refuses a path, such as a name that is too long for it.
+        if error.filename is None:
+            raise
+        message = f"{os.fsdecode(error.filename)}: {error.strerror}; check the path"
+    except typer.exceptions.TyperException as error:
+        if not error.format_message():  # no arguments at all, answered by the help
+            return USAGE
+        command = getattr(getattr(error, "ctx", None), "command_path", "symbid")
+        message = f"{error.format_message().rstrip('.')}; see `{command} --help`"
+    text = " ".join(message.split())
+    console.print(f"symbid: {text}", style="red", markup=False, highlight=False)
+    return USAGE
+
+
+def _command() -> Any:
+    """Return the command with all of its subcommands, as typer has it click run."""
+    command = typer.main.get_command(app)
+    _hide_types_of_flags(command)
+    return command
+
+
+def _hide_types_of_flags(command: Any) -> None:
+    """Keep --help from showing <bool> beside options that take no value."""
+    for option in command.get_params(command.context_class(command)):
+        if getattr(option, "is_flag", False):
+            option.metavar = ""
+    for subcommand in getattr(command, "commands", {}).values():
+        _hide_types_of_flags(subcommand)
