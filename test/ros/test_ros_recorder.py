@@ -242,6 +242,7 @@ def test_full_disk_ends_the_recording_with_a_whole_bag(graph, disk: Path) -> Non
         ({"queue_depth": 0}, "recorder: parameter queue_depth: not a valid value; give an integer"),
         ({"flush_period": 99.0}, "recorder: parameter flush_period: not a valid value; give a num"),
         ({"topics": 3}, "recorder: parameter topics: not a valid value; give a list of texts"),
+        ({"bag": "x" * 300}, f"recorder: {'x' * 300}: File name too long; check the path"),
         ({"bag": "/"}, "recorder: /: exists already; choose another name or remove it"),
     ],
 )
