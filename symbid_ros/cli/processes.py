@@ -72,7 +72,7 @@ class NodeProcess:
         arguments = ["--params-file", str(config_file(file))] if file else []
         for key, value in parameters.items():
             arguments += ["-p", f"{key}:={_yaml(value)}"]
-        start = f"from symbid_ros.ros.{name} import main; main()"
+        start = f"from symbid_ros.ros.start import {name}; {name}()"
         with log.open("wb") as stream:
             self._process = subprocess.Popen(
                 [sys.executable, "-c", start, "--ros-args", *arguments],

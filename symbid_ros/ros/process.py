@@ -69,6 +69,13 @@ def run_node(
     except SymbidError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return FAILURE
+    except OSError as error:
+        # The operating system refuses a path, such as a name that is too long for it.
+        if error.filename is None:
+            raise
+        place = os.fsdecode(error.filename)
+        print(f"{name}: {place}: {error.strerror}; check the path", file=sys.stderr)
+        return FAILURE
     except (RuntimeError, NameValidationException, InvalidParameterTypeException) as error:
         # rcl reports malformed --ros-args and parameter files as RuntimeError.
         if not _is_argument_error(error):

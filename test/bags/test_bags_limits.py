@@ -1,5 +1,6 @@
 """What a bag claims of itself is not believed beyond limits, whoever wrote it."""
 
+import os
 import struct
 import subprocess
 import sys
@@ -18,9 +19,11 @@ from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from symbid_ros.bags.container.blocks import iterate_blocks
+from symbid_ros.bags.info import bag_info
 from symbid_ros.bags.limits import MAX_CHUNK, MAX_MESSAGE, MAX_NAMES, MIB
 from symbid_ros.bags.messages import IMU, JOINT_STATE
 from symbid_ros.bags.replay import Recording
+from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.errors import BagError, DataError
 
@@ -364,3 +367,22 @@ def test_no_limit_is_met_by_a_bag_of_another_hand(tmp_path: Path) -> None:
         tmp_path / "log", [("/joint_states", JOINT_STATE, STATE), ("/imu/data", IMU, imu(1))]
     )
     assert read_streams([bag]).joints.names == ("hip",)
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.db3", "metadata.yaml"])
+def test_a_pipe_or_device_in_a_bags_folder_is_not_waited_for(name: str, tmp_path: Path) -> None:
+    bag = joints_only(tmp_path / "bag", STATE)
+    if name == "metadata.yaml":
+        (bag / name).unlink()
+        os.mkfifo(bag / name)
+        assert bag_info(bag).count == 1  # the file itself has the count, too
+        return
+    for file in bag.iterdir():
+        file.unlink()
+    for make in (os.mkfifo, lambda path: path.symlink_to("/dev/zero")):
+        make(bag / name)
+        for read in (bag_info, recover):
+            with pytest.raises(BagError, match=rf"{name}: not a regular file; move it out"):
+                read(bag)
+        (bag / name).unlink()
+    assert list(tmp_path.iterdir()) == [bag]

@@ -1,6 +1,8 @@
 """What options mean, and what becomes of an earlier result."""
 
 import re
+import subprocess
+import sys
 
 import pytest
 import typer.main
@@ -75,4 +77,30 @@ def test_a_name_too_long_for_the_file_system_is_one_line(symbid_here, words, tmp
     assert ended.stderr.startswith("symbid: ")
     assert ended.stderr.count("\n") == 1
     assert "File name too long" in ended.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+# Sends SIGINT when a module begins to be imported, and runs the command.
+INTERRUPTED = """
+import os, signal, sys
+module = sys.argv.pop(1)
+def hook(event, arguments):
+    if event == "import" and arguments[0] == module:
+        os.kill(os.getpid(), signal.SIGINT)
+sys.addaudithook(hook)
+from symbid_ros.cli.main import main
+main()
+"""
+
+
+@pytest.mark.parametrize("module", ["symbid_ros.cli.app", "typer", "numpy._core.multiarray"])
+def test_ctrl_c_while_libraries_load_is_one_line(module, tmp_path):
+    words = ("prior", "--model", config_file("symbitron.urdf"), "--percent", "5", "--out")
+    ended = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, module, *words, tmp_path / "prior.json"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "symbid: interrupted\n")
     assert list(tmp_path.iterdir()) == []

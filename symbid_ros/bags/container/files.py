@@ -4,9 +4,10 @@ from pathlib import Path
 from typing import Any
 
 from symbid_ros.bags.container.framing import quoted
-from symbid_ros.bags.limits import MAX_METADATA, MAX_YAML_NODES, within
+from symbid_ros.bags.limits import MAX_METADATA, MAX_YAML_NODES
 from symbid_ros.documents import parse_yaml
 from symbid_ros.errors import BagError
+from symbid_ros.user_files import read_regular
 
 STORAGES = (".mcap", ".db3")
 ZSTD_SUFFIX = ".zstd"
@@ -44,14 +45,17 @@ def files_present(bag: Path) -> list[Path]:
         if inside:
             raise BagError(f"{bag}: a folder of bags, {', '.join(inside)}; give these")
         raise BagError(f"{bag}: not a bag, it holds no .mcap file; give the folder of a recording")
+    for file in files:
+        if not file.is_file():  # a pipe would be waited for, a device read without end
+            raise BagError(f"{file}: not a regular file; move it out of the bag's folder")
     return [_read_as_it_is(file) for file in files]
 
 
 def bag_metadata(metadata: Path) -> dict[str, Any]:
     """Return what a metadata.yaml says, no more checked than that it is rosbag2's."""
     try:
-        within("a file", metadata.stat().st_size, MAX_METADATA)
-        content = parse_yaml(metadata.read_text(encoding="utf-8"), MAX_YAML_NODES)
+        text = read_regular(metadata, MAX_METADATA).decode("utf-8")
+        content = parse_yaml(text, MAX_YAML_NODES)
         information: dict[str, Any] = content["rosbag2_bagfile_information"]
         names = information["relative_file_paths"]
         is_listing = all(isinstance(name, str) for name in names)
