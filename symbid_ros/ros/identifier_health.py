@@ -28,6 +28,7 @@ class IdentifierHealth:
         self._change = Health("change", OK, "too early to tell a change")
         self._counts: dict[str, int] = {}
         self._heard: dict[str, float] = {}
+        self._dropped: dict[str, int] = {}
         self._counted = self._solved = time.monotonic()
 
     def look(self) -> Sequence[Health]:
@@ -115,9 +116,20 @@ class IdentifierHealth:
             figures[f"{name}/missing"] = buffer.missing
             figures[f"{name}/late"] = buffer.late
             figures[f"{name}/disordered"] = buffer.disordered
+            figures[f"{name}/dropped"] = live.checks[topic].dropped
         figures |= {"clock_jumps": live.clock_jumps, "stale": live.streams.stale}
         figures["lost_blocks"] = live.lost_blocks
         faults = [f"silent: {', '.join(silent)}"] if silent else []
-        faults += list(live.faults)[-1:]
+        faults += list(live.faults)[-1:] + self._newly_dropped(live)
         level = WARN if faults else OK
         self._streams = Health("streams", level, "; ".join(faults) or "in order", figures)
+
+    def _newly_dropped(self, live: OnlineIdentification) -> list[str]:
+        """Return what has been dropped since the last look, and why."""
+        told = []
+        for topic, check in live.checks.items():
+            new = check.dropped - self._dropped.get(topic.name, 0)
+            self._dropped[topic.name] = check.dropped
+            if new:
+                told.append(f"{new} messages dropped, the last because {check.reason}")
+        return told

@@ -9,7 +9,6 @@ from typing import Any
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
@@ -17,6 +16,7 @@ from rclpy.utilities import remove_ros_args
 
 from symbid_ros.ending import stop_on_signals
 from symbid_ros.errors import SymbidError
+from symbid_ros.ros.message_executor import MessageExecutor
 from symbid_ros.ros.parameters import Parameter, declare
 from symbid_ros.ros.transport import use_udp
 
@@ -94,7 +94,7 @@ def _refuse_foreign_arguments(
 
 
 def _work_beside_executor(node: Node, work: Callable[[], None], stop: threading.Event) -> None:
-    executor = SingleThreadedExecutor()
+    executor = MessageExecutor()
     executor.add_node(node)
     end: Future = Future()
     failures: list[Exception] = []

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Iterator
-from itertools import cycle, islice
+from itertools import islice
 from random import Random
 
 HEAD = 4  # bytes of the encapsulation, the least that the middleware sends
@@ -31,9 +31,3 @@ def some_malformed(valid: bytes, count: int) -> list[bytes]:
     """Return the same number of each kind, the shortest possible and the empty message first."""
     extremes = (LITTLE_ENDIAN, LITTLE_ENDIAN + b"\x00\x00\x00")
     return [*extremes, *islice(malformed(valid, Random(count)), count - len(extremes))]
-
-
-def endless(valid: list[bytes]) -> Iterator[bytes]:
-    """Yield junk made of several valid messages in turn."""
-    for source in cycle([malformed(one, Random(0)) for one in valid]):
-        yield next(source)
