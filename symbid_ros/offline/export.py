@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from symbid_ros.atomic import write_text
+from symbid_ros.atomic import staged, write_text
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.export_mjcf import mjcf_text
@@ -13,17 +13,18 @@ from symbid_ros.offline.identification import Identification
 
 
 def write_identification(found: Identification, parameters: ParameterSet, out: Path) -> None:
-    """Write estimate.json, information.npz, model.urdf and model.xml into a folder.
+    """Write estimate.json, information.npz, model.urdf and model.xml into a folder, all or none.
 
     The user's own file is carried over in its format; the other is a bare tree. A
     comment in both names the links that no mass density can realise: programs that check,
     such as MuJoCo, refuse to load those.
     """
     estimate = found.estimate
-    write_text(out / "model.urdf", export_urdf(estimate, parameters))
-    write_text(out / "model.xml", export_mjcf(estimate, parameters, out))
-    write_archive(out / "information.npz", found.observations, found.deviation_factor)
-    estimate.write(out / "estimate.json")
+    with staged(out) as stage:
+        write_text(stage / "model.urdf", export_urdf(estimate, parameters))
+        write_text(stage / "model.xml", export_mjcf(estimate, parameters, out))
+        write_archive(stage / "information.npz", found.observations, found.deviation_factor)
+        estimate.write(stage / "estimate.json")
 
 
 def export_urdf(estimate: Estimate, parameters: ParameterSet) -> str:

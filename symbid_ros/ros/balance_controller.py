@@ -16,7 +16,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.ros.commands import CommandPublisher
 from symbid_ros.ros.health import OK, WARN, Health, HealthPublisher
 from symbid_ros.ros.parameters import Parameter
-from symbid_ros.ros.process import run_node
+from symbid_ros.ros.process import built, run_node
 from symbid_ros.ros.readings import Readings, ReadingsIntake
 from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.standing import StandingController
@@ -177,7 +177,7 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(
         run_node(
             "balance_controller",
-            lambda node, values, stop: BalanceNode(node, values).run(stop),
+            lambda node, values, stop: built(BalanceNode, node, values, stop).run(stop),
             args,
             purpose="Keep the robot in balance: joint_states and imu/data in, joint_command out.",
             parameters=PARAMETERS,

@@ -13,6 +13,7 @@ from symbid_ros.ros.health import ERROR, OK, WARN, Health
 # long, s.
 LEAST_COUNTED = 0.5
 SILENT = 2.0
+IN_ORDER = "in order"
 
 
 class IdentifierHealth:
@@ -53,6 +54,13 @@ class IdentifierHealth:
         names = ", ".join(sorted(topic.name for topic in found))
         message = f"waiting for sensor topics, found {names}" if names else "no sensor topics yet"
         self._streams = Health("streams", WARN, message)
+
+    @property
+    def obstacle(self) -> str:
+        """What kept it from an estimate."""
+        if self._streams.message != IN_ORDER:
+            return self._streams.message
+        return self._estimate.message
 
     def enabled(self, is_enabled: bool) -> None:
         """Take whether messages are read at all."""
@@ -122,7 +130,7 @@ class IdentifierHealth:
         faults = [f"silent: {', '.join(silent)}"] if silent else []
         faults += list(live.faults)[-1:] + self._newly_dropped(live)
         level = WARN if faults else OK
-        self._streams = Health("streams", level, "; ".join(faults) or "in order", figures)
+        self._streams = Health("streams", level, "; ".join(faults) or IN_ORDER, figures)
 
     def _newly_dropped(self, live: OnlineIdentification) -> list[str]:
         """Return what has been dropped since the last look, and why."""

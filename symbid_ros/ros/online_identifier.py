@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.streams.selection import SelectedTopics
-from symbid_ros.errors import SymbidError
+from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.offline.export import export_urdf, write_identification
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
@@ -30,6 +30,12 @@ from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.sensor_topics import SensorTopics, resolved
 
 POLL = 0.005  # s; far below what fills a queue
+FOREVER = 2**63 - 1  # ns
+LONGEST_DRAIN = 1.0  # s; on a machine too slow for its topics the queues never end
+# An estimate by all data takes so many times as long as one between; asked to end, the node takes
+# so long for it, s, and launch ends it by force seconds later.
+EXACT_COST = 3.0
+LONGEST_FAREWELL = 2.5
 ANSWER_POLL = 0.1  # s
 LOOK = 0.1  # s; between two looks at the graph while topics are waited for
 LOOK_AGAIN = 1.0  # s; afterwards
@@ -87,6 +93,8 @@ class OnlineIdentifier:
         self._topics = EstimateTopics(node, self._parameters)
         self._described = float("-inf")
         self._solves = 0
+        self._newest: Outcome | None = None
+        self._solve_time = 0.0  # s
         self._health = IdentifierHealth()
         logging.getLogger("symbid_ros").addFilter(OncePerMinute())
         for handler_name, work in (
@@ -100,15 +108,26 @@ class OnlineIdentifier:
         self._publisher = HealthPublisher(node, self._health.look)
 
     def run(self, stop: Event) -> None:
-        """Identify until stopped; then save, where a folder is named, and say what was done."""
+        """Identify until stopped; then save, where a folder is named, and say what was done.
+
+        Raises
+        ------
+        EstimateError
+            When it ends without an estimate.
+        """
         try:
             self._await_topics(stop)
             if self._identification is not None:
                 self._follow(stop)
+        except BaseException:
+            self._rescue()
+            raise
         finally:
             self._ended.set()
             if self._identification is not None:
                 self._identification.close()
+        if not self._solves:
+            raise EstimateError(f"it ends without an estimate: {self._health.obstacle}")
 
     def _await_topics(self, stop: Event) -> None:
         while not stop.is_set() and self._identification is None:
@@ -153,8 +172,7 @@ class OnlineIdentifier:
                 due = max(due + self._period, now + 1.5 * spent)
             elif not count:
                 time.sleep(POLL)
-        while self._drain():  # what arrived before the signal
-            pass
+        self._drain_until(time.time_ns())
         self._finish()
 
     @property
@@ -166,14 +184,21 @@ class OnlineIdentifier:
             )
         return self._identification
 
-    def _drain(self) -> int:
+    def _drain(self, until: int = FOREVER) -> int:
+        """Take messages, a batch of each topic; return how many arrived up to a time, ns."""
         count = 0
         for topic, intake in self._intakes:
             for arrival in intake.arrivals():
                 if self._is_enabled:
                     self._live.feed(topic, arrival.payload)
-                count += 1
+                count += arrival.received <= until
         return count
+
+    def _drain_until(self, until: int) -> None:
+        """Take what had arrived at a time, ns, while publishers go on."""
+        deadline = time.monotonic() + LONGEST_DRAIN
+        while self._drain(until) and time.monotonic() < deadline:
+            pass
 
     def _solve(self, *, exactly: bool = False) -> Outcome | None:
         began = time.monotonic()
@@ -184,9 +209,13 @@ class OnlineIdentifier:
             if exactly:
                 raise
             return None
-        self._health.solved(self._live, outcome, time.monotonic() - began)
+        spent = time.monotonic() - began
+        self._health.solved(self._live, outcome, spent)
         if outcome is not None:
             self._solves += 1
+            self._newest = outcome
+            if not exactly:
+                self._solve_time = spent
             self._publish(outcome, describe=exactly)
         return outcome
 
@@ -202,15 +231,11 @@ class OnlineIdentifier:
         return _told(self._known())
 
     def _known(self) -> Outcome:
-        self._drain_all()
+        self._drain_until(time.time_ns())
         outcome = self._solve(exactly=True)
         if outcome is None:
             raise ParameterError("too little has come to tell anything; wait, or move the robot")
         return outcome
-
-    def _drain_all(self) -> None:
-        while self._drain():
-            pass
 
     def _save(self) -> str:
         if self._out is None:
@@ -223,6 +248,7 @@ class OnlineIdentifier:
 
     def _reset(self) -> str:
         self._live.reset()
+        self._newest = None
         return "all but the prior is forgotten"
 
     def _finish(self) -> None:
@@ -236,9 +262,33 @@ class OnlineIdentifier:
             "solves": self._solves,
         }
         # There may be nothing left to save, as after a reset.
-        if self._out is not None and self._solves and (known := self._solve(exactly=True)):
+        if self._out is not None and self._solves and (known := self._last_known()):
             summary["saved"] = self._write(known, self._out)
         print(json.dumps(summary), flush=True)
+
+    def _last_known(self) -> Outcome | None:
+        """Return what an offline run would find, or the newest estimate where there is no time."""
+        if self._newest is not None and EXACT_COST * self._solve_time > LONGEST_FAREWELL:
+            self._node.get_logger().warning(
+                "the machine is busy: the newest estimate is saved, not one by all data"
+            )
+            return self._newest
+        try:
+            return self._solve(exactly=True)
+        except SymbidError as error:
+            if self._newest is None:
+                raise
+            self._node.get_logger().warning(f"{error}; the estimate before that is saved")
+            return self._newest
+
+    def _rescue(self) -> None:
+        """Save the newest estimate while an error is on its way to end the node."""
+        if self._out is None or self._newest is None:
+            return
+        try:
+            self._node.get_logger().error(self._write(self._newest, self._out))
+        except Exception as error:
+            self._node.get_logger().error(f"{self._out}: nothing could be saved: {error}")
 
     def _adopt(self, live: dict[str, Any]) -> None:
         self._period = live["solve_period"]
