@@ -1,9 +1,8 @@
 """What an online identifier says of itself on ``/diagnostics``."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
-from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.online.outcome import Outcome
 from symbid_ros.ros.estimate_messages import estimate_health
@@ -49,11 +48,9 @@ class IdentifierHealth:
             self._change,
         )
 
-    def waiting(self, found: Iterable[Topic]) -> None:
-        """Take which topics have turned up so far, while others are waited for."""
-        names = ", ".join(sorted(topic.name for topic in found))
-        message = f"waiting for sensor topics, found {names}" if names else "no sensor topics yet"
-        self._streams = Health("streams", WARN, message)
+    def waiting(self, state: str) -> None:
+        """Take which topics have turned up so far and which are waited for."""
+        self._streams = Health("streams", WARN, state)
 
     @property
     def obstacle(self) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -27,7 +28,7 @@ from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, job_fro
 from symbid_ros.ros.intake import Intake
 from symbid_ros.ros.log_filter import OncePerMinute
 from symbid_ros.ros.parameters import ParameterError, watch
-from symbid_ros.ros.sensor_topics import SensorTopics, resolved
+from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
 
 POLL = 0.005  # s; far below what fills a queue
 FOREVER = 2**63 - 1  # ns
@@ -79,8 +80,8 @@ class OnlineIdentifier:
         self._period: float = values["solve_period"]
         self._sensors = SensorTopics(
             node,
-            resolved(node, self._beginning.job.processing.topics),
-            self._parameters.model.floating,
+            own_topics(node, self._beginning.job.processing.topics, sys.argv),
+            self._parameters.model,
             values["settle"],
             values["queue_depth"],
         )
@@ -89,6 +90,7 @@ class OnlineIdentifier:
         self._is_enabled = True
         self._identification: OnlineIdentification | None = None
         self._selected: SelectedTopics | None = None
+        self._declined: set[str] = set()
         self._intakes: tuple[tuple[Topic, Intake], ...] = ()
         self._topics = EstimateTopics(node, self._parameters)
         self._described = float("-inf")
@@ -132,25 +134,43 @@ class OnlineIdentifier:
     def _await_topics(self, stop: Event) -> None:
         while not stop.is_set() and self._identification is None:
             self._look()
-            self._health.waiting(self._sensors.intakes)
+            self._health.waiting(self._sensors.state)
             self._answer_requests()
             stop.wait(LOOK)
 
     def _look(self) -> None:
-        """Look at the graph; begin where the topics of the robot are other than known so far."""
+        """Look at the graph; begin once the robot's topics are there.
+
+        Topics that turn up later are taken as well as long as there is no estimate to lose:
+        without a wrench that carries weight there is none.
+        """
         selected = self._sensors.look()
         if selected is None or selected == self._selected:
             return
         names = ", ".join(topic.name for topic in selected.all)
         if self._identification is not None:
-            # Without a wrench that carries weight all that was learned is wrong.
+            if self._newest is not None:
+                self._decline(selected)
+                return
             self._node.get_logger().warning(f"topics turned up late, begins anew with {names}")
             self._identification.close()
         self._identification = OnlineIdentification(self._beginning, selected, self._pace)
-        self._intakes = tuple((topic, self._sensors.intakes[topic]) for topic in selected.all)
+        self._intakes = self._sensors.intakes(selected)
         self._selected = selected
         model = self._parameters.model.name
         self._node.get_logger().info(f"identifying {model} from {names}")
+
+    def _decline(self, selected: SelectedTopics) -> None:
+        """Keep the streams; say once which others could be used."""
+        used = () if self._selected is None else self._selected.all
+        new = {topic.name for topic in selected.all if topic not in used} - self._declined
+        if new:
+            self._declined |= new
+            self._node.get_logger().warning(
+                f"{', '.join(sorted(new))} turned up late and is not used: that would forget what "
+                "has been learnt; call ~/reset to begin anew with it"
+            )
+        self._sensors.release()
 
     def _follow(self, stop: Event) -> None:
         due = time.monotonic() + self._period
@@ -162,6 +182,8 @@ class OnlineIdentifier:
             now = time.monotonic()
             if now - looked >= LOOK_AGAIN:
                 self._look()
+                for _, intake in self._intakes:
+                    intake.follow()
                 looked = now
             if now >= due:
                 self._health.heard(self._live)
