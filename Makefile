@@ -1,6 +1,7 @@
 # make demo   the whole loop: simulate, record, identify, compare      (needs git, make, Python 3.11 or 3.12)
 # make test   every check
 # make fuzz   ten thousand spoiled bags; FIRST=n and CASES=n choose which
+# make soak   all nodes among foreign traffic for DURATION seconds
 # make setup  the environment alone, in .venv
 
 VENV := .venv
@@ -18,7 +19,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/log/ros
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup setup-dev demo test fuzz lint clean
+.PHONY: setup setup-dev demo test fuzz soak lint clean
 
 setup: $(VENV)/.installed
 
@@ -34,6 +35,10 @@ FIRST ?= 0
 CASES ?= 10000
 fuzz: setup-dev
 	$(BIN)/python test/support/bag_fuzz.py --first $(FIRST) --cases $(CASES)
+
+DURATION ?= 300
+soak: setup-dev
+	$(BIN)/python test/support/soak.py --duration $(DURATION)
 
 lint: setup-dev
 	$(BIN)/ruff check .

@@ -33,10 +33,10 @@ from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
 POLL = 0.005  # s; far below what fills a queue
 FOREVER = 2**63 - 1  # ns
 LONGEST_DRAIN = 1.0  # s; on a machine too slow for its topics the queues never end
-# An estimate by all data takes so many times as long as one between; asked to end, the node takes
-# so long for it, s, and launch ends it by force seconds later.
-EXACT_COST = 3.0
-LONGEST_FAREWELL = 2.5
+# An estimate by all data takes so many times as long as one between. Asked to end, the node
+# spends so long on it, s: launch ends by force what takes longer than a few seconds.
+EXACT_COST = 4.0
+LONGEST_FAREWELL = 1.5
 ANSWER_POLL = 0.1  # s
 LOOK = 0.1  # s; between two looks at the graph while topics are waited for
 LOOK_AGAIN = 1.0  # s; afterwards
@@ -194,7 +194,7 @@ class OnlineIdentifier:
                 due = max(due + self._period, now + 1.5 * spent)
             elif not count:
                 time.sleep(POLL)
-        self._drain_until(time.time_ns())
+        self._drain_until(time.time_ns(), LONGEST_DRAIN)
         self._finish()
 
     @property
@@ -216,9 +216,9 @@ class OnlineIdentifier:
                 count += arrival.received <= until
         return count
 
-    def _drain_until(self, until: int) -> None:
-        """Take what had arrived at a time, ns, while publishers go on."""
-        deadline = time.monotonic() + LONGEST_DRAIN
+    def _drain_until(self, until: int, longest: float = float("inf")) -> None:
+        """Take what had arrived at a time, ns, while publishers go on; for so many s at most."""
+        deadline = time.monotonic() + longest
         while self._drain(until) and time.monotonic() < deadline:
             pass
 

@@ -19,7 +19,7 @@ def malformed(valid: bytes, draw: Random) -> Iterator[bytes]:
     draw : Random
     """
     while True:
-        yield valid[: draw.randrange(HEAD, len(valid) - 8)]
+        yield valid[: draw.randrange(HEAD, max(HEAD + 1, len(valid) - 8))]
         yield valid + draw.randbytes(draw.randrange(100, 100_000))
         yield LITTLE_ENDIAN + draw.randbytes(draw.randrange(60))
         yield draw.randbytes(HEAD + draw.randrange(200))
