@@ -2,6 +2,7 @@
 # make test   every check
 # make fuzz   ten thousand spoiled bags; FIRST=n and CASES=n choose which
 # make mutants  a hundred random faults put into the code; SEED=n and COUNT=n choose which
+# make soak   all nodes among foreign traffic for DURATION seconds
 # make setup  the environment alone, in .venv
 
 VENV := .venv
@@ -19,7 +20,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/log/ros
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup setup-dev demo test fuzz mutants lint clean
+.PHONY: setup setup-dev demo test fuzz mutants soak lint clean
 
 setup: $(VENV)/.installed
 
@@ -41,6 +42,10 @@ COUNT ?= 100
 AGAIN ?=
 mutants: $(VENV)/.installed-mutants
 	$(BIN)/python test/support/mutants.py --seed $(SEED) --count $(COUNT) $(if $(AGAIN),--again)
+
+DURATION ?= 300
+soak: setup-dev
+	$(BIN)/python test/support/soak.py --duration $(DURATION)
 
 lint: setup-dev
 	$(BIN)/ruff check .

@@ -9,8 +9,10 @@ Either way the estimate stays on latched topics until Ctrl-C; `ros2 service call
 
 import yaml
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch.actions import DeclareLaunchArgument, EmitEvent
 from launch.conditions import IfCondition
+from launch.events import matches_action
+from launch.events.process import ShutdownProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
@@ -80,19 +82,25 @@ def generate_launch_description() -> LaunchDescription:
     }
     given |= {name: ParameterValue(LaunchConfiguration(name)) for name in IDENTIFIER_TOPICS}
     clock = {"use_sim_time": ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)}
-    identifier = Node(
-        package=PACKAGE,
-        executable="identifier",
-        name="identifier",
-        parameters=[str(file), given | clock],
-        output="screen",
-    )
     truth = {"truth": ParameterValue(LaunchConfiguration("truth"), value_type=str)}
     monitor = Node(
         package=PACKAGE,
         executable="monitor",
         parameters=[truth],
         output="screen",
+        sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
+        sigkill_timeout="10",
         condition=IfCondition(LaunchConfiguration("monitor")),
+    )
+    identifier = Node(
+        package=PACKAGE,
+        executable="identifier",
+        name="identifier",
+        parameters=[str(file), given | clock],
+        output="screen",
+        # Without it the monitor would wait. Other nodes may be a whole robot's: they go on.
+        on_exit=EmitEvent(event=ShutdownProcess(process_matcher=matches_action(monitor))),
+        sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
+        sigkill_timeout="10",
     )
     return LaunchDescription([*arguments, identifier, monitor])

@@ -3,12 +3,20 @@
     ros2 launch symbid_ros replay.launch.py bag:=log model:=robot.urdf rate:=2.0 monitor:=true
 
 Every argument of identify.launch.py may be given as well. The estimate stays on latched topics
-until Ctrl-C.
+until Ctrl-C; everything ends when a node fails.
 """
 
 import yaml
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch import Action, LaunchContext, LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    RegisterEventHandler,
+    Shutdown,
+)
+from launch.event_handlers import OnProcessExit
+from launch.events.process import ProcessExited
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
@@ -47,6 +55,8 @@ def generate_launch_description() -> LaunchDescription:
         executable="player",
         parameters=[str(file), given, {"publish_clock": True}],
         output="screen",
+        sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
+        sigkill_timeout="10",
     )
     identify = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(share_directory() / "launch" / "identify.launch.py")),
@@ -57,4 +67,10 @@ def generate_launch_description() -> LaunchDescription:
         }.items(),
     )
     # In a group of its own, lest the player lose its bag.
-    return LaunchDescription([*arguments, player, GroupAction([identify])])
+    failure = RegisterEventHandler(OnProcessExit(on_exit=_end_after_failure))
+    return LaunchDescription([*arguments, failure, player, GroupAction([identify])])
+
+
+def _end_after_failure(event: ProcessExited, _: LaunchContext) -> list[Action]:
+    """Shut down when a node fails: the others would wait for it."""
+    return [Shutdown(reason=f"{event.process_name} failed")] if event.returncode else []

@@ -3,7 +3,7 @@
     ros2 launch symbid_ros simulate.launch.py scenario:=vibrating bag:=log
     ros2 launch symbid_ros simulate.launch.py command_source:=topic payload_mass:=2.0
 
-Everything ends when the motion does; the bag is then complete.
+Everything ends when the motion does, the bag is then complete, or when one of the nodes fails.
 """
 
 import yaml
@@ -75,6 +75,8 @@ def generate_launch_description() -> LaunchDescription:
         parameters=[str(bridge_file), overrides],
         output="screen",
         on_exit=Shutdown(reason="the motion has ended"),
+        sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
+        sigkill_timeout="10",
     )
     controller = Node(
         package=PACKAGE,
@@ -85,6 +87,9 @@ def generate_launch_description() -> LaunchDescription:
         ],
         output="screen",
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("command_source"), "topic")),
+        on_exit=Shutdown(reason="the controller has ended, for which the bridge would wait"),
+        sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
+        sigkill_timeout="10",
     )
     recorder = Node(
         package=PACKAGE,
@@ -95,5 +100,8 @@ def generate_launch_description() -> LaunchDescription:
         ],
         output="screen",
         condition=IfCondition(LaunchConfiguration("record")),
+        on_exit=Shutdown(reason="the recorder has ended, for which the bridge would wait"),
+        sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
+        sigkill_timeout="10",
     )
     return LaunchDescription([*arguments, recorder, controller, bridge])

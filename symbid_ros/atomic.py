@@ -1,8 +1,10 @@
 """Outputs are whole or absent: written beside their place, then moved into it."""
 
 import os
+import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -37,15 +39,58 @@ def write_through(path: Path, write: Callable[[BinaryIO], object]) -> None:
         try:
             with os.fdopen(handle, "wb") as stream:
                 write(stream)
-            umask = os.umask(0)
-            os.umask(umask)
             # mkstemp makes private files; an output is as public as any other.
-            os.chmod(name, 0o666 & ~umask)
+            os.chmod(name, 0o666 & ~_umask())
             os.replace(name, path)
         except BaseException:
             Path(name).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise SymbidError(
-            f"{path}: cannot write ({error.strerror}); choose another place"
-        ) from None
+        raise _cannot_write(path, error) from None
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """Yield a temporary folder whose files then appear in ``folder`` together.
+
+    A new folder appears in one step. In one that exists, each file replaces its predecessor, in
+    reverse order of their names and only once all are written. A process that is killed while it
+    writes leaves the old files as they were, beside a hidden folder.
+
+    Raises
+    ------
+    SymbidError
+        When the folder cannot be written to.
+    """
+    is_new = not folder.exists()
+    try:
+        if is_new:
+            folder.parent.mkdir(parents=True, exist_ok=True)
+        place = folder.parent if is_new else folder
+        stage = Path(tempfile.mkdtemp(dir=place, prefix=f".{folder.name}."))
+    except OSError as error:
+        raise _cannot_write(folder, error) from None
+    try:
+        yield stage
+        if is_new:
+            stage.chmod(0o777 & ~_umask())
+            stage.rename(folder)
+        else:
+            for path in sorted(filter(Path.is_file, stage.rglob("*")), reverse=True):
+                target = folder / path.relative_to(stage)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                path.replace(target)
+    except OSError as error:
+        raise _cannot_write(folder, error) from None
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+def _umask() -> int:
+    umask = os.umask(0)
+    os.umask(umask)
+    return umask
+
+
+def _cannot_write(path: Path, error: OSError) -> SymbidError:
+    return SymbidError(f"{path}: cannot write ({error.strerror}); choose another place")

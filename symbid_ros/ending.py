@@ -3,6 +3,8 @@
 import os
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from threading import Event, Thread
 from typing import NoReturn
 
@@ -32,6 +34,28 @@ def stop_on_signals() -> Event:
 
     Thread(target=watch, name="signals", daemon=True).start()
     return stop
+
+
+@contextmanager
+def interruptible(stop: Event) -> Iterator[None]:
+    """Let a signal end the process while work is done that cannot look at ``stop``.
+
+    The block is left by SystemExit with the shell's status for the signal, so that ``finally``
+    clauses run. Call it in the main thread, and around work alone that leaves nothing half made.
+
+    Parameters
+    ----------
+    stop : Event
+        Of :func:`stop_on_signals`; the block is not entered once it is set.
+    """
+    if stop.is_set():
+        unwind(signal.SIGINT, None)
+    before = {number: signal.signal(number, unwind) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def exit_on_signals() -> None:

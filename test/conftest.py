@@ -26,6 +26,7 @@ LONGEST = (
     "test_study_small.py",
     "test_ros_online_identifier.py",
     "test_ros_bridge.py",
+    "test_ros_soak.py",
     "test_ros_balance_controller.py",
     "test_ros_udp.py",
     "test_ros_player.py",

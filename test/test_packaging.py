@@ -253,6 +253,19 @@ class TestLaunchFile:
         assert started
         assert started <= EXECUTABLES
 
+    def test_no_node_is_killed_before_it_can_end_nor_waited_for_when_it_has(
+        self, path: Path
+    ) -> None:
+        """Launch escalates to SIGTERM after 5 s by default; a busy machine needs more."""
+        handles_all = bool(_calls(path, "OnProcessExit"))
+        for call in _calls(path, "Node"):
+            words = {keyword.arg: keyword.value for keyword in call.keywords}
+            for timeout in ("sigterm_timeout", "sigkill_timeout"):
+                assert float(ast.literal_eval(words[timeout])) > 5
+            assert isinstance(words["executable"], ast.Constant)
+            # Nobody waits for a monitor.
+            assert "on_exit" in words or handles_all or words["executable"].value == "monitor"
+
     def test_names_files_that_exist(self, path: Path) -> None:
         strings = [
             node.value

@@ -3,7 +3,7 @@
 import logging
 from pathlib import Path, PurePosixPath
 
-from symbid_ros.atomic import write_text
+from symbid_ros.atomic import staged, write_text
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.export_mjcf import mjcf_files, replaced_values
@@ -18,19 +18,19 @@ RESULT_FILES = "model.urdf", "model.xml", "information.npz", "estimate.json"
 
 
 def write_identification(found: Identification, parameters: ParameterSet, out: Path) -> None:
-    """Write estimate.json, information.npz, model.urdf and model.xml into a folder.
+    """Write estimate.json, information.npz, model.urdf and model.xml into a folder, all or none.
 
     The user's own file is carried over in its format, with the files that it includes; the
     other is a bare tree. What a format cannot say of the estimate is logged, and written at the
     top of a bare tree.
     """
     estimate = found.estimate
-    write_text(out / "model.urdf", export_urdf(estimate, parameters))
-    # The main file comes last, so that it never stands there without its includes.
-    for place, text in reversed(export_mjcf(estimate, parameters, out).items()):
-        write_text(out / place, text)
-    write_archive(out / "information.npz", found.observations, found.deviation_factor)
-    estimate.write(out / "estimate.json")
+    with staged(out) as stage:
+        write_text(stage / "model.urdf", export_urdf(estimate, parameters))
+        for place, text in export_mjcf(estimate, parameters, out).items():
+            write_text(stage / place, text)
+        write_archive(stage / "information.npz", found.observations, found.deviation_factor)
+        estimate.write(stage / "estimate.json")
     identified = parameters.apply(estimate.value)
     for name, remarks in (
         ("model.urdf", unwritten(identified)),

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.gaps import stamp_of
 from symbid_ros.bags.streams.selection import SelectedTopics
 from symbid_ros.estimation.fading import released
 from symbid_ros.estimation.observations import Observations
@@ -26,6 +25,7 @@ from symbid_ros.online.block_work import BlockWork
 from symbid_ros.online.change_watch import ChangeWatch
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.memory import Memory, Whole
+from symbid_ros.online.message_check import MessageCheck
 from symbid_ros.online.outcome import Outcome
 from symbid_ros.online.timeline import Stretch, Timeline
 from symbid_ros.online.weight import check_weight
@@ -77,6 +77,8 @@ class OnlineIdentification:
         How many brought nothing for it.
     clock_jumps : int
         How often a topic's clock has jumped back.
+    checks : dict of Topic to MessageCheck
+        What they dropped, and why.
     """
 
     def __init__(self, beginning: Beginning, selected: SelectedTopics, pace: Pace) -> None:
@@ -93,6 +95,8 @@ class OnlineIdentification:
         self._timeline = Timeline(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
         self.lost_blocks = self.clock_jumps = 0
+        model = self._parameters.model
+        self.checks = {topic: MessageCheck(topic, model) for topic in selected.all}
         self._posterior: Posterior | None = None
         self._released: set[str] = set()
         self._until = 0
@@ -125,8 +129,12 @@ class OnlineIdentification:
         return self._watch.is_ready
 
     def feed(self, topic: Topic, payload: bytes) -> None:
-        """Take a serialised message of one of the topics."""
-        streams, stamp = self._timeline.streams, stamp_of(payload)
+        """Take a serialised message of one of the topics, whatever its bytes may be."""
+        for stamp, usable in self.checks[topic].take(payload):
+            self._feed(topic, stamp, usable)
+
+    def _feed(self, topic: Topic, stamp: int, payload: bytes) -> None:
+        streams = self._timeline.streams
         if streams.jumps_back(topic, stamp):
             logger.warning(
                 "%s: its clock jumps back from %.3f s; alignment begins again, nothing learnt is "

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.bags.streams.selection import SelectedTopics
-from symbid_ros.errors import DataError
+from symbid_ros.errors import SymbidError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.signals.alignment import Segment, cut_to
@@ -159,6 +159,6 @@ class Timeline:
         try:
             streams = self.streams.between(start - MARGIN, seen_until)
             segments = moving_segments(streams, self._model)
-        except DataError as error:
+        except SymbidError as error:
             return Stretch(start, stop, (), str(error))
         return Stretch(start, stop, tuple(cut_to(segments, start, stop)))

@@ -16,7 +16,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.ros.commands import CommandPublisher
 from symbid_ros.ros.health import OK, WARN, Health, HealthPublisher
 from symbid_ros.ros.parameters import Parameter
-from symbid_ros.ros.process import run_node
+from symbid_ros.ros.process import built, run_node
 from symbid_ros.ros.readings import Readings, ReadingsIntake
 from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.standing import StandingController
@@ -43,8 +43,6 @@ class ControlRecord:
     ----------
     answered : int
         Measurements answered.
-    unusable : int
-        Measurements of another robot, or not all numbers.
     unanswered : int
         Measurements for which there were no torques.
     restarts : int
@@ -52,7 +50,6 @@ class ControlRecord:
     """
 
     answered: int = 0
-    unusable: int = 0
     unanswered: int = 0
     restarts: int = 0
 
@@ -121,7 +118,6 @@ class BalanceNode:
             try:
                 readings = self._intake.newest()
             except DataError as error:
-                self._record.unusable += 1
                 self._warn(f"not answered: {error}")
                 continue
             if readings is None:
@@ -153,7 +149,11 @@ class BalanceNode:
         self._node.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD)
 
     def _figures(self) -> dict[str, int]:
-        return asdict(self._record) | {"passed_over": self._intake.passed_over}
+        intake = self._intake
+        return asdict(self._record) | {
+            "unusable": intake.refused,
+            "passed_over": intake.passed_over,
+        }
 
     def _look(self) -> list[Health]:
         pace, self._pace = self._pace, Pace()
@@ -177,7 +177,7 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(
         run_node(
             "balance_controller",
-            lambda node, values, stop: BalanceNode(node, values).run(stop),
+            lambda node, values, stop: built(BalanceNode, node, values, stop).run(stop),
             args,
             purpose="Keep the robot in balance: joint_states and imu/data in, joint_command out.",
             parameters=PARAMETERS,

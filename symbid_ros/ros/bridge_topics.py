@@ -81,9 +81,9 @@ class BridgeTopics:
         """Wait until every sensor has ``least`` subscribers."""
         await_subscribers(self._sensors, self._others, stop, least)
 
-    def await_acknowledgement(self) -> None:
+    def await_acknowledgement(self, stop: Event) -> None:
         """Give reliable subscribers time to fetch what is still on its way."""
-        await_acknowledgement(each.publisher for each in (*self._sensors, *self._others))
+        await_acknowledgement((each.publisher for each in (*self._sensors, *self._others)), stop)
 
     @property
     def _feedback(self) -> list[InstantPublisher]:

@@ -22,6 +22,7 @@ TOPIC = "joint_command"
 DEPTH = 100  # commands; at most one of them answers the newest measurement
 FIRST = 5.0  # s of waiting for a controller's first command
 LISTEN = 0.05  # s; how soon a signal to stop is seen
+WARNING_PERIOD = 5.0  # s between two warnings
 REASONS = ("malformed", "joints", "length", "not_finite", "beyond_limit", "old", "future")
 
 
@@ -203,12 +204,19 @@ class TopicCommands:
             try:
                 found = self._torques(self._mailbox.read(payload), stamp)
             except RefusedCommandError as refusal:
-                self.counts.rejected[str(refusal)] += 1
+                self._reject(str(refusal))
             except DataError:
-                self.counts.rejected["malformed"] += 1
+                self._reject("malformed")
             else:
                 self.counts.accepted += 1
         return found
+
+    def _reject(self, reason: str) -> None:
+        self.counts.rejected[reason] += 1
+        self._node.get_logger().warning(
+            f"{self.place}: a command is ignored ({reason}); doc/topics.md lists the reasons",
+            throttle_duration_sec=WARNING_PERIOD,
+        )
 
     def _torques(self, letter: Letter, stamp: int) -> FloatArray:
         if letter.layout is not self._layout:

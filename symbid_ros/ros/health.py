@@ -64,6 +64,14 @@ class HealthPublisher:
                     KeyValue(key=key, value=str(value)) for key, value in health.values.items()
                 ],
             )
-            for health in self._look()
+            for health in (*self._look(), *self._messages())
         ]
         self._publisher.publish(message)
+
+    def _messages(self) -> Sequence[Health]:
+        """Return what the node's executor had to drop; nothing as long as there is nothing."""
+        dropped = getattr(self._node.executor, "dropped", {})
+        if not dropped:
+            return ()
+        message = f"messages dropped on {', '.join(sorted(dropped))}"
+        return (Health("messages", WARN, message, dict(sorted(dropped.items()))),)

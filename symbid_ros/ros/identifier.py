@@ -11,13 +11,15 @@ from threadpoolctl import threadpool_limits
 from symbid_ros.ros.identifier_parameters import PARAMETERS, is_online
 from symbid_ros.ros.offline_identifier import OfflineIdentifier
 from symbid_ros.ros.online_identifier import OnlineIdentifier
-from symbid_ros.ros.process import run_node
+from symbid_ros.ros.process import built, run_node
 
 
 def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
     """Identify from what the parameters name until stopped."""
-    identifier = OnlineIdentifier if is_online(values) else OfflineIdentifier
-    identifier(node, values).run(stop)
+    if is_online(values):
+        built(OnlineIdentifier, node, values, stop).run(stop)
+    else:
+        built(OfflineIdentifier, node, values, stop).run(stop)
 
 
 def main(args: Sequence[str] | None = None) -> None:

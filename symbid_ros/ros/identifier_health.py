@@ -1,9 +1,8 @@
 """What an online identifier says of itself on ``/diagnostics``."""
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
-from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.online.outcome import Outcome
 from symbid_ros.ros.estimate_messages import estimate_health
@@ -13,6 +12,7 @@ from symbid_ros.ros.health import ERROR, OK, WARN, Health
 # long, s.
 LEAST_COUNTED = 0.5
 SILENT = 2.0
+IN_ORDER = "in order"
 
 
 class IdentifierHealth:
@@ -28,6 +28,7 @@ class IdentifierHealth:
         self._change = Health("change", OK, "too early to tell a change")
         self._counts: dict[str, int] = {}
         self._heard: dict[str, float] = {}
+        self._dropped: dict[str, int] = {}
         self._counted = self._solved = time.monotonic()
 
     def look(self) -> Sequence[Health]:
@@ -47,11 +48,16 @@ class IdentifierHealth:
             self._change,
         )
 
-    def waiting(self, found: Iterable[Topic]) -> None:
-        """Take which topics have turned up so far, while others are waited for."""
-        names = ", ".join(sorted(topic.name for topic in found))
-        message = f"waiting for sensor topics, found {names}" if names else "no sensor topics yet"
-        self._streams = Health("streams", WARN, message)
+    def waiting(self, state: str) -> None:
+        """Take which topics have turned up so far and which are waited for."""
+        self._streams = Health("streams", WARN, state)
+
+    @property
+    def obstacle(self) -> str:
+        """What kept it from an estimate."""
+        if self._streams.message != IN_ORDER:
+            return self._streams.message
+        return self._estimate.message
 
     def enabled(self, is_enabled: bool) -> None:
         """Take whether messages are read at all."""
@@ -115,9 +121,20 @@ class IdentifierHealth:
             figures[f"{name}/missing"] = buffer.missing
             figures[f"{name}/late"] = buffer.late
             figures[f"{name}/disordered"] = buffer.disordered
+            figures[f"{name}/dropped"] = live.checks[topic].dropped
         figures |= {"clock_jumps": live.clock_jumps, "stale": live.streams.stale}
         figures["lost_blocks"] = live.lost_blocks
         faults = [f"silent: {', '.join(silent)}"] if silent else []
-        faults += list(live.faults)[-1:]
+        faults += list(live.faults)[-1:] + self._newly_dropped(live)
         level = WARN if faults else OK
-        self._streams = Health("streams", level, "; ".join(faults) or "in order", figures)
+        self._streams = Health("streams", level, "; ".join(faults) or IN_ORDER, figures)
+
+    def _newly_dropped(self, live: OnlineIdentification) -> list[str]:
+        """Return what has been dropped since the last look, and why."""
+        told = []
+        for topic, check in live.checks.items():
+            new = check.dropped - self._dropped.get(topic.name, 0)
+            self._dropped[topic.name] = check.dropped
+            if new:
+                told.append(f"{new} messages dropped, the last because {check.reason}")
+        return told

@@ -5,15 +5,16 @@ plain poll that empties every queue does not.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from symbid_ros.bags.metadata import OfferedQos
-from symbid_ros.ros.messages import matching, message_class, offered
+from symbid_ros.ros.messages import matching, meets, message_class, offered
 
 # Messages, and bytes of them, taken from one queue before the next has its turn.
 BATCH = 256
@@ -38,52 +39,110 @@ class Arrival(NamedTuple):
 
 @dataclass(frozen=True)
 class Intake:
-    """A raw subscription.
+    """Raw subscriptions to one topic: one, or more where publishers' qualities of service differ.
 
     Attributes
     ----------
+    node : Node
     topic, msgtype : str
         Fully qualified name and type.
+    depth : int
+        Messages that may wait.
+    group : Polled
     qos : tuple of OfferedQos
         What its publishers offered when it was found.
     """
 
+    node: Node
     topic: str
     msgtype: str
+    depth: int
+    group: Polled
     qos: tuple[OfferedQos, ...]
-    _subscription: Subscription
+    _subscriptions: list[Subscription] = field(default_factory=list)
+    _returned: list[Arrival] = field(default_factory=list)
+    _recent: dict[tuple[int, int], None] = field(default_factory=dict)
 
     def arrivals(self) -> Iterator[Arrival]:
-        """Take what lies in the queue, a batch at most."""
-        handle, kind = self._subscription.handle, self._subscription.msg_type
-        size = 0
-        with handle:
-            for _ in range(BATCH):
-                taken = None if size >= BATCH_SIZE else handle.take_message(kind, True)
-                if taken is None:
-                    return
-                payload, times = taken
-                size += len(payload)
-                yield Arrival(payload, times["received_timestamp"], times["source_timestamp"])
+        """Take what lies in the queues, a batch of each at most; no message twice."""
+        while self._returned:
+            yield self._returned.pop(0)
+        for subscription in tuple(self._subscriptions):
+            for arrival in _taken(subscription):
+                if len(self._subscriptions) == 1 or self._is_new(arrival):
+                    yield arrival
+
+    def give_back(self, arrival: Arrival) -> None:
+        """Let a message be the next to arrive."""
+        self._returned.insert(0, arrival)
+
+    def follow(self) -> None:
+        """Subscribe once more where a publisher offers less than has been asked for so far."""
+        offers = [each.qos_profile for each in _publishers(self.node, self.topic, self.msgtype)]
+        asked = [each.qos_profile for each in self._subscriptions]
+        unmet = [offer for offer in offers if not any(meets(offer, one) for one in asked)]
+        if unmet:
+            subscription = self.node.create_subscription(
+                message_class(self.msgtype),
+                self.topic,
+                _unused,
+                matching(unmet, self.depth),
+                callback_group=self.group,
+                raw=True,
+            )
+            self._subscriptions.append(subscription)
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        while self._subscriptions:
+            self.node.destroy_subscription(self._subscriptions.pop())
+
+    def _is_new(self, arrival: Arrival) -> bool:
+        """Tell whether no other of the subscriptions has brought a message already."""
+        key = arrival.published, hash(arrival.payload)
+        if key in self._recent:
+            return False
+        self._recent[key] = None
+        if len(self._recent) > self.depth:
+            del self._recent[next(iter(self._recent))]
+        return True
+
+
+def _taken(subscription: Subscription) -> Iterator[Arrival]:
+    handle, kind = subscription.handle, subscription.msg_type
+    size = 0
+    with handle:
+        for _ in range(BATCH):
+            taken = None if size >= BATCH_SIZE else handle.take_message(kind, True)
+            if taken is None:
+                return
+            payload, times = taken
+            size += len(payload)
+            yield Arrival(payload, times["received_timestamp"], times["source_timestamp"])
+
+
+def _publishers(node: Node, topic: str, msgtype: str) -> list[TopicEndpointInfo]:
+    found = node.get_publishers_info_by_topic(topic)
+    return [publisher for publisher in found if publisher.topic_type == msgtype]
 
 
 def _unused(message: Any) -> None:
     """Stand where rclpy wants a callback."""
 
 
-def subscribe(node: Node, topic: str, depth: int, group: Polled) -> Intake | None:
-    """Subscribe to a topic as its publishers offer it; None while there is none."""
-    publishers = node.get_publishers_info_by_topic(topic)
+def subscribe(
+    node: Node, topic: str, depth: int, group: Polled, msgtype: str | None = None
+) -> Intake | None:
+    """Subscribe to a topic as its publishers offer it; None while there is none.
+
+    Where publishers disagree about the type, it is ``msgtype``, or else the first one's.
+    """
+    kinds = [publisher.topic_type for publisher in node.get_publishers_info_by_topic(topic)]
+    kind = msgtype or next(iter(kinds), "")
+    publishers = _publishers(node, topic, kind)
     if not publishers:
         return None
-    profiles = [publisher.qos_profile for publisher in publishers]
-    msgtype = publishers[0].topic_type
-    subscription = node.create_subscription(
-        message_class(msgtype),
-        topic,
-        _unused,
-        matching(profiles, depth),
-        callback_group=group,
-        raw=True,
-    )
-    return Intake(topic, msgtype, tuple(map(offered, profiles)), subscription)
+    offers = tuple(offered(publisher.qos_profile) for publisher in publishers)
+    intake = Intake(node, topic, kind, depth, group, offers)
+    intake.follow()
+    return intake

@@ -7,7 +7,6 @@ which costs a control loop of 1 kHz half of its period.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
@@ -16,12 +15,9 @@ from symbid_ros.arrays import IntArray
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.layout import Layout, Records
 from symbid_ros.bags.messages import read_stamp
-from symbid_ros.bags.streams.decoder import TopicDecoder
-from symbid_ros.errors import DataError
+from symbid_ros.bags.streams.single_messages import SingleMessages
 from symbid_ros.ros.intake import Polled
 from symbid_ros.ros.messages import message_class
-
-TRAILING = 8  # bytes that Fast CDR may pad behind the last field
 
 
 @dataclass(frozen=True)
@@ -59,8 +55,6 @@ class Mailbox:
     """
 
     def __init__(self, node: Node, topic: str, msgtype: str, depth: int) -> None:
-        self._msgtype = msgtype
-        self._layout: Layout | None = None
         self.subscription = node.create_subscription(
             message_class(msgtype),
             topic,
@@ -73,6 +67,8 @@ class Mailbox:
             callback_group=Polled(),
             raw=True,
         )
+        name = str(self.subscription.topic_name)
+        self._messages = SingleMessages(Topic(name, msgtype))
 
     @property
     def senders(self) -> int:
@@ -87,30 +83,14 @@ class Mailbox:
                 yield taken[0]
 
     def read(self, payload: bytes) -> Letter:
-        """Decode one of its payloads; those laid out like the one before cost a comparison.
+        """Decode one of its payloads; those laid out like a recent one cost a comparison.
 
         Raises
         ------
         DataError
             When it is not a message of this type.
         """
-        layout = self._layout
-        if layout is None or not _follows(payload, layout):
-            return self._learn(payload)
-        return Letter(layout, np.frombuffer(payload[: len(layout.template)], dtype=layout.dtype))
-
-    def _learn(self, payload: bytes) -> Letter:
-        topic = str(self.subscription.topic_name)
-        decoder = TopicDecoder(topic, Topic(topic, self._msgtype))
-        try:
-            decoder.add(np.frombuffer(payload, dtype=np.uint8), np.array([[0, len(payload)]]))
-        except DataError as error:
-            raise DataError(
-                f"{topic}: a message is not a valid {self._msgtype}; check its publisher"
-            ) from error
-        (piece,) = decoder.pieces
-        self._layout = piece.layout
-        return Letter(piece.layout, piece.records)
+        return Letter(*self._messages.decode(payload))
 
 
 def wait_for_any(node: Node, mailboxes: Sequence[Mailbox], seconds: float) -> None:
@@ -121,11 +101,3 @@ def wait_for_any(node: Node, mailboxes: Sequence[Mailbox], seconds: float) -> No
     for handle in handles:
         waiting.add_subscription(handle)
     waiting.wait(max(0, round(seconds * 1e9)))
-
-
-def _follows(payload: bytes, layout: Layout) -> bool:
-    size = len(layout.template)
-    if not 0 <= len(payload) - size <= TRAILING:
-        return False
-    row = np.frombuffer(payload[:size], dtype=np.uint8)
-    return bool(layout.matches(row[None, :])[0])

@@ -57,6 +57,15 @@ def matching(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
     )
 
 
+def meets(offer: QoSProfile, request: QoSProfile) -> bool:
+    """Tell whether a publisher's offer is enough for a subscription's request."""
+    is_reliable = offer.reliability == QoSReliabilityPolicy.RELIABLE
+    is_latched = offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+    asks_reliable = request.reliability == QoSReliabilityPolicy.RELIABLE
+    asks_latched = request.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+    return bool((is_reliable or not asks_reliable) and (is_latched or not asks_latched))
+
+
 def offered(profile: QoSProfile) -> OfferedQos:
     """Return a publisher's profile in a bag's words."""
     latched = profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL

@@ -86,7 +86,13 @@ class Screen:
         if self._live is not None:
             self._live.update(page(view, self._console), refresh=True)
         elif view.estimate is not None and is_new:
-            self._console.print(line(view, view.estimate), soft_wrap=True, highlight=False)
+            self._console.print(
+                line(view, view.estimate),
+                soft_wrap=True,
+                highlight=False,
+                markup=False,
+                emoji=False,
+            )
 
 
 def page(view: View, console: Console) -> RenderableType:
@@ -207,7 +213,7 @@ def _age(health: Health) -> list[str]:
 
 def _overall_shrinkage(view: View, estimate: RobotEstimate) -> float:
     factors = [link.shrinkage(view.first[link.name]) for link in estimate.links]
-    told = [math.log(factor) for factor in factors if math.isfinite(factor)]
+    told = [math.log(factor) for factor in factors if 0 < factor < math.inf]
     return math.exp(sum(told) / len(told)) if told else math.nan
 
 

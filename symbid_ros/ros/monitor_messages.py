@@ -15,7 +15,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.model.inertia import PARAMETERS
 
 # What a stream counts that should not happen.
-FAULTS = "missing", "late"
+FAULTS = "missing", "late", "dropped"
 LEVELS = {1: "warning", 2: "error"}
 
 
@@ -43,7 +43,7 @@ class LinkEstimate:
     @property
     def com(self) -> FloatArray:
         """Centre of mass (3,) in the link's frame, m."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             com: FloatArray = self.phi[1:4] / self.phi[0]
         return com
 
@@ -53,7 +53,7 @@ class LinkEstimate:
 
         First order in m·c and m, whose correlations a message does not carry.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             std: FloatArray = np.hypot(self.std[1:4], self.com * self.std[0]) / abs(self.phi[0])
         return std
 
@@ -62,17 +62,17 @@ class LinkEstimate:
 
         Their geometric mean: 10 means one decimal gained on average. NaN where not told.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             ratios = np.log(first.std) - np.log(self.std)
-        told = np.isfinite(ratios)
-        return float(np.exp(ratios[told].mean())) if told.any() else math.nan
+            told = np.isfinite(ratios)
+            return float(np.exp(ratios[told].mean())) if told.any() else math.nan
 
     def error(self, truth: FloatArray) -> float:
         """Return the root mean square of the ten errors against ``truth`` (10,), each in its σ."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):
             scaled = (self.phi - truth) / self.std
-        told = np.isfinite(scaled)
-        return float(np.sqrt(np.mean(scaled[told] ** 2))) if told.any() else math.nan
+            told = np.isfinite(scaled)
+            return float(np.sqrt(np.mean(scaled[told] ** 2))) if told.any() else math.nan
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,11 @@ def _streams(values: Mapping[str, str]) -> tuple[Stream, ...]:
         Stream(
             topic,
             counted.get("rate", math.nan),
-            {what: int(count) for what, count in counted.items() if what in FAULTS and count > 0},
+            {
+                what: int(count)
+                for what, count in counted.items()
+                if what in FAULTS and 0 < count < math.inf
+            },
         )
         for topic, counted in topics.items()
     )

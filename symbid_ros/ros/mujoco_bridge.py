@@ -18,7 +18,7 @@ from symbid_ros.ros.command_source import CommandSource, command_source
 from symbid_ros.ros.health import Health, HealthPublisher
 from symbid_ros.ros.pacing import Schedule
 from symbid_ros.ros.parameters import watch
-from symbid_ros.ros.process import run_node
+from symbid_ros.ros.process import built, run_node
 from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.measurement import Instant
 
@@ -60,7 +60,7 @@ class MujocoBridge:
         if self._values["wait_for_subscribers"]:
             self._topics.await_subscribers(stop, self._values["subscribers"])
         self._play(stop)
-        self._topics.await_acknowledgement()
+        self._topics.await_acknowledgement(stop)
         record = self._record
         simulated = record.steps * self._simulator.period_ns
         elapsed = self._schedule.elapsed_ns
@@ -207,7 +207,7 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(
         run_node(
             "mujoco_bridge",
-            lambda node, values, stop: MujocoBridge(node, values).run(stop),
+            lambda node, values, stop: built(MujocoBridge, node, values, stop).run(stop),
             args,
             purpose="Publish a simulated robot on ROS 2 topics in real time.",
             parameters=PARAMETERS,

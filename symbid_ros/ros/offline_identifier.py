@@ -5,6 +5,7 @@ from typing import Any
 
 from rclpy.node import Node
 
+from symbid_ros.ending import interruptible
 from symbid_ros.offline.export import export_urdf, write_identification
 from symbid_ros.offline.job import prepare
 from symbid_ros.ros.estimate_messages import estimate_health
@@ -23,8 +24,9 @@ class OfflineIdentifier:
 
     def run(self, stop: Event) -> None:
         """Identify, publish, and say once a second that the estimate stands."""
-        prepared = prepare(self._job)
-        found = prepared.solve(self._job.method)
+        with interruptible(stop):  # it takes minutes where the bag is long
+            prepared = prepare(self._job)
+            found = prepared.solve(self._job.method)
         estimate = found.estimate
         if self._out is not None:
             write_identification(found, prepared.parameters, self._out)

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.streams.selection import SelectedTopics
-from symbid_ros.errors import SymbidError
+from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.offline.export import export_urdf, write_identification
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
@@ -27,9 +28,15 @@ from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, job_fro
 from symbid_ros.ros.intake import Intake
 from symbid_ros.ros.log_filter import OncePerMinute
 from symbid_ros.ros.parameters import ParameterError, watch
-from symbid_ros.ros.sensor_topics import SensorTopics, resolved
+from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
 
 POLL = 0.005  # s; far below what fills a queue
+FOREVER = 2**63 - 1  # ns
+LONGEST_DRAIN = 1.0  # s; on a machine too slow for its topics the queues never end
+# An estimate by all data takes so many times as long as one between. Asked to end, the node
+# spends so long on it, s: launch ends by force what takes longer than a few seconds.
+EXACT_COST = 4.0
+LONGEST_FAREWELL = 1.5
 ANSWER_POLL = 0.1  # s
 LOOK = 0.1  # s; between two looks at the graph while topics are waited for
 LOOK_AGAIN = 1.0  # s; afterwards
@@ -73,8 +80,8 @@ class OnlineIdentifier:
         self._period: float = values["solve_period"]
         self._sensors = SensorTopics(
             node,
-            resolved(node, self._beginning.job.processing.topics),
-            self._parameters.model.floating,
+            own_topics(node, self._beginning.job.processing.topics, sys.argv),
+            self._parameters.model,
             values["settle"],
             values["queue_depth"],
         )
@@ -83,10 +90,13 @@ class OnlineIdentifier:
         self._is_enabled = True
         self._identification: OnlineIdentification | None = None
         self._selected: SelectedTopics | None = None
+        self._declined: set[str] = set()
         self._intakes: tuple[tuple[Topic, Intake], ...] = ()
         self._topics = EstimateTopics(node, self._parameters)
         self._described = float("-inf")
         self._solves = 0
+        self._newest: Outcome | None = None
+        self._solve_time = 0.0  # s
         self._health = IdentifierHealth()
         logging.getLogger("symbid_ros").addFilter(OncePerMinute())
         for handler_name, work in (
@@ -100,38 +110,67 @@ class OnlineIdentifier:
         self._publisher = HealthPublisher(node, self._health.look)
 
     def run(self, stop: Event) -> None:
-        """Identify until stopped; then save, where a folder is named, and say what was done."""
+        """Identify until stopped; then save, where a folder is named, and say what was done.
+
+        Raises
+        ------
+        EstimateError
+            When it ends without an estimate.
+        """
         try:
             self._await_topics(stop)
             if self._identification is not None:
                 self._follow(stop)
+        except BaseException:
+            self._rescue()
+            raise
         finally:
             self._ended.set()
             if self._identification is not None:
                 self._identification.close()
+        if not self._solves:
+            raise EstimateError(f"it ends without an estimate: {self._health.obstacle}")
 
     def _await_topics(self, stop: Event) -> None:
         while not stop.is_set() and self._identification is None:
             self._look()
-            self._health.waiting(self._sensors.intakes)
+            self._health.waiting(self._sensors.state)
             self._answer_requests()
             stop.wait(LOOK)
 
     def _look(self) -> None:
-        """Look at the graph; begin where the topics of the robot are other than known so far."""
+        """Look at the graph; begin once the robot's topics are there.
+
+        Topics that turn up later are taken as well as long as there is no estimate to lose:
+        without a wrench that carries weight there is none.
+        """
         selected = self._sensors.look()
         if selected is None or selected == self._selected:
             return
         names = ", ".join(topic.name for topic in selected.all)
         if self._identification is not None:
-            # Without a wrench that carries weight all that was learned is wrong.
+            if self._newest is not None:
+                self._decline(selected)
+                return
             self._node.get_logger().warning(f"topics turned up late, begins anew with {names}")
             self._identification.close()
         self._identification = OnlineIdentification(self._beginning, selected, self._pace)
-        self._intakes = tuple((topic, self._sensors.intakes[topic]) for topic in selected.all)
+        self._intakes = self._sensors.intakes(selected)
         self._selected = selected
         model = self._parameters.model.name
         self._node.get_logger().info(f"identifying {model} from {names}")
+
+    def _decline(self, selected: SelectedTopics) -> None:
+        """Keep the streams; say once which others could be used."""
+        used = () if self._selected is None else self._selected.all
+        new = {topic.name for topic in selected.all if topic not in used} - self._declined
+        if new:
+            self._declined |= new
+            self._node.get_logger().warning(
+                f"{', '.join(sorted(new))} turned up late and is not used: that would forget what "
+                "has been learnt; call ~/reset to begin anew with it"
+            )
+        self._sensors.release()
 
     def _follow(self, stop: Event) -> None:
         due = time.monotonic() + self._period
@@ -143,6 +182,8 @@ class OnlineIdentifier:
             now = time.monotonic()
             if now - looked >= LOOK_AGAIN:
                 self._look()
+                for _, intake in self._intakes:
+                    intake.follow()
                 looked = now
             if now >= due:
                 self._health.heard(self._live)
@@ -153,8 +194,7 @@ class OnlineIdentifier:
                 due = max(due + self._period, now + 1.5 * spent)
             elif not count:
                 time.sleep(POLL)
-        while self._drain():  # what arrived before the signal
-            pass
+        self._drain_until(time.time_ns(), LONGEST_DRAIN)
         self._finish()
 
     @property
@@ -166,14 +206,21 @@ class OnlineIdentifier:
             )
         return self._identification
 
-    def _drain(self) -> int:
+    def _drain(self, until: int = FOREVER) -> int:
+        """Take messages, a batch of each topic; return how many arrived up to a time, ns."""
         count = 0
         for topic, intake in self._intakes:
             for arrival in intake.arrivals():
                 if self._is_enabled:
                     self._live.feed(topic, arrival.payload)
-                count += 1
+                count += arrival.received <= until
         return count
+
+    def _drain_until(self, until: int, longest: float = float("inf")) -> None:
+        """Take what had arrived at a time, ns, while publishers go on; for so many s at most."""
+        deadline = time.monotonic() + longest
+        while self._drain(until) and time.monotonic() < deadline:
+            pass
 
     def _solve(self, *, exactly: bool = False) -> Outcome | None:
         began = time.monotonic()
@@ -184,9 +231,13 @@ class OnlineIdentifier:
             if exactly:
                 raise
             return None
-        self._health.solved(self._live, outcome, time.monotonic() - began)
+        spent = time.monotonic() - began
+        self._health.solved(self._live, outcome, spent)
         if outcome is not None:
             self._solves += 1
+            self._newest = outcome
+            if not exactly:
+                self._solve_time = spent
             self._publish(outcome, describe=exactly)
         return outcome
 
@@ -202,15 +253,11 @@ class OnlineIdentifier:
         return _told(self._known())
 
     def _known(self) -> Outcome:
-        self._drain_all()
+        self._drain_until(time.time_ns())
         outcome = self._solve(exactly=True)
         if outcome is None:
             raise ParameterError("too little has come to tell anything; wait, or move the robot")
         return outcome
-
-    def _drain_all(self) -> None:
-        while self._drain():
-            pass
 
     def _save(self) -> str:
         if self._out is None:
@@ -223,6 +270,7 @@ class OnlineIdentifier:
 
     def _reset(self) -> str:
         self._live.reset()
+        self._newest = None
         return "all but the prior is forgotten"
 
     def _finish(self) -> None:
@@ -236,9 +284,33 @@ class OnlineIdentifier:
             "solves": self._solves,
         }
         # There may be nothing left to save, as after a reset.
-        if self._out is not None and self._solves and (known := self._solve(exactly=True)):
+        if self._out is not None and self._solves and (known := self._last_known()):
             summary["saved"] = self._write(known, self._out)
         print(json.dumps(summary), flush=True)
+
+    def _last_known(self) -> Outcome | None:
+        """Return what an offline run would find, or the newest estimate where there is no time."""
+        if self._newest is not None and EXACT_COST * self._solve_time > LONGEST_FAREWELL:
+            self._node.get_logger().warning(
+                "the machine is busy: the newest estimate is saved, not one by all data"
+            )
+            return self._newest
+        try:
+            return self._solve(exactly=True)
+        except SymbidError as error:
+            if self._newest is None:
+                raise
+            self._node.get_logger().warning(f"{error}; the estimate before that is saved")
+            return self._newest
+
+    def _rescue(self) -> None:
+        """Save the newest estimate while an error is on its way to end the node."""
+        if self._out is None or self._newest is None:
+            return
+        try:
+            self._node.get_logger().error(self._write(self._newest, self._out))
+        except Exception as error:
+            self._node.get_logger().error(f"{self._out}: nothing could be saved: {error}")
 
     def _adopt(self, live: dict[str, Any]) -> None:
         self._period = live["solve_period"]

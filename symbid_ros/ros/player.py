@@ -20,6 +20,7 @@ from symbid_ros.bags.gaps import has_stamp, stamp_of
 from symbid_ros.bags.layout import typestore
 from symbid_ros.bags.replay import RecordedMessage, Recording
 from symbid_ros.bags.streams.selection import Selector, TopicSelection
+from symbid_ros.ending import interruptible
 from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.ros.messages import message_class, reliable
 from symbid_ros.ros.parameters import Parameter, ParameterError
@@ -86,7 +87,8 @@ class Player:
     """Replays a recording and says what it published."""
 
     def __init__(self, node: Node, values: dict[str, Any], stop: Event) -> None:
-        self._recording = Recording.of([Path(bag) for bag in _bags(values)])
+        with interruptible(stop):  # a damaged bag is searched through
+            self._recording = Recording.of([Path(bag) for bag in _bags(values)])
         self._begin, self._end = _interval(values, self._recording)
         topics = _topics(values, self._recording)
         self._loop: bool = values["loop"]
@@ -194,7 +196,7 @@ class Player:
         if self._is_patient:
             for entry in self._all_publishers():
                 entry.await_acknowledgement()
-        await_acknowledgement(entry.publisher for entry in self._all_publishers())
+        await_acknowledgement((entry.publisher for entry in self._all_publishers()), self._stop)
 
     def _report(self) -> None:
         """Publish the state, in the executor's thread."""

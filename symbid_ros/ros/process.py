@@ -5,23 +5,24 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from symbid_ros.ending import stop_on_signals
+from symbid_ros.ending import interruptible, stop_on_signals
 from symbid_ros.errors import SymbidError
+from symbid_ros.ros.message_executor import MessageExecutor
 from symbid_ros.ros.parameters import Parameter, declare
 from symbid_ros.ros.transport import use_udp
 
 FAILURE = 2
 
+Built = TypeVar("Built")
 Work = Callable[[Node, dict[str, Any], threading.Event], None]
 
 
@@ -87,6 +88,17 @@ def run_node(
     return 0
 
 
+def built(
+    make: Callable[[Node, dict[str, Any]], Built],
+    node: Node,
+    values: dict[str, Any],
+    stop: threading.Event,
+) -> Built:
+    """Return what a node works with; a signal ends the process while that is made."""
+    with interruptible(stop):
+        return make(node, values)
+
+
 def _refuse_foreign_arguments(
     name: str, purpose: str, parameters: Sequence[Parameter], arguments: Sequence[str]
 ) -> None:
@@ -101,7 +113,7 @@ def _refuse_foreign_arguments(
 
 
 def _work_beside_executor(node: Node, work: Callable[[], None], stop: threading.Event) -> None:
-    executor = SingleThreadedExecutor()
+    executor = MessageExecutor()
     executor.add_node(node)
     end: Future = Future()
     failures: list[Exception] = []

@@ -18,6 +18,7 @@ from symbid_ros.simulation.topics import SimulatedTopic
 SETTLE = 0.5  # s; discovery of the remaining subscribers after the needed ones are there
 POLL = 0.02  # s
 ACKNOWLEDGE = 20.0  # s; a subscriber that takes longer is given up, as by the middleware
+FAREWELL = 0.5  # s; the same for a node that was asked to end
 
 
 @dataclass
@@ -104,9 +105,16 @@ def await_settled(
         stop.wait(POLL)
 
 
-def await_acknowledgement(publishers: Iterable[Publisher]) -> None:
-    """Give reliable subscribers time to fetch what is still on its way."""
-    deadline = time.monotonic() + ACKNOWLEDGE
+def await_acknowledgement(publishers: Iterable[Publisher], stop: Event) -> None:
+    """Give reliable subscribers time to fetch what is still on its way; little once stopped."""
+    begun = time.monotonic()
+    stopped: float | None = None
     for publisher in publishers:
-        left = max(0.0, deadline - time.monotonic())
-        publisher.wait_for_all_acked(Duration(seconds=left))
+        while not publisher.wait_for_all_acked(Duration(seconds=POLL)):
+            now = time.monotonic()
+            if stop.is_set():
+                stopped = stopped or now
+                if now - stopped > FAREWELL:
+                    return
+            if now - begun > ACKNOWLEDGE:
+                return

@@ -7,7 +7,6 @@ import numpy as np
 from rclpy.node import Node
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.bags.gaps import stamp_of
 from symbid_ros.bags.layout import Layout
 from symbid_ros.bags.messages import IMU, JOINT_STATE
 from symbid_ros.errors import DataError
@@ -15,6 +14,9 @@ from symbid_ros.ros.mailbox import Letter, Mailbox, wait_for_any
 
 DEPTH = 1000  # messages
 KEPT = 100  # stamps of one topic that the other may lag behind
+# Beyond these no robot works, and a single such value would spoil the controller's filters.
+LARGEST_POSITION, LARGEST_RATE = 1e6, 1e3  # rad, rad/s
+UNIT = 0.9, 1.1  # norms of quaternions that are taken for orientations
 
 
 @dataclass(frozen=True)
@@ -53,15 +55,18 @@ class ReadingsIntake:
     ----------
     passed_over : int
         Instants that were never the newest: others came with them.
+    refused : int
+        Messages dropped as malformed or of another robot, and readings that are not finite.
     """
 
     def __init__(self, node: Node, joint_names: Sequence[str]) -> None:
         self._node, self._joint_names = node, tuple(joint_names)
         self._joints = Mailbox(node, "joint_states", JOINT_STATE, DEPTH)
         self._imu = Mailbox(node, "imu/data", IMU, DEPTH)
-        self._waiting: tuple[dict[int, bytes], dict[int, bytes]] = ({}, {})
+        self._waiting: tuple[dict[int, Letter], dict[int, Letter]] = ({}, {})
         self._layout: Layout | None = None
-        self.passed_over = 0
+        self._refusal: DataError | None = None
+        self.passed_over = self.refused = 0
         self._places: IntArray = np.arange(len(self._joint_names))
 
     def wait(self, seconds: float) -> None:
@@ -77,11 +82,13 @@ class ReadingsIntake:
         Raises
         ------
         DataError
-            When they are not this robot's, or not all numbers.
+            When a message was dropped since the last call because it is malformed, of another
+            robot, or because its values are not finite. The next call returns what came with it.
         """
-        for mailbox, waiting in zip((self._joints, self._imu), self._waiting, strict=True):
-            for payload in mailbox.payloads():
-                _keep(waiting, payload)
+        self._take()
+        if self._refusal is not None:
+            refusal, self._refusal = self._refusal, None
+            raise refusal
         joints, imu = self._waiting
         stamp = max(joints.keys() & imu.keys(), default=None)
         if stamp is None:
@@ -91,12 +98,25 @@ class ReadingsIntake:
         for waiting in self._waiting:
             for done in [each for each in waiting if each <= stamp]:
                 del waiting[done]
-        return self._readings(stamp, self._joints.read(pair[0]), self._imu.read(pair[1]))
+        return self._readings(stamp, *pair)
+
+    def _take(self) -> None:
+        """Keep what has arrived and could be of use; foreign messages displace nothing."""
+        for mailbox, waiting in zip((self._joints, self._imu), self._waiting, strict=True):
+            for payload in mailbox.payloads():
+                try:
+                    letter = mailbox.read(payload)
+                    if mailbox is self._joints and letter.layout is not self._layout:
+                        self._places, self._layout = self._find(letter.layout), letter.layout
+                except DataError as error:
+                    self.refused += 1
+                    self._refusal = error
+                else:
+                    _keep(waiting, letter)
 
     def _readings(self, stamp: int, joints: Letter, imu: Letter) -> Readings:
-        if joints.layout is not self._layout:
-            self._places = self._find(joints.layout)
-            self._layout = joints.layout
+        if joints.layout is not self._layout:  # another one came in between
+            self._places, self._layout = self._find(joints.layout), joints.layout
         readings = Readings(
             stamp,
             joints.record["position"][0, self._places],
@@ -104,16 +124,10 @@ class ReadingsIntake:
             imu.record["orientation"][0],
             imu.record["angular_velocity"][0],
         )
-        if not all(
-            np.isfinite(values).all()
-            for values in (
-                readings.joint_position,
-                readings.joint_velocity,
-                readings.imu_orientation,
-                readings.imu_angular_velocity,
-            )
-        ):
-            raise DataError(f"joint_states, imu/data: not all numbers at {stamp / 1e9:.3f} s")
+        fault = _fault(readings)
+        if fault:
+            self.refused += 1
+            raise DataError(f"joint_states, imu/data: {fault} at {stamp / 1e9:.3f} s")
         return readings
 
     def _find(self, layout: Layout) -> IntArray:
@@ -131,10 +145,26 @@ class ReadingsIntake:
         return np.array([names.index(name) for name in self._joint_names])
 
 
-def _keep(waiting: dict[int, bytes], payload: bytes) -> None:
-    stamp = stamp_of(payload)
+def _fault(readings: Readings) -> str:
+    """Return what is wrong with the values; empty if nothing is."""
+    rates = np.concatenate([readings.joint_velocity, readings.imu_angular_velocity])
+    norm = float(np.linalg.norm(readings.imu_orientation))
+    values = (*readings.joint_position, *rates, norm)
+    if not np.isfinite(values).all():
+        return "NaN or infinite values"
+    if np.abs(readings.joint_position).max() > LARGEST_POSITION:
+        return f"positions above {LARGEST_POSITION:g} rad"
+    if np.abs(rates).max() > LARGEST_RATE:
+        return f"rates above {LARGEST_RATE:g} rad/s"
+    if not UNIT[0] <= norm <= UNIT[1]:
+        return f"orientation is not a unit quaternion (norm {norm:.3g})"
+    return ""
+
+
+def _keep(waiting: dict[int, Letter], letter: Letter) -> None:
+    stamp = letter.stamp
     if waiting and stamp < max(waiting):
         waiting.clear()
-    waiting[stamp] = payload
+    waiting[stamp] = letter
     if len(waiting) > KEPT:
         del waiting[min(waiting)]

@@ -1,111 +1,298 @@
-"""Finding a robot's sensor topics on the graph."""
+"""A robot's sensor topics on the graph: found, told from those of others, and kept."""
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 from rclpy.node import Node
 
 from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.messages import IMU, JOINT_STATE
+from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
 from symbid_ros.bags.streams.selection import SelectedTopics, Selector, TopicSelection
+from symbid_ros.bags.streams.single_messages import SingleMessages
+from symbid_ros.errors import DataError
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.online.message_check import known_frames
 from symbid_ros.ros.intake import Intake, Polled, subscribe
+
+JOINTS, IMU_DATA = "joint_states", "imu/data"
+
+
+@dataclass(frozen=True)
+class OwnTopics:
+    """Which topics may be the robot's, as the graph names them.
+
+    Attributes
+    ----------
+    selection : TopicSelection
+        Topics named by parameters or remapping; the joint states always are.
+    remapped : frozenset of str
+        Targets of remapped sensor names: candidates like those in the namespace.
+    replaced : frozenset of str
+        The names that were remapped: whoever publishes there is another.
+    """
+
+    selection: TopicSelection
+    remapped: frozenset[str] = frozenset()
+    replaced: frozenset[str] = frozenset()
+
+    @property
+    def named(self) -> frozenset[str]:
+        """Topics that must turn up."""
+        chosen = self.selection
+        return frozenset([chosen.joints or "", *(chosen.imus or ()), *(chosen.wrenches or ())])
+
+
+@dataclass
+class Candidate:
+    """A topic that may be a sensor's of the robot.
+
+    Attributes
+    ----------
+    topic : Topic
+    intake : Intake or None
+        None once it is known that the topic is not used.
+    frame : str
+        ``header.frame_id`` of the newest message looked at; empty before one came.
+    is_placed : bool
+        Whether the model knows that frame. Joint states need none.
+    """
+
+    topic: Topic
+    intake: Intake | None
+    frame: str = ""
+    is_placed: bool = False
+
+    def look(self, frames: frozenset[str]) -> None:
+        """Look at messages until one is of a frame that the model knows; leave that one."""
+        if self.topic.msgtype == JOINT_STATE:
+            self.is_placed = True
+        if self.is_placed or self.intake is None:
+            return
+        messages = SingleMessages(self.topic)
+        for arrival in self.intake.arrivals():
+            try:
+                layout, _ = messages.decode(arrival.payload)
+            except DataError:
+                continue
+            self.frame = layout.text["header.frame_id"][0]
+            if self.frame in frames:
+                self.is_placed = True
+                self.intake.give_back(arrival)
+                return
 
 
 @dataclass
 class SensorTopics:
     """Waits until the graph shows all topics that are wanted, and no more turn up.
 
-    Each is subscribed to at first sight, so that nothing is lost meanwhile.
+    Each is subscribed to at first sight, so that nothing is lost meanwhile. An IMU or a wrench
+    counts once a message shows that its frame is the model's; of several topics with one frame,
+    the node's own name wins, then the shortest path.
 
     Attributes
     ----------
     node : Node
-    selection : TopicSelection
+    own : OwnTopics
         Which topics are wanted.
-    floating : bool
-        Whether the robot's base floats, so that it needs an IMU.
+    model : RobotModel
+        Whose frames the sensors have; a floating base needs an IMU.
     settle : float
         For how long nothing more must turn up, s.
     depth : int
         Messages that each may keep waiting.
-    intakes : dict of Topic to Intake
-        What has turned up so far.
     """
 
     node: Node
-    selection: TopicSelection
-    floating: bool
+    own: OwnTopics
+    model: RobotModel
     settle: float
     depth: int
-    intakes: dict[Topic, Intake] = field(default_factory=dict)
+    _candidates: dict[Topic, Candidate] = field(default_factory=dict)
+    _others: tuple[str, ...] = ()
     _group: Polled = field(default_factory=Polled)
+    _chosen: frozenset[Topic] = frozenset()
+    _used: frozenset[Topic] = frozenset()
     _since: float = field(default_factory=time.monotonic)
 
     def look(self) -> SelectedTopics | None:
-        """Look at the graph once; return the topics when they are complete.
-
-        Raises
-        ------
-        BagError
-            When it cannot be told which topic holds the joint states.
-        """
-        selector = Selector("live topics", self.selection)
+        """Look at the graph once; return the topics when they are complete."""
         topics = [
             Topic(name, msgtype)
             for name, types in self.node.get_topic_names_and_types()
             for msgtype in types
         ]
+        self._subscribe(self._wanted(topics))
+        frames = known_frames(self.model)
+        for candidate in self._candidates.values():
+            candidate.look(frames)
+        chosen = self._choice()
         now = time.monotonic()
-        for topic in topics:
-            if topic not in self.intakes and selector.wants(topic) and self._is_near(topic):
-                intake = subscribe(self.node, topic.name, self.depth, self._group)
-                if intake is not None:
-                    self.intakes[topic], self._since = intake, now
-        if now - self._since < self.settle or self._lacking(self.intakes):
+        if frozenset(chosen) != self._chosen:
+            self._chosen, self._since = frozenset(chosen), now
+        if now - self._since < self.settle or self._lacking(chosen):
             return None
-        selector.counts = dict.fromkeys(self.intakes, 1)
-        return selector.selected()
+        by_type = {
+            kind: tuple(topic for topic in chosen if topic.msgtype == kind)
+            for kind in (JOINT_STATE, IMU, WRENCH)
+        }
+        return SelectedTopics(by_type[JOINT_STATE][0], by_type[IMU], by_type[WRENCH])
 
-    def _is_near(self, topic: Topic) -> bool:
-        """Tell whether a topic was named or lies in the node's namespace: others are of others."""
+    def intakes(self, selected: SelectedTopics) -> tuple[tuple[Topic, Intake], ...]:
+        """Return the selected topics with their subscriptions, and let go of all others."""
+        self._used = frozenset(selected.all)
+        self.release()
+        found = []
+        for topic in selected.all:
+            candidate = self._candidates[topic]
+            if candidate.intake is None:
+                candidate.intake = subscribe(
+                    self.node, topic.name, self.depth, self._group, topic.msgtype
+                )
+            if candidate.intake is not None:
+                found.append((topic, candidate.intake))
+        return tuple(found)
+
+    def release(self) -> None:
+        """Unsubscribe from what has been looked at and is not used: its queue would fill."""
+        for candidate in self._candidates.values():
+            is_idle = candidate.topic not in self._used and candidate.frame
+            if is_idle and candidate.intake is not None:
+                candidate.intake.close()
+                candidate.intake = None
+
+    @property
+    def state(self) -> str:
+        """What has been found, what not, and what stands in its way."""
+        found = sorted(topic.name for topic in self._chosen)
+        said = [f"found {', '.join(found)}"] if found else []
+        said += [
+            f"{candidate.topic.name} is not used: the model has no frame {candidate.frame!r}"
+            for candidate in self._candidates.values()
+            if candidate.frame and not candidate.is_placed
+        ]
+        joints = self.own.selection.joints
+        if joints not in found and self._others:
+            said.append(
+                f"{', '.join(self._others)} may be another robot's: if not, name it in "
+                "joint_topic or start the identifier in its namespace"
+            )
+        missing = sorted(name for name in self.own.named if name not in found)
+        has_imu = any(topic.msgtype == IMU for topic in self._chosen)
+        if self.model.floating and not has_imu and not self.own.selection.imus:
+            missing.append("an IMU")
+        what = ", ".join(missing) or "further topics to turn up"
+        head = "waiting for" if found else "no sensor topics yet, waiting for"
+        return "; ".join([f"{head} {what}", *said])
+
+    def _wanted(self, topics: Iterable[Topic]) -> list[Topic]:
+        """Return the topics that may be the robot's: named, remapped, or in its namespace."""
         space = self.node.get_namespace().rstrip("/")
-        named = (self.selection.joints, *(self.selection.imus or ()))
-        return topic.name.startswith(f"{space}/") or topic.name in (
-            *named,
-            *(self.selection.wrenches or ()),
+        selector = Selector("live topics", self.own.selection)
+        states = {
+            topic.name
+            for topic in topics
+            if topic.msgtype == JOINT_STATE and topic.name.rsplit("/", 1)[-1] == JOINTS
+        }
+        self._others = tuple(sorted(states - {self.own.selection.joints}))
+        # Another robot's sensors lie beside its joint states, if not right where ours do.
+        own_joints = self.own.selection.joints or ""
+        places = (name.removesuffix(JOINTS) for name in self._others)
+        foreign = tuple(
+            place
+            for place in places
+            if place.startswith(f"{space}/")
+            and place != f"{space}/"
+            and not own_joints.startswith(place)
         )
 
-    def _lacking(self, found: Iterable[Topic]) -> bool:
-        named = [
-            *filter(None, [self.selection.joints]),
-            *(self.selection.imus or ()),
-            *(self.selection.wrenches or ()),
-        ]
-        bare = {topic.name.lstrip("/") for topic in found}
-        has_joints = any(topic.msgtype == JOINT_STATE for topic in found)
-        has_imu = any(topic.msgtype == IMU for topic in found)
-        all_named = all(name.lstrip("/") in bare for name in named)
-        return not (all_named and has_joints and (has_imu or not self.floating))
+        def is_near(topic: Topic) -> bool:
+            if topic.name in self.own.named | self.own.remapped:
+                return True
+            is_inside = topic.name.startswith(f"{space}/") and not topic.name.startswith(foreign)
+            return is_inside and topic.name not in self.own.replaced
+
+        def is_wanted(topic: Topic) -> bool:
+            is_remapped = topic.name in self.own.remapped and self._is_open(topic.msgtype)
+            return selector.wants(topic) or is_remapped
+
+        return [topic for topic in topics if is_wanted(topic) and is_near(topic)]
+
+    def _is_open(self, msgtype: str) -> bool:
+        """Tell whether topics of a type are to be found, none having been named."""
+        chosen = self.own.selection
+        return (msgtype == IMU and chosen.imus is None) or (
+            msgtype == WRENCH and chosen.wrenches is None
+        )
+
+    def _subscribe(self, topics: Iterable[Topic]) -> None:
+        wanted = set(topics)
+        for topic in wanted - self._candidates.keys():
+            intake = subscribe(self.node, topic.name, self.depth, self._group, topic.msgtype)
+            if intake is not None:
+                self._candidates[topic] = Candidate(topic, intake)
+        # Taken for the robot's until its owner turned up; what is in use stays.
+        for topic in self._candidates.keys() - wanted - self._used:
+            candidate = self._candidates.pop(topic)
+            if candidate.intake is not None:
+                candidate.intake.close()
+
+    def _choice(self) -> list[Topic]:
+        """Return the topics to use, the best of each frame, in the order of their names."""
+        own_imu = self.node.resolve_topic_name(IMU_DATA)
+        preferred = self.own.named | self.own.remapped | {own_imu}
+
+        def rank(candidate: Candidate) -> tuple[bool, int, str]:
+            name = candidate.topic.name
+            return name not in preferred, name.count("/"), name
+
+        best: dict[tuple[str, str], Topic] = {}
+        for candidate in sorted(self._candidates.values(), key=rank):
+            if candidate.is_placed:
+                best.setdefault((candidate.topic.msgtype, candidate.frame), candidate.topic)
+        return sorted(best.values(), key=lambda topic: topic.name)
+
+    def _lacking(self, chosen: Iterable[Topic]) -> bool:
+        names = {topic.name for topic in chosen}
+        has_imu = any(topic.msgtype == IMU for topic in chosen)
+        return not self.own.named <= names or not (has_imu or not self.model.floating)
 
 
-def resolved(node: Node, selection: TopicSelection) -> TopicSelection:
-    """Return a selection with names as the graph has them, remappings included."""
+def own_topics(node: Node, selection: TopicSelection, arguments: Sequence[str]) -> OwnTopics:
+    """Return the names of a selection as the graph has them, remappings included.
+
+    Parameters
+    ----------
+    node : Node
+    selection : TopicSelection
+        As the parameters ask.
+    arguments : sequence of str
+        Of the process: rcl applies the remappings in them, but does not list them.
+    """
 
     def all_of(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
         return None if names is None else tuple(map(node.resolve_topic_name, names))
 
-    joints = _remapped(node, "joint_states") if selection.joints is None else selection.joints
-    imu = _remapped(node, "imu/data")
-    imus = (imu,) if imu is not None and selection.imus is None else selection.imus
-    return TopicSelection(
-        None if joints is None else node.resolve_topic_name(joints),
-        all_of(imus),
+    pairs = {
+        (node.resolve_topic_name(name, only_expand=True), node.resolve_topic_name(name))
+        for name in remapped_names(arguments)
+    }
+    imu = node.resolve_topic_name(IMU_DATA)
+    is_remapped = imu != node.resolve_topic_name(IMU_DATA, only_expand=True)
+    own = TopicSelection(
+        node.resolve_topic_name(selection.joints or JOINTS),
+        (imu,) if is_remapped and selection.imus is None else all_of(selection.imus),
         all_of(selection.wrenches),
+    )
+    return OwnTopics(
+        own, frozenset(new for _, new in pairs), frozenset(old for old, new in pairs if old != new)
     )
 
 
-def _remapped(node: Node, name: str) -> str | None:
-    """Return what a name has been remapped to, None where it has not been."""
-    remapped: str = node.resolve_topic_name(name)
-    return None if remapped == node.resolve_topic_name(name, only_expand=True) else remapped
+def remapped_names(arguments: Sequence[str]) -> list[str]:
+    """Return the topic names on the left of ``-r old:=new`` among a process's arguments."""
+    rules = [rule for flag, rule in pairwise(arguments) if flag in ("-r", "--remap")]
+    names = [rule.partition(":=")[0] for rule in rules]
+    # A rule may begin with the name of the node that it is for.
+    return [name for name in (each.split(":")[-1] for each in names) if not name.startswith("__")]

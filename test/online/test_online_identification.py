@@ -1,12 +1,15 @@
 """Live messages tell what a bag of them tells, whatever happens between."""
 
 import logging
+import re
+import struct
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from live_feed import feed_of
+from junk_messages import some_malformed
+from live_feed import Feed, feed_of
 
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import write_archive
@@ -179,10 +182,12 @@ def test_a_clock_that_jumps_back_begins_anew_and_loses_nothing(
     live = start()
     with caplog.at_level(logging.WARNING):
         feed.into(live, solving=2.0)
-        # What is left over of the old time comes late, behind the first of the new one.
+        # What is left over of the old time comes late, behind the first two of the new one.
         first, *others = feed.messages
+        second = next(m for m in others if m[1] == first[1])
+        others.remove(second)
         *_, straggler = (m for m in feed.messages if m[1] != first[1])
-        replace(feed, messages=(first, straggler, *others)).into(live, solving=2.0)
+        replace(feed, messages=(first, second, straggler, *others)).into(live, solving=2.0)
     assert [record for record in caplog.records if "jumps back" in record.message]
     assert (live.clock_jumps, live.streams.stale) == (1, 1)
     twice = [one.merge(one) for one in offline.solver.problem.observations]
@@ -228,6 +233,70 @@ def test_a_silent_topic_costs_blocks_and_is_named(start, feed) -> None:
     assert "/left_foot/wrench was silent from 3.900 s to 8.100 s" in live.faults[0]
 
 
+def values_of(live):
+    return live.solve(exactly=True).found.estimate.value
+
+
+def spoilt(feed, spoil):
+    """Return a feed with what ``spoil(topic, payload)`` returns ahead of every 50th message."""
+    messages = []
+    for number, (stamp, topic, payload) in enumerate(feed.messages):
+        if number % 50 == 25:
+            messages += [(stamp, topic, junk) for junk in spoil(topic, payload)]
+        messages.append((stamp, topic, payload))
+    return Feed(feed.selected, tuple(messages))
+
+
+def with_stamp(payload: bytes, *stamp: int) -> bytes:
+    return payload[:4] + struct.pack("<iI", *stamp) + payload[12:]
+
+
+def with_last(payload: bytes, value: float) -> bytes:
+    return payload[:-8] + struct.pack("<d", value)
+
+
+def renamed(payload: bytes) -> bytes:
+    """Return a message of other joints, or of another frame."""
+    for name in (b"L_", b"R_", b"imu_link", b"left_sole", b"right_sole"):
+        payload = payload.replace(name, name[:-1] + b"#")
+    return payload
+
+
+@pytest.fixture(scope="module")
+def undisturbed(feed):
+    """What two seconds of the log tell."""
+    part = feed.between(0.0, 2.0)
+    live = OnlineIdentification(Beginning.of(job()), part.selected, HURRIED)
+    part.into(live)
+    value = values_of(live)
+    live.close()
+    return part, value
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda topic, payload: some_malformed(payload, 7), "is not a valid"),
+        (lambda topic, payload: [renamed(payload)], "none of the model's joints|header.frame_id"),
+        (lambda topic, payload: [with_stamp(payload, 2**31 - 1, 0)], "another clock's"),
+        (lambda topic, payload: [with_stamp(payload, -5, 7)], "another clock's"),
+        (lambda topic, payload: [with_stamp(payload, 1, 10**9)], "nanosec"),
+        (lambda topic, payload: [with_last(payload, 1e300)] * (topic.name != "/imu/data"), "1e.06"),
+    ],
+    ids=["malformed", "foreign", "future", "past", "nanosec", "enormous"],
+)
+def test_junk_among_the_messages_changes_nothing(start, undisturbed, spoil, reason) -> None:
+    part, expected = undisturbed
+    live = start()
+    spoilt(part, spoil).into(live)
+    np.testing.assert_array_equal(values_of(live), expected)
+    counts = {check.dropped for check in live.checks.values() if check.dropped}
+    assert sum(counts) > 10
+    for check in live.checks.values():
+        assert not check.dropped or re.search(reason, check.reason), check.reason
+    assert live.clock_jumps == live.lost_blocks == 0
+
+
 def test_late_and_missing_messages_are_counted(start, feed) -> None:
     live = start()
     some = feed.between(0.0, 6.0)
@@ -238,6 +307,8 @@ def test_late_and_missing_messages_are_counted(start, feed) -> None:
     assert by_name["/imu/data"].missing == 4
     assert by_name["/joint_states"].missing == 0
     _, topic, payload = feed.messages[0]
+    live.feed(topic, payload)
+    assert live.clock_jumps == 0  # a single stamp may be wrong
     live.feed(topic, payload)  # another 6 s back: a new time, not a late message
     assert live.clock_jumps == 1
     live.feed(topic, payload)

@@ -4,6 +4,7 @@ import fcntl
 import math
 import os
 import pty
+import random
 import re
 import signal
 import struct
@@ -22,7 +23,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rich.console import Console
 
 from symbid_ros.ros.monitor import PARAMETERS
-from symbid_ros.ros.monitor_display import View, page
+from symbid_ros.ros.monitor_display import Screen, View, page
 from symbid_ros.ros.monitor_messages import Health, read_estimate, read_health
 from symbid_ros.share import config_file
 
@@ -315,3 +316,25 @@ class TestProcess:
         assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")  # the cursor is back
         plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
         assert max(map(len, re.split(r"[\r\n]", plain))) <= 80
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_foreign_publisher_of_absurd_values_is_shown_as_far_as_possible(seed: int) -> None:
+    draw = random.Random(seed)
+    words = ["", "nan", "-inf", "1e308", "5e-324", "-1", "true", "[/red]", "\x1b[31m", "9" * 40]
+    keys = [*NAMES, *(f"{name}/std" for name in NAMES), "samples", "window", "age"]
+    keys += ["/imu/data/rate", "/imu/data/missing", "/imu/data/late"]
+
+    def absurd(name: str) -> DiagnosticStatus:
+        values = {key: draw.choice(words) for key in keys if key == "m" or draw.random() < 0.9}
+        return status(name, bytes([draw.choice([0, 2, 255])]), draw.choice(words), **values)
+
+    message = estimate(*(absurd(name) for name in ("base", "[/bold]", "base")))
+    message.header.stamp.sec = draw.choice([-(2**31), 2**31 - 1])
+    health = read_health({part: absurd(part) for part in ("estimate", "streams", "change")})
+    shown = view(message, health=health, truth={"base": TRUNK})
+    assert any("base" in line for line in rendered(shown, 200)), rendered(shown, 200)
+    console = Console(file=StringIO(), width=200)
+    with Screen(console) as screen:
+        screen.show(shown)
+    assert "data to" in console.file.getvalue()

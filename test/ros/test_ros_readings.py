@@ -6,8 +6,10 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 import rclpy
+from junk_messages import some_malformed
 from rclpy.context import Context
 from rclpy.node import Node
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from symbid_ros.errors import DataError
@@ -22,10 +24,13 @@ class Robot:
     """Publishes as a robot would and reads as a controller would, in one process."""
 
     def __init__(self, node: Node) -> None:
-        self._joints = node.create_publisher(JointState, "joint_states", 1000)
-        self._imu = node.create_publisher(Imu, "imu/data", 1000)
+        self.joint_publisher = node.create_publisher(JointState, "joint_states", 1000)
+        self.imu_publisher = node.create_publisher(Imu, "imu/data", 1000)
         self.intake = ReadingsIntake(node, JOINTS)
-        while not (self._joints.get_subscription_count() and self._imu.get_subscription_count()):
+        while not (
+            self.joint_publisher.get_subscription_count()
+            and self.imu_publisher.get_subscription_count()
+        ):
             pass
 
     def joints(self, *milliseconds: int, **changes: object) -> None:
@@ -37,14 +42,14 @@ class Robot:
             )
             for name, value in changes.items():
                 setattr(message, name, value)
-            self._publish(self._joints, message, each)
+            self._publish(self.joint_publisher, message, each)
 
     def imu(self, *milliseconds: int, rate: float = 3.0) -> None:
         for each in milliseconds:
             message = Imu()
             message.orientation.x, message.orientation.w = 0.6, 0.8
             message.angular_velocity.z = rate
-            self._publish(self._imu, message, each)
+            self._publish(self.imu_publisher, message, each)
 
     @staticmethod
     def _publish(publisher, message, milliseconds: int) -> None:
@@ -124,7 +129,8 @@ def test_a_clock_that_jumps_back_begins_anew(robot: Robot) -> None:
     [
         ({"name": ["toe", "knee", "nose"]}, "no joint hip; publish it"),
         ({"velocity": []}, "positions and velocities are not one for each name"),
-        ({"position": [0.0, float("nan"), 0.0]}, "not all numbers at 0.003 s"),
+        ({"position": [0.0, float("nan"), 0.0]}, "NaN or infinite values at 0.003 s"),
+        ({"velocity": [0.0, 1e4, 0.0]}, "rates above 1000 rad/s at 0.003 s"),
     ],
 )
 def test_what_cannot_be_used_says_why_and_is_done_with(robot: Robot, changes, says) -> None:
@@ -136,3 +142,23 @@ def test_what_cannot_be_used_says_why_and_is_done_with(robot: Robot, changes, sa
     robot.joints(4)
     robot.imu(4)
     robot.read(4)
+
+
+def test_junk_on_the_topics_is_counted_and_displaces_nothing(robot: Robot) -> None:
+    junk = some_malformed(serialize_message(JointState(name=["hip", "knee"])), 50)
+    robot.joints(5)
+    robot.joints(1, name=["wheel"])
+    for payload in junk:
+        robot.joint_publisher.publish(payload)
+        robot.imu_publisher.publish(payload)
+    robot.imu(5)
+    read, refused = None, 0
+    while read is None:
+        try:
+            robot.intake.wait(20.0)
+            read = robot.intake.newest()
+        except DataError:
+            refused += 1
+    assert read.stamp == 5 * MILLISECOND
+    assert refused
+    assert robot.intake.refused == 1 + 2 * len(junk)

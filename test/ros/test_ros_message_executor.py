@@ -1,0 +1,78 @@
+"""No message ends an executor: neither malformed bytes nor values that a callback cannot take."""
+
+from collections.abc import Iterator
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from junk_messages import some_malformed
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
+
+from symbid_ros.ros.checked_subscription import checked_subscription
+from symbid_ros.ros.message_executor import MessageExecutor
+from symbid_ros.ros.messages import reliable
+
+
+@pytest.fixture
+def spun(domain: int) -> Iterator[tuple[Node, MessageExecutor]]:
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = Node("reader", context=context)
+    executor = MessageExecutor(context=context)
+    executor.add_node(node)
+    yield node, executor
+    executor.shutdown()
+    node.destroy_node()
+    context.try_shutdown()
+
+
+def test_a_time_that_rclpy_cannot_hold_is_dropped(spun) -> None:
+    node, executor = spun
+    node.set_parameters([Parameter("use_sim_time", value=True)])
+    publisher = node.create_publisher(Clock, "/clock", reliable(10))
+
+    def send(seconds: int) -> None:
+        message = Clock()
+        message.clock.sec = seconds
+        publisher.publish(message)
+
+    # One at a time: only the newest waits to be taken.
+    while publisher.get_subscription_count() == 0:
+        executor.spin_once(timeout_sec=0.1)
+    send(-5)
+    while not executor.dropped:
+        executor.spin_once(timeout_sec=1.0)
+    assert executor.dropped == {"/clock": 1}
+    send(7)
+    while node.get_clock().now().nanoseconds != 7 * 10**9:
+        executor.spin_once(timeout_sec=1.0)
+
+
+def test_malformed_messages_are_counted_and_the_others_arrive(spun) -> None:
+    node, executor = spun
+    heard: list[str] = []
+    checked_subscription(
+        node,
+        DiagnosticArray,
+        "health",
+        lambda message: heard.append(message.status[0].name),
+        reliable(1000),
+    )
+    publisher = node.create_publisher(DiagnosticArray, "health", reliable(1000))
+    valid = serialize_message(DiagnosticArray(status=[DiagnosticStatus(name="first")]))
+    publisher.publish(valid)
+    junk = some_malformed(valid, 50)
+    for payload in junk:
+        publisher.publish(payload)
+    publisher.publish(DiagnosticArray())  # valid, but not what the callback expects
+    publisher.publish(DiagnosticArray(status=[DiagnosticStatus(name="last")]))
+    while "last" not in heard:
+        executor.spin_once(timeout_sec=1.0)
+    assert heard[0] == "first"
+    # What trails behind a message is no fault to the decoder of the middleware.
+    assert executor.dropped["/health"] + len(heard) == len(junk) + 3
+    assert executor.dropped["/health"] > len(junk) // 2

@@ -1,0 +1,159 @@
+"""Which topics of a full graph are taken for the robot's."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import rclpy
+from geometry_msgs.msg import WrenchStamped
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import String
+
+from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.model.load import load_model
+from symbid_ros.ros.intake import Polled, subscribe
+from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
+from symbid_ros.share import config_file
+
+OWN = {
+    "/joint_states": (JointState, ""),
+    "/imu/data": (Imu, "imu_link"),
+    "/left_foot/wrench": (WrenchStamped, "left_sole"),
+    "/right_foot/wrench": (WrenchStamped, "right_sole"),
+}
+FOREIGN = {
+    "/dummy/joint_states": (JointState, ""),
+    "/camera/imu": (Imu, "camera_imu_optical_frame"),
+    "/imu/data_raw": (Imu, "imu_link"),  # the same sensor's once more
+    "/hand/wrench": (WrenchStamped, "hand"),
+    "/ground_truth/joint_states": (JointState, ""),
+    **{f"/robot2{name}": kind for name, kind in OWN.items()},
+}
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model(config_file("symbitron.xml"))
+
+
+class Talk:
+    """Publishers of one process and the topics that a robot's identifier chooses in it."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self._nodes: list[Node] = []
+        self._robot = self.node("robot")
+        self._publishers: list[tuple[Any, Any]] = []
+
+    def node(self, name: str, **options: Any) -> Node:
+        self._nodes.append(Node(name, context=self.context, **options))
+        return self._nodes[-1]
+
+    def publish(self, topics: dict[str, tuple[type, str]]) -> None:
+        for name, (kind, frame) in topics.items():
+            message = kind()
+            if kind is not String:
+                message.header.frame_id = frame
+            self._publishers.append((self._robot.create_publisher(kind, name, 10), message))
+
+    def chosen(self, sensors: SensorTopics) -> set[str]:
+        """Return the names chosen once the topics are complete."""
+        while (selected := sensors.look()) is None:
+            self.say()
+        return {topic.name for topic in selected.all}
+
+    def say(self) -> None:
+        for publisher, message in self._publishers:
+            publisher.publish(message)
+
+    def close(self) -> None:
+        for node in self._nodes:
+            node.destroy_node()
+        self.context.try_shutdown()
+
+
+@pytest.fixture
+def talk(domain: int) -> Iterator[Talk]:
+    talk = Talk(domain)
+    yield talk
+    talk.close()
+
+
+@pytest.fixture
+def stranger(domain: int) -> Iterator[Talk]:
+    """Another participant: in one, a topic has one type."""
+    stranger = Talk(domain)
+    yield stranger
+    stranger.close()
+
+
+def sensors(talk: Talk, model, *, settle: float = 0.0, arguments=(), **options: Any):
+    words = ["--ros-args", *arguments]
+    node = talk.node("identifier", cli_args=words, **options)
+    own = own_topics(node, TopicSelection(), words)
+    return SensorTopics(node, own, model, settle, 100)
+
+
+def test_only_its_own_topics_are_taken_whoever_comes_first(talk: Talk, model) -> None:
+    talk.publish(FOREIGN)
+    found = sensors(talk, model)
+    while "/robot2/joint_states" not in found.state:
+        talk.say()
+        assert found.look() is None
+    assert "may be another robot's" in found.state
+    assert "no frame 'camera_imu_optical_frame'" in found.state or "/camera/imu" not in found.state
+    talk.publish(OWN)
+    while found.look() is None or len(found.look().all) < len(OWN):
+        talk.say()
+    assert talk.chosen(found) == set(OWN)
+
+
+def test_in_a_namespace_its_topics_are_taken(talk: Talk, model) -> None:
+    talk.publish(OWN | FOREIGN)
+    found = sensors(talk, model, namespace="/robot2")
+    while (selected := found.look()) is None or len(selected.all) < len(OWN):
+        talk.say()
+    assert talk.chosen(found) == {f"/robot2{name}" for name in OWN}
+
+
+def test_a_remapped_wrench_is_taken_and_not_what_bears_its_name(talk: Talk, model) -> None:
+    talk.publish(OWN | {"/ft/left": (WrenchStamped, "left_sole")})
+    found = sensors(talk, model, arguments=["-r", "left_foot/wrench:=/ft/left"])
+    while (selected := found.look()) is None or len(selected.all) < len(OWN):
+        talk.say()
+    assert talk.chosen(found) == set(OWN) - {"/left_foot/wrench"} | {"/ft/left"}
+
+
+def test_a_publisher_of_another_type_is_passed_over(talk: Talk, model, stranger: Talk) -> None:
+    stranger.publish({"/joint_states": (String, "")})
+    talk.publish(OWN)
+    found = sensors(talk, model)
+    while (selected := found.look()) is None or len(selected.all) < len(OWN):
+        talk.say()
+    assert dict(found.intakes(selected))[selected.joints].msgtype == "sensor_msgs/msg/JointState"
+
+
+def test_a_publisher_that_offers_less_is_heard_as_well_and_nothing_twice(talk: Talk) -> None:
+    robot, listener = talk.node("other"), talk.node("listener")
+    first = robot.create_publisher(Imu, "imu/data", 10)
+    intake = None
+    while intake is None:
+        intake = subscribe(listener, "/imu/data", 100, Polled())
+    less = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+    second = robot.create_publisher(Imu, "imu/data", less)
+    while second.get_subscription_count() == 0 or first.get_subscription_count() < 2:
+        intake.follow()
+    heard: list[bytes] = []
+    for number in range(20):
+        message = Imu()
+        message.linear_acceleration.x = float(number)
+        (first, second)[number % 2].publish(message)
+        while len(heard) <= number:
+            heard += [arrival.payload for arrival in intake.arrivals()]
+    first.wait_for_all_acked()
+    heard += [arrival.payload for arrival in intake.arrivals()]
+    assert len(heard) == len(set(heard)) == 20
