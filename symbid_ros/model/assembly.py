@@ -133,7 +133,7 @@ def assemble(
     Raises
     ------
     ModelError
-        When a name is used twice, an axis is zero, a number is not finite or nothing moves.
+        When a name is used twice, an axis is zero or a number is not finite.
     """
     assembly = _Assembly(source)
     carriers: list[_Carrier] = []
@@ -157,8 +157,6 @@ def assemble(
     links = tuple(
         Link(*fields) for fields in zip(assembly.names, assembly.phi, assembly.virtual, strict=True)
     )
-    if not floating and not assembly.joints:
-        raise ModelError(f"{source}: nothing moves in this model; it needs joints")
     frames = tuple(assembly.frames[key] for key in sorted(assembly.frames))
     return RobotModel(name, links, joints, frames, floating, gravity, source)
 
