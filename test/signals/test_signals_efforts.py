@@ -8,7 +8,7 @@ from random_robots import random_robot
 
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.alignment import align
+from symbid_ros.signals.alignment import align, cut_to
 from symbid_ros.signals.efforts import SPAN
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.samples import build_samples
@@ -172,3 +172,41 @@ def test_filtered_instants_lose_the_joints_row_only_where_it_has_no_effort() -> 
     np.testing.assert_array_equal(is_lost[:, 1], inside)
     assert np.count_nonzero(inside) > 100
     assert np.count_nonzero(~inside) > 250
+
+
+def part_of(streams: Streams, start: int, stop: int) -> Streams:
+    """Return what was stamped from ``start`` up to ``stop``, ns."""
+
+    def cut(stream):
+        inside = (stream.stamp >= start) & (stream.stamp < stop)
+        arrays = {
+            name: value[inside]
+            for name, value in vars(stream).items()
+            if isinstance(value, np.ndarray)
+        }
+        return replace(stream, **arrays)
+
+    return replace(streams, joints=cut(streams.joints), imus=tuple(map(cut, streams.imus)))
+
+
+def test_what_is_left_out_does_not_depend_on_how_a_log_is_cut() -> None:
+    """Live, one block and a margin are at hand; from a bag, a minute."""
+    model = robot()
+    holes = streams_of(model)
+    effort = holes.joints.effort
+    effort[SPAN_ROWS + 50 : SPAN_ROWS + 60, 0] = NAN  # too long a gap, inside a block
+    effort[2 * SPAN_ROWS - 2 : 2 * SPAN_ROWS + 2, 1] = NAN  # a short one, across two
+    effort[:SPAN_ROWS, 2] = 0.0
+    effort[7::10, 2] = np.where(effort[7::10, 2] == 0.0, 0.0, NAN)
+    (whole,) = align(holes, model)
+    lost = np.isnan(whole.effort)
+    assert lost[SPAN_ROWS : 2 * SPAN_ROWS, 0].all()
+    assert lost[:SPAN_ROWS, 2].all()
+    assert np.count_nonzero(lost) == 2 * SPAN_ROWS
+    margin = 100_000_000
+    for block in range(3):
+        start, stop = block * SPAN, (block + 1) * SPAN
+        (live,) = cut_to(align(part_of(holes, start - margin, stop + margin), model), start, stop)
+        (read,) = cut_to([whole], start, stop)
+        np.testing.assert_array_equal(live.stamp, read.stamp)
+        np.testing.assert_allclose(live.effort, read.effort, atol=1e-3)
