@@ -177,11 +177,11 @@ def _looks(simulator: Simulator, seconds: float, seed: int, memory: float) -> It
 
 
 def _look(time: float, outcome: Outcome, parameters: ParameterSet) -> Look:
-    estimate = outcome.found.estimate
+    estimate, change = outcome.found.estimate, outcome.change
     assert estimate.std is not None
     return Look(
         time,
-        outcome.change.suspect.link if outcome.change is not None else "",
+        "" if change is None else " or ".join(one.link for one in change.suspects),
         parameters.link_phi(estimate.value)[:, 0],
         parameters.link_phi(estimate.std)[:, 0],
     )

@@ -3,11 +3,14 @@
 import json
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from symbid_ros.cli.options import BaseKind, ImuTopic, JointTopic, Start, Stop, WrenchTopic
+
+if TYPE_CHECKING:
+    from symbid_ros.diagnosis.diagnosis import Diagnosis
 
 app = typer.Typer(help="Look into bags, judge them and recover damaged ones.", no_args_is_help=True)
 
@@ -83,7 +86,6 @@ def doctor(
     """
     from symbid_ros.bags.streams.selection import TopicSelection
     from symbid_ros.bags.streams.slices import TimeRange
-    from symbid_ros.cli.doctor_tables import print_diagnosis
     from symbid_ros.diagnosis.doctor import diagnose
     from symbid_ros.model.load import load_model
 
@@ -94,9 +96,16 @@ def doctor(
     )
     robot = None if model is None else load_model(model, base)
     found = diagnose(bags, robot, topics, TimeRange(start, stop))
-    if as_json:
-        typer.echo(json.dumps(found.as_dict(), indent=1))
-    else:
-        print_diagnosis(found)
+    print_verdict(found, as_json=as_json)
     if found.severity:
         raise typer.Exit(int(found.severity))
+
+
+def print_verdict(diagnosis: "Diagnosis", *, as_json: bool) -> None:
+    """Print what the doctor found, as JSON or as tables."""
+    from symbid_ros.cli.doctor_tables import print_diagnosis
+
+    if as_json:
+        typer.echo(json.dumps(diagnosis.as_dict(), indent=1))
+    else:
+        print_diagnosis(diagnosis)

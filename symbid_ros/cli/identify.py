@@ -186,9 +186,7 @@ def identify(
     base: BaseKind = "auto",
     unchecked: Annotated[
         bool,
-        typer.Option(
-            "--unchecked", help="Go on with data that contradict the model (doc/diagnosis.md)."
-        ),
+        typer.Option("--unchecked", help="Do without the doctor's checks (doc/diagnosis.md)."),
     ] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the result of an earlier run in --out.")
@@ -198,7 +196,10 @@ def identify(
 
     All links come out physically possible, each number with a standard deviation.
 
-    A verdict says what the data decided and what looks wrong.
+    A verdict says what the data decided; alarms come first. Before that the log is checked as by
+    `symbid bag doctor`.
+
+    Exit status: 0 written, 1 written with alarms: do not trust the numbers yet, 2 nothing written.
     """
     from symbid_ros.bags.streams.selection import TopicSelection
     from symbid_ros.bags.streams.slices import TimeRange
@@ -250,3 +251,6 @@ def identify(
     found = prepared.solve(method)
     write_identification(found, prepared.parameters, out)
     print_estimate(found.estimate, out)
+    verdict = found.estimate.verdict
+    if verdict is not None and verdict.alarms:
+        raise typer.Exit(1)

@@ -11,7 +11,7 @@ from symbid_ros.estimation.verdict import Verdict
 
 
 def print_estimate(estimate: Estimate, out: Path) -> None:
-    """Print masses, verdicts and where the files are.
+    """Print alarms, masses, verdicts and where the files are.
 
     Parameters
     ----------
@@ -21,8 +21,10 @@ def print_estimate(estimate: Estimate, out: Path) -> None:
         Folder that its files were written to.
     """
     console = Console(highlight=False)
-    console.print(links_table(estimate))
     # Long lines are left to the terminal to wrap: whoever reads them from a pipe gets them whole.
+    for alarm in estimate.verdict.alarms if estimate.verdict is not None else ():
+        console.print(Text(f"alarm: {alarm}", style="bold red"), soft_wrap=True)
+    console.print(links_table(estimate))
     for line in _lines(estimate, out):
         console.print(line, soft_wrap=True)
 
@@ -77,4 +79,6 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
         lines.append(f"{known} of {len(verdict.sensors)} sensor errors determined")
     if not verdict.alarms:
         return [*lines, Text("no alarm", style="green")]
-    return [*lines, *(Text(f"alarm: {alarm}", style="bold red") for alarm in verdict.alarms)]
+    count = len(verdict.alarms)
+    told = "1 alarm" if count == 1 else f"{count} alarms"
+    return [*lines, Text(f"{told}: do not trust these numbers yet", style="bold red")]

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from symbid_ros.diagnosis.finding import Finding, Severity
+from symbid_ros.diagnosis.finding import Finding, Severity, json_figures
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ class Diagnosis:
         return {
             "source": self.source,
             "severity": self.severity.name.lower(),
-            "streams": [asdict(stream) for stream in self.streams],
+            "streams": [json_figures(asdict(stream)) for stream in self.streams],
             "findings": [finding.as_dict() for finding in self.findings],
-            "figures": dict(self.figures),
+            "figures": json_figures(self.figures),
             "left_out": list(self.left_out),
         }

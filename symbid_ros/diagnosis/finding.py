@@ -1,10 +1,13 @@
 """What is wrong with a log, one thing at a time."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from types import MappingProxyType
 from typing import Any
+
+import numpy as np
 
 
 class Severity(IntEnum):
@@ -93,5 +96,16 @@ class Finding:
             "stream": self.stream,
             "severity": self.severity.name.lower(),
             "message": self.message,
-            "figures": dict(self.figures),
+            "figures": json_figures(self.figures),
         }
+
+
+def json_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return figures as JSON can hold them: Python's own numbers, null for NaN and infinity."""
+    return {name: _json_value(value) for name, value in figures.items()}
+
+
+def _json_value(value: Any) -> Any:
+    # Counts and comparisons of arrays are NumPy scalars, which the json module refuses.
+    plain = value.item() if isinstance(value, np.generic) else value
+    return None if isinstance(plain, float) and not math.isfinite(plain) else plain

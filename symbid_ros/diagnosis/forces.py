@@ -41,11 +41,14 @@ class Judged:
     figures : dict of str to float
     blamed : str
         What is wrong with so much of the log that nothing else can be asked; or empty.
+    left_out : tuple of str
+        Checks that could not be made, and why.
     """
 
     findings: tuple[Finding, ...]
     figures: dict[str, float]
     blamed: str = ""
+    left_out: tuple[str, ...] = ()
 
 
 def judge_forces(
@@ -86,11 +89,14 @@ def judge_forces(
         far = any(turn.cost > FURTHEST for turn in turned.values())
         if far or not loaded or not EXPLAINED[0] < middle < EXPLAINED[1]:
             return Judged((_unexplained(watch, gains, frames),), figures, Kind.WEIGHT.value)
+    # Without a single effort the wrenches' gains shrink together with the inertias.
+    is_anchored = bool(known) or not gains.sensors.driven
     found = [
         *(
             one
             for index, turn in turned.items()
             for one in _of_wrench(topics[frames[index]], frames[index], turn, common)
+            if is_anchored or one.kind is not Kind.WRENCH_GAIN
         ),
         *_of_efforts(joints, known, common),
     ]
@@ -99,7 +105,8 @@ def judge_forces(
     vanishing = bool(found) and not EXPLAINED[0] <= common <= EXPLAINED[1]
     if several or vanishing:
         found = [_contradiction([joints, *topics.values()])]
-    return Judged(tuple(found), figures, found[0].kind.value if found else "")
+    left_out = () if is_anchored else ("wrench_gain: no joint's effort is known to compare with",)
+    return Judged(tuple(found), figures, found[0].kind.value if found else "", left_out)
 
 
 def _is_known(gain: float, std: float) -> bool:

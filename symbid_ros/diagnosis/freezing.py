@@ -136,8 +136,18 @@ def _reading(
 ) -> Reading:
     inside = slice(*np.searchsorted(stamp, during).tolist())
     changed = np.ones(len(stamp), dtype=bool)
-    changed[1:] = np.any(values[1:] != values[:-1], axis=1)
-    return Reading(*name, stamp[inside], changed[inside], ~np.any(values[inside], axis=1))
+    changed[1:] = np.any(differs(values[1:], values[:-1]), axis=1)
+    # Zeros, or NaN: what nobody measures does not freeze.
+    is_blank = ~np.any(np.nan_to_num(values), axis=1)
+    return Reading(*name, stamp[inside], changed[inside], is_blank[inside])
+
+
+def differs(later: FloatArray, earlier: FloatArray) -> BoolArray:
+    """Tell which values are not the same; NaN, what a message does not say, is the same as NaN."""
+    differs: BoolArray = later != earlier
+    if np.isnan(later).any():
+        differs &= ~(np.isnan(later) & np.isnan(earlier))
+    return differs
 
 
 def _runs(reading: Reading) -> Iterator[tuple[int, int]]:

@@ -26,7 +26,7 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.readings import Readings, at_base
-from symbid_ros.signals.weak_form import RowBuilder, SampledRows
+from symbid_ros.signals.weak_form import RowBuilder, SampledRows, valid_rows
 
 CHUNK = 512
 PER_SENSOR = 10  # unknowns of a wrench sensor or an IMU: its matrix row by row, then its delay
@@ -148,7 +148,7 @@ class SensorGains:
                 parts[:, :, sensors + index, 9] = -rows.K @ parameters.values
         C[:, :, : self.efforts.start] = parts.reshape(count, model.dof, -1)
         rows_, columns_ = self._efforts(model)
-        effort = readings.effort[:, list(self.driven)]
+        effort = np.nan_to_num(readings.effort[:, list(self.driven)])
         C[:, rows_, columns_] = effort
         C[:, rows_, self.effort_delay] = slope(effort)
         return C
@@ -198,6 +198,6 @@ def gain_rows(parameters: ParameterSet, gains: SensorGains) -> RowBuilder:
             rows = equation_of_motion(parameters, at_base(part, model))
             K = np.concatenate([rows.K, -gains.columns(parameters, part)], axis=2)
             valid = np.ones(rows.y.shape, dtype=bool)
-            yield SampledRows(part.stamp, Rows(K, rows.y), valid)
+            yield valid_rows(part.stamp, Rows(K, rows.y), valid)
 
     return build

@@ -4,7 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.bags.streams.tally import ALWAYS
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.streams import JointStream
@@ -21,6 +22,8 @@ SCALES = 0.5, 2.0
 ALIKE = 1.3
 # Beyond its limits by more, rad, and the joint is elsewhere.
 BEYOND = 0.35
+# A joint whose position is missing in this share of the messages cannot be placed.
+MOST_MISSING = 0.5
 
 
 @dataclass
@@ -39,20 +42,34 @@ class JointMotion:
     _both: FloatArray = field(init=False)
     _low: FloatArray = field(init=False)
     _high: FloatArray = field(init=False)
-    _efforts: bool = False
     _count: int = 0
+    _messages: int = 0
+    _without_position: IntArray = field(init=False)
+    _without_effort: IntArray = field(init=False)
+    _has_effort: BoolArray = field(init=False)
 
     def __post_init__(self) -> None:
         """Begin without data."""
         joints = len(self.names)
         self._both = np.zeros((3, joints))
         self._low, self._high = np.full(joints, np.inf), np.full(joints, -np.inf)
+        self._without_position = np.zeros(joints, dtype=np.int64)
+        self._without_effort = np.zeros(joints, dtype=np.int64)
+        self._has_effort = np.zeros(joints, dtype=bool)
 
-    def add(self, joints: JointStream) -> None:
-        """Take messages in the order of their stamps; those of other joints are left out."""
+    def add(self, joints: JointStream, during: tuple[int, int] = ALWAYS) -> None:
+        """Take messages in the order of their stamps; those of other joints are left out.
+
+        What they lack is counted from the first stamp of ``during`` up to the second, ns.
+        """
         if joints.names != self.names or len(joints.stamp) < 3:
             return
-        self._efforts |= bool(np.any(np.nan_to_num(joints.effort) != 0.0))
+        inside = slice(*np.searchsorted(joints.stamp, during).tolist())
+        is_finite = np.isfinite(joints.effort[inside])
+        self._messages += len(is_finite)
+        self._without_effort += np.count_nonzero(~is_finite, axis=0)
+        self._without_position += np.count_nonzero(~np.isfinite(joints.position[inside]), axis=0)
+        self._has_effort |= np.any(is_finite & (joints.effort[inside] != 0.0), axis=0)
         position = joints.position
         self._low = np.fmin(self._low, np.nanmin(position, axis=0, initial=np.inf))
         self._high = np.fmax(self._high, np.nanmax(position, axis=0, initial=-np.inf))
@@ -80,16 +97,64 @@ class JointMotion:
     def findings(self, model: RobotModel | None) -> list[Finding]:
         """Return what is wrong with positions or velocities."""
         found = self._of_degrees(model) if model is not None else []
-        if not self._efforts and self._count:
-            found.append(
-                Finding.of(
-                    self.topic,
-                    Kind.MISSING_JOINT,
-                    "every effort is zero in every message; let the driver fill JointState.effort",
-                    {"joints": len(self.names)},
+        return [*self._missing(model), *(found or self._of_velocity())]
+
+    def _missing(self, model: RobotModel | None) -> list[Finding]:
+        """Tell which joints lack positions or efforts, of those that need them."""
+        if not self._messages:
+            return []
+        joints = {} if model is None else {joint.name: joint for joint in model.joints}
+        known = [i for i, name in enumerate(self.names) if model is None or name in joints]
+        driven = [i for i in known if model is None or joints[self.names[i]].effort > 0]
+        found = []
+        for index in known:
+            if self._without_position[index]:
+                share = float(self._without_position[index] / self._messages)
+                is_fatal = model is not None and share >= MOST_MISSING
+                found.append(
+                    Finding.of(
+                        self.topic,
+                        Kind.MISSING_JOINT,
+                        f"{self._without_position[index]} of {self._messages} messages have no "
+                        f"position of {self.names[index]}; let the driver fill "
+                        "JointState.position",
+                        {"messages": self._without_position[index], "share": share},
+                        Severity.UNUSABLE if is_fatal else Severity.WARNING,
+                    )
                 )
+        silent = [i for i in driven if not self._has_effort[i]]
+        # The base's rows tell of a floating robot without any effort.
+        is_fatal = len(silent) == len(driven) and (model is None or not model.floating)
+        for is_zero in (True, False):
+            places = [i for i in silent if (self._without_effort[i] < self._messages) == is_zero]
+            if places:
+                found.append(
+                    Finding.of(
+                        self.topic,
+                        Kind.MISSING_JOINT,
+                        f"the effort of {self._of(places)} is "
+                        f"{'always zero' if is_zero else 'in no message'}, their own rows of the "
+                        "equation of motion are left out; let the driver fill JointState.effort",
+                        {"joints": len(places)},
+                        Severity.UNUSABLE if is_fatal else Severity.WARNING,
+                    )
+                )
+        found += [
+            Finding.of(
+                self.topic,
+                Kind.MISSING_JOINT,
+                f"{self._without_effort[i]} of {self._messages} messages have no effort of "
+                f"{self.names[i]}; let the driver fill JointState.effort",
+                {
+                    "messages": self._without_effort[i],
+                    "share": self._without_effort[i] / self._messages,
+                },
+                Severity.WARNING,
             )
-        return found or self._of_velocity()
+            for i in driven
+            if self._has_effort[i] and self._without_effort[i]
+        ]
+        return found
 
     def _of_velocity(self) -> list[Finding]:
         change, both, velocity = self._both / max(self._count, 1)
@@ -153,10 +218,11 @@ class JointMotion:
             asked += 1
             if min(low / DEGREES - joint.lower, joint.upper - high / DEGREES) < -BEYOND:
                 return []
-            outside += min(low - joint.lower, joint.upper - high) < -BEYOND
-        largest = float(np.max(np.abs([self._low, self._high]), initial=0.0))
+            outside += int(min(low - joint.lower, joint.upper - high) < -BEYOND)
+        reached = np.abs([self._low, self._high])
+        largest = float(np.max(reached[np.isfinite(reached)], initial=0.0))
         # One joint may spin, or have its limits wrong.
-        if not outside or 2 * outside < asked or not 2 * np.pi < largest < np.inf:
+        if not outside or 2 * outside < asked or largest <= 2 * np.pi:
             return []
         return [
             Finding.of(

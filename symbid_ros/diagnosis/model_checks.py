@@ -85,6 +85,7 @@ def check_model(
             return checks
     checks.findings += judged.findings
     checks.figures |= judged.figures
+    checks.left_out += judged.left_out
     if judged.blamed:
         checks.left_out.append(f"delay, excitation: they would repeat {judged.blamed}")
         return checks

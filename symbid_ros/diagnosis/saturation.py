@@ -9,6 +9,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.bags.streams.tally import ALWAYS
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.diagnosis.freezing import differs
 from symbid_ros.signals.streams import Streams
 
 # A channel is saturated that was at its extreme so often,
@@ -75,7 +76,7 @@ class Saturation:
         for topic, names, stamp, readings in channels(streams):
             inside = slice(*np.searchsorted(stamp, during).tolist())
             block = readings[inside]
-            changed = block[1:] != block[:-1]
+            changed = differs(block[1:], block[:-1])
             for column, name in enumerate(names):
                 # At rest, and without noise, all channels repeat themselves; a limit is one's own.
                 alone = np.count_nonzero(changed, axis=1) - changed[:, column] > 0

@@ -21,6 +21,11 @@ from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import WindowedRows
 
+# Log-likelihood, nat, by which one link must fit new rows better than another to be named alone.
+# A mass on a hinge's axis moves alike with either of its links: their evidence then differs only by
+# how likely a payload of that size and place was thought to be.
+TOLD_APART = 10.0
+
 
 @dataclass(frozen=True)
 class LinkChange:
@@ -31,6 +36,8 @@ class LinkChange:
     link : str
     evidence : float
         That this link has changed and no other, against no change at all, nat.
+    fit : float
+        Log-likelihood that the change adds at its most probable size, nat: what the rows alone say.
     phi : (10,) float64
         What was added to its parameters, about its origin.
     std : (10,) float64
@@ -39,6 +46,7 @@ class LinkChange:
 
     link: str
     evidence: float
+    fit: float
     phi: FloatArray
     std: FloatArray
 
@@ -57,6 +65,17 @@ class Innovation:
 
     misfit: float
     links: tuple[LinkChange, ...]
+
+    def suspects(self, usual: float = 1.0) -> tuple[LinkChange, ...]:
+        """Return the links that explain the new rows about as well as the best one, best first.
+
+        Parameters
+        ----------
+        usual : float
+            Misfit of rows without a change: log-likelihoods are too large by this factor.
+        """
+        least = self.links[0].fit - TOLD_APART * usual
+        return tuple(link for link in self.links if link.fit >= least)
 
 
 def innovation(
@@ -93,6 +112,7 @@ def innovation(
             LinkChange(
                 parameters.link_names[index],
                 float(g @ delta - np.linalg.slogdet(H)[1]) / 2,
+                float(g @ delta - np.sum((M @ delta) ** 2) / 2),
                 scale * delta,
                 scale * np.sqrt(np.linalg.inv(H).diagonal()),
             )

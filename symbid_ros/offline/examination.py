@@ -1,12 +1,14 @@
-"""A record held against its model before anything is believed of it: the doctor's checks."""
+"""The doctor's checks of a record, made before it is used."""
 
 import logging
+from collections.abc import Sequence
 
 from symbid_ros.bags.container.contents import bag_names, contents
 from symbid_ros.bags.streams.selection import Selector, TopicSelection
-from symbid_ros.diagnosis.finding import Finding, Severity
+from symbid_ros.diagnosis.finding import Finding, Kind
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_watch import ModelWatch
+from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.model.parameters import ParameterSet
@@ -15,13 +17,21 @@ from symbid_ros.offline.record import Record
 logger = logging.getLogger(__name__)
 
 
-def examine(record: Record, parameters: ParameterSet, prior: Prior, topics: TopicSelection) -> None:
-    """Warn of what is wrong between a record's sensors and its model.
+def examine(
+    record: Record,
+    checks: StreamChecks,
+    parameters: ParameterSet,
+    prior: Prior,
+    topics: TopicSelection,
+) -> None:
+    """Warn of what is wrong with a record's streams, and between them and its model.
 
     Parameters
     ----------
     record : Record
         Its stretches are read once more if they are too long to be kept.
+    checks : StreamChecks
+        Of its streams.
     parameters : ParameterSet
         Of the job.
     prior : Prior
@@ -32,9 +42,12 @@ def examine(record: Record, parameters: ParameterSet, prior: Prior, topics: Topi
     Raises
     ------
     DataError
-        When a sign, a frame or a mounting is wrong, or a contact is missing.
+        When the record is unusable: a unit, sign, frame or mounting is wrong, a contact is
+        missing, or a topic says next to nothing.
     """
     source = bag_names(record.bags)
+    of_streams = checks.findings(source)
+    _refuse(source, of_streams)
     chosen = Selector(source, topics, contents(record.bags)).selected()
     watch: ModelWatch | None = None
     for segment in record.segments:
@@ -50,14 +63,19 @@ def examine(record: Record, parameters: ParameterSet, prior: Prior, topics: Topi
         [imu.name for imu in chosen.imus],
         dict(zip(watch.gains.wrench_frames, (one.name for one in chosen.wrenches), strict=True)),
     ).findings
-    unusable = [one for one in found if one.severity is Severity.UNUSABLE]
-    if unusable:
-        raise DataError(_refusal(source, unusable))
-    for finding in found:
-        logger.warning("%s: %s", source, finding.message)
+    _refuse(source, found)
+    for finding in sorted([*of_streams, *found], key=lambda one: -one.severity):
+        left_out = finding.kind in (Kind.FROZEN, Kind.SATURATED)
+        also = "; those messages are left out" if left_out else ""
+        logger.warning("%s: %s%s", source, finding.message, also)
 
 
-def _refusal(source: str, unusable: list[Finding]) -> str:
-    others = ", ".join(f"{one.kind.value} of {one.stream or 'all'}" for one in unusable[1:])
+def _refuse(source: str, findings: Sequence[Finding]) -> None:
+    if wrong := unusable(findings):
+        raise DataError(_refusal(source, wrong))
+
+
+def _refusal(source: str, wrong: Sequence[Finding]) -> str:
+    others = ", ".join(f"{one.kind.value} of {one.stream or 'all'}" for one in wrong[1:])
     also = f"; also {others}" if others else ""
-    return f"{source}: {unusable[0].message}{also}; --unchecked goes on all the same"
+    return f"{source}: {wrong[0].message}{also}; --unchecked goes on all the same"

@@ -124,7 +124,7 @@ class Solver:
             value[:p],
             found.std[:p],
             condition=float(singular[0] / singular[-1]),
-            residuals=self.chosen.rows.residual_rmse(value),
+            residuals=self._residuals(value),
         )
         return Identification(
             replace(estimate, verdict=verdict), problem.observations, found.deviation_factor[:p]
@@ -177,10 +177,20 @@ class Solver:
             value,
             scaled.std(z, problem.prior.std),
             condition=float(scaled.singular_values[0] / scaled.singular_values[z - 1]),
-            residuals=self.chosen.rows.residual_rmse(value),
+            residuals=self._residuals(value),
             rank=z,
         )
         return Identification(estimate, problem.observations, None)
+
+    def _residuals(self, value: FloatArray) -> dict[str, float]:
+        """Return the root mean square residual of every coordinate that has rows."""
+        residuals = self.chosen.rows.residual_rmse(value)
+        used = self.chosen.counts.diagonal() > 0
+        return {
+            name: rmse
+            for (name, rmse), has_rows in zip(residuals.items(), used, strict=True)
+            if has_rows
+        }
 
     def _estimate(
         self,

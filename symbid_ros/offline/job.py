@@ -1,10 +1,12 @@
 """One offline identification as a user asks for it; command and node both run this."""
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from symbid_ros.bags.streams.slices import ALL_OF_IT
+from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.observations import Observations
@@ -137,14 +139,11 @@ def prepare(job: Job) -> Prepared:
     parameters = load_parameters(job)
     prior = job.prior.load(parameters)
     known = job.facts.rows(parameters, prior)
-    record = read_record(job.bags, parameters, job.processing)
+    record = _checked_record(job, job.bags, job.processing, parameters, prior)
     validation = None
     if job.validation is not None:
         whole = replace(job.processing, part=ALL_OF_IT)
-        validation = read_record([job.validation], parameters, whole)
-    if not job.unchecked:
-        for one in filter(None, (record, validation)):
-            examine(one, parameters, prior, job.processing.topics)
+        validation = _checked_record(job, [job.validation], whole, parameters, prior)
     return Prepared(
         job,
         parameters,
@@ -153,6 +152,18 @@ def prepare(job: Job) -> Prepared:
         Solver.of(_problem(job, parameters, prior, record, known)),
         validation,
     )
+
+
+def _checked_record(
+    job: Job, bags: Sequence[Path], processing: Processing, parameters: ParameterSet, prior: Prior
+) -> Record:
+    """Read a log and check it as the doctor does, unless the job does without."""
+    if job.unchecked:
+        return read_record(bags, parameters, processing)
+    checks = StreamChecks(parameters.model)
+    record = read_record(bags, parameters, processing, checks)
+    examine(record, checks, parameters, prior, processing.topics)
+    return record
 
 
 def load_parameters(job: Job) -> ParameterSet:

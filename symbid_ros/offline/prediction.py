@@ -156,7 +156,7 @@ def _known(
         stamp=segment.stamp[edge:],
         position=position[edge:],
         velocity=velocity[edge:],
-        last_effort=segment.effort[edge - 1 : -1],
+        last_effort=np.nan_to_num(segment.effort[edge - 1 : -1]),
         base_angular_velocity=_base_rate(segment, streams, model, low_pass, velocity)[edge:],
     )
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.bags.streams.slices import ALL_OF_IT, TimeRange
+from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.layout import RowLayout
@@ -133,9 +134,14 @@ class Record:
 
 
 def read_record(
-    bags: Sequence[Path], parameters: ParameterSet, processing: Processing | None = None
+    bags: Sequence[Path],
+    parameters: ParameterSet,
+    processing: Processing | None = None,
+    checks: StreamChecks | None = None,
 ) -> Record:
     """Read bags piece by piece, build samples and fold their rows.
+
+    ``checks`` takes the streams on the way.
 
     Raises
     ------
@@ -143,7 +149,7 @@ def read_record(
         When a bag, its data or the model does not serve; the message says which.
     """
     processing = processing or Processing()
-    log = SensorLog(bags, parameters.model, processing.topics, processing.part)
+    log = SensorLog(bags, parameters.model, processing.topics, processing.part, checks=checks)
     segments = log if processing.smoothing is None else log.whole_stretches()
     return fold_record(segments, bags, parameters, processing)
 

@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -10,9 +9,10 @@ from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.bags.streams.slices import ALL_OF_IT, TimeRange, iterate_slices
 from symbid_ros.diagnosis.finding import Finding
 from symbid_ros.diagnosis.masking import masked
+from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import Segment, cut_to
+from symbid_ros.signals.alignment import Segment, cut_to, warned_once
 from symbid_ros.signals.samples import moving_segments
 from symbid_ros.signals.weak_form import BLOCK
 
@@ -41,6 +41,9 @@ class SensorLog:
         Length of the slices that are in memory at a time, ns.
     most_kept : int
         Bytes of stretches that are kept rather than read again.
+    checks : StreamChecks, optional
+        Takes every slice as it is read for the first time. It says what is wrong with the streams,
+        so that reading warns of nothing but what is left out.
 
     Raises
     ------
@@ -57,9 +60,11 @@ class SensorLog:
         *,
         span: int = SPAN,
         most_kept: int = MOST_KEPT,
+        checks: StreamChecks | None = None,
     ) -> None:
         self._bags, self._model, self._topics, self._part = tuple(bags), model, topics, part
         self._span, self._most_kept = span, most_kept
+        self._checks = checks
         self._kept: tuple[Segment, ...] | None = None
         self._has_been_read = False
 
@@ -88,18 +93,22 @@ class SensorLog:
         return tuple(whole)
 
     def _read(self, *, warn: bool) -> Iterator[Segment]:
+        checks = self._checks if warn else None
+        tell = warn and checks is None
         slices = iterate_slices(
-            self._bags, self._topics, span=self._span, part=self._part, warn=warn
+            self._bags, self._topics, span=self._span, part=self._part, warn=tell
         )
         coverage = _Coverage(", ".join(map(str, self._bags)))
         told: set[tuple[str, str]] = set()
-        with _told_once(muted=not warn):
+        with warned_once(muted=not tell):
             for piece in slices:
+                if checks is not None:
+                    checks.take(piece)
                 if piece.streams is None:
                     coverage.lose(DataError(piece.fault))
                     continue
                 streams, findings = masked(piece.streams)
-                if warn:
+                if tell:
                     _warn_once(findings, told)
                 try:
                     segments = moving_segments(streams, self._model)
@@ -168,22 +177,3 @@ def _warn_once(findings: Iterable[Finding], told: set[tuple[str, str]]) -> None:
         if (finding.kind.value, finding.stream) not in told:
             told.add((finding.kind.value, finding.stream))
             logger.warning("%s; those messages are left out", finding.message)
-
-
-@contextmanager
-def _told_once(*, muted: bool) -> Iterator[None]:
-    """Let alignment say but once, or not at all, what it would say of every slice."""
-    told: set[str] = set()
-
-    def is_new(record: logging.LogRecord) -> bool:
-        message = record.getMessage()
-        is_first = message not in told
-        told.add(message)
-        return is_first and not muted
-
-    alignment = logging.getLogger("symbid_ros.signals.alignment")
-    alignment.addFilter(is_new)
-    try:
-        yield
-    finally:
-        alignment.removeFilter(is_new)

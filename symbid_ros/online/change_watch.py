@@ -4,6 +4,8 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from symbid_ros.estimation.change import Innovation, LinkChange, innovation
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.parameters import ParameterSet
@@ -30,22 +32,41 @@ class Change:
     ----------
     since : int
         Stamp of the first rows that showed it, ns.
-    suspect : LinkChange
-        The link that explains best what has come since, and by how much it has changed.
+    suspects : tuple of LinkChange
+        The link that best explains the rows since then, and any others that explain them about as
+        well, each with the change that it would need.
     """
 
     since: int
-    suspect: LinkChange
+    suspects: tuple[LinkChange, ...]
+
+    @property
+    def suspect(self) -> LinkChange:
+        """The link that best explains what has come since."""
+        return self.suspects[0]
 
     def __str__(self) -> str:
         """Return what an alarm says of it."""
-        phi, std = self.suspect.phi, self.suspect.std
-        gain = f"{phi[0]:+.2f} ± {std[0]:.2f} kg"
-        place = ""
-        if abs(phi[0]) > 3 * std[0]:
-            x, y, z = phi[1:4] / phi[0]
-            place = f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
-        return f"{self.suspect.link} has changed since {self.since * 1e-9:.1f} s: {gain}{place}"
+        names = [suspect.link for suspect in self.suspects]
+        since = f"changed since {self.since * 1e-9:.1f} s"
+        if len(names) == 1:
+            return f"{names[0]} has {since}: {_amount(self.suspect)}"
+        amounts = ", ".join(f"{_amount(one)} on {one.link}" for one in self.suspects)
+        return (
+            f"{', '.join(names[:-1])} or {names[-1]} has {since}, the motion does not tell which: "
+            f"{amounts}"
+        )
+
+
+def _amount(change: LinkChange) -> str:
+    """Return the mass that was added and, where it is known, its place in the link's frame."""
+    mass, std = change.phi[0], change.std[0]
+    place = ""
+    if abs(mass) > 3 * std:
+        # Adding zero removes the sign of a rounded -0.00.
+        x, y, z = np.round(change.phi[1:4] / mass, 2) + 0.0
+        place = f" at ({x:.2f}, {y:.2f}, {z:.2f}) m"
+    return f"{mass:+.2f} ± {std:.2f} kg{place}"
 
 
 class ChangeWatch:
@@ -128,7 +149,7 @@ class ChangeWatch:
             self._after += rows
         after = self._innovation(self._before, self._after)
         if after is not None:
-            self.change = Change(self._since, after.links[0])
+            self.change = Change(self._since, after.suspects(usual))
 
     def _innovation(self, known: Posterior, blocks: Sequence[BlockRows]) -> Innovation | None:
         rows = [part for block in blocks for part in block.of_window(0) if len(part.valid)]

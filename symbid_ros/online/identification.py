@@ -212,15 +212,15 @@ class OnlineIdentification:
         return self._outcome(solver, judged=False)
 
     def _release(self) -> None:
-        """Let the prior of a link go that has changed, where old data are forgotten as well."""
+        """Relax the prior of every link that may have changed, if old data are forgotten too."""
         change = self._watch.change
         if change is None or np.isinf(self._pace.memory):
             return
-        link = change.suspect.link
-        if link not in self._released:
-            self._released.add(link)
-            prior = released(self._problem.prior, self._parameters, link)
-            self._problem = replace(self._problem, prior=prior)
+        for suspect in change.suspects:
+            if suspect.link not in self._released:
+                self._released.add(suspect.link)
+                prior = released(self._problem.prior, self._parameters, suspect.link)
+                self._problem = replace(self._problem, prior=prior)
 
     def _problem_of(self, whole: Whole) -> Problem:
         told = tuple(one for one in whole.observations if one.rows.samples > 0)

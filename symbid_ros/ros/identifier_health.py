@@ -81,9 +81,10 @@ class IdentifierHealth:
             message = "no change" if live.can_tell_change else "too early to tell a change"
             self._change = Health("change", OK, message, figures)
         else:
-            suspect = outcome.change.suspect
+            suspect, *others = outcome.change.suspects
             figures |= {
                 "link": suspect.link,
+                "link/alternatives": ", ".join(other.link for other in others),
                 "since": f"{outcome.change.since * 1e-9:.3f}",
                 "mass": f"{suspect.phi[0]:.4f}",
                 "mass/std": f"{suspect.std[0]:.4f}",

@@ -7,6 +7,7 @@ across a gap: there the record is cut into segments.
 
 import logging
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -16,6 +17,7 @@ from scipy.interpolate import make_interp_spline
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
 from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
 
 logger = logging.getLogger(__name__)
@@ -36,7 +38,8 @@ class Segment:
     rate : float
         Hz.
     position, effort : (M, J) float64
-        Columns in the model's joint order.
+        Columns in the model's joint order; the effort is NaN where a driven joint's was not
+        measured.
     angular_velocity, linear_acceleration : (M, I, 3) float64
         Per IMU, in its own frame.
     wrenches : (M, F, 6) float64
@@ -119,7 +122,7 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ModelError
         When the bag's joints are not the model's.
     """
-    joints = _joint_channel(streams, model)
+    joints, efforts = _joint_channel(streams, model)
     channels = [joints, *map(_imu_channel, streams.imus), *map(_wrench_channel, streams.wrenches)]
     period = _period(joints)
     start = max(int(channel.stamp[0]) for channel in channels)
@@ -130,7 +133,7 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
             f"{streams.source}: the topics {topics} share no time; check their clocks and stamps"
         )
     segments = tuple(
-        _segment(channels, grid, period, streams, len(model.joints))
+        _segment(channels, grid, period, streams, efforts)
         for grid in _grids(channels, start, stop, period)
     )
     if not segments:
@@ -191,8 +194,13 @@ def _merged(cuts: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _segment(
-    channels: Sequence[_Channel], grid: IntArray, period: float, streams: Streams, joints: int
+    channels: Sequence[_Channel],
+    grid: IntArray,
+    period: float,
+    streams: Streams,
+    efforts: MeasuredEfforts,
 ) -> Segment:
+    joints = efforts.values.shape[1]
     position_and_effort, *others = (_resampled(channel, grid) for channel in channels)
     imus, wrenches = others[: len(streams.imus)], others[len(streams.imus) :]
     count = len(grid)
@@ -201,7 +209,7 @@ def _segment(
         stamp=grid,
         rate=1e9 / period,
         position=position_and_effort[:, :joints],
-        effort=position_and_effort[:, joints:],
+        effort=efforts.masked(grid, position_and_effort[:, joints:]),
         angular_velocity=readings[:, :, :3],
         linear_acceleration=readings[:, :, 3:],
         wrenches=np.stack(wrenches, axis=1) if wrenches else np.zeros((count, 0, 6)),
@@ -225,42 +233,37 @@ def _resampled(channel: _Channel, grid: IntArray) -> FloatArray:
     return resampled
 
 
-def _joint_channel(streams: Streams, model: RobotModel) -> _Channel:
-    columns = joint_columns(
-        streams.joints.names, model, f"{streams.source}: {streams.joints.topic}"
-    )
-    effort = streams.joints.effort[:, columns]
-    effort[:, list(model.followers)] = 0.0
-    for index, joint in enumerate(model.joints):
-        # Nothing drives a passive joint, so a log may leave its effort out; one that breaks off
-        # in the middle is a fault like any other.
-        if joint.effort == 0.0 and np.all(np.isnan(effort[:, index])):
-            logger.warning(
-                "%s: %s has no effort of joint %s, which is passive in the model: taken as zero",
-                streams.source,
-                streams.joints.topic,
-                joint.name,
-            )
-            effort[:, index] = 0.0
-    position = model.followed(streams.joints.position[:, columns])
-    values = np.concatenate([position, effort], axis=1)
-    whole = np.logical_and.reduce(np.isfinite(values), axis=1)
-    if 2 * np.count_nonzero(whole) <= len(whole):
-        row, column = np.argwhere(~np.isfinite(values))[0]
-        field = "position" if column < len(columns) else "effort"
-        name = model.joint_names[column % len(columns)]
+def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Channel, MeasuredEfforts]:
+    """Return positions and efforts of the model's joints side by side, and which were measured."""
+    joints = streams.joints
+    topic = f"{streams.source}: {joints.topic}"
+    columns = joint_columns(joints.names, model, topic)
+    stamp, position = joints.stamp, model.followed(joints.position[:, columns])
+    is_finite = np.isfinite(position)
+    whole = np.logical_and.reduce(is_finite, axis=1)
+    if 0 < 2 * np.count_nonzero(~whole) >= len(whole):
+        row, column = np.argwhere(~is_finite)[0]
         raise DataError(
-            f"{streams.source}: {streams.joints.topic} has no finite {field} of joint {name!r} at "
-            f"{streams.joints.stamp[row] * 1e-9:.3f} s, as in half of the messages or more; mend "
-            "or cut the bag"
+            f"{topic} has no finite position of joint {model.joint_names[column]!r} at "
+            f"{stamp[row] * 1e-9:.3f} s, as in half of the messages or more; repair the driver, or "
+            "give a model in which that joint is fixed"
         )
     if not whole.all():
+        names = [model.joint_names[i] for i in np.flatnonzero(~is_finite.all(axis=0))]
         logger.warning(
-            "%s: messages on %s that lack a value of a joint are left out",
-            streams.source,
-            streams.joints.topic,
+            "%s: messages without a finite position of %s are left out", topic, ", ".join(names)
         )
-    return _Channel(streams.joints.topic, streams.joints.stamp[whole], values[whole])
+        stamp, position = stamp[whole], position[whole]
+    longest = LONGEST_GAP * float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
+    effort = joints.effort[whole][:, columns]
+    effort[:, list(model.followers)] = 0.0
+    efforts = measured_efforts(stamp, effort, model, longest, topic)
+    if not model.floating and not efforts.any_row:
+        raise DataError(
+            f"{topic} has no effort of any joint of {model.source}, whose base is fixed; let the "
+            "driver fill JointState.effort"
+        )
+    return _Channel(joints.topic, stamp, np.hstack([position, efforts.values])), efforts
 
 
 def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntArray:
@@ -296,3 +299,25 @@ def _wrench_channel(wrench: WrenchStream) -> _Channel:
     return _Channel(
         wrench.topic, wrench.stamp, np.concatenate([wrench.torque, wrench.force], axis=1)
     )
+
+
+@contextmanager
+def warned_once(*, muted: bool = False) -> Iterator[None]:
+    """Let alignment warn once, or not at all, of what it would say of every slice of a log."""
+    said: set[str] = set()
+
+    def is_new(record: logging.LogRecord) -> bool:
+        message = record.getMessage()
+        is_first = message not in said
+        said.add(message)
+        return is_first and not muted
+
+    # A filter on a logger does not see its children's records.
+    loggers = [logger, logging.getLogger(measured_efforts.__module__)]
+    for each in loggers:
+        each.addFilter(is_new)
+    try:
+        yield
+    finally:
+        for each in loggers:
+            each.removeFilter(is_new)

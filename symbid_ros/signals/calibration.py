@@ -20,7 +20,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.readings import Readings, at_base
 from symbid_ros.signals.sensor_errors import SensorErrors
-from symbid_ros.signals.weak_form import RowBuilder, SampledRows, sticking_left_out
+from symbid_ros.signals.weak_form import RowBuilder, SampledRows, sticking_left_out, valid_rows
 
 # The columns change as slowly as the robot moves: they are worked out this often, and
 # interpolated.
@@ -61,7 +61,7 @@ def error_columns(
             rows = 6 * model.floating + np.flatnonzero(errors.driven)
             gain = errors.of_kind(kind, theta)[:, 0]
             C[:, rows, range(place.start, place.stop)] = (
-                -readings.effort[:, errors.driven] / (1 + gain) ** 2
+                -np.nan_to_num(readings.effort[:, errors.driven]) / (1 + gain) ** 2
             )
     _fill_plates(C, errors, model, readings, theta)
     return C
@@ -108,7 +108,7 @@ def calibrating_rows(parameters: ParameterSet, errors: SensorErrors, pilot: Pilo
             samples = at_base(errors.corrected(part, pilot.theta), parameters.model)
             rows = equation_of_motion(parameters, samples)
             C = _interpolated_columns(parameters, errors, pilot, part)
-            yield SampledRows(
+            yield valid_rows(
                 part.stamp,
                 Rows(np.concatenate([rows.K, -C], axis=2), rows.y - C @ pilot.theta),
                 sticking_left_out(parameters, samples.velocity),

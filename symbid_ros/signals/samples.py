@@ -1,7 +1,8 @@
 """Streams to samples: aligned, filtered, differentiated, carried to the base."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,8 +40,9 @@ def build_samples(
     """
     parts = []
     for segment in segments:
-        samples = at_base(smoothed(segment, smoothing), model)
-        parts.append(samples[:: smoothing.stride(segment.rate)])
+        for part in _by_measured_efforts(segment, 2 * smoothing.settling(segment.rate)):
+            samples = at_base(smoothed(part, smoothing), model)
+            parts.append(samples[:: smoothing.stride(segment.rate)])
     samples = joined(parts)
     if len(samples) == 0:
         raise DataError(
@@ -48,6 +50,18 @@ def build_samples(
             "left once it has settled; record longer or let more through"
         )
     return samples
+
+
+def _by_measured_efforts(segment: Segment, shortest: int) -> Iterator[Segment]:
+    """Cut a stretch where the joints change whose effort was measured: no filter passes NaN."""
+    lost = np.isnan(segment.effort)
+    changes = np.flatnonzero(np.any(lost[1:] != lost[:-1], axis=1)) + 1
+    if not len(changes):
+        yield segment
+        return
+    for start, stop in pairwise([0, *changes.tolist(), len(segment)]):
+        if stop - start > shortest:
+            yield segment.cut(start, stop)
 
 
 def moving_segments(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:

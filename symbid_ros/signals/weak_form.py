@@ -107,11 +107,19 @@ def equation_rows(parameters: ParameterSet) -> RowBuilder:
 
 def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
     """Return the equation of motion at single instants, and where it holds."""
-    return SampledRows(
+    return valid_rows(
         samples.stamp,
         equation_of_motion(parameters, samples),
         sticking_left_out(parameters, samples.velocity),
     )
+
+
+def valid_rows(stamp: IntArray, rows: Rows, valid: BoolArray) -> SampledRows:
+    """Return rows that hold at some coordinates (N, n), less those whose force nobody measured."""
+    measured = np.isfinite(rows.y)
+    if measured.all():
+        return SampledRows(stamp, rows, valid)
+    return SampledRows(stamp, Rows(rows.K, np.where(measured, rows.y, 0.0)), valid & measured)
 
 
 def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:

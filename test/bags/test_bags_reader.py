@@ -174,9 +174,7 @@ def test_reordered_joints_are_matched_by_name(tmp_path: Path) -> None:
     assert joints.effort.tolist() == [[5, 6], [50, 60], [5.5, 6.5]]
 
 
-def test_absent_values_are_nan_and_counted(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_absent_values_are_nan(tmp_path: Path) -> None:
     bag = joints_only(
         tmp_path / "log",
         joint_state(1, ["hip", "knee"], [1.0, 2.0], [3.0, 4.0], [5.0, 6.0]),
@@ -189,8 +187,6 @@ def test_absent_values_are_nan_and_counted(
     nan = np.nan
     np.testing.assert_array_equal(joints.position, [[1, 2], [nan, 2], [1, 2], [1, 2], [nan, nan]])
     np.testing.assert_array_equal(joints.effort, [[5, 6], [nan, 6], *[[nan, nan]] * 3])
-    assert "2 of 5 messages lack the position of a joint" in caplog.text
-    assert "4 of 5 messages lack the effort of a joint" in caplog.text
 
 
 def test_messages_outside_every_layout_are_decoded_singly_and_counted(

@@ -1,10 +1,16 @@
 """``symbid bag doctor``: a log's verdict as table, data and exit status."""
 
 import json
+import math
 
+import numpy as np
 import pytest
 from bag_surgery import Messages, operate
 from random_robots import CONFIG
+
+from symbid_ros.cli.bag import print_verdict
+from symbid_ros.diagnosis.diagnosis import Diagnosis, StreamFigures
+from symbid_ros.diagnosis.finding import Finding, Kind, Severity
 
 MODEL = CONFIG / "symbitron.xml"
 LEFT = "/left_foot/wrench"
@@ -59,3 +65,34 @@ def test_a_bag_that_is_none_is_one_line(symbid_here, tmp_path) -> None:
     result = symbid_here("bag", "doctor", tmp_path / "none")
     assert result.returncode == 2
     assert len(result.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("severity", [Severity.WARNING, Severity.UNUSABLE])
+@pytest.mark.parametrize("kind", Kind)
+def test_every_kind_of_finding_is_printed_in_both_forms(capsys, kind, severity) -> None:
+    """Whatever computed the figures: Python, NumPy, or a division by nothing."""
+    figures = {
+        "count": np.sum(np.array([1, 2])),
+        "is_late": np.bool_(True),
+        "share": np.float32(0.25),
+        "scale": 2.5,
+        "unknown": np.float64("nan"),
+    }
+    finding = Finding(kind, LEFT, severity, f"{LEFT}: [odd] \u2212 it is wrong; mend it", figures)
+    stream = StreamFigures(LEFT, np.int64(7), 1.0, math.inf, 0.0, 0, 0, 0.0)
+    diagnosis = Diagnosis("log", (stream,), (finding,), {"angle": np.float64(3)}, ("delay",))
+    print_verdict(diagnosis, as_json=True)
+    told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    assert told["findings"][0] == {
+        "kind": kind.value,
+        "stream": LEFT,
+        "severity": severity.name.lower(),
+        "message": finding.message,
+        "figures": {"count": 3, "is_late": True, "share": 0.25, "scale": 2.5, "unknown": None},
+    }
+    assert told["figures"] == {"angle": 3.0}
+    assert (told["streams"][0]["messages"], told["streams"][0]["rate_hz"]) == (7, None)
+    print_verdict(diagnosis, as_json=False)
+    text = capsys.readouterr().out
+    assert f"{kind.value}: {finding.message}" in text
+    assert text.splitlines()[-1] == f"{severity.name.lower()}, 1 found"

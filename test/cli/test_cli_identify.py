@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from bag_surgery import Messages, operate
 
 METRICS = {
     "gen_force_rmse",
@@ -189,3 +190,63 @@ def test_no_truth_leaks_into_an_estimate(
         assert set(one) == set(other)
         for key in one:
             np.testing.assert_array_equal(one[key], other[key])
+
+
+def test_a_log_in_degrees_is_refused_with_the_doctors_line(
+    symbid_here, model, short, tmp_path
+) -> None:
+    def degrees(messages: Messages) -> None:
+        for name in ("position", "velocity"):
+            messages.records[name] *= 180 / np.pi
+
+    bag = operate(short, tmp_path / "bag", {"/joint_states": degrees})
+    judged = symbid_here("bag", "doctor", bag, "--model", model, "--json")
+    assert judged.returncode == 2
+    (line,) = [
+        one["message"] for one in json.loads(judged.stdout)["findings"] if one["kind"] == "unit"
+    ]
+    ended = symbid_here("identify", bag, "--model", model, "--out", tmp_path / "out")
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert ended.stderr.startswith(f"symbid: {bag}: {line}")
+    assert "--unchecked" in ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_alarms_come_first_and_status_1_says_that_there_are_some(
+    symbid_here, model, short, prior, tmp_path
+) -> None:
+    certain = json.loads(prior.read_text())
+    for entry in certain["parameters"].values():
+        entry["std"] /= 50
+    (tmp_path / "certain.json").write_text(json.dumps(certain))
+    out = tmp_path / "out"
+    ended = symbid_here(
+        "identify", short, "--model", model, "--prior", tmp_path / "certain.json", "--out", out
+    )
+    assert ended.returncode == 1
+    assert {path.name for path in out.iterdir()} == FILES
+    alarms = json.loads((out / "estimate.json").read_text())["verdict"]["alarms"]
+    assert alarms
+    lines = ended.stdout.splitlines()
+    assert lines[: len(alarms)] == [f"alarm: {alarm}" for alarm in alarms]
+    assert lines[-1].startswith("wrote ")
+
+
+def test_the_doctors_warnings_are_given_before_the_estimate(
+    symbid_here, model, short, tmp_path
+) -> None:
+    """A joint without effort costs its own row; the log is identified all the same."""
+
+    def spoil(messages: Messages) -> None:
+        messages.records["effort"][:, messages.joints.index("L_kfe")] = np.nan
+
+    bag = operate(short, tmp_path / "bag", {"/joint_states": spoil})
+    out = tmp_path / "out"
+    ended = symbid_here("identify", bag, "--model", model, "--prior-percent", 25, "--out", out)
+    assert ended.returncode == 0
+    assert "effort of L_kfe is in no message" in ended.stderr
+    assert ended.stderr.count("L_kfe") == 1
+    residuals = json.loads((out / "estimate.json").read_text())["residual_rmse"]
+    assert "L_kfe" not in residuals
+    assert {"R_kfe", "L_hfe", "base/force_z"} <= set(residuals)

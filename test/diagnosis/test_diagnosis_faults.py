@@ -1,5 +1,6 @@
 """One fault at a time, put into a simulated log: each is named, and nothing else is blamed."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -52,7 +53,9 @@ def log(simulated, tmp_path_factory) -> Path:
 def judged(log, model, tmp_path) -> Callable[..., Diagnosis]:
     def judge(surgeries: dict[str, Surgery], *, alone: bool = False, bag: Path = log) -> Diagnosis:
         spoilt = operate(bag, tmp_path / "spoilt", surgeries)
-        return diagnose([spoilt], None if alone else model)
+        diagnosis = diagnose([spoilt], None if alone else model)
+        assert json.loads(json.dumps(diagnosis.as_dict()))["severity"]
+        return diagnosis
 
     return judge
 
@@ -110,6 +113,19 @@ def test_gap(judged) -> None:
 
     found = only(judged({IMU: operation}), Kind.GAP, IMU, Severity.WARNING)
     assert found.figures == {"gaps": 1, "missing": 125, "longest_gap_s": pytest.approx(0.252)}
+
+
+@pytest.mark.parametrize(("start", "stop"), [(1.5, 99.0), (0.0, 3.0), (1.5, 3.0)])
+def test_a_topic_that_begins_late_or_ends_early(judged, start, stop) -> None:
+    def operation(messages: Messages) -> None:
+        kept(messages, messages.between(start, stop))
+
+    diagnosis = judged({LEFT: operation}, alone=True)
+    found = only(diagnosis, Kind.GAP, LEFT, Severity.WARNING)
+    (joints,) = (one for one in diagnosis.streams if one.topic == JOINTS)
+    early = max(joints.duration_s - stop, 0.0)
+    assert found.figures["late_s"] == pytest.approx(start, abs=5e-3)
+    assert found.figures["early_s"] == pytest.approx(early, abs=5e-3)
 
 
 def test_duplicate(judged) -> None:

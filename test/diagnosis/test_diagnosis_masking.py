@@ -79,3 +79,15 @@ def test_a_coarse_sensor_is_not_saturated(streams, step) -> None:
     (wrench,) = streams.wrenches
     wrench.force[:] = step * np.round(wrench.force / step)
     assert masked(streams)[1] == ()
+
+
+def test_a_channel_of_nan_does_not_make_the_others_look_frozen(streams) -> None:
+    """A robot at rest, without noise, whose driver knows nothing of one joint."""
+    streams.joints.position[:, 0] = streams.joints.effort[:, 0] = np.nan
+    everything = [streams.joints.position, streams.joints.effort]
+    everything += [streams.imus[0].angular_velocity, streams.imus[0].linear_acceleration]
+    everything += [streams.wrenches[0].force, streams.wrenches[0].torque]
+    for values in everything:
+        values[800:1200] = values[800]
+    streams.joints.effort[800:1200, 1] = streams.joints.effort[:, 1].max() + 1
+    assert masked(streams)[1] == ()

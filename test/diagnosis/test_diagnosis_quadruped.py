@@ -1,6 +1,7 @@
 """A robot on point feet whose drives rub: nothing is found, and each fault at its own sensor."""
 
 import copy
+import json
 from collections.abc import Callable
 
 import numpy as np
@@ -8,12 +9,15 @@ import pytest
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from scipy.spatial.transform import Rotation
 
+from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.diagnosis.diagnosis import Diagnosis
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.finding import Kind, Severity
+from symbid_ros.diagnosis.standing_rate import StandingRate, agreement
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.samples import moving_segments
 
 JOINTS, IMU, FIRST, SECOND = "/joint_states", "/imu", "/LF_foot/wrench", "/RF_foot/wrench"
 
@@ -38,7 +42,9 @@ def judged(log, model, tmp_path) -> Callable[..., Diagnosis]:
     def judge(spoil: Callable[[dict], None] = lambda log: None) -> Diagnosis:
         spoilt = copy.deepcopy(log)
         spoil(spoilt)
-        return diagnose([record_log(spoilt, model, tmp_path / "bag")], model)
+        diagnosis = diagnose([record_log(spoilt, model, tmp_path / "bag")], model)
+        assert json.loads(json.dumps(diagnosis.as_dict()))["severity"]
+        return diagnosis
 
     return judge
 
@@ -61,6 +67,23 @@ def test_nothing_is_found_at_a_low_rate(judged) -> None:
                 columns[name] = columns[name][::2]
 
     assert [one.message for one in judged(spoil).findings] == []
+
+
+def test_a_gyroscopes_constant_bias_is_no_fault_of_its_mounting(log, model, tmp_path) -> None:
+    """The bias is twice the size of the motion; the standing feet tell only what changes."""
+    biased = copy.deepcopy(log)
+    size = np.sqrt(np.mean(np.sum(biased[IMU]["angular_velocity"] ** 2, axis=1)))
+    biased[IMU]["angular_velocity"] += 2 * size * np.array([0.6, -0.8, 0.0])
+    streams = read_streams([record_log(biased, model, tmp_path / "bag")])
+    standing = StandingRate(model, 0)
+    for segment in moving_segments(streams, model):
+        standing.add(segment)
+    found = agreement(standing)
+    assert found is not None
+    assert np.degrees(found.angle) < 1
+    assert abs(found.delay) < 1e-3
+    assert found.left < 0.1
+    assert found.scale == pytest.approx(1, abs=0.05)
 
 
 @pytest.mark.parametrize(("axis", "degrees"), [("x", 10), ("z", 90), ("x", 180)])
@@ -123,7 +146,9 @@ def test_efforts_that_are_not_filled(judged) -> None:
     def spoil(log) -> None:
         log[JOINTS]["effort"] *= 0
 
-    assert found(judged(spoil)) == [(Kind.MISSING_JOINT, JOINTS)]
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.MISSING_JOINT, JOINTS)]
+    assert diagnosis.severity is Severity.WARNING  # the base's own rows are left
 
 
 def test_a_gyroscope_in_degrees_without_an_orientation(judged) -> None:

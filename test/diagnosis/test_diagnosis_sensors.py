@@ -139,7 +139,27 @@ def test_velocities_in_degrees(joints) -> None:
     assert "velocities of foot" in finding.message
 
 
-def test_efforts_that_are_all_zero(joints) -> None:
-    joints.effort[:] = 0
+@pytest.mark.parametrize(("value", "says"), [(0.0, "always zero"), (np.nan, "in no message")])
+def test_no_effort_at_all(joints, value, says) -> None:
+    joints.effort[:] = value
     (finding,) = of(joints)
     assert (finding.kind, finding.severity) == (Kind.MISSING_JOINT, Severity.UNUSABLE)
+    assert f"effort of all joints is {says}" in finding.message
+
+
+@pytest.mark.parametrize(("value", "says"), [(0.0, "always zero"), (np.nan, "in no message")])
+def test_one_joint_without_effort(joints, value, says) -> None:
+    joints.effort[:, 1] = value
+    (finding,) = of(joints)
+    assert (finding.kind, finding.severity) == (Kind.MISSING_JOINT, Severity.WARNING)
+    assert f"effort of knee is {says}" in finding.message
+
+
+def test_joints_that_some_messages_leave_out(joints) -> None:
+    joints.effort[::4, 0] = np.nan
+    joints.position[:30, 2] = np.nan
+    position, effort = of(joints)
+    assert "30 of 1200 messages have no position of foot" in position.message
+    assert "300 of 1200 messages have no effort of hip" in effort.message
+    assert {position.severity, effort.severity} == {Severity.WARNING}
+    assert effort.figures["share"] == 0.25

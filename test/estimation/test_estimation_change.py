@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gaussian_logs import gaussian_log, noise_root, prior_of
+from random_robots import random_robot
 from scipy.stats import multivariate_normal
 
 from symbid_ros.estimation.change import innovation
@@ -97,3 +98,46 @@ def test_the_link_that_has_changed_is_named_and_weighed(seed, index) -> None:
     assert suspect.evidence > 30.0
     error = (suspect.phi - added[10 * index : 10 * index + 10]) / suspect.std
     assert np.sqrt(np.mean(error**2)) < 3.0
+
+
+HINGES = [
+    (seed, index)
+    for seed in range(4)
+    for index in (1, 2)
+    if random_robot(seed, 3).joints[index - 1].kind == "revolute"
+]
+
+
+@pytest.mark.parametrize(("seed", "index"), HINGES)
+def test_a_mass_on_a_hinge_is_not_laid_on_one_of_its_two_links(seed, index) -> None:
+    """A point on a hinge's axis moves alike with parent and child: no motion tells them apart."""
+    plain, _, _ = logs(seed)
+    parameters = plain.parameters
+    joint = parameters.model.joints[index - 1]
+    mass = 0.05 * parameters.link_phi(plain.truth)[:, 0].sum()
+    added = np.zeros(len(parameters))
+    added[10 * index] = mass
+    earlier, later, prior = logs(seed, change=added)
+    found = innovation(
+        posterior(earlier.observations(), prior), [later.rows()], parameters
+    ).suspects()
+    assert {one.link for one in found} == {
+        parameters.link_names[joint.parent],
+        parameters.link_names[index],
+    }
+    for change in found:
+        on_parent = change.link == parameters.link_names[joint.parent]
+        place = joint.translation if on_parent else np.zeros(3)
+        np.testing.assert_array_less(np.abs(change.phi[0] - mass), 4 * change.std[0])
+        np.testing.assert_array_less(np.abs(change.phi[1:4] - mass * place), 4 * change.std[1:4])
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_a_mass_off_every_axis_is_laid_on_its_own_link_alone(seed, index) -> None:
+    plain, _, _ = logs(seed)
+    mass = 0.2 * plain.parameters.link_phi(plain.truth)[:, 0].sum()
+    earlier, later, prior = logs(seed, change=payload(plain, index, mass))
+    known = posterior(earlier.observations(), prior)
+    (suspect,) = innovation(known, [later.rows()], earlier.parameters).suspects()
+    assert suspect.link == earlier.parameters.link_names[index]

@@ -1,13 +1,16 @@
 """A payload fastened to a running robot is noticed, laid at the right link's door, and followed."""
 
+import numpy as np
 import pytest
 from live_feed import feed_of
 
+from symbid_ros.estimation.change import LinkChange
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.facts import PriorChoice
 from symbid_ros.offline.job import Job
 from symbid_ros.online.beginning import Beginning
+from symbid_ros.online.change_watch import Change
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.share import config_file
 from symbid_ros.simulation.payload import Payload
@@ -51,6 +54,23 @@ def test_an_alarm_stands_until_the_estimate_has_followed(looks) -> None:
     last = len(standing) - standing[::-1].index(True)
     assert all(standing[first:last])
     assert len({outcome.change.since for _, outcome in looks[first:last]}) == 1
+
+
+def test_an_alarm_names_the_link_alone_that_the_motion_tells(looks) -> None:
+    changes = [outcome.change for _, outcome in looks if outcome.change is not None]
+    assert all(len(change.suspects) == 1 for change in changes)
+    assert " or " not in str(changes[0])
+
+
+def test_an_alarm_names_both_links_that_move_alike() -> None:
+    std = np.full(10, 0.01)
+    on_parent = LinkChange("L_haa", 905.0, 910.0, np.array([2.0, 0.3, 0.0, 0.36, *[0.0] * 6]), std)
+    on_child = LinkChange("L_thigh", 900.0, 909.0, np.array([2.0, *[0.0] * 9]), std)
+    assert str(Change(14_000_000_000, (on_parent, on_child))) == (
+        "L_haa or L_thigh has changed since 14.0 s, the motion does not tell which: "
+        "+2.00 ± 0.01 kg at (0.15, 0.00, 0.18) m on L_haa, "
+        "+2.00 ± 0.01 kg at (0.00, 0.00, 0.00) m on L_thigh"
+    )
 
 
 def test_what_was_added_is_told_with_the_alarm(looks) -> None:

@@ -86,6 +86,12 @@ def test_everything_is_judged_by_the_truth(parameters: ParameterSet, reference: 
     assert content.link_errors is not None
     np.testing.assert_allclose(content.link_errors.percent["B"], 10)
     assert [series.label for series in content.predictions or ()] == [TRUTH, PRIOR, "B"]
+    # The drives give what the motion needs less what the environment's wrenches give.
+    effort, needed = reference.motion.samples.effort, K @ parameters.values
+    assert np.max(np.abs(needed - effort)) > 1.0
+    drawn = {series.label: series.torque for series in content.predictions or ()}
+    np.testing.assert_allclose(drawn[TRUTH], effort, atol=1e-9)
+    np.testing.assert_allclose(drawn["B"], effort - 0.1 * needed, atol=1e-9)
 
     assert content.intervals is not None
     std = np.linalg.norm(K @ deviation, axis=2)

@@ -141,31 +141,18 @@ class TestAlignment:
         (segment,) = align(replace(streams, joints=lossy), model)
         np.testing.assert_allclose(segment.position, joints.position, atol=1e-7)
 
-    def test_only_a_passive_joint_may_leave_its_effort_out(self, moving, caplog):
-        model, streams = moving
-        free = replace(model, joints=(replace(model.joints[0], effort=0.0), *model.joints[1:]))
-        absent = streams.joints.effort.copy()
-        absent[:, 0] = np.nan
-        silent = replace(streams, joints=replace(streams.joints, effort=absent))
-        (segment,) = align(silent, free)
-        np.testing.assert_array_equal(segment.effort[:, 0], 0)
-        assert "taken as zero" in caplog.text
-        driven = replace(streams, joints=replace(streams.joints, effort=absent))
-        with pytest.raises(DataError, match="no finite effort of joint"):
-            align(driven, model)
-
-    def test_messages_that_lack_a_value_are_bridged(self, moving, caplog):
+    def test_messages_without_a_position_are_bridged(self, moving, caplog):
         model, streams = moving
         for value in (np.nan, np.inf):
-            broken = streams.joints.effort.copy()
+            broken = streams.joints.position.copy()
             broken[500, 0] = value
-            faulty = replace(streams, joints=replace(streams.joints, effort=broken))
+            faulty = replace(streams, joints=replace(streams.joints, position=broken))
             (segment,) = align(faulty, model)
             assert len(segment) == 1000
-            sound = np.arange(1000) != 500
-            np.testing.assert_allclose(segment.effort[sound], broken[sound], atol=1e-9)
-            assert np.isfinite(segment.effort).all()
-            assert "that lack a value of a joint are left out" in caplog.text
+            np.testing.assert_allclose(segment.position, streams.joints.position, atol=1e-6)
+            assert (
+                f"without a finite position of {model.joint_names[0]} are left out" in caplog.text
+            )
 
     def test_refusals_are_clear(self, moving):
         model, streams = moving
@@ -183,10 +170,9 @@ class TestAlignment:
         )
         with pytest.raises(DataError, match="too few"):
             align(replace(streams, joints=short), model)
-        silent = replace(joints, effort=np.full_like(joints.effort, np.nan))
-        driven = random_robot(1, links=4, wrench_frames=1)
-        with pytest.raises(DataError, match="no finite effort of joint"):
-            align(replace(streams, joints=silent), driven)
+        lost = replace(joints, position=np.full_like(joints.position, np.nan))
+        with pytest.raises(DataError, match="no finite position of joint 'joint_"):
+            align(replace(streams, joints=lost), model)
         with pytest.raises(DataError, match="no sensor_msgs/msg/Imu"):
             samples_of(replace(streams, imus=()), model, UNFILTERED)
         lost = replace(streams.imus[0], frame_id="head")

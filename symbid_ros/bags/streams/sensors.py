@@ -65,8 +65,9 @@ def _rows(piece: Piece) -> IntArray | slice:
 def joint_stream(decoder: TopicDecoder, tally: Tally) -> JointStream:
     """Return joint states of the joints that most messages name, as the first of these orders them.
 
-    Messages of other joints alone, as a gripper's driver may publish beside an arm's, and those
-    with a position or effort that is not finite are left out; what is wrong with others is counted.
+    Messages of other joints alone, as a gripper's driver may publish beside an arm's, are left out.
+    What a message does not say of a joint is NaN: drivers fill what they do not know with it, and
+    only a model says whether the joint matters.
     """
     topic = decoder.topic.name
     names = _joint_names(decoder)
@@ -75,9 +76,6 @@ def joint_stream(decoder: TopicDecoder, tally: Tally) -> JointStream:
         name: np.empty((decoder.count, len(names))) for name in ("position", "velocity", "effort")
     }
     stamp = stamps(decoder)
-    # Values that are absent are another fault than values that are no numbers.
-    absent = {name: np.zeros(decoder.count, dtype=bool) for name in fields}
-    finite = np.ones((decoder.count, 2 * len(names)), dtype=bool)
     unknown = np.zeros(decoder.count, dtype=bool)
     reordered = np.zeros(decoder.count, dtype=bool)
     foreign = np.zeros(decoder.count, dtype=bool)
@@ -98,30 +96,17 @@ def joint_stream(decoder: TopicDecoder, tally: Tally) -> JointStream:
         for name, values in fields.items():
             read = piece.records[name]
             if read.shape[1] != len(given):  # empty or short: no value belongs to a name
-                values[rows], absent[name][rows] = np.nan, True
+                values[rows] = np.nan
                 continue
             if given == names:
                 values[rows] = read
             else:
-                values[rows], absent[name][rows] = np.nan, len(targets) < len(names)
+                values[rows] = np.nan
                 values[piece.index[:, None], targets] = read[:, sources]
-            if name != "velocity" and not np.isfinite(read).all():
-                columns = [target + len(names) * (name == "effort") for target in targets]
-                finite[piece.index[:, None], columns] = np.isfinite(read[:, sources])
     tally.add(Defect.OTHER_JOINTS, stamp, foreign)
     tally.add(Defect.UNKNOWN_JOINT, stamp, unknown)
     tally.add(Defect.REORDERED_JOINTS, stamp, reordered)
-    usable = _usable(
-        tally,
-        stamp,
-        finite,
-        lambda: np.hstack([fields["position"], fields["effort"]]),
-        [f"{name} of {joint}" for name in ("position", "effort") for joint in names],
-    )
-    is_whole = np.logical_and.reduce(finite, axis=1)
-    for name, defect in (("position", Defect.NO_POSITION), ("effort", Defect.NO_EFFORT)):
-        tally.add(defect, stamp, absent[name] & is_whole & ~foreign)
-    kept = _in_order(usable[~foreign[usable]], stamp, tally)
+    kept = _in_order(np.flatnonzero(~foreign), stamp, tally)
     ordered = {name: values[kept] for name, values in fields.items()}
     return JointStream(topic=topic, names=names, stamp=stamp[kept], **ordered)
 
@@ -185,7 +170,7 @@ def _joint_names(decoder: TopicDecoder) -> tuple[str, ...]:
         return first[max(counts, key=counts.__getitem__)]
     raise DefectError(
         decoder.topic.name,
-        Defect.NO_POSITION,
+        Defect.NO_NAMES,
         f"{decoder.source}: {decoder.topic.name}: no message names its joints; "
         "let the driver fill JointState.name",
     )
