@@ -3,10 +3,38 @@
 import os
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from symbid_ros.errors import SymbidError
+
+
+def check_writable(folder: Path) -> None:
+    """Try whether files can be written into a folder; nothing is left behind.
+
+    Long work ends with its results on disk, so this is asked before it begins.
+
+    Raises
+    ------
+    SymbidError
+        When they cannot.
+    """
+    missing = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
+    made: list[Path] = []
+    try:
+        for place in reversed(missing):
+            place.mkdir(exist_ok=True)
+            made.append(place)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise _refused(folder, error) from None
+    finally:
+        # Someone else may have put something there meanwhile.
+        with suppress(OSError):
+            for place in reversed(made):
+                place.rmdir()
 
 
 def write_text(path: Path, text: str) -> None:
@@ -43,6 +71,8 @@ def write_through(path: Path, write: Callable[[BinaryIO], object]) -> None:
             Path(name).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise SymbidError(
-            f"{path}: cannot write ({error.strerror}); choose another place"
-        ) from None
+        raise _refused(path, error) from None
+
+
+def _refused(path: Path, error: OSError) -> SymbidError:
+    return SymbidError(f"{path}: cannot write ({error.strerror}); choose another place")
