@@ -4,11 +4,38 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
 from symbid_ros.errors import SymbidError
+
+
+def check_writable(folder: Path) -> None:
+    """Try whether files can be written into a folder; nothing is left behind.
+
+    Long work ends with its results on disk, so this is asked before it begins.
+
+    Raises
+    ------
+    SymbidError
+        When they cannot.
+    """
+    missing = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
+    made: list[Path] = []
+    try:
+        for place in reversed(missing):
+            place.mkdir(exist_ok=True)
+            made.append(place)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise _cannot_write(folder, error) from None
+    finally:
+        # Someone else may have put something there meanwhile.
+        with suppress(OSError):
+            for place in reversed(made):
+                place.rmdir()
 
 
 def write_text(path: Path, text: str) -> None:
@@ -72,10 +99,10 @@ def staged(folder: Path) -> Iterator[Path]:
         raise _cannot_write(folder, error) from None
     try:
         yield stage
-        if is_new:
+        if is_new and any(stage.iterdir()):
             stage.chmod(0o777 & ~_umask())
             stage.rename(folder)
-        else:
+        elif not is_new:
             for path in sorted(filter(Path.is_file, stage.rglob("*")), reverse=True):
                 target = folder / path.relative_to(stage)
                 target.parent.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,11 @@
-"""Where the package's own files (config/, launch/) lie, however it was installed."""
+"""The package's own files (config/, launch/) and its version, however it was installed."""
 
 import os
 import sys
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from xml.etree import ElementTree
 
 from symbid_ros.errors import SymbidError
 
@@ -33,3 +36,20 @@ def config_file(name: str) -> Path:
     if not path.is_file():
         raise SymbidError(f"{path}: no such file in the package's config/; reinstall {PACKAGE}")
     return path
+
+
+@cache
+def package_version() -> str:
+    """Return the package's version, as estimates and pages state it.
+
+    A source tree that is not installed has no metadata; there package.xml states the version.
+    """
+    try:
+        return version(PACKAGE)
+    except PackageNotFoundError:
+        pass
+    try:
+        stated = ElementTree.parse(share_directory() / "package.xml").findtext("version")
+    except (SymbidError, OSError, ElementTree.ParseError):
+        stated = None
+    return stated or "of unknown version"

@@ -2,7 +2,6 @@
 
 import logging
 import os
-from importlib.metadata import version
 from typing import Annotated, Any
 
 import typer
@@ -21,6 +20,7 @@ from symbid_ros.cli.simulate import simulate
 from symbid_ros.cli.study import study
 from symbid_ros.cli.udp_client import udp_client
 from symbid_ros.errors import SymbidError
+from symbid_ros.share import package_version
 
 app = typer.Typer(
     help="Identify the inertial and friction parameters of a robot from ROS 2 bags.",
@@ -39,7 +39,7 @@ app.add_typer(bag, name="bag")
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        typer.echo(f"symbid_ros {version('symbid_ros')}")
+        typer.echo(f"symbid_ros {package_version()}")
         raise typer.Exit
 
 

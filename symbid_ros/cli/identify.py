@@ -247,7 +247,7 @@ def identify(
         sensors=SensorDeviation(*sensor_std) if sensor_std else None,
         unchecked=unchecked,
     )
-    prepared = prepare(job)
+    prepared = prepare(job, out)
     found = prepared.solve(method)
     write_identification(found, prepared.parameters, out)
     print_estimate(found.estimate, out)

@@ -17,10 +17,16 @@ from symbid_ros.model.parameters import TERMS, ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import Segment, cut_to
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.weak_form import BLOCK, WINDOWS, windowed_rows
+from symbid_ros.signals.weak_form import (
+    ALL_WINDOWS,
+    block_length,
+    suited_windows,
+    windowed_rows,
+)
 
-# Long enough to average a vibration away, short enough for the shortest of logs.
-WINDOW = WINDOWS[1]
+# The first that suits the rate is used: long enough to average a vibration away, short enough for
+# the shortest of logs.
+WINDOWS = ALL_WINDOWS[1:]
 # Rate that those windows make do with, Hz, and the share of it that is let through.
 RATE, PASSED = 250.0, 0.2
 # A wrench sensor carries something if it is this share, in the mean square, of what the most loaded
@@ -83,12 +89,16 @@ class ModelWatch:
         self._force_square += np.sum(force**2, axis=(0, 2))
         self._force_sum += force.sum(axis=0)
         segment = _decimated(segment)
-        for block in range(int(segment.stamp[0]) // BLOCK, int(segment.stamp[-1]) // BLOCK + 1):
+        length = block_length(segment.rate)
+        windows = suited_windows(WINDOWS, segment.rate)[:1]
+        if not windows:
+            return
+        for block in range(int(segment.stamp[0]) // length, int(segment.stamp[-1]) // length + 1):
             self._blocks += 1
             if not _is_taken(self._blocks):
                 continue
-            for part in cut_to([segment], block * BLOCK, (block + 1) * BLOCK):
-                for (rows,) in windowed_rows(part, self._build, (WINDOW,), ()):
+            for part in cut_to([segment], block * length, (block + 1) * length):
+                for (rows,) in windowed_rows(part, self._build, windows, ()):
                     self.rows.fold(rows.mean)
                     self._row_sum += rows.mean.K[:, :, : len(self.prior.names)].sum(axis=0)
 

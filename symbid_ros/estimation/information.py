@@ -19,6 +19,8 @@ from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.layout import RowLayout
 
+DIFFERENT = "two records of different robots or columns cannot be merged"
+
 
 @dataclass(frozen=True)
 class Information:
@@ -62,6 +64,8 @@ class Information:
 
     def faded(self, share: float) -> "Information":
         """Return the information with every row's weight times ``share``, from 0 to 1."""
+        if self.samples == 0:
+            return self
         return Information(self.layout, np.sqrt(share) * self.factor, share * self.samples)
 
     def merge(self, other: "Information") -> "Information":
@@ -76,7 +80,7 @@ class Information:
             other.layout.coordinates,
             other.layout.parameters,
         ) or not np.array_equal(self.layout.structure, other.layout.structure):
-            raise DataError("two records of different robots or columns cannot be merged")
+            raise DataError(DIFFERENT)
         factor = _updated(self.factor.copy(order="F"), other.factor)
         return Information(self.layout, factor, self.samples + other.samples)
 

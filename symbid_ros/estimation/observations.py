@@ -17,6 +17,8 @@ from symbid_ros.signals.weak_form import INFLATION, SampledRows, WindowedRows
 SAMPLES_PER_COORDINATE = 3
 # Share of a coordinate's mean square that is rounding, and no residual.
 LEAST = 1e-14
+# Shares of its diagonal that make a moment positive definite in spite of rounding, tried in turn.
+ROUNDING = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)
 # So much more is the variance of a coordinate that has no say.
 SILENT = 1e20
 # Largest ratio of two estimates of one covariance that is taken for chance.
@@ -93,6 +95,8 @@ class Observations:
     def fold(self, blocks: Iterable[WindowedRows]) -> "Observations":
         """Return the observations with more rows in them."""
         kept = list(blocks)
+        if not kept:
+            return self
         counts = self.counts
         noisy = [block.noise for block in kept if block.noise.K.any() or block.noise.y.any()]
         for block in kept:
@@ -161,6 +165,7 @@ class Observations:
         floor[self._scarce] = SILENT * floor.max()
         moment[np.diag_indices(len(moment))] = np.maximum(moment.diagonal(), floor) + floor
         coupled = int(np.sum(self._coupled.sum(axis=0) > 1))
+        moment = _definite(moment)
         if coupled == 0:
             return self.inflation * moment
         independent = self.rows.samples / self.inflation
@@ -203,6 +208,25 @@ class Observations:
         return np.asarray(self.counts.diagonal() < needed * self.inflation)
 
 
+def _definite(moment: FloatArray) -> FloatArray:
+    """Return a moment (n, n) that is positive definite in floating point.
+
+    Residuals without noise may depend on one another exactly, as those of efforts that are always
+    zero: rounding then leaves eigenvalues below zero.
+    """
+    own = np.diag(np.diag(moment))
+    # Whoever factors a multiple of it rounds otherwise.
+    margin = 4 * len(moment) * np.finfo(float).eps * own
+    for share in ROUNDING:
+        definite = moment if share == 0 else moment + share * own
+        try:
+            np.linalg.cholesky(definite - margin)
+        except np.linalg.LinAlgError:
+            continue
+        return definite
+    return own
+
+
 def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float:
     """Return how much less the residual at φ (p,) shrinks in longer windows than noise would.
 
@@ -225,7 +249,7 @@ def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float
     if len(used) == 0:
         return 1.0
     some = np.ix_(used, used)
-    kept = float(eigh(after[some], before[some], eigvals_only=True)[-1])
+    kept = float(eigh(after[some], _definite(before[some]), eigvals_only=True)[-1])
     independent = float(long.counts.diagonal()[used].min()) / long.inflation
     chance = (1 + float(np.sqrt(len(used) / independent))) ** 2
     return kept * long.window / short.window / chance

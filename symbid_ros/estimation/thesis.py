@@ -208,5 +208,6 @@ def residual_deviation(
         )
     deviation = np.sqrt(squares / np.maximum(freedom, 1))
     # A coordinate that nothing moves or loads has no residual; its weight must stay finite.
-    floored: FloatArray = np.maximum(deviation, 1e-9 * max(float(deviation.max()), 1e-300))
+    largest = float(deviation.max())
+    floored: FloatArray = np.maximum(deviation, 1e-9 * (largest if largest > 1e-150 else 1.0))
     return floored

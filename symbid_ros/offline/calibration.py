@@ -20,15 +20,13 @@ from symbid_ros.offline.record import Record, observe
 from symbid_ros.signals.calibration import Pilot, calibrating_rows
 from symbid_ros.signals.noise_floor import FORCES, MOTION
 from symbid_ros.signals.sensor_errors import SensorErrors
-from symbid_ros.signals.weak_form import WINDOWS
+from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
 
 logger = logging.getLogger(__name__)
 
 # A sensor that reads more than this in a tare carries something.
 UNLOADED = 20.0  # N
 
-# Sensor errors and slow motion are told apart over long windows only.
-CALIBRATION_WINDOW = max(WINDOWS)
 # One pass with the pilot at the prior, then Gauss-Newton.
 PASSES = 3
 # A pilot need not be exact.
@@ -159,16 +157,18 @@ def calibrate(
     p = len(parameters)
     pilot = Pilot(prior.mean, mean)
     rows = _padded(known, len(errors))
+    # Sensor errors and slow motion are told apart over long windows only.
+    suited = suited_windows(ALL_WINDOWS, segment.rate)
+    shortest, longest = suited[0], suited[-1]
     for _ in range(PASSES - 1):
         build = calibrating_rows(parameters, errors, pilot)
-        (observations,) = observe(record.segments, build, layout, (CALIBRATION_WINDOW,), ())
+        (observations,) = observe(record.segments, build, layout, (longest,), ())
         found = posterior(
             observations, extended, rows, count=parameters.inertial, settled=PILOT_SETTLED
         )
         pilot = Pilot(found.mean[:p], found.mean[p:])
     build = calibrating_rows(parameters, errors, pilot)
-    windows = (min(WINDOWS), CALIBRATION_WINDOW)
-    observed = observe(record.segments, build, layout, windows, MOTION + FORCES)
+    observed = observe(record.segments, build, layout, (shortest, longest), MOTION + FORCES)
     return Calibrated(errors, extended, observed, rows)
 
 

@@ -1,15 +1,20 @@
 """An estimate as files: estimate.json, information.npz and the robot in both formats."""
 
 import logging
+import tempfile
+from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
 
-from symbid_ros.atomic import staged, write_text
+from symbid_ros.arrays import FloatArray
+from symbid_ros.atomic import check_writable, staged, write_text
+from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.export_mjcf import mjcf_files, replaced_values
 from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.offline.identification import Identification
 
 logger = logging.getLogger(__name__)
@@ -17,21 +22,68 @@ logger = logging.getLogger(__name__)
 RESULT_FILES = "model.urdf", "model.xml", "information.npz", "estimate.json"
 
 
+def check_output(parameters: ParameterSet, out: Path) -> None:
+    """Refuse a folder or a robot that could not be written once the work is done.
+
+    Raises
+    ------
+    SymbidError
+        When the folder cannot be written to or the robot has no text in one of the formats.
+    """
+    check_writable(out)
+    _urdf(parameters, parameters.values, "")
+    _mjcf(parameters, parameters.values, out, "")
+
+
 def write_identification(found: Identification, parameters: ParameterSet, out: Path) -> None:
-    """Write estimate.json, information.npz, model.urdf and model.xml into a folder, all or none.
+    """Write estimate.json, information.npz, model.urdf and model.xml into a folder, together.
 
     The user's own file is carried over in its format, with the files that it includes; the
     other is a bare tree. What a format cannot say of the estimate is logged, and written at the
     top of a bare tree.
+
+    A file that cannot be written does not cost the others. The estimate and its information
+    go to a temporary folder if this one has become unwritable.
+
+    Raises
+    ------
+    EstimateError
+        When a file could not be written; the message names it and what was saved.
     """
     estimate = found.estimate
-    with staged(out) as stage:
-        write_text(stage / "model.urdf", export_urdf(estimate, parameters))
-        for place, text in export_mjcf(estimate, parameters, out).items():
-            write_text(stage / place, text)
-        write_archive(stage / "information.npz", found.observations, found.deviation_factor)
-        estimate.write(stage / "estimate.json")
-    identified = parameters.apply(estimate.value)
+    results: dict[str, Callable[[Path], object]] = {
+        "information.npz": lambda path: write_archive(
+            path, found.observations, found.deviation_factor
+        ),
+        "estimate.json": estimate.write,
+    }
+    models: dict[str, Callable[[Path], object]] = {
+        "model.urdf": lambda path: write_text(path, export_urdf(estimate, parameters)),
+        "model.xml": lambda path: _write_mjcf(path, export_mjcf(estimate, parameters, out)),
+    }
+    outputs = results | models
+    try:
+        with staged(out) as stage:
+            failures = _written(outputs, stage, out)
+    except SymbidError as error:
+        failures = dict.fromkeys(outputs, str(error))
+    _report_unwritten(parameters.apply(estimate.value), out)
+    if not failures:
+        return
+    first = next(iter(failures.values()))
+    saved = [name for name in outputs if name not in failures]
+    done = f"{', '.join(saved)} written to {out}" if saved else ""
+    if lost := {name: write for name, write in results.items() if name in failures}:
+        done = ", ".join(filter(None, [done, _rescued(lost)]))
+    raise EstimateError(f"{first}; {done}; not written: {', '.join(failures)}")
+
+
+def _write_mjcf(path: Path, files: Mapping[PurePosixPath, str]) -> None:
+    for place, text in files.items():
+        write_text(path.parent / place, text)
+
+
+def _report_unwritten(identified: RobotModel, out: Path) -> None:
     for name, remarks in (
         ("model.urdf", unwritten(identified)),
         ("model.xml", replaced_values(identified)),
@@ -40,26 +92,55 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
             logger.warning("%s: %s", out / name, remark)
 
 
+def _written(
+    outputs: Mapping[str, Callable[[Path], object]], folder: Path, named: Path
+) -> dict[str, str]:
+    """Write files, and return by name what went wrong; messages show ``named`` as the folder."""
+    failures = {}
+    for name, write in outputs.items():
+        try:
+            write(folder / name)
+        except SymbidError as error:
+            failures[name] = str(error).replace(str(folder), str(named))
+        except Exception as error:  # a fault of ours in one format must not cost the other files
+            failures[name] = f"{named / name}: {type(error).__name__}: {error}"
+    return failures
+
+
+def _rescued(outputs: Mapping[str, Callable[[Path], object]]) -> str:
+    """Write files into a new temporary folder, and return what was achieved."""
+    try:
+        folder = Path(tempfile.mkdtemp(prefix="symbid_"))
+    except OSError:
+        return "no temporary folder is writable either"
+    failures = _written(outputs, folder, folder)
+    saved = [name for name in outputs if name not in failures]
+    return f"{', '.join(saved) or 'nothing'} written to {folder} instead"
+
+
 def export_urdf(estimate: Estimate, parameters: ParameterSet) -> str:
     """Return the identified robot as URDF text, the user's own file if it is one."""
-    source = Path(parameters.model.source)
-    return urdf_text(
-        parameters.apply(estimate.value),
-        None if is_mjcf(source) else source,
-        comment=_warning(estimate),
-    )
+    return _urdf(parameters, estimate.value, _warning(estimate))
 
 
 def export_mjcf(
     estimate: Estimate, parameters: ParameterSet, folder: Path
 ) -> dict[PurePosixPath, str]:
     """Return the identified robot as MJCF for ``folder``, the user's own files if they are MJCF."""
+    return _mjcf(parameters, estimate.value, folder, _warning(estimate))
+
+
+def _urdf(parameters: ParameterSet, values: FloatArray, comment: str) -> str:
+    source = Path(parameters.model.source)
+    return urdf_text(parameters.apply(values), None if is_mjcf(source) else source, comment=comment)
+
+
+def _mjcf(
+    parameters: ParameterSet, values: FloatArray, folder: Path, comment: str
+) -> dict[PurePosixPath, str]:
     source = Path(parameters.model.source)
     return mjcf_files(
-        parameters.apply(estimate.value),
-        source if is_mjcf(source) else None,
-        folder,
-        comment=_warning(estimate),
+        parameters.apply(values), source if is_mjcf(source) else None, folder, comment=comment
     )
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib.metadata import version
 
 import numpy as np
 
@@ -20,6 +19,9 @@ from symbid_ros.estimation.verdict import DETERMINED, alarms, judge
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.offline.problem import Method, Problem, Truncation
 from symbid_ros.offline.window_comparison import COMPARABLE, WindowComparison, solved
+from symbid_ros.share import package_version
+
+SOFTWARE = f"symbid_ros {package_version()}"  # looked up before any work
 
 
 @dataclass(frozen=True)
@@ -222,7 +224,7 @@ class Solver:
                 for link, phi in zip(parameters.link_names, parameters.link_phi(value), strict=True)
             },
             inputs=self.problem.inputs,
-            software=f"symbid_ros {version('symbid_ros')}",
+            software=SOFTWARE,
             known=parameters.known_values,
         )
 

@@ -5,10 +5,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from symbid_ros.bags.container.contents import contents
 from symbid_ros.bags.streams.slices import ALL_OF_IT
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.information import DIFFERENT
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import SoftRows
 from symbid_ros.estimation.prior import Prior
@@ -19,6 +21,7 @@ from symbid_ros.model.parameters import ParameterSet, Term
 from symbid_ros.model.urdf import Base
 from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
 from symbid_ros.offline.examination import examine
+from symbid_ros.offline.export import check_output
 from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.identification import Identification, Solver
 from symbid_ros.offline.problem import GAUSSIAN, METHODS, Method, Problem, Truncation
@@ -26,6 +29,8 @@ from symbid_ros.offline.record import Filter, Processing, Record, read_record
 from symbid_ros.signals.filters import Channels
 
 logger = logging.getLogger(__name__)
+
+ALIKE = "identify both with the same model, joint terms and sensor errors"
 
 
 @dataclass(frozen=True)
@@ -127,8 +132,11 @@ class Prepared:
         )
 
 
-def prepare(job: Job) -> Prepared:
+def prepare(job: Job, out: Path | None = None) -> Prepared:
     """Read and check all of a job's files.
+
+    What can be wrong with small files, options and the folder ``out`` for the results is found
+    before the long work of reading the bags.
 
     Raises
     ------
@@ -139,6 +147,7 @@ def prepare(job: Job) -> Prepared:
     parameters = load_parameters(job)
     prior = job.prior.load(parameters)
     known = job.facts.rows(parameters, prior)
+    _check_early(job, parameters, out)
     record = _checked_record(job, job.bags, job.processing, parameters, prior)
     validation = None
     if job.validation is not None:
@@ -164,6 +173,24 @@ def _checked_record(
     record = read_record(bags, parameters, processing, checks)
     examine(record, checks, parameters, prior, processing.topics)
     return record
+
+
+def _check_early(job: Job, parameters: ParameterSet, out: Path | None) -> None:
+    """Refuse what would otherwise be noticed after the work only."""
+    if out is not None:
+        check_output(parameters, out)
+    if job.rank is not None and job.rank > len(parameters):
+        raise EstimateError(
+            f"rank {job.rank} is larger than {len(parameters)}, the number of parameters; choose "
+            "another --rank"
+        )
+    contents([*job.facts.tare, *filter(None, [job.validation])])
+    if job.information is not None:
+        p, coordinates = len(parameters), parameters.model.coordinates
+        for earlier in load_archive(job.information):
+            layout = earlier.layout
+            if (layout.parameters[:p], layout.coordinates) != (parameters.names, coordinates):
+                raise EstimateError(f"{job.information}: {DIFFERENT}; {ALIKE}")
 
 
 def load_parameters(job: Job) -> ParameterSet:
@@ -275,10 +302,7 @@ def _with_earlier(
             earlier[one.window].merge(one) for one in observations if one.window in earlier
         )
     except DataError as error:
-        raise EstimateError(
-            f"{information}: {error}; identify both with the same model, joint terms and sensor "
-            "errors"
-        ) from None
+        raise EstimateError(f"{information}: {error}; {ALIKE}") from None
     if not both:
         raise EstimateError(
             f"{information}: its rows are averaged over other windows than this run's; identify "

@@ -30,10 +30,12 @@ from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.readings import at_base, smoothed
 from symbid_ros.signals.samples import build_samples, joined
 from symbid_ros.signals.weak_form import (
-    WINDOWS,
+    ALL_WINDOWS,
     RowBuilder,
+    check_windows,
     equation_rows,
     sampled_rows,
+    suited_windows,
     windowed_rows,
 )
 
@@ -55,7 +57,7 @@ class Processing:
         Filter and differentiator for rows at single instants; None averages rows over
         windows instead.
     windows : tuple of float
-        Lengths of those windows to try, s.
+        Lengths of those windows to try, s; a log uses the shortest that suit its rate.
     topics : TopicSelection
         Which topics are the robot's sensors.
     part : TimeRange
@@ -63,7 +65,7 @@ class Processing:
     """
 
     smoothing: Smoothing | None = None
-    windows: tuple[float, ...] = WINDOWS
+    windows: tuple[float, ...] = ALL_WINDOWS
     topics: TopicSelection = field(default_factory=TopicSelection)
     part: TimeRange = ALL_OF_IT
 
@@ -71,6 +73,8 @@ class Processing:
         """Return what a report says of it."""
         if self.smoothing is not None:
             return str(self.smoothing)
+        if self.windows == ALL_WINDOWS:
+            return "rows averaged over Hann windows of the length that tells most"
         lengths = " or ".join(f"{1e3 * window:g}" for window in self.windows)
         return f"rows averaged over Hann windows of {lengths} ms"
 
@@ -107,7 +111,7 @@ def processing(
     if name == "savitzky_golay":
         smoothing = SavitzkyGolay(window or SavitzkyGolay.window)
         return Processing(smoothing, topics=topics, part=part)
-    windows = WINDOWS if window is None else (window,)
+    windows = ALL_WINDOWS if window is None else (window,)
     return Processing(windows=windows, topics=topics, part=part)
 
 
@@ -172,15 +176,18 @@ def fold_record(
     if smoothing is None:
         layout = RowLayout.of(parameters)
         probes: list[Samples] = []
+        windows = processing.windows
+        used: set[float] = set()
+        checked = _checked(segments, windows, source, used)
         observations = observe(
-            _probed(segments, model, probes), equation_rows(parameters), layout, processing.windows
+            _probed(checked, model, probes), equation_rows(parameters), layout, windows
         )
         samples = joined(probes)
         observations = tuple(one for one in observations if one.rows.samples > 0)
         if not observations:
             raise DataError(
-                f"{source}: the log is too short, not even a window of "
-                f"{1e3 * min(processing.windows):g} ms fits into it; record longer"
+                f"{source}: the log is too short, not even a window of {1e3 * min(used):g} ms and "
+                "the edges of its filter fit between two gaps; record longer"
             )
     else:
         stretches = tuple(segments)
@@ -200,16 +207,30 @@ def observe(
     windows: Sequence[float],
     noisy_channels: Sequence[Channel] = MOTION,
 ) -> tuple[Observations, ...]:
-    """Fold the windowed rows of aligned segments, for each length of window."""
-    observations = [Observations.empty(layout, window) for window in windows]
+    """Fold the windowed rows of aligned segments, for each length of window.
+
+    Each segment adds rows to the windows that suit its rate; the others may stay empty.
+    """
+    observations = {window: Observations.empty(layout, window) for window in windows}
     for segment in segments:
-        for blocks in windowed_rows(segment, build, windows, noisy_channels):
-            observations = [
-                one.fold([block]) for one, block in zip(observations, blocks, strict=True)
-            ]
+        used = suited_windows(windows, segment.rate)
+        for blocks in windowed_rows(segment, build, used, noisy_channels):
+            for window, block in zip(used, blocks, strict=True):
+                observations[window] = observations[window].fold([block])
         covered = fingerprint(segment)
-        observations = [one.covering(covered) for one in observations]
-    return tuple(observations)
+        for window in used:
+            observations[window] = observations[window].covering(covered)
+    return tuple(observations.values())
+
+
+def _checked(
+    segments: Iterable[Segment], windows: Sequence[float], source: str, used: set[float]
+) -> Iterator[Segment]:
+    """Pass stretches on and collect the windows that suit their rates; refuse rates too low."""
+    for segment in segments:
+        check_windows(windows, segment.rate, source)
+        used.update(suited_windows(windows, segment.rate))
+        yield segment
 
 
 def _probed(
@@ -218,7 +239,8 @@ def _probed(
     """Pass stretches on and keep unfiltered samples at few of their instants."""
     for segment in segments:
         stride = max(1, int(PROBE_PERIOD * segment.rate))
+        readings = smoothed(segment, LowPass(0))
         # Chosen by index, not by slice: a view would hold the whole stretch in memory.
-        few = np.arange(0, len(segment), stride)
-        probes.append(at_base(smoothed(segment, LowPass(0))[few], model))
+        few = np.arange(0, len(readings), stride)
+        probes.append(at_base(readings[few], model))
         yield segment

@@ -80,12 +80,15 @@ def _check_online(job: Job) -> None:
 
 
 def _resumed(archive: Path, nothing: tuple[Observations, ...]) -> tuple[Observations, ...]:
-    """Return what an earlier run knew, window by window."""
+    """Return what an earlier run knew, window by window; other windows are not used."""
     earlier = {one.window: one for one in load_archive(archive)}
     try:
-        return tuple(earlier[one.window].merge(one) for one in nothing)
-    except (KeyError, DataError):
+        known = tuple(earlier[one.window].merge(one) for one in nothing if one.window in earlier)
+    except DataError:
+        known = ()
+    if not known:
         raise EstimateError(
             f"{archive}: of another robot, other columns or other windows; resume with the model "
             "and the options it was written with"
-        ) from None
+        )
+    return known

@@ -1,36 +1,47 @@
 """The rows of one stretch of live messages."""
 
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from symbid_ros.online.timeline import Stretch
 from symbid_ros.signals.fingerprint import fingerprint
 from symbid_ros.signals.noise_floor import MOTION, Channel
-from symbid_ros.signals.weak_form import RowBuilder, WindowedRows, windowed_rows
+from symbid_ros.signals.weak_form import (
+    RowBuilder,
+    WindowedRows,
+    suited_windows,
+    windowed_rows,
+)
 
 
 @dataclass(frozen=True)
 class BlockRows:
-    """The rows of one stretch of time, for each length of window.
+    """The rows of one stretch of time.
 
     Attributes
     ----------
     start, stop : int
         From where up to where, ns.
-    rows : tuple of tuple of WindowedRows
-        Part by part, in each part window by window.
+    by_window : mapping of float to list of WindowedRows
+        Part by part, for each length of window, s, that suits the rate.
     seconds : frozenset of int
         Fingerprints of the seconds covered.
     """
 
     start: int
     stop: int
-    rows: tuple[tuple[WindowedRows, ...], ...]
+    by_window: Mapping[float, Sequence[WindowedRows]]
     seconds: frozenset[int] = frozenset()
 
-    def of_window(self, index: int) -> tuple[WindowedRows, ...]:
-        """Return the rows of one length of window."""
-        return tuple(part[index] for part in self.rows)
+    def of_window(self, window: float) -> Sequence[WindowedRows]:
+        """Return the rows of one length of window, s."""
+        return self.by_window.get(window, ())
+
+    @property
+    def parts(self) -> list[WindowedRows]:
+        """The rows of all windows."""
+        return [part for parts in self.by_window.values() for part in parts]
 
 
 def block_rows(
@@ -40,10 +51,11 @@ def block_rows(
     noisy_channels: Sequence[Channel] = MOTION,
 ) -> BlockRows:
     """Return the rows of a stretch, as an offline run makes them."""
-    parts = [
-        part
-        for segment in stretch.segments
-        for part in windowed_rows(segment, build, windows, noisy_channels)
-    ]
+    rows: dict[float, list[WindowedRows]] = defaultdict(list)
+    for segment in stretch.segments:
+        used = suited_windows(windows, segment.rate)
+        for parts in windowed_rows(segment, build, used, noisy_channels):
+            for window, part in zip(used, parts, strict=True):
+                rows[window].append(part)
     seconds = frozenset[int]().union(*map(fingerprint, stretch.segments))
-    return BlockRows(stretch.start, stretch.stop, tuple(parts), seconds)
+    return BlockRows(stretch.start, stretch.stop, dict(rows), seconds)

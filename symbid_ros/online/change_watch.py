@@ -152,5 +152,5 @@ class ChangeWatch:
             self.change = Change(self._since, after.suspects(usual))
 
     def _innovation(self, known: Posterior, blocks: Sequence[BlockRows]) -> Innovation | None:
-        rows = [part for block in blocks for part in block.of_window(0) if len(part.valid)]
+        rows = [part for block in blocks for part in block.parts if len(part.valid)]
         return innovation(known, rows, self._parameters) if rows else None

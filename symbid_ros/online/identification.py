@@ -30,7 +30,7 @@ from symbid_ros.online.outcome import Outcome
 from symbid_ros.online.timeline import Stretch, Timeline
 from symbid_ros.online.weight import check_weight
 from symbid_ros.online.window_choice import WindowChoice
-from symbid_ros.signals.weak_form import equation_rows
+from symbid_ros.signals.weak_form import check_windows, equation_rows, suited_windows
 
 logger = logging.getLogger(__name__)
 
@@ -84,7 +84,7 @@ class OnlineIdentification:
     def __init__(self, beginning: Beginning, selected: SelectedTopics, pace: Pace) -> None:
         self._beginning, self._pace = beginning, pace
         self._job, self._parameters = beginning.job, beginning.problem.parameters
-        self._windows = beginning.job.processing.windows
+        self._windows = tuple(one.window for one in beginning.observations)
         self._build = equation_rows(self._parameters)
         topics = tuple(topic.name for topic in selected.all)
         self._problem = replace(
@@ -101,10 +101,10 @@ class OnlineIdentification:
         self._released: set[str] = set()
         self._until = 0
         self._choice, self._watch = WindowChoice(), ChangeWatch(self._parameters)
-        # The middle one will do until whole blocks tell which is best.
-        middle = len(self._windows) // 2
+        # Those that suit the topics' rate, once it is known.
+        self._suited: tuple[float, ...] = ()
         known = Whole(beginning.observations, pace.memory)
-        self._memory = Memory(known, middle)
+        self._memory = Memory(known, len(self._windows) // 2)
         self._work = BlockWork(self._build, self._windows, pace.share, known)
 
     @property
@@ -184,6 +184,7 @@ class OnlineIdentification:
         self._settle(self._work.finish())
         whole, rest = self._memory.whole, self._timeline.rest()
         if rest is not None and rest.segments:
+            self._suit(rest)
             whole = whole.with_block(block_rows(rest, self._build, self._windows))
             self._until = rest.stop - 1
         problem = self._problem_of(whole)
@@ -223,8 +224,27 @@ class OnlineIdentification:
                 self._problem = replace(self._problem, prior=prior)
 
     def _problem_of(self, whole: Whole) -> Problem:
-        told = tuple(one for one in whole.observations if one.rows.samples > 0)
+        told = tuple(
+            one
+            for one in whole.observations
+            if one.rows.samples > 0 and one.window in (self._suited or self._windows)
+        )
         return replace(self._problem, observations=told)
+
+    def _suit(self, stretch: Stretch) -> None:
+        """Use the windows that suit a stretch's rate, the middle one until they are compared.
+
+        Raises
+        ------
+        DataError
+            When the topics are too slow for all of them.
+        """
+        rate = stretch.segments[0].rate
+        check_windows(self._windows, rate, "live topics")
+        self._suited = suited_windows(self._windows, rate)
+        if self._windows[self._memory.window] not in self._suited:
+            middle = self._suited[len(self._suited) // 2]
+            self._memory.track(self._memory.whole, self._windows.index(middle))
 
     def _choose_window(self, problem: Problem) -> None:
         best = self._choice.look(problem, self._memory.whole.blocks)
@@ -274,6 +294,7 @@ class OnlineIdentification:
             self._memory.settle(whole)
 
     def _piece(self, stretch: Stretch) -> BlockRows:
+        self._suit(stretch)
         # It is not searched for noise: that takes as long again, and its block will be.
         return block_rows(stretch, self._build, [self._windows[self._memory.window]], ())
 

@@ -35,8 +35,8 @@ class Whole:
         """Return what is known with one block more."""
         share = self.kept(block.stop, block.start)
         folded = tuple(
-            _folded(one, share, block.of_window(index)).covering(block.seconds)
-            for index, one in enumerate(self.observations)
+            _folded(one, share, block.of_window(one.window)).covering(block.seconds)
+            for one in self.observations
         )
         return replace(self, observations=folded, until=block.stop, blocks=self.blocks + 1)
 
@@ -94,7 +94,7 @@ class Memory:
     def _append(self, piece: BlockRows) -> None:
         since = piece.start if self._until is None else self._until
         share = _kept(piece.stop - since, self.whole.span)
-        self.now = _folded(self.now, share, piece.of_window(0))
+        self.now = _folded(self.now, share, piece.of_window(self.now.window))
         self._until = piece.stop
 
 

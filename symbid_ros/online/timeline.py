@@ -10,12 +10,16 @@ from symbid_ros.bags.streams.selection import SelectedTopics
 from symbid_ros.errors import SymbidError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.live_streams import LiveStreams
-from symbid_ros.signals.alignment import Segment, cut_to
+from symbid_ros.signals.alignment import (
+    LONGEST_MARGIN,
+    SHORTEST_SEGMENT,
+    Segment,
+    cut_to,
+    resampling_margin,
+)
 from symbid_ros.signals.samples import moving_segments
-from symbid_ros.signals.weak_form import BLOCK, prefilter
+from symbid_ros.signals.weak_form import block_length, prefilter
 
-# Beyond the ends of a stretch, ns: what a spline needs that resamples a slower topic.
-MARGIN = 100_000_000
 # So many times as long as what a filter loses at one end must a piece be to be worth its while.
 EDGES = 8
 # Of so many blocks what is no piece yet is kept; who asks so seldom can wait for the blocks.
@@ -68,7 +72,8 @@ class Timeline:
     ) -> None:
         self.streams = LiveStreams(selected, source)
         self._model = model
-        self._lag = max(round(lag * 1e9), MARGIN)
+        self._lag = round(lag * 1e9)
+        self._period: float | None = None  # of the joint states, ns, once enough have come
         self._open_from: int | None = None
         self._piece_from: int | None = None
         self._left: deque[Stretch] = deque(maxlen=MOST_LEFT)
@@ -77,7 +82,7 @@ class Timeline:
         """Begin a new time and return what was left of the old one."""
         left = self.rest()
         self.streams.restart()
-        self._open_from = self._piece_from = None
+        self._open_from = self._piece_from = self._period = None
         self._left.clear()
         return left
 
@@ -88,15 +93,18 @@ class Timeline:
 
     def whole(self) -> Iterator[Stretch]:
         """Yield the blocks that are whole by now, each once."""
-        while (start := self._block()) is not None and self._is_whole(start + BLOCK):
-            stop = start + BLOCK
-            block = self._stretch(start, stop, stop + MARGIN)
+        while (place := self._block()) is not None:
+            start, stop = place
+            margin = self._margin_after(stop)
+            if margin is None:
+                return
+            block = self._stretch(start, stop, stop + margin)
             yield block
             self._leave(block)
             for buffer in self.streams.buffers.values():
                 buffer.count_gaps(stop)
             self.streams.worked_until = stop
-            self.streams.forget_before(stop - MARGIN)
+            self.streams.forget_before(stop - LONGEST_MARGIN)
             stamps = self.streams.joints.stamps
             later = stamps[stamps >= stop]
             self._open_from = int(later.min()) if len(later) else stop
@@ -110,9 +118,9 @@ class Timeline:
         while self._left:
             yield self._left.popleft()
         until = self.streams.complete_until
-        while until is not None and (block := self._block()) is not None:
-            start = max(block, self._piece_from or block)
-            end = (start // BLOCK + 1) * BLOCK
+        while until is not None and (place := self._block()) is not None:
+            start = max(place[0], self._piece_from or place[0])
+            end = start // (length := place[1] - place[0]) * length + length
             stop = min(until + 1, end)
             if stop - start < (0 if stop == end else self._shortest_piece()):
                 return
@@ -125,39 +133,45 @@ class Timeline:
             segments = tuple(cut_to(block.segments, start, block.stop))
             self._left.append(replace(block, start=start, segments=segments))
 
-    def _shortest_piece(self) -> int:
-        stamps = self.streams.joints.stamps
-        if len(stamps) < 2:
-            return BLOCK
-        period = float(np.median(np.diff(np.sort(stamps))))
-        _, edge = prefilter(1e9 / max(period, 1.0))
-        return int(EDGES * edge * period)
-
     def rest(self) -> Stretch | None:
         """Return what is open: all that has come since the last whole block."""
-        until, start = self.streams.complete_until, self._block()
-        if until is None or start is None or until < start:
+        until, place = self.streams.complete_until, self._block()
+        if until is None or place is None or until < place[0]:
             return None
-        return self._stretch(start, until + 1, until + 1)
+        return self._stretch(place[0], until + 1, until + 1)
 
-    def _block(self) -> int | None:
-        """Return where the block begins that is being filled, ns."""
-        if self._open_from is None:
-            stamps = self.streams.joints.stamps
-            if not len(stamps):
+    def _block(self) -> tuple[int, int] | None:
+        """Return where the block begins and ends that is being filled, ns."""
+        stamps = self.streams.joints.stamps
+        if self._period is None:
+            if len(stamps) < SHORTEST_SEGMENT:
                 return None
+            self._period = max(float(np.median(np.diff(np.sort(stamps)))), 1.0)
+        if self._open_from is None:
             self._open_from = int(stamps.min())
-        return self._open_from // BLOCK * BLOCK
+        length = block_length(1e9 / self._period)
+        start = self._open_from // length * length
+        return start, start + length
 
-    def _is_whole(self, stop: int) -> bool:
+    def _shortest_piece(self) -> int:
+        period = self._period or 1.0
+        _, edge = prefilter(1e9 / period)
+        return int(EDGES * edge * period)
+
+    def _margin_after(self, stop: int) -> int | None:
+        """Return what of the time after a block, ns, belongs to it; None while it is not whole."""
         newest, complete = self.newest, self.streams.complete_until
-        if newest is not None and newest >= stop + self._lag:
-            return True
-        return complete is not None and complete >= stop + MARGIN
+        if newest is None or newest < stop:
+            return None
+        buffers = self.streams.buffers.values()
+        margin = resampling_margin(buffer.stamps for buffer in buffers)
+        is_complete = complete is not None and complete >= stop + margin
+        return margin if is_complete or newest >= stop + max(self._lag, margin) else None
 
     def _stretch(self, start: int, stop: int, seen_until: int) -> Stretch:
         try:
-            streams = self.streams.between(start - MARGIN, seen_until)
+            margin = resampling_margin(each.stamps for each in self.streams.buffers.values())
+            streams = self.streams.between(start - margin, seen_until)
             segments = moving_segments(streams, self._model)
         except SymbidError as error:
             return Stretch(start, stop, (), str(error))

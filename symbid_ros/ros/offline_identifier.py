@@ -25,7 +25,7 @@ class OfflineIdentifier:
     def run(self, stop: Event) -> None:
         """Identify, publish, and say once a second that the estimate stands."""
         with interruptible(stop):  # it takes minutes where the bag is long
-            prepared = prepare(self._job)
+            prepared = prepare(self._job, self._out)
             found = prepared.solve(self._job.method)
         estimate = found.estimate
         if self._out is not None:

@@ -17,7 +17,7 @@ from std_srvs.srv import SetBool, Trigger
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.streams.selection import SelectedTopics
 from symbid_ros.errors import EstimateError, SymbidError
-from symbid_ros.offline.export import export_urdf, write_identification
+from symbid_ros.offline.export import check_output, export_urdf, write_identification
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.outcome import Outcome
@@ -77,6 +77,8 @@ class OnlineIdentifier:
         memory: float = values["memory"]
         self._pace = Pace(memory or float("inf"), values["lag"], values["row_share"])
         self._out: Path | None = given_path(values["out"])
+        if self._out is not None:
+            check_output(self._parameters, self._out)
         self._period: float = values["solve_period"]
         self._sensors = SensorTopics(
             node,

@@ -6,7 +6,7 @@ across a gap: there the record is cut into segments.
 """
 
 import logging
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -25,6 +25,12 @@ logger = logging.getLogger(__name__)
 # A stream may miss this many periods in a row before the record is cut.
 LONGEST_GAP = 5.5
 SHORTEST_SEGMENT = 50
+
+# Beyond the ends of a stretch, ns: what a spline needs that resamples a slower topic. What a sample
+# contributes falls by a factor of four from one sample to the next.
+MARGIN = 100_000_000
+LONGEST_MARGIN = 1_000_000_000
+SAMPLES_PER_MARGIN = 20
 
 
 @dataclass(frozen=True)
@@ -122,6 +128,13 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ModelError
         When the bag's joints are not the model's.
     """
+    stamps = {one.topic: one.stamp for one in (*streams.imus, *streams.wrenches)}
+    for topic, stamp in {streams.joints.topic: streams.joints.stamp, **stamps}.items():
+        if not len(stamp):
+            raise DataError(
+                f"{streams.source}: {topic} has no usable message; check its driver, or leave the "
+                "topic out"
+            )
     joints, efforts = _joint_channel(streams, model)
     channels = [joints, *map(_imu_channel, streams.imus), *map(_wrench_channel, streams.wrenches)]
     period = _period(joints)
@@ -142,6 +155,13 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
             "data on every topic; record longer"
         )
     return segments
+
+
+def resampling_margin(topics: Iterable[IntArray]) -> int:
+    """Return how far beyond a stretch's ends its topics must reach, ns, by their stamps (N,)."""
+    periods = [float(np.median(np.diff(np.sort(stamp)))) for stamp in topics if len(stamp) > 1]
+    needed = round(SAMPLES_PER_MARGIN * max(periods, default=0.0))
+    return min(max(MARGIN, needed), LONGEST_MARGIN)
 
 
 def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segment]:

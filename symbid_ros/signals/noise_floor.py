@@ -52,7 +52,8 @@ def with_more_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:
 
     The draw is the same every time.
     """
-    rng = np.random.default_rng([0, int(segment.stamp[0]), len(segment)])
+    # A seed is not negative; a stamp may be.
+    rng = np.random.default_rng([0, int(segment.stamp[0]) % 2**64, len(segment)])
     noisy = {}
     for name in channels:
         signal = getattr(segment, name)

@@ -87,6 +87,10 @@ class Readings:
 def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) -> Readings:
     """Return a stretch's readings, less ``edge`` of them at its ends, which feel the edge."""
     rate = segment.rate
+    if edge is None:
+        edge = smoothing.settling(rate)
+    if len(segment) <= 2 * edge:
+        return _no_readings(segment)
     position, velocity, acceleration = smoothing.motion(segment.position, rate, 2)
     imus = []
     for index in range(len(segment.imu_frames)):
@@ -104,9 +108,24 @@ def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) ->
         imu_frames=segment.imu_frames,
         wrench_frames=segment.wrench_frames,
     )
-    if edge is None:
-        edge = smoothing.settling(rate)
-    return readings[edge : max(edge, len(readings) - edge)]
+    return readings[edge : len(readings) - edge]
+
+
+def _no_readings(segment: Segment) -> Readings:
+    """Return what is left of a stretch that is all edge, which filters may refuse."""
+    nothing = segment.cut(0, 0)
+    imu = BaseMotion(*(np.zeros((0, 3)) for _ in fields(BaseMotion)))
+    return Readings(
+        stamp=nothing.stamp,
+        position=nothing.position,
+        velocity=nothing.position,
+        acceleration=nothing.position,
+        effort=nothing.effort,
+        imus=(imu,) * len(segment.imu_frames),
+        wrenches=nothing.wrenches,
+        imu_frames=segment.imu_frames,
+        wrench_frames=segment.wrench_frames,
+    )
 
 
 def at_base(readings: Readings, model: RobotModel) -> Samples:

@@ -47,7 +47,7 @@ def build_samples(
     if len(samples) == 0:
         raise DataError(
             f"{source}: the log is too short for this filter ({smoothing}), nothing is "
-            "left once it has settled; record longer or let more through"
+            "left once it has settled; raise its cutoff, shorten it or record longer"
         )
     return samples
 

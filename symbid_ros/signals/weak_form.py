@@ -20,6 +20,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.friction import slips
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
+from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import LowPass
@@ -29,19 +30,31 @@ from symbid_ros.signals.readings import Readings, at_base, smoothed
 # Seconds. Short windows follow brisk motion, long ones leave less noise in the regressor of calm
 # motion; which of them serves a log best is decided by the data.
 WINDOWS = (0.081, 0.161, 0.321)
+# Slowly sampled logs use longer ones: the first three lengths that hold enough samples.
+ALL_WINDOWS = (*WINDOWS, 0.641, 1.281, 2.561)
+MOST_WINDOWS = len(WINDOWS)
+# Fewer samples describe neither a Hann window nor the noise that it leaves (doc/theory.md).
+SAMPLES_PER_WINDOW = 6
 
-# Windows never reach over a multiple of this, in ns of header.stamp: a log can be cut there, and
-# worked on piece by piece, and nothing changes.
+# Windows and filters never cross a multiple of the block's length, in ns of header.stamp: a log
+# can be cut there and processed piece by piece without changing the result.
 BLOCK = 4_000_000_000
+# Slowly sampled logs have longer blocks, so that the edges of the filter stay a small part of
+# them: the shortest of these with enough samples. All divide a minute, the length of a slice.
+BLOCKS = (BLOCK, 12_000_000_000, 20_000_000_000)
+SAMPLES_PER_BLOCK = 280
 
 # Neighbouring Hann windows, half overlapped, share a sixth of white noise's variance; information
 # counted as if they shared none is too much by 1 + 2/6.
 INFLATION = 4 / 3
 
 # A low-pass before differentiation, in Hz: far above what the windows let through, low enough that
-# the squares of noisy rates add nothing. Slowly sampled logs get a share of their rate instead.
+# the squares of noisy rates add nothing. It is a share of the rate, within these limits.
 PREFILTER = 100.0
+SLOWEST_PREFILTER = 20.0
 PREFILTER_SHARE = 0.1
+# Below 80 Hz differences of samples amplify noise so little that a larger share may pass.
+LARGEST_SHARE = 0.25
 
 # Periods of the low-pass's cutoff that are left out at the ends of a block. What a filter does
 # at an edge dies out by a factor of 80 in one period, and acceleration shows it most.
@@ -139,9 +152,41 @@ def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
     return valid
 
 
+def suited_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:
+    """Return the shortest of some lengths, s, that hold enough samples at a rate, Hz."""
+    return tuple(one for one in windows if one * rate >= SAMPLES_PER_WINDOW)[:MOST_WINDOWS]
+
+
+def check_windows(windows: Sequence[float], rate: float, source: str) -> None:
+    """Refuse a rate, Hz, at which no window holds enough samples; ``source`` is for the message.
+
+    Raises
+    ------
+    DataError
+        When there is none.
+    """
+    if suited_windows(windows, rate):
+        return
+    lengths = ", ".join(f"{1e3 * window:g}" for window in windows)
+    raise DataError(
+        f"{source}: windows of {lengths} ms hold fewer than {SAMPLES_PER_WINDOW} samples at "
+        f"{rate:.4g} Hz; give a window of at least {SAMPLES_PER_WINDOW / rate:.3g} s, or record "
+        "at a higher rate"
+    )
+
+
+def block_length(rate: float) -> int:
+    """Return the length of blocks, ns, at a rate, Hz."""
+    for length in BLOCKS:
+        if length * 1e-9 * rate >= SAMPLES_PER_BLOCK:
+            return length
+    return BLOCKS[-1]
+
+
 def prefilter(rate: float) -> tuple[LowPass, int]:
     """Return the low-pass for a rate, Hz, and the readings at either end that feel the edge."""
-    low_pass = LowPass(min(PREFILTER, PREFILTER_SHARE * rate), passes=1)
+    least = min(SLOWEST_PREFILTER, LARGEST_SHARE * rate)
+    low_pass = LowPass(min(PREFILTER, max(PREFILTER_SHARE * rate, least)), passes=1)
     return low_pass, int(np.ceil(SETTLING * rate / low_pass.cutoff))
 
 
@@ -165,7 +210,7 @@ def windowed_rows(
         Whose noise enters the regressor; none for half the time and its bias.
     """
     low_pass, edge = prefilter(segment.rate)
-    blocks = segment.stamp // BLOCK
+    blocks = segment.stamp // block_length(segment.rate)
     edges = np.searchsorted(blocks, np.arange(blocks[0], blocks[-1] + 2))
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         if stop - start <= 2 * edge + 1:

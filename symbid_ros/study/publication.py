@@ -1,12 +1,12 @@
 """A study's results as people read them: a page, tables and figures."""
 
 import shutil
-from importlib.metadata import version
 from pathlib import Path
 
 import yaml
 
 from symbid_ros.atomic import write_text
+from symbid_ros.share import package_version
 from symbid_ros.study.data_claims import headline
 from symbid_ros.study.drawing import save
 from symbid_ros.study.page import Page, Section, render
@@ -45,7 +45,7 @@ def publish(plan: Plan, space: Workspace) -> Path:
         plan=yaml.safe_dump(
             plan.model_dump(exclude_unset=True), sort_keys=False, allow_unicode=True
         ),
-        software=f"symbid_ros {version('symbid_ros')}",
+        software=f"symbid_ros {package_version()}",
     )
     write_text(place, render(page))
     return place

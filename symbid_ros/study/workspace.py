@@ -2,11 +2,11 @@
 
 import shutil
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 from symbid_ros.atomic import write_text
 from symbid_ros.errors import StudyError
+from symbid_ros.share import package_version
 from symbid_ros.study.data_set import Log
 from symbid_ros.study.plan import Plan, Spread
 from symbid_ros.study.sensing import Sensing
@@ -38,7 +38,7 @@ class Workspace:
             When it holds something else, or another study's results.
         """
         mark = self.work / "plan.json"
-        text = plan.model_dump_json(indent=1) + f"\n{version('symbid_ros')}\n"
+        text = plan.model_dump_json(indent=1) + f"\n{package_version()}\n"
         if overwrite and mark.is_file():
             shutil.rmtree(self.work)
         if mark.is_file():

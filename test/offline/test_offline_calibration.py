@@ -16,12 +16,13 @@ from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.calibration import CALIBRATION_WINDOW, Tare, Wanted, calibrate, read_tare
+from symbid_ros.offline.calibration import Tare, Wanted, calibrate, read_tare
 from symbid_ros.offline.facts import Facts, PriorChoice
 from symbid_ros.offline.job import Job, prepare
 from symbid_ros.offline.record import Processing, Record
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, SensorErrors
+from symbid_ros.signals.weak_form import WINDOWS
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.scenario import SOLES
 from symbid_ros.simulation.simulator import Simulator
@@ -218,7 +219,7 @@ def test_any_trees_sensors_are_calibrated(seed, floating):
     np.testing.assert_array_equal(found.prior.std[p:][place][:6], tare[errors.wrench_frames[0]].std)
     np.testing.assert_array_equal(found.prior.mean[p:][place][:6], offset)
     np.testing.assert_array_equal(found.prior.std[p:][place][6:12], DEVIATIONS["plate_offset"])
-    assert [one.window for one in found.observations][-1] == CALIBRATION_WINDOW
+    assert [one.window for one in found.observations][-1] == max(WINDOWS)
     after = posterior(found.observations[-1], found.prior, count=p)
     z = (after.mean - np.concatenate([parameters.values, theta])) / after.std
     assert np.sqrt(np.mean(z**2)) < 1.6

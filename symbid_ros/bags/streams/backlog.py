@@ -98,6 +98,11 @@ class Backlog:
             len(index),
         )
 
+    @property
+    def stamps(self) -> IntArray:
+        """(N,) stamps of what waits, ns, in order of recording."""
+        return np.concatenate([np.empty(0, np.int64), *(part.stamps for part in self._parts)])
+
     def first_from(self, start: int) -> int | None:
         """Return the oldest stamp that waits from ``start`` on, ns."""
         waiting = (part.between(start, ALWAYS[1]) for part in self._parts)

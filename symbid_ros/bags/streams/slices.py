@@ -15,10 +15,9 @@ from symbid_ros.bags.streams.sensors import sensor_streams, stamps
 from symbid_ros.bags.streams.stamps import CLOCK_JUMP, seconds
 from symbid_ros.bags.streams.tally import ALWAYS, Defect, Tally
 from symbid_ros.errors import BagError
+from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
 from symbid_ros.signals.streams import Streams
 
-# Beyond both ends of a slice, ns: what a spline needs that resamples a slower topic.
-MARGIN = 100_000_000
 # Bytes that may wait for a topic that lags; it is silent or recorded behind the others.
 MOST_WAITING = 256 << 20
 
@@ -144,7 +143,7 @@ class _Slicer:
         while self._span is not None and (stop := self._stop()) is not None:
             newest = min(backlog.newest or ALWAYS[0] for backlog in self._backlogs.values())
             waiting = sum(backlog.size for backlog in self._backlogs.values())
-            if newest < stop + MARGIN + CLOCK_JUMP and waiting < MOST_WAITING:
+            if newest < stop + LONGEST_MARGIN + CLOCK_JUMP and waiting < MOST_WAITING:
                 return
             yield self._slice(stop)
 
@@ -171,12 +170,13 @@ class _Slicer:
         start, self._until = self._until, stop
         for backlog in self._backlogs.values():
             backlog.tally.during = (start, stop)
+        margin = resampling_margin(backlog.stamps for backlog in self._backlogs.values())
         decoders = {
-            topic: backlog.between(start - MARGIN, stop + MARGIN)
+            topic: backlog.between(start - margin, stop + margin)
             for topic, backlog in self._backlogs.items()
         }
         for backlog in self._backlogs.values():
-            backlog.drop_before(stop - MARGIN)
+            backlog.drop_before(stop - LONGEST_MARGIN)
         tallies = {topic: backlog.tally for topic, backlog in self._backlogs.items()}
         for topic, tally in tallies.items():
             if singly := self._backlogs[topic].decoder.decoded_singly:

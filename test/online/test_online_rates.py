@@ -1,0 +1,58 @@
+"""Slow topics, off each other's clocks, tell live what their bag tells."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from live_feed import feed_of
+from random_logs import LogPlan, random_streams, small_robot, write_bag
+
+from symbid_ros.estimation.archive import write_archive
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.offline.facts import PriorChoice
+from symbid_ros.offline.job import Job, prepare
+from symbid_ros.online.beginning import Beginning
+from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
+
+START = 1_723_456_789_012_345_678
+
+
+@pytest.fixture(scope="module", params=[20.0], ids="{:g} Hz".format)
+def robot_and_bag(request, tmp_path_factory) -> tuple[Path, Path, float]:
+    folder = tmp_path_factory.mktemp("slow")
+    path = folder / "robot.urdf"
+    path.write_text(urdf_text(small_robot(3, floating=True)))
+    # Over the end of a minute, where an offline run begins another slice.
+    plan = LogPlan(request.param, round(65 * request.param), START, ratios=(2.0, 0.5))
+    return path, write_bag(random_streams(load_model(path), plan, 1), folder / "log"), plan.rate
+
+
+def test_a_slow_log_fed_live_tells_what_its_bag_tells(robot_and_bag, tmp_path) -> None:
+    model, bag, rate = robot_and_bag
+    expected = suited_windows(ALL_WINDOWS, rate)
+
+    def job(bags=(), **options) -> Job:
+        return Job(bags, model, prior=PriorChoice(percent=25.0), method="map", **options)
+
+    live = OnlineIdentification(Beginning.of(job()), (feed := feed_of(bag)).selected, Pace(share=1))
+    outcomes = feed.into(live, solving=8.0)
+    assert [outcome for outcome in outcomes if outcome is not None]
+    exact = live.solve(exactly=True).found
+    live.close()
+    solver = prepare(job((bag,))).solver
+    offline = solver.problem.observations
+    assert [one.window for one in exact.observations] == [one.window for one in offline]
+    assert tuple(one.window for one in offline) == expected
+    for one, other in zip(exact.observations, offline, strict=True):
+        assert one.rows.samples == other.rows.samples
+        gram, known = (each.rows.factor.T @ each.rows.factor for each in (one, other))
+        scale = np.sqrt(np.diag(known))
+        assert np.all(np.abs(gram - known) <= 1e-9 * np.outer(scale, scale))
+
+    # Resumed, it has the windows of the run before.
+    archive = tmp_path / "information.npz"
+    write_archive(archive, exact.observations)
+    resumed = Beginning.of(job(information=archive))
+    assert tuple(one.window for one in resumed.observations) == expected
