@@ -128,8 +128,10 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ModelError
         When the bag's joints are not the model's.
     """
-    stamps = {one.topic: one.stamp for one in (*streams.imus, *streams.wrenches)}
-    for topic, stamp in {streams.joints.topic: streams.joints.stamp, **stamps}.items():
+    stamps = [(streams.joints.topic, streams.joints.stamp)]
+    stamps += [(imu.topic, imu.stamp) for imu in streams.imus]
+    stamps += [(wrench.topic, wrench.stamp) for wrench in streams.wrenches]
+    for topic, stamp in stamps:
         if not len(stamp):
             raise DataError(
                 f"{streams.source}: {topic} has no usable message; check its driver, or leave the "
