@@ -16,7 +16,7 @@ from scipy.interpolate import make_interp_spline
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
+from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 logger = logging.getLogger(__name__)
 
@@ -125,7 +125,12 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ModelError
         When the bag's joints are not the model's.
     """
-    for stream in (streams.joints, *streams.imus, *streams.wrenches):
+    given: list[JointStream | ImuStream | WrenchStream] = [
+        streams.joints,
+        *streams.imus,
+        *streams.wrenches,
+    ]
+    for stream in given:
         if not len(stream.stamp):
             raise DataError(
                 f"{streams.source}: {stream.topic} has no usable message; look after its driver or "
