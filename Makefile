@@ -1,6 +1,6 @@
 # make demo   the whole loop: simulate, record, identify, compare      (needs git, make, Python 3.11 or 3.12)
 # make test   every check
-# make fuzz   ten thousand spoiled bags; FIRST=n and CASES=n choose which
+# make fuzz   ten thousand spoiled bags and 300 random logs; FIRST=n, CASES=n and LOGS=n choose which
 # make mutants  a hundred random faults put into the code; SEED=n and COUNT=n choose which
 # make soak   all nodes among foreign traffic for DURATION seconds
 # make setup  the environment alone, in .venv
@@ -34,8 +34,10 @@ test: lint
 
 FIRST ?= 0
 CASES ?= 10000
+LOGS ?= 300
 fuzz: setup-dev
 	$(BIN)/python test/support/bag_fuzz.py --first $(FIRST) --cases $(CASES)
+	$(BIN)/python test/support/log_fuzz.py --first $(FIRST) --cases $(LOGS)
 
 SEED ?= 0
 COUNT ?= 100

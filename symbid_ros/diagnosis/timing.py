@@ -11,7 +11,7 @@ from symbid_ros.diagnosis.finding import Finding, Kind, Severity
 
 # Periods that vary by more than this share of themselves are arrival times, no sampling times.
 JITTER = 0.25
-# Hz; the shortest windows over which rows are averaged last 81 ms and need a few messages.
+# Hz; below it the windows over which rows are averaged are too long for brisk motion.
 SLOWEST = 50.0
 # A recorder finds its topics one after the other; what begins or ends so much apart, s, is a fault.
 APART = 1.0
