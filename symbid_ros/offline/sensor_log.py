@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from symbid_ros.bags.streams.selection import TopicSelection
@@ -58,7 +58,8 @@ class SensorLog:
         span: int = SPAN,
         most_kept: int = MOST_KEPT,
     ) -> None:
-        self._bags, self._model, self._topics, self._part = tuple(bags), model, topics, part
+        self._bags, self._model, self._part = tuple(bags), model, part
+        self._topics = replace(topics, joint_names=model.joint_names)
         self._span, self._most_kept = span, most_kept
         self._kept: tuple[Segment, ...] | None = None
         self._has_been_read = False

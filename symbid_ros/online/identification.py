@@ -238,6 +238,14 @@ class OnlineIdentification:
         self._choice, self._watch = WindowChoice(), ChangeWatch(self._parameters)
         self._begin_time(Whole(self._beginning.nothing, self._pace.memory))
 
+    def set_memory(self, span: float) -> None:
+        """Forget from now on with another memory, s; what is known keeps its present weight."""
+        self._settle(self._work.finish())
+        self._pace = replace(self._pace, memory=span)
+        whole = replace(self._memory.whole, span=span)
+        self._work.begin(whole)
+        self._memory.settle(whole)
+
     def close(self) -> None:
         """Give up blocks that are in line."""
         self._work.close()

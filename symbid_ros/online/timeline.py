@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.bags.streams.selection import SelectedTopics
-from symbid_ros.errors import DataError
+from symbid_ros.errors import SymbidError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.signals.alignment import Segment, cut_to
@@ -66,7 +66,7 @@ class Timeline:
     def __init__(
         self, selected: SelectedTopics, model: RobotModel, lag: float, source: str
     ) -> None:
-        self.streams = LiveStreams(selected, source)
+        self.streams = LiveStreams(replace(selected, joint_names=model.joint_names), source)
         self._model = model
         self._lag = max(round(lag * 1e9), MARGIN)
         self._open_from: int | None = None
@@ -126,10 +126,11 @@ class Timeline:
             self._left.append(replace(block, start=start, segments=segments))
 
     def _shortest_piece(self) -> int:
-        stamps = self.streams.joints.stamps
+        # Joints may come in parts, several messages of one stamp.
+        stamps = np.unique(self.streams.joints.stamps)
         if len(stamps) < 2:
             return BLOCK
-        period = float(np.median(np.diff(np.sort(stamps))))
+        period = float(np.median(np.diff(stamps)))
         _, edge = prefilter(1e9 / max(period, 1.0))
         return int(EDGES * edge * period)
 
@@ -159,6 +160,6 @@ class Timeline:
         try:
             streams = self.streams.between(start - MARGIN, seen_until)
             segments = moving_segments(streams, self._model)
-        except DataError as error:
+        except SymbidError as error:
             return Stretch(start, stop, (), str(error))
         return Stretch(start, stop, tuple(cut_to(segments, start, stop)))

@@ -1,9 +1,9 @@
 """The identifier's online half: topics in, an estimate that follows them out."""
 
 import json
-import logging
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event
@@ -25,13 +25,14 @@ from symbid_ros.ros.health import HealthPublisher
 from symbid_ros.ros.identifier_health import IdentifierHealth
 from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, job_from
 from symbid_ros.ros.intake import Intake
-from symbid_ros.ros.log_filter import OncePerMinute
+from symbid_ros.ros.notices import Notices
 from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.sensor_topics import SensorTopics, resolved
 
 POLL = 0.005  # s; far below what fills a queue
 ANSWER_POLL = 0.1  # s
 LOOK = 0.1  # s; between two looks at the graph while topics are waited for
+PATIENCE = 2.0  # s; topics that are missing for longer are reported
 LOOK_AGAIN = 1.0  # s; afterwards
 # Whoever shows the robot loads it anew each time.
 DESCRIPTION_PERIOD = 10.0  # s
@@ -88,7 +89,8 @@ class OnlineIdentifier:
         self._described = float("-inf")
         self._solves = 0
         self._health = IdentifierHealth()
-        logging.getLogger("symbid_ros").addFilter(OncePerMinute())
+        self._notices = Notices(node)
+        self._refusal: dict[str, str] = {}
         for handler_name, work in (
             ("reset", self._reset),
             ("solve", self._solve_exactly),
@@ -97,7 +99,7 @@ class OnlineIdentifier:
             node.create_service(Trigger, f"~/{handler_name}", self._triggered(work))
         node.create_service(SetBool, "~/enable", self._enable)
         watch(node, PARAMETERS, self._adopt)
-        self._publisher = HealthPublisher(node, self._health.look)
+        self._publisher = HealthPublisher(node, self._health.look, self._parameters.model.name)
 
     def run(self, stop: Event) -> None:
         """Identify until stopped; then save, where a folder is named, and say what was done."""
@@ -111,15 +113,21 @@ class OnlineIdentifier:
                 self._identification.close()
 
     def _await_topics(self, stop: Event) -> None:
+        begun = time.monotonic()
         while not stop.is_set() and self._identification is None:
             self._look()
-            self._health.waiting(self._sensors.intakes)
+            missing = self._sensors.missing() | self._refusal
+            if time.monotonic() - begun >= PATIENCE and self._identification is None:
+                self._notices.update(missing)
+            self._health.waiting(self._sensors.intakes, missing.values())
             self._answer_requests()
             stop.wait(LOOK)
+        if self._identification is not None:
+            self._notices.update({})
 
     def _look(self) -> None:
         """Look at the graph; begin where the topics of the robot are other than known so far."""
-        selected = self._sensors.look()
+        selected = self._selection()
         if selected is None or selected == self._selected:
             return
         names = ", ".join(topic.name for topic in selected.all)
@@ -133,6 +141,16 @@ class OnlineIdentifier:
         model = self._parameters.model.name
         self._node.get_logger().info(f"identifying {model} from {names}")
 
+    def _selection(self) -> SelectedTopics | None:
+        """Return the robot's topics once they are complete and unambiguous."""
+        self._refusal = {}
+        try:
+            return self._sensors.look()
+        except SymbidError as error:
+            # Topics come and go: what cannot be used now may be in order later.
+            self._refusal = {"topics": str(error)}
+            return None
+
     def _follow(self, stop: Event) -> None:
         due = time.monotonic() + self._period
         looked = time.monotonic()
@@ -145,7 +163,9 @@ class OnlineIdentifier:
                 self._look()
                 looked = now
             if now >= due:
-                self._health.heard(self._live)
+                faults = self._health.heard(self._live)
+                if faults is not None:
+                    self._notices.update(faults)
                 if self._is_enabled and self._live.has_news:
                     self._solve()
                 # A machine that cannot keep the pace needs time for the topics, too.
@@ -242,6 +262,14 @@ class OnlineIdentifier:
 
     def _adopt(self, live: dict[str, Any]) -> None:
         self._period = live["solve_period"]
+        # Blocks may be in work: the thread that identifies makes the change.
+        self._requests.put(_Request(lambda: self._remember(live["memory"])))
+
+    def _remember(self, memory: float) -> str:
+        self._pace = replace(self._pace, memory=memory or float("inf"))
+        if self._identification is not None:
+            self._identification.set_memory(self._pace.memory)
+        return f"memory is {memory:g} s" if memory else "data are never forgotten"
 
     def _triggered(
         self, work: Callable[[], str]

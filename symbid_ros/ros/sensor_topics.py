@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from rclpy.node import Node
 
@@ -10,6 +10,7 @@ from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.messages import IMU, JOINT_STATE
 from symbid_ros.bags.streams.selection import SelectedTopics, Selector, TopicSelection
 from symbid_ros.ros.intake import Intake, Polled, subscribe
+from symbid_ros.ros.missing_topics import missing_topics
 
 
 @dataclass
@@ -67,10 +68,19 @@ class SensorTopics:
         selector.counts = dict.fromkeys(self.intakes, 1)
         return selector.selected()
 
+    def missing(self) -> dict[str, str]:
+        """Return what is still waited for, by topic or kind of sensor."""
+        graph = {
+            name: types
+            for name, types in self.node.get_topic_names_and_types()
+            if self.node.count_publishers(name)
+        }
+        return missing_topics(self.selection, self.intakes, graph, floating=self.floating)
+
     def _is_near(self, topic: Topic) -> bool:
         """Tell whether a topic was named or lies in the node's namespace: others are of others."""
         space = self.node.get_namespace().rstrip("/")
-        named = (self.selection.joints, *(self.selection.imus or ()))
+        named = (*(self.selection.joints or ()), *(self.selection.imus or ()))
         return topic.name.startswith(f"{space}/") or topic.name in (
             *named,
             *(self.selection.wrenches or ()),
@@ -78,7 +88,7 @@ class SensorTopics:
 
     def _lacking(self, found: Iterable[Topic]) -> bool:
         named = [
-            *filter(None, [self.selection.joints]),
+            *(self.selection.joints or ()),
             *(self.selection.imus or ()),
             *(self.selection.wrenches or ()),
         ]
@@ -95,13 +105,14 @@ def resolved(node: Node, selection: TopicSelection) -> TopicSelection:
     def all_of(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
         return None if names is None else tuple(map(node.resolve_topic_name, names))
 
-    joints = _remapped(node, "joint_states") if selection.joints is None else selection.joints
-    imu = _remapped(node, "imu/data")
+    joint, imu = _remapped(node, "joint_states"), _remapped(node, "imu/data")
+    joints = (joint,) if joint is not None and selection.joints is None else selection.joints
     imus = (imu,) if imu is not None and selection.imus is None else selection.imus
-    return TopicSelection(
-        None if joints is None else node.resolve_topic_name(joints),
-        all_of(imus),
-        all_of(selection.wrenches),
+    return replace(
+        selection,
+        joints=all_of(joints),
+        imus=all_of(imus),
+        wrenches=all_of(selection.wrenches),
     )
 
 

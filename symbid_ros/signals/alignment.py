@@ -121,7 +121,7 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     """
     joints = _joint_channel(streams, model)
     channels = [joints, *map(_imu_channel, streams.imus), *map(_wrench_channel, streams.wrenches)]
-    period = _period(joints)
+    period = _period(joints, streams)
     start = max(int(channel.stamp[0]) for channel in channels)
     stop = min(int(channel.stamp[-1]) for channel in channels)
     if stop <= start:
@@ -134,10 +134,10 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
         for grid in _grids(channels, start, stop, period)
     )
     if not segments:
-        raise DataError(
-            f"{streams.source}: the log is too short, no stretch of {SHORTEST_SEGMENT} samples has "
-            "data on every topic; record longer"
-        )
+        nowhere = f"no stretch of {SHORTEST_SEGMENT} samples has data on every topic"
+        if streams.is_live:
+            raise DataError(f"{streams.source}: {nowhere}; check their drivers for gaps")
+        raise DataError(f"{streams.source}: the log is too short, {nowhere}; record longer")
     return segments
 
 
@@ -149,12 +149,13 @@ def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segme
             yield segment.cut(first, last)
 
 
-def _period(joints: _Channel) -> float:
+def _period(joints: _Channel, streams: Streams) -> float:
     """Return the joint states' sampling period in nanoseconds."""
     if len(joints.stamp) < SHORTEST_SEGMENT:
+        action = "publish at a higher rate" if streams.is_live else "record longer"
         raise DataError(
-            f"{joints.topic}: {len(joints.stamp)} messages are too few; record at least "
-            f"{SHORTEST_SEGMENT}"
+            f"{streams.source}: {joints.topic}: {len(joints.stamp)} joint states are too few, at "
+            f"least {SHORTEST_SEGMENT} are needed; {action}"
         )
     return float(np.median(np.diff(joints.stamp)))
 
@@ -247,10 +248,13 @@ def _joint_channel(streams: Streams, model: RobotModel) -> _Channel:
         row, column = np.argwhere(~np.isfinite(values))[0]
         field = "position" if column < len(columns) else "effort"
         name = model.joint_names[column % len(columns)]
+        action = "let its driver publish it"
+        if not streams.is_live:
+            action += ", or leave that part of the bag out (--start, --stop)"
         raise DataError(
             f"{streams.source}: {streams.joints.topic} has no finite {field} of joint {name!r} at "
-            f"{streams.joints.stamp[row] * 1e-9:.3f} s, as in half of the messages or more; mend "
-            "or cut the bag"
+            f"{streams.joints.stamp[row] * 1e-9:.3f} s, as in half of the messages or more; "
+            f"{action}"
         )
     if not whole.all():
         logger.warning(
@@ -273,7 +277,8 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
     if missing:
         raise ModelError(
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
-            f"has {', '.join(names)}; name the right model or bag"
+            f"has {', '.join(names)}; name every topic of joint states (--joint-topic, parameter "
+            "joint_topic), or the model of this robot"
         )
     return np.array([list(names).index(name) for name in model.joint_names], dtype=np.int64)
 
