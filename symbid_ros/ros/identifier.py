@@ -12,12 +12,15 @@ from symbid_ros.ros.identifier_parameters import PARAMETERS, is_online
 from symbid_ros.ros.offline_identifier import OfflineIdentifier
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.process import run_node
+from symbid_ros.ros.robot_description import with_model
 
 
 def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
     """Identify from what the parameters name until stopped."""
     identifier = OnlineIdentifier if is_online(values) else OfflineIdentifier
-    identifier(node, values).run(stop)
+    with with_model(node, values, stop) as complete:
+        if complete is not None:
+            identifier(node, complete).run(stop)
 
 
 def main(args: Sequence[str] | None = None) -> None:

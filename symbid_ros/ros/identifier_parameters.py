@@ -34,7 +34,12 @@ PARAMETERS = (
         "Of a bag: seconds after its first joint state to end at; 0: at its end.",
         minimum=0.0,
     ),
-    Parameter("model", "", "Robot model, URDF or MJCF."),
+    Parameter("model", "", "Robot model, URDF or MJCF; empty: robot_description."),
+    Parameter(
+        "robot_description",
+        "",
+        "URDF as text, where no model is named; empty for the latched topic robot_description.",
+    ),
     Parameter(
         "base",
         "auto",
