@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from symbid_ros.cli.options import BaseKind, ImuTopic, JointTopic, Start, Stop, WrenchTopic
+from symbid_ros.cli.options import (
+    BaseKind,
+    FramePrefix,
+    ImuTopic,
+    JointTopic,
+    Start,
+    Stop,
+    WrenchTopic,
+)
 
 if TYPE_CHECKING:
     from symbid_ros.diagnosis.diagnosis import Diagnosis
@@ -77,6 +85,7 @@ def doctor(
     joint_topic: JointTopic = None,
     imu_topic: ImuTopic = None,
     wrench_topic: WrenchTopic = None,
+    frame_prefix: FramePrefix = "",
     base: BaseKind = "auto",
     as_json: Json = False,
 ) -> None:
@@ -90,9 +99,10 @@ def doctor(
     from symbid_ros.model.load import load_model
 
     topics = TopicSelection(
-        joints=joint_topic,
+        joints=tuple(joint_topic) if joint_topic else None,
         imus=tuple(imu_topic) if imu_topic else None,
         wrenches=tuple(wrench_topic) if wrench_topic else None,
+        frame_prefix=frame_prefix,
     )
     robot = None if model is None else load_model(model, base)
     found = diagnose(bags, robot, topics, TimeRange(start, stop))

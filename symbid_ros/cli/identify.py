@@ -8,6 +8,7 @@ import typer
 
 from symbid_ros.cli.options import (
     BaseKind,
+    FramePrefix,
     ImuTopic,
     JointTopic,
     Model,
@@ -183,6 +184,7 @@ def identify(
     joint_topic: JointTopic = None,
     imu_topic: ImuTopic = None,
     wrench_topic: WrenchTopic = None,
+    frame_prefix: FramePrefix = "",
     base: BaseKind = "auto",
     unchecked: Annotated[
         bool,
@@ -215,9 +217,10 @@ def identify(
 
     require_no_files(out, RESULT_FILES, overwrite=overwrite)
     topics = TopicSelection(
-        joints=joint_topic,
+        joints=tuple(joint_topic) if joint_topic else None,
         imus=tuple(imu_topic) if imu_topic else None,
         wrenches=tuple(wrench_topic) if wrench_topic else None,
+        frame_prefix=frame_prefix,
     )
     job = Job(
         bags=tuple(bags),

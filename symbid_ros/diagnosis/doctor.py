@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from symbid_ros.bags.container.contents import bag_names
@@ -50,7 +50,10 @@ def diagnose(
         When there is nothing to judge: no bag, or none of the topics.
     """
     log = _LogDiagnoser(model)
-    pieces = iterate_slices(bags, topics or TopicSelection(), span=SPAN, part=part, warn=False)
+    topics = topics or TopicSelection()
+    if model is not None:
+        topics = replace(topics, joint_names=model.measured_joint_names)
+    pieces = iterate_slices(bags, topics, span=SPAN, part=part, warn=False)
     try:
         for piece in pieces:
             log.take(piece)

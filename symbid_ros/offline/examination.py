@@ -59,7 +59,7 @@ def examine(
         return
     found = check_model(
         watch,
-        chosen.joints.name,
+        ", ".join(topic.name for topic in chosen.joints),
         [imu.name for imu in chosen.imus],
         dict(zip(watch.gains.wrench_frames, (one.name for one in chosen.wrenches), strict=True)),
     ).findings

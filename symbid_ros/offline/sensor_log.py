@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from symbid_ros.bags.streams.selection import TopicSelection
@@ -62,7 +62,8 @@ class SensorLog:
         most_kept: int = MOST_KEPT,
         checks: StreamChecks | None = None,
     ) -> None:
-        self._bags, self._model, self._topics, self._part = tuple(bags), model, topics, part
+        self._bags, self._model, self._part = tuple(bags), model, part
+        self._topics = replace(topics, joint_names=model.measured_joint_names)
         self._span, self._most_kept = span, most_kept
         self._checks = checks
         self._kept: tuple[Segment, ...] | None = None

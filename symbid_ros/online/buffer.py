@@ -29,6 +29,12 @@ class TopicBuffer:
         All messages that ever came.
     late : int
         Of these, those whose time had already been worked on.
+    unstamped : int
+        Of these, those left out because their stamp was zero.
+    stale : int
+        Of these, those left out because the other topics' clock was at another time.
+    newest_stale : int
+        Stamp of the newest of these, ns.
     newest : int or None
         Largest stamp that waits or has been worked on, ns; None before the first.
     missing : int
@@ -40,6 +46,9 @@ class TopicBuffer:
     topic: Topic
     received: int = 0
     late: int = 0
+    unstamped: int = 0
+    stale: int = 0
+    newest_stale: int = 0
     newest: int | None = None
     missing: int = 0
     disordered: int = 0
@@ -78,6 +87,8 @@ class TopicBuffer:
         """Count what is missing between the last stamp so counted and ``stop``, ns."""
         stamps = self.stamps
         begun = stamps[stamps < stop]
+        if self._has_parts:
+            begun = np.unique(begun)  # several messages of one stamp are parts of one
         if self._counted is not None:
             begun = begun[begun >= self._counted]
         if len(begun):
@@ -85,6 +96,11 @@ class TopicBuffer:
             self.missing += gaps.missing
             self.disordered += gaps.disordered
             self._counted = int(begun.max())
+
+    @property
+    def _has_parts(self) -> bool:
+        """Whether messages name different joints."""
+        return len({layout.text.get("name") for layout in self._layouts}) > 1
 
     def drop_before(self, stamp: int) -> None:
         """Let go of messages older than ``stamp``."""

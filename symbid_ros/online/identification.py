@@ -96,7 +96,9 @@ class OnlineIdentification:
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
         self.lost_blocks = self.clock_jumps = 0
         model = self._parameters.model
-        self.checks = {topic: MessageCheck(topic, model) for topic in selected.all}
+        self.checks = {
+            topic: MessageCheck(topic, model, selected.frame_prefix) for topic in selected.all
+        }
         self._posterior: Posterior | None = None
         self._released: set[str] = set()
         self._until = 0
@@ -269,6 +271,14 @@ class OnlineIdentification:
         self._problem = replace(self._problem, prior=self._beginning.problem.prior)
         self._choice, self._watch = WindowChoice(), ChangeWatch(self._parameters)
         self._begin_time(Whole(self._beginning.nothing, self._pace.memory))
+
+    def set_memory(self, span: float) -> None:
+        """Forget from now on with another memory, s; what is known keeps its present weight."""
+        self._settle(self._work.finish())
+        self._pace = replace(self._pace, memory=span)
+        whole = replace(self._memory.whole, span=span)
+        self._work.begin(whole)
+        self._memory.settle(whole)
 
     def close(self) -> None:
         """Give up blocks that are in line."""

@@ -1,6 +1,6 @@
 """Live topics as one recording of which the newest seconds are at hand."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.streams.selection import SelectedTopics
@@ -25,8 +25,6 @@ class LiveStreams:
         Which they are.
     source : str
         How messages to the user name them.
-    stale : int
-        Messages left out because they belonged to no time that is worth waiting for.
     worked_until : int or None
         End of the last block given out, ns: what comes before it is late.
     buffers : dict of Topic to TopicBuffer
@@ -35,7 +33,6 @@ class LiveStreams:
 
     selected: SelectedTopics
     source: str
-    stale: int = 0
     worked_until: int | None = None
     buffers: dict[Topic, TopicBuffer] = field(init=False)
     _clock: int | None = None
@@ -46,12 +43,12 @@ class LiveStreams:
     @property
     def joints(self) -> TopicBuffer:
         """The joint states, whose stamps are the clock."""
-        return self.buffers[self.selected.joints]
+        return self.buffers[self.selected.clock]
 
     def jumps_back(self, topic: Topic, stamp: int) -> bool:
         """Tell whether a message of that stamp, ns, begins a new time."""
         newest = self.buffers[topic].newest
-        return newest is not None and stamp < newest - CLOCK_JUMP
+        return stamp > 0 and newest is not None and stamp < newest - CLOCK_JUMP
 
     def restart(self) -> None:
         """Begin a new time, for which nothing is at hand yet."""
@@ -63,16 +60,39 @@ class LiveStreams:
         """Take a message and its stamp, ns."""
         buffer = self.buffers[topic]
         buffer.received += 1
+        # A simulation may begin at zero; a second zero shows that the driver sets no stamps.
+        if stamp <= 0 and (buffer.newest is not None or buffer.unstamped):
+            buffer.unstamped += 1
+            if buffer.newest == 0:
+                self._forget(buffer)
+            return
         # The first of this topic: of this time, or left over from the one before?
         is_first = self._clock is not None and buffer.newest is None
         if is_first and abs(stamp - (self._clock or 0)) > CLOCK_JUMP:
-            self.stale += 1
+            buffer.stale += 1
+            buffer.newest_stale = stamp
             return
         if self.worked_until is not None and stamp < self.worked_until:
             buffer.late += 1
             return
         buffer.add(stamp, payload)
         self._clock = stamp if self._clock is None else max(self._clock, stamp)
+
+    def _forget(self, buffer: TopicBuffer) -> None:
+        """Drop what a topic has sent, and take the clock from the others."""
+        buffer.clear()
+        newest = [one.newest for one in self.buffers.values() if one.newest is not None]
+        self._clock = max(newest, default=None)
+
+    @property
+    def clock(self) -> int | None:
+        """Newest stamp of any topic, ns."""
+        return self._clock
+
+    @property
+    def stale(self) -> int:
+        """Messages left out because they belonged to no time that is worth waiting for."""
+        return sum(buffer.stale for buffer in self.buffers.values())
 
     @property
     def complete_until(self) -> int | None:
@@ -99,6 +119,7 @@ class LiveStreams:
                 )
         tallies = {topic: Tally(self.source, topic.name) for topic in decoders}
         streams = sensor_streams(self.source, self.selected, decoders, tallies)
+        streams = replace(streams, is_live=True)
         for topic, tally in tallies.items():
             tally.messages = decoders[topic].count
             tally.report()

@@ -40,6 +40,8 @@ class MessageCheck:
         Name and type.
     model : RobotModel
         Its joints and frames.
+    frame_prefix : str
+        What ``header.frame_id`` begins with and the model's frames do not.
 
     Attributes
     ----------
@@ -51,11 +53,11 @@ class MessageCheck:
         ``header.frame_id`` of the topic's sensor; None before its first message.
     """
 
-    def __init__(self, topic: Topic, model: RobotModel) -> None:
+    def __init__(self, topic: Topic, model: RobotModel, frame_prefix: str = "") -> None:
         self._topic = topic
         self._messages = SingleMessages(topic)
         self._joints = frozenset(model.joint_names)
-        self._frames = known_frames(model)
+        self._frames, self._prefix = known_frames(model), frame_prefix
         self._last: int | None = None
         self._held: tuple[int, bytes] | None = None
         self._warned = float("-inf")
@@ -108,7 +110,7 @@ class MessageCheck:
         if self._topic.msgtype == JOINT_STATE:
             return self._joint_objection(layout.text["name"])
         frame = layout.text["header.frame_id"][0]
-        if self.frame is None and frame in self._frames:
+        if self.frame is None and frame.removeprefix(self._prefix) in self._frames:
             self.frame = frame
         if frame == self.frame:
             return ""

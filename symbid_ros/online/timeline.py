@@ -70,7 +70,9 @@ class Timeline:
     def __init__(
         self, selected: SelectedTopics, model: RobotModel, lag: float, source: str
     ) -> None:
-        self.streams = LiveStreams(selected, source)
+        self.streams = LiveStreams(
+            replace(selected, joint_names=model.measured_joint_names), source
+        )
         self._model = model
         self._lag = round(lag * 1e9)
         self._period: float | None = None  # of the joint states, ns, once enough have come
@@ -146,7 +148,11 @@ class Timeline:
         if self._period is None:
             if len(stamps) < SHORTEST_SEGMENT:
                 return None
-            self._period = max(float(np.median(np.diff(np.sort(stamps)))), 1.0)
+            # Joints may come in parts, several messages of one stamp.
+            steps = np.diff(np.unique(stamps))
+            if not len(steps):
+                return None
+            self._period = float(np.median(steps))
         if self._open_from is None:
             self._open_from = int(stamps.min())
         length = block_length(1e9 / self._period)

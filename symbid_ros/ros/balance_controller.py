@@ -13,6 +13,7 @@ from rclpy.node import Node
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.errors import DataError
+from symbid_ros.ros.bridge_parameters import robot_name
 from symbid_ros.ros.commands import CommandPublisher
 from symbid_ros.ros.health import OK, WARN, Health, HealthPublisher
 from symbid_ros.ros.parameters import Parameter
@@ -110,7 +111,7 @@ class BalanceNode:
         self._stamp = 0
         self._heard = float("-inf")
         self._pace = Pace()
-        self._health = HealthPublisher(node, self._look)
+        self._health = HealthPublisher(node, self._look, robot_name(values))
 
     def run(self, stop: Event) -> None:
         """Answer measurements until stopped, then say how many."""

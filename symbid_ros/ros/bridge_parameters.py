@@ -122,6 +122,11 @@ PARAMETERS = (
 )
 
 
+def robot_name(values: Values) -> str:
+    """Return what diagnostics call the robot: the name of its model's file."""
+    return (_path(values["model"]) or config_file("symbitron.xml")).stem
+
+
 def simulator_from(values: Values) -> Simulator:
     """Return the robot that parameters ask for, at its start and without payload."""
     return Simulator(

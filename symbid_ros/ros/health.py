@@ -42,10 +42,12 @@ class HealthPublisher:
     node : Node
     look : callable
         Returns the statuses of this moment.
+    hardware_id : str
+        Which robot or bag they are about.
     """
 
-    def __init__(self, node: Node, look: Callable[[], Sequence[Health]]) -> None:
-        self._node, self._look = node, look
+    def __init__(self, node: Node, look: Callable[[], Sequence[Health]], hardware_id: str) -> None:
+        self._node, self._look, self._hardware_id = node, look, hardware_id
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", reliable(10))
         # Simulated time may stand still, and health is asked for then most of all.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
@@ -58,6 +60,7 @@ class HealthPublisher:
         message.status = [
             DiagnosticStatus(
                 level=health.level,
+                hardware_id=self._hardware_id,
                 name=f"{name}: {health.part}",
                 message=health.message,
                 values=[

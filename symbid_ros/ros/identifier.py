@@ -12,14 +12,18 @@ from symbid_ros.ros.identifier_parameters import PARAMETERS, is_online
 from symbid_ros.ros.offline_identifier import OfflineIdentifier
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.process import built, run_node
+from symbid_ros.ros.robot_description import with_model
 
 
 def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
     """Identify from what the parameters name until stopped."""
-    if is_online(values):
-        built(OnlineIdentifier, node, values, stop).run(stop)
-    else:
-        built(OfflineIdentifier, node, values, stop).run(stop)
+    with with_model(node, values, stop) as complete:
+        if complete is None:
+            return
+        if is_online(complete):
+            built(OnlineIdentifier, node, complete, stop).run(stop)
+        else:
+            built(OfflineIdentifier, node, complete, stop).run(stop)
 
 
 def main(args: Sequence[str] | None = None) -> None:

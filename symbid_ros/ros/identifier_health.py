@@ -1,17 +1,17 @@
 """What an online identifier says of itself on ``/diagnostics``."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
+from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.online.outcome import Outcome
 from symbid_ros.ros.estimate_messages import estimate_health
 from symbid_ros.ros.health import ERROR, OK, WARN, Health
+from symbid_ros.ros.stream_faults import StreamFaults
 
-# Rates are counted over this time at least, and a topic is reported that has been silent for so
-# long, s.
+# Rates are counted over this time at least, s.
 LEAST_COUNTED = 0.5
-SILENT = 2.0
 IN_ORDER = "in order"
 
 
@@ -27,8 +27,8 @@ class IdentifierHealth:
         self._streams = Health("streams", WARN, "no sensor topics yet")
         self._change = Health("change", OK, "too early to tell a change")
         self._counts: dict[str, int] = {}
-        self._heard: dict[str, float] = {}
         self._dropped: dict[str, int] = {}
+        self._faults = StreamFaults()
         self._counted = self._solved = time.monotonic()
 
     def look(self) -> Sequence[Health]:
@@ -48,9 +48,11 @@ class IdentifierHealth:
             self._change,
         )
 
-    def waiting(self, state: str) -> None:
-        """Take which topics have turned up so far and which are waited for."""
-        self._streams = Health("streams", WARN, state)
+    def waiting(self, found: Iterable[Topic], missing: Iterable[str] = ()) -> None:
+        """Take which topics have turned up so far, and what keeps the others."""
+        names = ", ".join(sorted(topic.name for topic in found))
+        message = f"waiting for sensor topics, found {names}" if names else "no sensor topics yet"
+        self._streams = Health("streams", WARN, "; ".join([message, *missing]))
 
     @property
     def obstacle(self) -> str:
@@ -100,42 +102,39 @@ class IdentifierHealth:
         }
         return estimate_health(outcome.found.estimate, outcome.alarms, facts)
 
-    def heard(self, live: OnlineIdentification) -> None:
-        """Take how the topics do."""
+    def heard(self, live: OnlineIdentification) -> dict[str, str] | None:
+        """Take how the topics do; return what is wrong with them, None where it is too early."""
         now = time.monotonic()
         elapsed = now - self._counted
         if elapsed < LEAST_COUNTED:
-            return
+            return None
         self._counted = now
         figures: dict[str, object] = {}
-        silent = []
+        faults_by_topic = self._faults.look(live.streams)
         for topic, buffer in live.streams.buffers.items():
             name = topic.name
             new = buffer.received - self._counts.get(name, 0)
             self._counts[name] = buffer.received
-            if new:
-                self._heard[name] = now
-            elif now - self._heard.setdefault(name, now) > SILENT:
-                silent.append(name)
             figures[f"{name}/rate"] = f"{new / elapsed:.1f}"
             figures[f"{name}/received"] = buffer.received
             figures[f"{name}/missing"] = buffer.missing
             figures[f"{name}/late"] = buffer.late
             figures[f"{name}/disordered"] = buffer.disordered
             figures[f"{name}/dropped"] = live.checks[topic].dropped
+            figures[f"{name}/unstamped"] = buffer.unstamped
         figures |= {"clock_jumps": live.clock_jumps, "stale": live.streams.stale}
         figures["lost_blocks"] = live.lost_blocks
-        faults = [f"silent: {', '.join(silent)}"] if silent else []
-        faults += list(live.faults)[-1:] + self._newly_dropped(live)
+        faults = [*faults_by_topic.values(), *list(live.faults)[-1:], *self._newly_dropped(live)]
         level = WARN if faults else OK
         self._streams = Health("streams", level, "; ".join(faults) or IN_ORDER, figures)
+        return faults_by_topic
 
     def _newly_dropped(self, live: OnlineIdentification) -> list[str]:
-        """Return what has been dropped since the last look, and why."""
-        told = []
+        """Return how many messages were dropped since the last look, and why."""
+        dropped = []
         for topic, check in live.checks.items():
             new = check.dropped - self._dropped.get(topic.name, 0)
             self._dropped[topic.name] = check.dropped
             if new:
-                told.append(f"{new} messages dropped, the last because {check.reason}")
-        return told
+                dropped.append(f"{new} messages dropped, the last because {check.reason}")
+        return dropped

@@ -34,7 +34,12 @@ PARAMETERS = (
         "Of a bag: seconds after its first joint state to end at; 0: at its end.",
         minimum=0.0,
     ),
-    Parameter("model", "", "Robot model, URDF or MJCF."),
+    Parameter("model", "", "Robot model, URDF or MJCF; empty: robot_description."),
+    Parameter(
+        "robot_description",
+        "",
+        "URDF as text, where no model is named; empty for the latched topic robot_description.",
+    ),
     Parameter(
         "base",
         "auto",
@@ -94,9 +99,18 @@ PARAMETERS = (
         "armature", False, "Identify the drives' inertias, as the joints feel them, as well."
     ),
     Parameter("offset", False, "Identify a constant torque of every joint as well."),
-    Parameter("joint_topic", "", "JointState topic; empty for joint_states."),
+    Parameter(
+        "joint_topic",
+        [""],
+        "JointState topic, or several whose joints are merged by stamp; empty for joint_states.",
+    ),
     Parameter("imu_topics", [""], "Imu topics; empty for all."),
     Parameter("wrench_topics", [""], "WrenchStamped topics; empty for all named wrench."),
+    Parameter(
+        "frame_prefix",
+        "",
+        "What the sensors' frames begin with and the model's do not, such as robot1/.",
+    ),
     Parameter("unchecked", False, "Go on with data that contradict the model (doc/diagnosis.md)."),
     Parameter("out", "", "Folder for the estimate and the models; empty for none."),
     Parameter(
@@ -113,6 +127,7 @@ PARAMETERS = (
         "Online: seconds in which data lose all but 1/e of their weight, so that changes are "
         "followed; 0 for never.",
         minimum=0.0,
+        live=True,
     ),
     Parameter(
         "lag",
@@ -179,9 +194,10 @@ def job_from(values: dict[str, Any]) -> Job:
             "parameter resume: for topics alone; give bags an information file, topics resume"
         )
     topics = TopicSelection(
-        joints=values["joint_topic"] or None,
+        joints=_given(values["joint_topic"]) or None,
         imus=_given(values["imu_topics"]) or None,
         wrenches=_given(values["wrench_topics"]) or None,
+        frame_prefix=values["frame_prefix"],
     )
     window, mass, mirror = values["window"], values["total_mass"], values["mirror"]
     # A parameter always has a value: its default counts as not given.

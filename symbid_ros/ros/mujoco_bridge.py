@@ -12,7 +12,12 @@ from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.ros.bridge_health import BridgeRecord, describe, figures
-from symbid_ros.ros.bridge_parameters import PARAMETERS, PayloadParameters, simulator_from
+from symbid_ros.ros.bridge_parameters import (
+    PARAMETERS,
+    PayloadParameters,
+    robot_name,
+    simulator_from,
+)
 from symbid_ros.ros.bridge_topics import BridgeTopics
 from symbid_ros.ros.command_source import CommandSource, command_source
 from symbid_ros.ros.health import Health, HealthPublisher
@@ -53,7 +58,7 @@ class MujocoBridge:
         watch(node, PARAMETERS, self._changes.put, self._payloads.require)
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_service(SetBool, "~/pause", self._on_pause)
-        self._health = HealthPublisher(node, self._look)
+        self._health = HealthPublisher(node, self._look, robot_name(values))
 
     def run(self, stop: Event) -> None:
         """Play the motion to its end or until stopped, then say what was published."""

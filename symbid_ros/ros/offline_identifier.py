@@ -40,5 +40,7 @@ class OfflineIdentifier:
         verdict = estimate.verdict
         alarms = () if verdict is None else verdict.alarms
         facts = {} if verdict is None else {"window": f"{verdict.window:g}"}
-        HealthPublisher(self._node, lambda: [estimate_health(estimate, alarms, facts)])
+        HealthPublisher(
+            self._node, lambda: [estimate_health(estimate, alarms, facts)], estimate.model
+        )
         stop.wait()

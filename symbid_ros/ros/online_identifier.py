@@ -1,10 +1,10 @@
 """The identifier's online half: topics in, an estimate that follows them out."""
 
 import json
-import logging
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event
@@ -26,7 +26,7 @@ from symbid_ros.ros.health import HealthPublisher
 from symbid_ros.ros.identifier_health import IdentifierHealth
 from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, job_from
 from symbid_ros.ros.intake import Intake
-from symbid_ros.ros.log_filter import OncePerMinute
+from symbid_ros.ros.notices import Notices
 from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
 
@@ -39,6 +39,7 @@ EXACT_COST = 4.0
 LONGEST_FAREWELL = 1.5
 ANSWER_POLL = 0.1  # s
 LOOK = 0.1  # s; between two looks at the graph while topics are waited for
+PATIENCE = 2.0  # s; topics that are missing for longer are reported
 LOOK_AGAIN = 1.0  # s; afterwards
 # Whoever shows the robot loads it anew each time.
 DESCRIPTION_PERIOD = 10.0  # s
@@ -100,7 +101,7 @@ class OnlineIdentifier:
         self._newest: Outcome | None = None
         self._solve_time = 0.0  # s
         self._health = IdentifierHealth()
-        logging.getLogger("symbid_ros").addFilter(OncePerMinute())
+        self._notices = Notices(node)
         for handler_name, work in (
             ("reset", self._reset),
             ("solve", self._solve_exactly),
@@ -109,7 +110,7 @@ class OnlineIdentifier:
             node.create_service(Trigger, f"~/{handler_name}", self._triggered(work))
         node.create_service(SetBool, "~/enable", self._enable)
         watch(node, PARAMETERS, self._adopt)
-        self._publisher = HealthPublisher(node, self._health.look)
+        self._publisher = HealthPublisher(node, self._health.look, self._parameters.model.name)
 
     def run(self, stop: Event) -> None:
         """Identify until stopped; then save, where a folder is named, and say what was done.
@@ -134,11 +135,17 @@ class OnlineIdentifier:
             raise EstimateError(f"it ends without an estimate: {self._health.obstacle}")
 
     def _await_topics(self, stop: Event) -> None:
+        begun = time.monotonic()
         while not stop.is_set() and self._identification is None:
             self._look()
-            self._health.waiting(self._sensors.state)
+            missing = self._sensors.missing()
+            if time.monotonic() - begun >= PATIENCE and self._identification is None:
+                self._notices.update(missing)
+            self._health.waiting(self._sensors.found, missing.values())
             self._answer_requests()
             stop.wait(LOOK)
+        if self._identification is not None:
+            self._notices.update({})
 
     def _look(self) -> None:
         """Look at the graph; begin once the robot's topics are there.
@@ -188,7 +195,9 @@ class OnlineIdentifier:
                     intake.follow()
                 looked = now
             if now >= due:
-                self._health.heard(self._live)
+                faults = self._health.heard(self._live)
+                if faults is not None:
+                    self._notices.update(faults)
                 if self._is_enabled and self._live.has_news:
                     self._solve()
                 # A machine that cannot keep the pace needs time for the topics, too.
@@ -316,6 +325,14 @@ class OnlineIdentifier:
 
     def _adopt(self, live: dict[str, Any]) -> None:
         self._period = live["solve_period"]
+        # Blocks may be in work: the thread that identifies makes the change.
+        self._requests.put(_Request(lambda: self._remember(live["memory"])))
+
+    def _remember(self, memory: float) -> str:
+        self._pace = replace(self._pace, memory=memory or float("inf"))
+        if self._identification is not None:
+            self._identification.set_memory(self._pace.memory)
+        return f"memory is {memory:g} s" if memory else "data are never forgotten"
 
     def _triggered(
         self, work: Callable[[], str]

@@ -34,7 +34,8 @@ class Parameter:
     ----------
     name, description : str
     default : bool, int, float, str, list of str or list of float
-        Also fixes the type; a list of numbers its length as well.
+        Also fixes the type; a list of numbers its length as well. Where it is a list of texts, a
+        single text may be given in place of a list of one.
     minimum, maximum : float or None
         Inclusive range of a number, or of each of a list; None for ±10⁹ (numbers) or
         ±(2³¹ - 1) (integers): NaN and infinity lie outside any.
@@ -59,6 +60,7 @@ class Parameter:
             description=self.description,
             additional_constraints=self._constraints(),
             read_only=not self.live,
+            dynamic_typing=self._is_texts,
         )
         low, high = self._bounds()
         if _is_integer(self.default):
@@ -80,6 +82,10 @@ class Parameter:
             When it is none of the choices, or a list of the wrong length or with numbers out of
             range.
         """
+        if self._is_texts and not all(isinstance(each, str) for each in self.plain(value)):
+            raise ParameterError(
+                f"parameter {self.name}: {value!r} is not valid; give {self.expected}"
+            )
         if self.choices and value not in self.choices:
             raise ParameterError(
                 f"parameter {self.name}: {value!r} is not known; give {self.expected}"
@@ -102,7 +108,7 @@ class Parameter:
         if self._is_vector:
             kind = f"a list of {len(self.default)} numbers with decimal points"
         elif isinstance(self.default, list):
-            kind = "a list of texts"
+            kind = "a text or a list of texts"
         bounds = [
             f"{word} {bound:g}"
             for word, bound in (("at least", self.minimum), ("at most", self.maximum))
@@ -110,9 +116,19 @@ class Parameter:
         ]
         return " ".join([kind, " and ".join(bounds)]).strip()
 
+    def plain(self, value: Any) -> Any:
+        """Return a value in Python's types: rclpy gives an array.array for a list."""
+        if not isinstance(value, bool | int | float | str | None):
+            return list(value)
+        return [value] if self._is_texts else value
+
     @property
     def _is_vector(self) -> bool:
         return isinstance(self.default, list) and isinstance(self.default[0], float)
+
+    @property
+    def _is_texts(self) -> bool:
+        return isinstance(self.default, list) and not self._is_vector
 
     def _bounds(self) -> tuple[float, float]:
         largest = LARGE_INTEGER if _is_integer(self.default) else LARGE_NUMBER
@@ -171,10 +187,12 @@ def watch(
         change nothing, as another parameter of the same set may still be refused.
     """
     live = {parameter.name: parameter for parameter in parameters if parameter.live}
-    current = {name: _plain(node.get_parameter(name).value) for name in live}
+    current = {name: one.plain(node.get_parameter(name).value) for name, one in live.items()}
 
     def changed(given: Sequence[Any]) -> dict[str, Any]:
-        return {entry.name: _plain(entry.value) for entry in given if entry.name in live}
+        return {
+            entry.name: live[entry.name].plain(entry.value) for entry in given if entry.name in live
+        }
 
     def accept(given: Sequence[Any]) -> SetParametersResult:
         values = changed(given)
@@ -216,14 +234,9 @@ def _declared(node: Node, parameter: Parameter) -> Any:
         raise ParameterError(
             f"parameter {parameter.name}: not a valid value; give {parameter.expected}"
         ) from error
-    value = _plain(declared)
+    value = parameter.plain(declared)
     parameter.require(value)
     return value
-
-
-def _plain(value: Any) -> Any:
-    """Return lists as lists: rclpy has an array.array of what it was given over a service."""
-    return value if isinstance(value, bool | int | float | str) else list(value)
 
 
 def _is_integer(value: Any) -> bool:

@@ -16,6 +16,7 @@ from rclpy.utilities import remove_ros_args
 
 from symbid_ros.ending import interruptible, stop_on_signals
 from symbid_ros.errors import SymbidError
+from symbid_ros.ros.log_bridge import python_logs_of
 from symbid_ros.ros.message_executor import MessageExecutor
 from symbid_ros.ros.parameters import Parameter, declare
 from symbid_ros.ros.transport import use_udp
@@ -63,8 +64,9 @@ def run_node(
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name)
         try:
-            values = declare(node, parameters)
-            _work_beside_executor(node, lambda: work(node, values, stop), stop)
+            with python_logs_of(node):
+                values = declare(node, parameters)
+                _work_beside_executor(node, lambda: work(node, values, stop), stop)
         finally:
             node.destroy_node()
     except SymbidError as error:

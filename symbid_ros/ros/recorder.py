@@ -110,7 +110,9 @@ class Recorder:
         )
         self._progress = RecordingProgress(name, Console(stderr=True, highlight=False))
         self._health = HealthPublisher(
-            node, lambda: [self._progress.health(self._writer.state, self._writer.failure)]
+            node,
+            lambda: [self._progress.health(self._writer.state, self._writer.failure)],
+            str(self._bag),
         )
 
     def run(self, stop: Event) -> None:

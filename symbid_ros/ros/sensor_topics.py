@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 from rclpy.node import Node
@@ -15,6 +15,8 @@ from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.message_check import known_frames
 from symbid_ros.ros.intake import Intake, Polled, subscribe
+from symbid_ros.ros.missing_topics import missing_topics
+from symbid_ros.signals.samples import suggested_prefix
 
 JOINTS, IMU_DATA = "joint_states", "imu/data"
 
@@ -41,7 +43,7 @@ class OwnTopics:
     def named(self) -> frozenset[str]:
         """Topics that must turn up."""
         chosen = self.selection
-        return frozenset([chosen.joints or "", *(chosen.imus or ()), *(chosen.wrenches or ())])
+        return frozenset([*(chosen.joints or ()), *(chosen.imus or ()), *(chosen.wrenches or ())])
 
 
 @dataclass
@@ -64,8 +66,16 @@ class Candidate:
     frame: str = ""
     is_placed: bool = False
 
-    def look(self, frames: frozenset[str]) -> None:
-        """Look at messages until one is of a frame that the model knows; leave that one."""
+    def look(self, frames: frozenset[str], prefix: str) -> None:
+        """Look at messages until one is of a frame that the model knows; leave that one.
+
+        Parameters
+        ----------
+        frames : frozenset of str
+            The model's.
+        prefix : str
+            What the sensors' frames begin with and the model's do not.
+        """
         if self.topic.msgtype == JOINT_STATE:
             self.is_placed = True
         if self.is_placed or self.intake is None:
@@ -77,7 +87,7 @@ class Candidate:
             except DataError:
                 continue
             self.frame = layout.text["header.frame_id"][0]
-            if self.frame in frames:
+            if self.frame.removeprefix(prefix) in frames:
                 self.is_placed = True
                 self.intake.give_back(arrival)
                 return
@@ -110,7 +120,6 @@ class SensorTopics:
     settle: float
     depth: int
     _candidates: dict[Topic, Candidate] = field(default_factory=dict)
-    _others: tuple[str, ...] = ()
     _group: Polled = field(default_factory=Polled)
     _chosen: frozenset[Topic] = frozenset()
     _used: frozenset[Topic] = frozenset()
@@ -126,7 +135,7 @@ class SensorTopics:
         self._subscribe(self._wanted(topics))
         frames = known_frames(self.model)
         for candidate in self._candidates.values():
-            candidate.look(frames)
+            candidate.look(frames, self.own.selection.frame_prefix)
         chosen = self._choice()
         now = time.monotonic()
         if frozenset(chosen) != self._chosen:
@@ -137,7 +146,15 @@ class SensorTopics:
             kind: tuple(topic for topic in chosen if topic.msgtype == kind)
             for kind in (JOINT_STATE, IMU, WRENCH)
         }
-        return SelectedTopics(by_type[JOINT_STATE][0], by_type[IMU], by_type[WRENCH])
+        # A joint that several topics name is taken from the first of them, in the user's order.
+        order = self.own.selection.joints or ()
+        return SelectedTopics(
+            tuple(sorted(by_type[JOINT_STATE], key=lambda topic: order.index(topic.name))),
+            by_type[IMU],
+            by_type[WRENCH],
+            self.own.selection.frame_prefix,
+            self.own.selection.joint_names,
+        )
 
     def intakes(self, selected: SelectedTopics) -> tuple[tuple[Topic, Intake], ...]:
         """Return the selected topics with their subscriptions, and let go of all others."""
@@ -163,28 +180,27 @@ class SensorTopics:
                 candidate.intake = None
 
     @property
-    def state(self) -> str:
-        """What has been found, what not, and what stands in its way."""
-        found = sorted(topic.name for topic in self._chosen)
-        said = [f"found {', '.join(found)}"] if found else []
-        said += [
-            f"{candidate.topic.name} is not used: the model has no frame {candidate.frame!r}"
-            for candidate in self._candidates.values()
-            if candidate.frame and not candidate.is_placed
-        ]
-        joints = self.own.selection.joints
-        if joints not in found and self._others:
-            said.append(
-                f"{', '.join(self._others)} may be another robot's: if not, name it in "
-                "joint_topic or start the identifier in its namespace"
-            )
-        missing = sorted(name for name in self.own.named if name not in found)
-        has_imu = any(topic.msgtype == IMU for topic in self._chosen)
-        if self.model.floating and not has_imu and not self.own.selection.imus:
-            missing.append("an IMU")
-        what = ", ".join(missing) or "further topics to turn up"
-        head = "waiting for" if found else "no sensor topics yet, waiting for"
-        return "; ".join([f"{head} {what}", *said])
+    def found(self) -> tuple[Topic, ...]:
+        """The robot's topics as far as they have turned up."""
+        return tuple(self._chosen)
+
+    def missing(self) -> dict[str, str]:
+        """Return what is still waited for, and why, by topic or kind of sensor."""
+        graph = {
+            name: types
+            for name, types in self.node.get_topic_names_and_types()
+            if self.node.count_publishers(name)
+        }
+        missing = missing_topics(
+            self.own.selection, self._chosen, graph, floating=self.model.floating
+        )
+        for candidate in self._candidates.values():
+            if candidate.frame and not candidate.is_placed:
+                name, frame = candidate.topic.name, candidate.frame
+                prefix = suggested_prefix(frame, self.model)
+                hint = f"; give -p frame_prefix:={prefix} if it is this robot's" if prefix else ""
+                missing[name] = f"{name} is not used: the model has no frame {frame!r}{hint}"
+        return missing
 
     def _wanted(self, topics: Iterable[Topic]) -> list[Topic]:
         """Return the topics that may be the robot's: named, remapped, or in its namespace."""
@@ -195,16 +211,15 @@ class SensorTopics:
             for topic in topics
             if topic.msgtype == JOINT_STATE and topic.name.rsplit("/", 1)[-1] == JOINTS
         }
-        self._others = tuple(sorted(states - {self.own.selection.joints}))
         # Another robot's sensors lie beside its joint states, if not right where ours do.
-        own_joints = self.own.selection.joints or ""
-        places = (name.removesuffix(JOINTS) for name in self._others)
+        own_joints = self.own.selection.joints or ()
+        places = (name.removesuffix(JOINTS) for name in sorted(states - set(own_joints)))
         foreign = tuple(
             place
             for place in places
             if place.startswith(f"{space}/")
             and place != f"{space}/"
-            and not own_joints.startswith(place)
+            and not any(name.startswith(place) for name in own_joints)
         )
 
         def is_near(topic: Topic) -> bool:
@@ -250,7 +265,9 @@ class SensorTopics:
         best: dict[tuple[str, str], Topic] = {}
         for candidate in sorted(self._candidates.values(), key=rank):
             if candidate.is_placed:
-                best.setdefault((candidate.topic.msgtype, candidate.frame), candidate.topic)
+                # Several topics of joint states may each hold some of the joints.
+                place = candidate.frame or candidate.topic.name
+                best.setdefault((candidate.topic.msgtype, place), candidate.topic)
         return sorted(best.values(), key=lambda topic: topic.name)
 
     def _lacking(self, chosen: Iterable[Topic]) -> bool:
@@ -280,10 +297,11 @@ def own_topics(node: Node, selection: TopicSelection, arguments: Sequence[str]) 
     }
     imu = node.resolve_topic_name(IMU_DATA)
     is_remapped = imu != node.resolve_topic_name(IMU_DATA, only_expand=True)
-    own = TopicSelection(
-        node.resolve_topic_name(selection.joints or JOINTS),
-        (imu,) if is_remapped and selection.imus is None else all_of(selection.imus),
-        all_of(selection.wrenches),
+    own = replace(
+        selection,
+        joints=all_of(selection.joints or (JOINTS,)),
+        imus=(imu,) if is_remapped and selection.imus is None else all_of(selection.imus),
+        wrenches=all_of(selection.wrenches),
     )
     return OwnTopics(
         own, frozenset(new for _, new in pairs), frozenset(old for old, new in pairs if old != new)

@@ -139,7 +139,7 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
             )
     joints, efforts = _joint_channel(streams, model)
     channels = [joints, *map(_imu_channel, streams.imus), *map(_wrench_channel, streams.wrenches)]
-    period = _period(joints)
+    period = _period(joints, streams)
     start = max(int(channel.stamp[0]) for channel in channels)
     stop = min(int(channel.stamp[-1]) for channel in channels)
     if stop <= start:
@@ -152,16 +152,17 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
         for grid in _grids(channels, start, stop, period)
     )
     if not segments:
-        raise DataError(
-            f"{streams.source}: the log is too short, no stretch of {SHORTEST_SEGMENT} samples has "
-            "data on every topic; record longer"
-        )
+        nowhere = f"no stretch of {SHORTEST_SEGMENT} samples has data on every topic"
+        if streams.is_live:
+            raise DataError(f"{streams.source}: {nowhere}; check their drivers for gaps")
+        raise DataError(f"{streams.source}: the log is too short, {nowhere}; record longer")
     return segments
 
 
 def resampling_margin(topics: Iterable[IntArray]) -> int:
     """Return how far beyond a stretch's ends its topics must reach, ns, by their stamps (N,)."""
-    periods = [float(np.median(np.diff(np.sort(stamp)))) for stamp in topics if len(stamp) > 1]
+    steps = [np.diff(np.unique(stamp)) for stamp in topics]
+    periods = [float(np.median(each)) for each in steps if len(each)]
     needed = round(SAMPLES_PER_MARGIN * max(periods, default=0.0))
     return min(max(MARGIN, needed), LONGEST_MARGIN)
 
@@ -174,12 +175,13 @@ def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segme
             yield segment.cut(first, last)
 
 
-def _period(joints: _Channel) -> float:
+def _period(joints: _Channel, streams: Streams) -> float:
     """Return the joint states' sampling period in nanoseconds."""
     if len(joints.stamp) < SHORTEST_SEGMENT:
+        action = "publish at a higher rate" if streams.is_live else "record longer"
         raise DataError(
-            f"{joints.topic}: {len(joints.stamp)} messages are too few; record at least "
-            f"{SHORTEST_SEGMENT}"
+            f"{streams.source}: {joints.topic}: {len(joints.stamp)} joint states are too few, at "
+            f"least {SHORTEST_SEGMENT} are needed; {action}"
         )
     return float(np.median(np.diff(joints.stamp)))
 
@@ -302,7 +304,8 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
     if missing:
         raise ModelError(
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
-            f"has {', '.join(names)}; name the right model or bag"
+            f"has {', '.join(names)}; name every topic of joint states (--joint-topic, parameter "
+            "joint_topic), or the model of this robot"
         )
     masters = [
         index if joint.mimic is None else joint.mimic.master

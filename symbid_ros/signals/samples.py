@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.errors import DataError
+from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import Segment, align
 from symbid_ros.signals.filters import Smoothing
 from symbid_ros.signals.readings import at_base, smoothed
-from symbid_ros.signals.streams import Streams
+from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
 
 
 def build_samples(
@@ -72,14 +72,43 @@ def moving_segments(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     DataError
         When a floating robot has no IMU or the record is too short.
     ModelError
-        When a joint is not in the model.
+        When a joint or a sensor's frame is not in the model.
     """
     if model.floating and not streams.imus:
         raise DataError(
             f"{streams.source}: the base of {model.source} floats, but the bag has no "
             "sensor_msgs/msg/Imu topic; record the IMU, or give --base fixed if it is bolted down"
         )
+    sensors: list[ImuStream | WrenchStream] = [
+        *(streams.imus if model.floating else ()),
+        *streams.wrenches,
+    ]
+    for sensor in sensors:
+        _check_frame(sensor, model, streams.source)
     return align(streams, model)
+
+
+def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: str) -> None:
+    """Refuse a sensor whose frame the model lacks, and suggest the prefix that it may have."""
+    frame = sensor.frame_id
+    try:
+        model.frame(frame)
+    except ModelError as error:
+        prefix = suggested_prefix(frame, model)
+        if not prefix:
+            raise ModelError(f"{source}: {sensor.topic}: {error}") from error
+        raise ModelError(
+            f"{source}: {sensor.topic}: frame {frame!r} is not in model {model.source}, but "
+            f"{frame.removeprefix(prefix)!r} is; give --frame-prefix {prefix} (parameter "
+            f"frame_prefix:={prefix})"
+        ) from error
+
+
+def suggested_prefix(frame: str, model: RobotModel) -> str:
+    """Return what to remove from a sensor's frame to get one of the model's; empty if nothing."""
+    known = {*(one.name for one in model.frames), *model.link_names}
+    cuts = [index + 1 for index, letter in enumerate(frame) if letter == "/"]
+    return next((frame[:cut] for cut in cuts if frame[cut:] in known), "")
 
 
 def joined(parts: Sequence[Samples]) -> Samples:

@@ -83,12 +83,24 @@ class WrenchStream:
 
 @dataclass(frozen=True)
 class Streams:
-    """All sensor streams of one recording; ``source`` names the bag in messages."""
+    """All sensor streams of one recording or of live topics.
+
+    Attributes
+    ----------
+    source : str
+        Name of the bag, for messages.
+    joints : JointStream
+    imus : tuple of ImuStream
+    wrenches : tuple of WrenchStream
+    is_live : bool
+        Whether they come from a running robot: advice about a bag would be of no use then.
+    """
 
     source: str
     joints: JointStream
     imus: tuple[ImuStream, ...]
     wrenches: tuple[WrenchStream, ...]
+    is_live: bool = False
 
 
 @dataclass(frozen=True)

@@ -122,9 +122,9 @@ def test_missing_topics_are_named_with_what_there_is(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="no message on /robot/joint_states; record it again"):
         read_streams([bag])
     with pytest.raises(BagError, match=r"no topic legs, it holds /imu/data \(sensor_msgs/msg/Imu"):
-        read_streams([bag], TopicSelection(joints="legs"))
+        read_streams([bag], TopicSelection(joints=("legs",)))
     with pytest.raises(BagError, match="topic /imu/data is of type sensor_msgs/msg/Imu, not sens"):
-        read_streams([bag], TopicSelection(joints="/imu/data"))
+        read_streams([bag], TopicSelection(joints=("/imu/data",)))
     with pytest.raises(BagError, match="no message on ground_truth/joints, it holds /imu/data"):
         read_truth([bag])
     only_imu = write_rosbags(tmp_path / "imu", [("/imu/data", IMU, imu(1))])

@@ -269,12 +269,12 @@ def test_explicit_topics_with_and_without_slash(tmp_path: Path) -> None:
             ("/foot/wrench", WRENCH, wrench(1, (0.0, 0.0, 2.0))),
         ],
     )
-    chosen = TopicSelection(joints="left/joint_states", imus=(), wrenches=("/plate",))
+    chosen = TopicSelection(joints=("left/joint_states",), imus=(), wrenches=("/plate",))
     streams = read_streams([bag], chosen)
     assert streams.joints.topic == "/left/joint_states"
     assert streams.imus == ()
     assert [stream.topic for stream in streams.wrenches] == ["/plate"]
-    by_name = read_streams([bag], TopicSelection(joints="/left/joint_states"))
+    by_name = read_streams([bag], TopicSelection(joints=("/left/joint_states",)))
     assert [stream.topic for stream in by_name.wrenches] == ["/foot/wrench"]
     with pytest.raises(BagError, match=r"several topics of joint states, /left.*, /right"):
         read_streams([bag])
@@ -282,7 +282,7 @@ def test_explicit_topics_with_and_without_slash(tmp_path: Path) -> None:
 
 def test_ground_truth_is_never_selected(log: Path) -> None:
     with pytest.raises(BagError, match="the ground truth is never identified from"):
-        TopicSelection(joints="/ground_truth/joint_states")
+        TopicSelection(joints=("/ground_truth/joint_states",))
     assert not any("ground_truth" in stream.topic for stream in read_streams([log]).wrenches)
 
 

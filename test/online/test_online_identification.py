@@ -337,3 +337,19 @@ def test_a_robot_whose_forces_do_not_carry_it_is_refused(feed) -> None:
 def test_what_takes_a_whole_log_is_refused(start, options, says) -> None:
     with pytest.raises(EstimateError, match=says):
         start(**options)
+
+
+def test_a_memory_set_while_running_holds_from_then_on(start, feed) -> None:
+    def known(first, then):
+        live = start(Pace(memory=first, share=1.0), processing=Processing(windows=(0.1,)))
+        for begin, stop, memory in ((0.0, 4.5, then), (4.5, 8.2, np.inf)):
+            feed.between(begin, stop).into(live)
+            live.advance()
+            live.set_memory(memory)  # waits for the blocks so far
+        return live._memory.whole.observations
+
+    # In the first block there is nothing that could fade: only what is set later counts.
+    faded = known(2.0, 2.0)
+    assert_same(known(np.inf, 2.0), faded)
+    lasting = known(2.0, np.inf)
+    assert np.trace(gram(faded[0])[0]) < 0.9 * np.trace(gram(lasting[0])[0])

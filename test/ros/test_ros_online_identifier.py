@@ -248,7 +248,8 @@ def test_parameters_are_described_and_checked(graph) -> None:
         if not descriptor.name.startswith(("qos_overrides", "start_type_description")):
             assert descriptor.description, descriptor.name
     period = Parameter(name="solve_period", value=ParameterValue(type=3, double_value=0.25))
-    fixed = Parameter(name="memory", value=ParameterValue(type=3, double_value=5.0))
+    memory = Parameter(name="memory", value=ParameterValue(type=3, double_value=5.0))
+    fixed = Parameter(name="lag", value=ParameterValue(type=3, double_value=5.0))
     wrong = Parameter(name="solve_period", value=ParameterValue(type=3, double_value=-1.0))
     results = [
         call(
@@ -257,9 +258,9 @@ def test_parameters_are_described_and_checked(graph) -> None:
             "/identifier/set_parameters",
             SetParameters.Request(parameters=[one]),
         ).results[0]
-        for one in (period, fixed, wrong)
+        for one in (period, memory, fixed, wrong)
     ]
-    assert [result.successful for result in results] == [True, False, False]
+    assert [result.successful for result in results] == [True, True, False, False]
     live.send(signal.SIGINT)  # before any topic has turned up
     ended = live.ended()
     assert (ended.status, ended.err) == (0, "")

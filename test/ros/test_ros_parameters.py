@@ -67,7 +67,8 @@ def test_an_accepted_set_is_told_once_with_all_live_values(node: Node) -> None:
         ("place", ["a", "b", "c"], "Wrong parameter type"),
         ("mode", "idle", "parameter mode: 'idle' is not known; give one of slow, fast"),
         ("on", 1, "Wrong parameter type"),
-        ("links", "thigh", "Wrong parameter type"),
+        ("links", 5, "parameter links: [5] is not valid; give a text or a list of texts"),
+        ("links", [1, 2], "parameter links: [1, 2] is not valid"),
     ],
 )
 def test_a_refused_set_says_why_and_changes_nothing(node: Node, name, value, reason) -> None:
@@ -84,6 +85,20 @@ def test_a_refused_set_says_why_and_changes_nothing(node: Node, name, value, rea
     held = node.get_parameter(name).value
     assert (list(held) if isinstance(values[name], list) else held) == values[name]
     assert node.get_parameter("offset").value == 0.0
+
+
+def test_a_single_text_stands_for_a_list_of_one(domain: int) -> None:
+    context = Context()
+    rclpy.init(context=context, domain_id=domain)
+    node = Node("subject", context=context, parameter_overrides=[Given("links", value="thigh")])
+    told: list[dict] = []
+    assert declare(node, PARAMETERS)["links"] == ["thigh"]
+    watch(node, PARAMETERS, told.append)
+    for value in (["shank", "foot"], "foot"):
+        assert node.set_parameters([Given("links", value=value)])[0].successful
+    assert [values["links"] for values in told] == [["shank", "foot"], ["foot"]]
+    node.destroy_node()
+    context.try_shutdown()
 
 
 def test_nothing_is_set_before_somebody_watches(node: Node) -> None:

@@ -38,9 +38,9 @@ class Feed:
         return outcomes
 
 
-def feed_of(bag: Path) -> Feed:
+def feed_of(bag: Path, selection: TopicSelection | None = None) -> Feed:
     """Return the sensor messages of a bag."""
-    selector = Selector(str(bag), TopicSelection())
+    selector = Selector(str(bag), selection or TopicSelection())
     messages = []
     for file in bag_files(bag):
         for block in iterate_blocks(file):

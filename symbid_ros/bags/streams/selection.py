@@ -17,21 +17,27 @@ class TopicSelection:
 
     Attributes
     ----------
-    joints : str or None
-        JointState topic; None takes the only one named ``joint_states`` in any
-        namespace.
+    joints : tuple of str or None
+        JointState topics, whose joints are merged by stamp; None takes the only one named
+        ``joint_states`` in any namespace.
     imus : tuple of str or None
         Imu topics; None takes all.
     wrenches : tuple of str or None
         WrenchStamped topics; None takes all named ``wrench`` in any namespace.
+    frame_prefix : str
+        What sensors' frames begin with and the model's do not, such as ``robot1/``.
+    joint_names : tuple of str
+        Joints that must be read, where known: messages that name none of them are ignored.
     """
 
-    joints: str | None = None
+    joints: tuple[str, ...] | None = None
     imus: tuple[str, ...] | None = None
     wrenches: tuple[str, ...] | None = None
+    frame_prefix: str = ""
+    joint_names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in (self.joints or "", *(self.imus or ()), *(self.wrenches or ())):
+        for name in (*(self.joints or ()), *(self.imus or ()), *(self.wrenches or ())):
             if _is_truth(name):
                 raise BagError(
                     f"topic {name}: the ground truth is never identified from; name a sensor's"
@@ -40,16 +46,31 @@ class TopicSelection:
 
 @dataclass(frozen=True)
 class SelectedTopics:
-    """The topics of one recording that a selection takes."""
+    """The topics of one recording that a selection takes.
 
-    joints: Topic
+    Attributes
+    ----------
+    joints, imus, wrenches : tuple of Topic
+        By sensor; one topic of joint states at least.
+    frame_prefix, joint_names
+        As in `TopicSelection`.
+    """
+
+    joints: tuple[Topic, ...]
     imus: tuple[Topic, ...]
     wrenches: tuple[Topic, ...]
+    frame_prefix: str = ""
+    joint_names: tuple[str, ...] = ()
 
     @property
     def all(self) -> tuple[Topic, ...]:
         """All of them, joint states first."""
-        return (self.joints, *self.imus, *self.wrenches)
+        return (*self.joints, *self.imus, *self.wrenches)
+
+    @property
+    def clock(self) -> Topic:
+        """The topic of joint states whose stamps tell how far a recording has come."""
+        return self.joints[0]
 
 
 @dataclass
@@ -72,30 +93,33 @@ class Selector:
     def wants(self, topic: Topic) -> bool:
         """Tell whether messages of a topic may be needed."""
         return (
-            self._is(topic, JOINT_STATE, _given(self.selection.joints), "joint_states")
+            self._is(topic, JOINT_STATE, self.selection.joints, "joint_states")
             or self._is(topic, IMU, self.selection.imus, None)
             or self._is(topic, WRENCH, self.selection.wrenches, "wrench")
         )
 
     def selected(self) -> SelectedTopics:
         """Return the selected topics of a recording read to its end."""
-        joints = self._all(JOINT_STATE, _given(self.selection.joints), "joint_states")
+        joints = self._all(JOINT_STATE, self.selection.joints, "joint_states")
         if not joints:
             raise BagError(
                 f"{self.source}: no {JOINT_STATE} topic named joint_states, it holds "
                 f"{self._listing()}; {self._remedy()}"
             )
-        if len(joints) > 1:
+        if len(joints) > 1 and self.selection.joints is None:
             raise BagError(
                 f"{self.source}: several topics of joint states, "
-                f"{', '.join(topic.name for topic in joints)}; name the one to use"
+                f"{', '.join(topic.name for topic in joints)}; name the one to use, or all whose "
+                "joints are to be merged"
             )
         chosen = SelectedTopics(
-            joints[0],
+            joints,
             self._all(IMU, self.selection.imus, None),
             self._all(WRENCH, self.selection.wrenches, "wrench"),
+            self.selection.frame_prefix,
+            self.selection.joint_names,
         )
-        for topic in (chosen.joints, *chosen.imus, *chosen.wrenches):
+        for topic in chosen.all:
             if not self.counts[topic]:
                 raise BagError(
                     f"{self.source}: no message on {topic.name}; record it again or leave the "
@@ -148,10 +172,6 @@ def listing(topics: Iterable[Topic]) -> str:
     """Return topics and types in one line."""
     names = sorted(f"{topic.name} ({topic.msgtype or 'no type'})" for topic in topics)
     return ", ".join(names) or "no topic at all"
-
-
-def _given(name: str | None) -> tuple[str, ...] | None:
-    return None if name is None else (name,)
 
 
 def _bare(name: str) -> str:

@@ -2,6 +2,8 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -9,12 +11,16 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.messages import read_stamp
 from symbid_ros.bags.streams.decoder import Piece, TopicDecoder
+from symbid_ros.bags.streams.joint_parts import joint_parts
 from symbid_ros.bags.streams.selection import SelectedTopics
 from symbid_ros.bags.streams.stamps import kept_in_order, seconds
 from symbid_ros.bags.streams.tally import Defect, DefectError, Tally
+from symbid_ros.signals.joint_merging import merged_joints
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 AXES = ("x", "y", "z")
+S = TypeVar("S", ImuStream, WrenchStream)
+
 MOST = 0.5  # a topic of which such a share has no finite values is of no use
 
 
@@ -28,13 +34,28 @@ def sensor_streams(
 
     What is wrong with messages is counted in their topic's tally.
     """
-    joints, imus, wrenches = chosen.joints, chosen.imus, chosen.wrenches
+    joints = [
+        joint_stream(part, tallies[topic])
+        for topic in chosen.joints
+        for part in joint_parts(decoders[topic], frozenset(chosen.joint_names), tallies[topic])
+    ]
+    prefix = chosen.frame_prefix
     return Streams(
         source=source,
-        joints=joint_stream(decoders[joints], tallies[joints]),
-        imus=tuple(imu_stream(decoders[topic], tallies[topic]) for topic in imus),
-        wrenches=tuple(wrench_stream(decoders[topic], tallies[topic]) for topic in wrenches),
+        joints=merged_joints(joints, source, chosen.joint_names),
+        imus=tuple(
+            _without_prefix(imu_stream(decoders[topic], tallies[topic]), prefix)
+            for topic in chosen.imus
+        ),
+        wrenches=tuple(
+            _without_prefix(wrench_stream(decoders[topic], tallies[topic]), prefix)
+            for topic in chosen.wrenches
+        ),
     )
+
+
+def _without_prefix(stream: S, prefix: str) -> S:
+    return replace(stream, frame_id=stream.frame_id.removeprefix(prefix))
 
 
 def stamps(decoder: TopicDecoder) -> IntArray:

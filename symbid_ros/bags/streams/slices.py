@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.bags.container.blocks import Block
+from symbid_ros.bags.container.blocks import Block, Topic
 from symbid_ros.bags.container.contents import all_blocks, bag_names, contents
 from symbid_ros.bags.streams.backlog import Backlog
+from symbid_ros.bags.streams.decoder import TopicDecoder
+from symbid_ros.bags.streams.joint_parts import joint_groups
 from symbid_ros.bags.streams.selection import SelectedTopics, Selector, TopicSelection
 from symbid_ros.bags.streams.sensors import sensor_streams, stamps
 from symbid_ros.bags.streams.stamps import CLOCK_JUMP, seconds
@@ -116,7 +118,7 @@ class _Slicer:
     ) -> None:
         self._source, self._chosen, self._span, self._part = source, chosen, span, part
         self._backlogs = {topic: Backlog.of(source, topic) for topic in chosen.all}
-        self._joints = self._backlogs[chosen.joints]
+        self._joints = self._backlogs[chosen.clock]
         self._until, self._end = ALWAYS
         self._begin = self._until  # of the part that is wanted
         self._has_begun = False
@@ -182,7 +184,8 @@ class _Slicer:
             if singly := self._backlogs[topic].decoder.decoded_singly:
                 tally.counts[Defect.OTHER_LAYOUT] = singly
         recorded = {
-            topic.name: _during(stamps(decoder), start, stop) for topic, decoder in decoders.items()
+            topic.name: _during(self._stamps(topic, decoder), start, stop)
+            for topic, decoder in decoders.items()
         }
         silent = [topic.name for topic, decoder in decoders.items() if not decoder.count]
         streams, fault = None, ""
@@ -194,6 +197,15 @@ class _Slicer:
         else:
             streams = sensor_streams(self._source, self._chosen, decoders, tallies)
         return Slice(start, stop, streams, recorded, tuple(tallies.values()), fault)
+
+    def _stamps(self, topic: Topic, decoder: TopicDecoder) -> IntArray:
+        """Return header stamps in order of recording, each once where joints come in parts."""
+        recorded = stamps(decoder)
+        is_parted = (
+            topic in self._chosen.joints
+            and len(joint_groups(decoder, frozenset(self._chosen.joint_names))) > 1
+        )
+        return np.unique(recorded) if is_parted else recorded
 
 
 def _during(stamp: IntArray, start: int, stop: int) -> IntArray:

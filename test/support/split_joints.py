@@ -1,0 +1,88 @@
+"""A simulated bag whose joint states come in parts, as from drivers of arms and legs."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.bags.container.contents import all_blocks
+from symbid_ros.bags.messages import JOINT_STATE, fill_joint_state, joint_state_layout, read_stamp
+from symbid_ros.bags.streams.decoder import TopicDecoder
+from symbid_ros.bags.writing.writer import BagWriter
+
+JOINTS = "/joint_states"
+
+
+@dataclass(frozen=True)
+class Part:
+    """Joints published on a topic of their own or on a shared one; ``delay`` in ns."""
+
+    topic: str
+    joints: Callable[[str], bool]
+    delay: int = 0
+    every: int = 1
+
+
+def left(name: str) -> bool:
+    return name.startswith("L_")
+
+
+def right(name: str) -> bool:
+    return not left(name)
+
+
+def split_joints(bag: Path, out: Path, parts: Sequence[Part]) -> Path:
+    """Write a bag's sensor topics into a new one, its joint states as parts."""
+    written: list[tuple[int, int, bytes]] = []
+    with BagWriter(out) as writer:
+        channels: dict[str, int] = {}
+
+        def channel(topic: str, msgtype: str) -> int:
+            if topic not in channels:
+                channels[topic] = writer.add_topic(topic, msgtype)
+            return channels[topic]
+
+        for block in all_blocks([bag]):
+            for topic, spans in block.spans.items():
+                if "ground_truth" in topic.name:
+                    continue
+                decoder = TopicDecoder(str(bag), topic)
+                decoder.add(block.data, spans)
+                (piece,) = decoder.pieces
+                stamps = read_stamp(piece.records)
+                if topic.name != JOINTS:
+                    payloads = [block.data[at : at + size].tobytes() for at, size in spans]
+                    written += [
+                        (stamp, channel(topic.name, topic.msgtype), payload)
+                        for stamp, payload in zip(stamps.tolist(), payloads, strict=True)
+                    ]
+                    continue
+                names = piece.layout.text["name"]
+                for part in parts:
+                    chosen = [place for place, name in enumerate(names) if part.joints(name)]
+                    layout = joint_state_layout(tuple(names[place] for place in chosen))
+                    rows = slice(None, None, part.every)
+                    stamp = stamps[rows] + part.delay
+                    records = layout.records(len(stamp))
+                    fill_joint_state(
+                        layout.columns(records),
+                        stamp,
+                        **{
+                            field: piece.records[field][rows][:, chosen]
+                            for field in ("position", "velocity", "effort")
+                        },
+                    )
+                    written += [
+                        (int(when), channel(part.topic, JOINT_STATE), record.tobytes())
+                        for when, record in zip(stamp, records, strict=True)
+                    ]
+        for stamp, number, payload in sorted(written, key=lambda each: each[0]):
+            writer.write(number, stamp, payload)
+    return out
+
+
+def stamped(payload: bytes, stamp: int) -> bytes:
+    """Return a serialised little-endian message with another header stamp, ns."""
+    seconds, rest = divmod(stamp, 10**9)
+    return payload[:4] + np.array([seconds, rest], dtype="<u4").tobytes() + payload[12:]
