@@ -267,10 +267,13 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Channel, Measu
     whole = np.logical_and.reduce(is_finite, axis=1)
     if 0 < 2 * np.count_nonzero(~whole) >= len(whole):
         row, column = np.argwhere(~is_finite)[0]
+        action = "let its driver publish it"
+        if not streams.is_live:
+            action += ", leave that part of the bag out (--start, --stop)"
         raise DataError(
             f"{topic} has no finite position of joint {model.joint_names[column]!r} at "
-            f"{stamp[row] * 1e-9:.3f} s, as in half of the messages or more; repair the driver, or "
-            "give a model in which that joint is fixed"
+            f"{stamp[row] * 1e-9:.3f} s, as in half of the messages or more; {action}, or give a "
+            "model in which that joint is fixed"
         )
     if not whole.all():
         names = [model.joint_names[i] for i in np.flatnonzero(~is_finite.all(axis=0))]

@@ -31,9 +31,9 @@ BY_DEFAULT = {
     ("selection", "gone", "come"),
     [
         (TopicSelection(), set(), set()),
-        (TopicSelection(joints="joint_states"), {"/arm/joint_states"}, set()),
+        (TopicSelection(joints=("joint_states",)), {"/arm/joint_states"}, set()),
         (
-            TopicSelection(joints="/joint_command"),
+            TopicSelection(joints=("/joint_command",)),
             {"/joint_states", "/arm/joint_states"},
             {"/joint_command"},
         ),
@@ -60,10 +60,10 @@ def test_what_is_wanted_follows_from_type_and_name(selection, gone, come) -> Non
 
 
 def test_what_is_selected_is_what_is_wanted() -> None:
-    selector = Selector("log", TopicSelection(joints="/joint_states"))
+    selector = Selector("log", TopicSelection(joints=("/joint_states",)))
     counts = {Topic(name, msgtype): 1 for name, msgtype in TOPICS.items()}
     selector.counts.update(counts)
     selected = selector.selected()
     assert set(selected.all) == {topic for topic in counts if selector.wants(topic)}
-    assert selected.joints.name == "/joint_states"
+    assert selected.clock.name == "/joint_states"
     assert [topic.name for topic in selected.imus] == ["/camera/imu", "/imu/data"]
