@@ -139,7 +139,8 @@ class Timeline:
         until, start = self.streams.complete_until, self._block()
         if until is None or start is None or until < start:
             return None
-        return self._stretch(start, until + 1, until + 1)
+        # Topics that are ahead help to interpolate up to the last instant, as in a bag.
+        return self._stretch(start, until + 1, until + 1 + MARGIN)
 
     def _block(self) -> int | None:
         """Return where the block begins that is being filled, ns."""
