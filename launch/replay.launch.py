@@ -3,15 +3,16 @@
     ros2 launch symbid_ros replay.launch.py bag:=log model:=robot.urdf rate:=2.0 monitor:=true
 
 Every argument of identify.launch.py may be given as well. The estimate stays on latched topics
-until Ctrl-C; everything ends when a node fails.
+until Ctrl-C; everything ends when a node fails. For a second robot beside another that publishes
+/clock give `namespace:=robot2 clock:=false`.
 """
 
-import yaml
 from launch import Action, LaunchContext, LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
     GroupAction,
     IncludeLaunchDescription,
+    OpaqueFunction,
     RegisterEventHandler,
     Shutdown,
 )
@@ -20,55 +21,53 @@ from launch.events.process import ProcessExited
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-from symbid_ros.share import PACKAGE, config_file, share_directory
-
-# What is worth changing from the command line; the defaults stand in player.yaml alone.
-PLAYER_ARGUMENTS = {
-    "rate": "seconds of the bag per second; 0.0: as fast as it is taken",
-    "loop": "true: begin again at the end",
-    "start": "where in the bag to begin, s",
-    "duration": "how much to replay, s of the bag; 0.0: to its end",
-}
+from symbid_ros.ros.launch_arguments import launch_arguments, node_arguments
+from symbid_ros.share import PACKAGE, share_directory
 
 
 def generate_launch_description() -> LaunchDescription:
-    file = config_file("player.yaml")
-    defaults = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
-    arguments = [
-        DeclareLaunchArgument("bag", description="bag to replay"),
-        DeclareLaunchArgument("model", description="robot model, URDF or MJCF"),
+    # The bag has no default here, publish_clock is `clock`.
+    arguments = [DeclareLaunchArgument("bag", description="bag to replay")]
+    arguments += [
+        DeclareLaunchArgument(name, default_value=default, description=description)
+        for name, default, description in launch_arguments("player")
+        if name not in ("bag", "publish_clock")
     ]
     arguments += [
-        DeclareLaunchArgument(name, default_value=str(defaults[name]), description=description)
-        for name, description in PLAYER_ARGUMENTS.items()
+        DeclareLaunchArgument("clock", default_value="true", description="publish /clock"),
+        DeclareLaunchArgument("use_sim_time", default_value="true", description="follow /clock"),
     ]
-    given = {
-        name: ParameterValue(LaunchConfiguration(name), value_type=type(defaults[name]))
-        for name in PLAYER_ARGUMENTS
-    }
-    # The node takes a list of bags; launch reads a parameter without a type as YAML.
-    given["bag"] = ParameterValue(["['", LaunchConfiguration("bag"), "']"])
+    identify = IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(str(share_directory() / "launch" / "identify.launch.py")),
+        launch_arguments={
+            "bag": "",  # the identifier is to follow the topics, not to read the bag itself
+            "use_sim_time": LaunchConfiguration("use_sim_time"),
+        }.items(),
+    )
+    failure = RegisterEventHandler(OnProcessExit(on_exit=_end_after_failure))
+    # In a group of its own, lest the player lose its bag.
+    return LaunchDescription(
+        [*arguments, failure, OpaqueFunction(function=_player), GroupAction([identify])]
+    )
+
+
+def _player(context: LaunchContext) -> list[Action]:
+    given = context.launch_configurations
+    # The player stamps /clock itself and must not wait for it.
+    own = {name: text for name, text in given.items() if name != "use_sim_time"}
     player = Node(
         package=PACKAGE,
         executable="player",
-        parameters=[str(file), given, {"publish_clock": True}],
+        namespace=given["namespace"],
+        arguments=node_arguments(
+            "player", own | {"publish_clock": given["clock"]}, {"wait_for_subscribers": True}
+        ),
         output="screen",
         sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
         sigkill_timeout="10",
     )
-    identify = IncludeLaunchDescription(
-        PythonLaunchDescriptionSource(str(share_directory() / "launch" / "identify.launch.py")),
-        launch_arguments={
-            "model": LaunchConfiguration("model"),  # required there, so launch wants it said
-            "bag": "",  # the identifier is to follow the topics, not to read the bag itself
-            "use_sim_time": "true",
-        }.items(),
-    )
-    # In a group of its own, lest the player lose its bag.
-    failure = RegisterEventHandler(OnProcessExit(on_exit=_end_after_failure))
-    return LaunchDescription([*arguments, failure, player, GroupAction([identify])])
+    return [player]
 
 
 def _end_after_failure(event: ProcessExited, _: LaunchContext) -> list[Action]:

@@ -6,14 +6,13 @@ import re
 import subprocess
 import sys
 import sysconfig
-from importlib import import_module
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 import yaml
 
-from symbid_ros.ros.parameters import Parameter
+from symbid_ros.ros.launch_arguments import launch_arguments
 
 PACKAGE = "symbid_ros"
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,13 +26,6 @@ EXECUTABLES = {
     "player",
 }
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
-# By the word that tables of a launch file's arguments begin with.
-NODES = {
-    "BRIDGE": "mujoco_bridge",
-    "CONTROLLER": "balance_controller",
-    "IDENTIFIER": "identifier",
-    "PLAYER": "player",
-}
 
 
 def clean_environment() -> dict[str, str]:
@@ -217,28 +209,6 @@ def _calls(path: Path, function: str) -> list[ast.Call]:
     ]
 
 
-def _argument_tables(path: Path) -> dict[tuple[str, str], list[str]]:
-    """Return the names in each table NODE_KIND of a launch file, by node and kind."""
-    tables = {}
-    for node in ast.parse(path.read_text()).body:
-        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
-            which, _, kind = node.targets[0].id.rpartition("_")
-            tables[NODES[which], kind] = list(ast.literal_eval(node.value))
-    return tables
-
-
-def _node_parameters(node: str) -> tuple[Parameter, ...]:
-    parameters: tuple[Parameter, ...] = import_module(f"{PACKAGE}.ros.{node}").PARAMETERS
-    return parameters
-
-
-def _shipped(node: str) -> dict[str, object]:
-    """Return the values that a node's file in config/ gives."""
-    file = ROOT / "config" / ("bridge.yaml" if node == "mujoco_bridge" else f"{node}.yaml")
-    values: dict[str, object] = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
-    return values
-
-
 @pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda p: p.name)
 class TestLaunchFile:
     def test_starts_executables_of_this_package(self, path: Path) -> None:
@@ -276,30 +246,10 @@ class TestLaunchFile:
             parameters = yaml.safe_load((ROOT / "config" / name).read_text())
             assert set(parameters) == {"/**"}
 
-    def test_arguments_are_parameters_of_their_node(self, path: Path) -> None:
-        kinds = {"PATHS": str, "LISTS": list, "TOPICS": list}
-        named = _argument_tables(path)
-        assert named
-        for (node, kind), arguments in named.items():
-            declared = {p.name: p.default for p in _node_parameters(node)}
-            assert set(arguments) <= set(declared)
-            if kind == "ARGUMENTS":
-                # Their defaults are looked up there.
-                assert set(arguments) <= set(_shipped(node))
-            else:
-                assert all(type(declared[name]) is kinds[kind] for name in arguments)
-
-    def test_parameters_named_at_a_node_are_its_own(self, path: Path) -> None:
-        for call in _calls(path, "Node"):
-            words = {keyword.arg: keyword.value for keyword in call.keywords}
-            assert isinstance(words["executable"], ast.Constant)
-            declared = {p.name for p in _node_parameters(words["executable"].value)}
-            for table in ast.walk(words.get("parameters", ast.List([]))):
-                if isinstance(table, ast.Dict):
-                    assert {key.value for key in table.keys} <= declared
-
     def test_every_argument_is_described_and_every_one_used_is_declared(self, path: Path) -> None:
-        declared = {name for table in _argument_tables(path).values() for name in table}
+        (generated,) = _calls(path, "launch_arguments")
+        nodes = [node.value for node in generated.args if isinstance(node, ast.Constant)]
+        declared = {argument.name for argument in launch_arguments(*map(str, nodes))}
         for call in _calls(path, "DeclareLaunchArgument"):
             assert "description" in {keyword.arg for keyword in call.keywords}
             if isinstance(call.args[0], ast.Constant):
@@ -308,6 +258,14 @@ class TestLaunchFile:
             call.args[0].value
             for call in _calls(path, "LaunchConfiguration")
             if isinstance(call.args[0], ast.Constant)
+        }
+        used |= {
+            node.slice.value
+            for node in ast.walk(ast.parse(path.read_text()))
+            if isinstance(node, ast.Subscript)
+            and isinstance(node.value, ast.Name)
+            and node.value.id == "given"
+            and isinstance(node.slice, ast.Constant)
         }
         assert used <= declared
 
@@ -319,9 +277,9 @@ class TestLaunchFile:
             required = {
                 declared.args[0].value
                 for declared in _calls(included, "DeclareLaunchArgument")
-                if "default_value" not in {keyword.arg for keyword in declared.keywords}
+                if isinstance(declared.args[0], ast.Constant)
+                and "default_value" not in {keyword.arg for keyword in declared.keywords}
             }
-            assert required
             assert required <= words
 
     def test_defines_the_entry_point(self, path: Path) -> None:

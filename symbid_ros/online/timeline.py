@@ -140,7 +140,8 @@ class Timeline:
         until, place = self.streams.complete_until, self._block()
         if until is None or place is None or until < place[0]:
             return None
-        return self._stretch(place[0], until + 1, until + 1)
+        # Topics that are ahead help to interpolate up to the last instant, as in a bag.
+        return self._stretch(place[0], until + 1, until + 1 + LONGEST_MARGIN)
 
     def _block(self) -> tuple[int, int] | None:
         """Return where the block begins and ends that is being filled, ns."""

@@ -1,0 +1,144 @@
+"""Arguments of the launch files: one for each node parameter, one meaning for each name.
+
+Launch files ask here for names, descriptions and command lines, so that none of them repeats a
+parameter. Nothing here imports launch.
+"""
+
+import json
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, NamedTuple
+
+import yaml
+
+from symbid_ros.ros.parameters import Parameter, ParameterError
+
+# Parameters of other nodes that share a name with something else.
+RENAMED = {
+    ("mujoco_bridge", "friction"): "bridge_friction",
+    ("mujoco_bridge", "queue_depth"): "bridge_queue_depth",
+    ("balance_controller", "model"): "controller_model",
+    ("recorder", "bag"): "recorder_bag",
+    ("recorder", "topics"): "recorder_topics",
+    ("recorder", "queue_depth"): "recorder_queue_depth",
+    ("player", "start"): "player_start",
+    ("player", "topics"): "player_topics",
+    ("player", "queue_depth"): "player_queue_depth",
+}
+
+
+class LaunchArgument(NamedTuple):
+    """What a launch file declares; an empty one leaves the value to params_file and node."""
+
+    name: str
+    default: str
+    description: str
+
+
+COMMON = (
+    LaunchArgument("namespace", "", "namespace of the nodes"),
+    LaunchArgument("params_file", "", "parameter file for the nodes; arguments override it"),
+    LaunchArgument("log_level", "info", "level of the nodes' messages"),
+)
+
+
+def node_parameters(node: str) -> tuple[Parameter, ...]:
+    """Return the parameters of one of the package's executables."""
+    parameters: tuple[Parameter, ...] = import_module(f"{__package__}.{node}").PARAMETERS
+    return parameters
+
+
+def argument_name(node: str, parameter: str) -> str:
+    """Return the name of the launch argument that sets a node's parameter."""
+    return RENAMED.get((node, parameter), parameter)
+
+
+def launch_arguments(*nodes: str) -> tuple[LaunchArgument, ...]:
+    """Return what a launch file of these nodes declares.
+
+    Parameters
+    ----------
+    *nodes : str
+        Executables. Where two have a parameter of one name, the first describes it.
+    """
+    found = {common.name: common for common in COMMON}
+    for node in nodes:
+        for parameter in node_parameters(node):
+            name = argument_name(node, parameter.name)
+            text = f"{node}: {parameter.description} Default: {json.dumps(parameter.default)}."
+            found.setdefault(name, LaunchArgument(name, "", text))
+    return tuple(found.values())
+
+
+def node_arguments(
+    node: str,
+    configurations: Mapping[str, str],
+    preset: Mapping[str, Any] | None = None,
+    **fixed: Any,
+) -> list[str]:
+    """Return the command line of a node.
+
+    Parameters
+    ----------
+    node : str
+        Its executable.
+    configurations : mapping of str to str
+        The launch arguments by name; empty ones are not given.
+    preset : mapping of str to object, optional
+        Parameters of this node that a parameter file may override.
+    **fixed : object
+        Parameters that nothing overrides.
+
+    Raises
+    ------
+    ParameterError
+        When an argument is not a value of its parameter.
+    """
+    arguments = ["--ros-args"]
+    for name, value in (preset or {}).items():
+        arguments += ["-p", f"{name}:={json.dumps(value)}"]
+    if file := configurations.get("params_file"):
+        arguments += ["--params-file", file]
+    given: dict[str, Any] = {}
+    if text := configurations.get("use_sim_time"):
+        given["use_sim_time"] = _value(Parameter("use_sim_time", False, ""), "use_sim_time", text)
+    for parameter in node_parameters(node):
+        name = argument_name(node, parameter.name)
+        if text := configurations.get(name):
+            given[parameter.name] = _value(parameter, name, text)
+    for name, value in (given | fixed).items():
+        arguments += ["-p", f"{name}:={json.dumps(value)}"]
+    return [*arguments, "--log-level", configurations.get("log_level") or "info"]
+
+
+def _value(parameter: Parameter, name: str, text: str) -> Any:
+    """Return what a launch argument says, in the parameter's type."""
+    default = parameter.default
+    if isinstance(default, str):
+        return text
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        value = text
+    if isinstance(default, list) and isinstance(default[0], str):
+        texts = value if isinstance(value, list) else [text]
+        return [str(each) for each in texts]
+    if isinstance(default, list):
+        is_valid = isinstance(value, list) and all(_is_number(each) for each in value)
+        value = [float(each) for each in value] if is_valid else value
+    elif isinstance(default, float):
+        try:
+            return float(text)
+        except ValueError:
+            is_valid = False
+    else:
+        is_valid = type(value) is type(default)
+    if not is_valid:
+        raise ParameterError(
+            f"launch argument {name}: {text!r} is not valid; give {parameter.expected}"
+        )
+    return value
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

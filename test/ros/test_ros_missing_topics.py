@@ -1,0 +1,174 @@
+"""An identifier whose topics are missing, mistyped or unstamped says so and goes on waiting."""
+
+import re
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from rcl_interfaces.msg import Log
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import Parameter as Given
+from sensor_msgs.msg import JointState
+
+from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.bags.messages import IMU, JOINT_STATE
+from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.errors import SymbidError
+from symbid_ros.ros.identifier_parameters import PARAMETERS
+from symbid_ros.ros.log_bridge import python_logs_of
+from symbid_ros.ros.missing_topics import missing_topics
+from symbid_ros.ros.online_identifier import OnlineIdentifier
+from symbid_ros.ros.parameters import declare
+
+DEADLINE = 240.0  # s; only a hang takes as long
+ARM = """<robot name="arm"><link name="world"/><link name="base"/><link name="rod"><inertial>
+<origin xyz="0 0 0.3"/><mass value="1.5"/>
+<inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="bolt" type="fixed"><parent link="world"/><child link="base"/></joint>
+<joint name="elbow" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
+</joint></robot>"""
+
+
+class Robot:
+    """An identifier in a thread, what it logs, and publishers in its place."""
+
+    def __init__(self, domain: int, model: Path, **given: Any) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        overrides = [Given(name, value=value) for name, value in given.items()]
+        overrides.append(Given("model", value=str(model)))
+        self.node = Node("identifier", context=self._context, parameter_overrides=overrides)
+        self.log: list[str] = []
+        self._said = threading.Condition()
+        self.node.create_subscription(Log, "/rosout", self._hear, 1000)
+        values = declare(self.node, PARAMETERS)
+        executor = SingleThreadedExecutor(context=self._context)
+        executor.add_node(self.node)
+        self._executor = executor
+        self._stop = threading.Event()
+        self._threads = [
+            threading.Thread(target=executor.spin),
+            threading.Thread(target=self._identify, args=(values,)),
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _identify(self, values: dict[str, Any]) -> None:
+        # Ended without an estimate, it may say so by an error.
+        with python_logs_of(self.node), suppress(SymbidError):
+            OnlineIdentifier(self.node, values).run(self._stop)
+
+    def _hear(self, message: Log) -> None:
+        with self._said:
+            self.log.append(message.msg)
+            self._said.notify()
+
+    def wait_for(self, *words: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """Wait until a message has all of these words, doing something every few milliseconds."""
+        with self._said:
+            for _ in range(int(DEADLINE / 0.02)):
+                if any(all(word in one for word in words) for one in self.log):
+                    return
+                meanwhile()
+                self._said.wait(0.02)
+        raise AssertionError(f"nobody says {words}: {self.log}")
+
+    @property
+    def is_alive(self) -> bool:
+        return self._threads[1].is_alive()
+
+    def close(self) -> None:
+        self._stop.set()
+        self._threads[1].join()
+        self._executor.shutdown()
+        self._threads[0].join()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+
+
+@pytest.fixture
+def arm(domain: int, tmp_path: Path) -> Iterator[Robot]:
+    (tmp_path / "arm.urdf").write_text(ARM)
+    robot = Robot(
+        domain, tmp_path / "arm.urdf", joint_topic=["/arm/joint_states"], settle=0.0, lag=0.1
+    )
+    yield robot
+    robot.close()
+
+
+def test_faults_are_named_and_their_cures_noticed_while_the_node_lives(arm: Robot) -> None:
+    mistyped = arm.node.create_publisher(JointState, "/arm/joint_state", 100)
+    arm.wait_for("waiting for topic /arm/joint_states (parameter joint_topic)", "/arm/joint_state;")
+    cured = arm.node.create_publisher(JointState, "/arm/joint_states", 100)
+    arm.wait_for("identifying arm from /arm/joint_states")
+    arm.wait_for("/arm/joint_states: in order now")
+
+    message = JointState(name=["elbow"], position=[0.1], velocity=[0.0], effort=[1.0])
+    arm.wait_for(
+        "/arm/joint_states: header.stamp is zero", meanwhile=lambda: cured.publish(message)
+    )
+    wrong = JointState(name=["wrist"], position=[0.1], velocity=[0.0], effort=[1.0])
+
+    def publish(message: JointState, clock: list[int]) -> None:
+        for _ in range(50):  # 10 ms apart, so that blocks of 4 s are soon whole
+            clock[0] += 10_000_000
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(clock[0], 10**9)
+            cured.publish(message)
+
+    clock = [100 * 10**9]
+    arm.wait_for("has no joint 'elbow' of model", "wrist", meanwhile=lambda: publish(wrong, clock))
+    assert not any("bag" in one for one in arm.log)
+    assert arm.is_alive
+    arm.node.destroy_publisher(mistyped)
+
+
+GRAPH = {
+    "/robot/joint_states": [JOINT_STATE],
+    "/imu/data": [IMU],
+    "/chatter": ["std_msgs/msg/String"],
+}
+
+
+@pytest.mark.parametrize(
+    ("selection", "found", "floating", "says"),
+    [
+        (TopicSelection(joints=("/robot/joint_states",)), ["/robot/joint_states"], False, {}),
+        (
+            TopicSelection(joints=("/joints",)),
+            [],
+            False,
+            {"/joints": "parameter joint_topic), which nobody publishes; .* /robot/joint_states;"},
+        ),
+        (
+            TopicSelection(joints=("/chatter",), wrenches=("/foot",)),
+            [],
+            False,
+            {
+                "/chatter": "/chatter is of type std_msgs/msg/String, not sensor_msgs/msg/JointSt",
+                "/foot": "parameter wrench_topics.* topics of that type: none",
+            },
+        ),
+        (
+            TopicSelection(),
+            [],
+            True,
+            {
+                "joint states": "/robot/joint_states; start .* parameter joint_topic",
+                "IMU": "/imu/data; start .* imu_topics, or give base:=fixed",
+            },
+        ),
+        (TopicSelection(), ["/robot/joint_states"], False, {}),
+    ],
+)
+def test_what_is_missing_is_named_with_the_parameter(selection, found, floating, says) -> None:
+    topics = [Topic(name, GRAPH[name][0]) for name in found]
+    missing = missing_topics(selection, topics, GRAPH, floating=floating)
+    assert set(missing) == set(says)
+    for key, pattern in says.items():
+        assert re.search(pattern, missing[key]), missing[key]
