@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 from symbid_ros.errors import ModelError
 from symbid_ros.model.xml_tree import LARGEST, MAX_ELEMENTS, Element, read_xml
 
@@ -148,9 +150,12 @@ def _check_numbers(element: Element, key: str, value: str) -> None:
     limit = LARGEST if key in _BOUNDED else sys.float_info.max
     for word in value.split():
         try:
-            number = float(word)
+            # MuJoCo also reads the hexadecimal numbers of C.
+            number = float.fromhex(word) if "0x" in word.lower() else float(word)
         except ValueError:
             continue  # a word, or MuJoCo says what is wrong with it
+        except OverflowError:
+            number = np.inf
         if not abs(number) <= limit:
             raise ModelError(
                 f'{element.place}: <{element.tag}> has {key}="{word}"; give a finite number of '

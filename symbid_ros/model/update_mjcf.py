@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path, PurePosixPath
+from xml.sax.saxutils import quoteattr
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.model.export_urdf import NEGLIGIBLE, numbers
@@ -176,4 +177,4 @@ def _settle_compilers(files: _Files, root: Element, folder: Path) -> None:
         if main:
             files.editor(main[0]).set(main[0], "assetdir", place)
         else:
-            files.editor(root).insert(root, f'<compiler assetdir="{place}"/>')
+            files.editor(root).insert(root, f"<compiler assetdir={quoteattr(place)}/>")

@@ -15,6 +15,7 @@ from random_robots import CONFIG
 from symbid_ros.errors import ModelError, SimulationError
 from symbid_ros.model import xml_tree
 from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 
 INERTIAL = '<inertial mass="1" pos="0 0 .1" diaginertia=".1 .1 .1"/>'
@@ -115,6 +116,7 @@ class TestEveryFormat:
         (MJCF, 'axis="0 1 0"', 'axis="0 1 0" range="0 inf"'),
         (MJCF, 'name="upper"', 'name="upper" quat="0 0 0 0"'),
         (MJCF, 'pos="0 0 .1"', 'pos="0 0 1e30"'),
+        (MJCF, 'mass="1"', 'mass="0x1p40"'),
         (URDF, 'xyz="0 1 0"', 'xyz="0 0 0"'),
         (URDF, 'xyz="0 1 0"', 'xyz="0 1e-200 0"'),
         (URDF, 'xyz="0 0 .1"', 'xyz="0 0 1e30"'),
@@ -426,6 +428,9 @@ def test_a_mutated_model_is_a_robot_or_refused(text, tmp_path, monkeypatch):
             robots.append(load_model(path))
         except ModelError as error:
             refusals.append(str(error))
+            continue
+        if text is URDF:
+            assert urdf_text(robots[-1], path) == path.read_bytes().decode()
     assert len(robots) > 40
     assert len(refusals) > 40
     assert all(message.startswith(str(tmp_path)) for message in refusals)
