@@ -7,9 +7,13 @@ processor time as a share of one core and the time from stamp to receipt.
 With ``--kills`` a recorder of a 1 kHz and a 5 Hz topic is killed at random times instead, and the
 unfinished bag is read: how old was the oldest message that is missing?
 
+With ``--images`` 5 MB images at 30 Hz are recorded beside the four topics at 1 kHz, with a queue of
+64 MB: what is lost of each topic? Start something else that keeps all cores busy.
+
 4 kHz needs two cores for itself: look at how late the publisher was before blaming the recorder.
 
     .venv/bin/python bench/recorder.py [--seconds 60] [--burst 20] [--kills 100] [--seed 0]
+    .venv/bin/python bench/recorder.py --images [--seconds 60]
 """
 
 import argparse
@@ -19,6 +23,7 @@ import random
 import sys
 import tempfile
 import time
+from array import array
 from multiprocessing.connection import Connection
 from pathlib import Path
 from threading import Event
@@ -26,6 +31,10 @@ from threading import Event
 import numpy as np
 import rclpy
 from mcap.reader import make_reader
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Image
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "test" / "support"))
 
@@ -34,6 +43,7 @@ from paced_feed import SENSORS, Feed, await_subscribers, feed, kill_recorder
 from symbid_ros.bags.gaps import stamp_of
 from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.cli.processes import NodeProcess, private_graph
+from symbid_ros.ros.messages import reliable
 
 TICKS = os.sysconf("SC_CLK_TCK")
 BOUND = 0.1  # s
@@ -45,6 +55,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--burst", type=float, default=20.0)
     parser.add_argument("--kills", type=int, default=0)
+    parser.add_argument("--images", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
@@ -52,6 +63,9 @@ def main() -> None:
         os.environ.update(graph)
         if asked.kills:
             kill(Path(folder), asked.kills, asked.seed)
+            return
+        if asked.images:
+            record_images(Path(folder) / "bag", graph, asked.seconds)
             return
         for rate, seconds in ((1000.0, asked.seconds), (4000.0, asked.burst)):
             record(Path(folder) / f"bag_{rate:.0f}", graph, rate, seconds)
@@ -93,6 +107,64 @@ def publish(rate: float, seconds: float, pipe: Connection) -> None:
     for each in feeds:
         each.publisher.wait_for_all_acked()
     pipe.send((sum(len(each.stamps) for each in feeds), late))
+    node.destroy_node()
+    rclpy.try_shutdown()
+
+
+def record_images(bag: Path, graph: dict[str, str], seconds: float) -> None:
+    """Record images beside the four topics and print what is missing of each."""
+    context = multiprocessing.get_context("spawn")
+    topics = [*SENSORS, Camera.topic]
+    parameters = {"bag": str(bag), "topics": topics, "queue_size": 64}
+    with NodeProcess("recorder", parameters, graph, bag.with_suffix(".log")) as recorder:
+        ends, publishers = [], []
+        for task in (publish, publish_images):
+            ours, theirs = context.Pipe()
+            arguments = (1000.0, seconds, theirs) if task is publish else (seconds, theirs)
+            publishers.append(context.Process(target=task, args=arguments))
+            publishers[-1].start()
+            ends.append(ours)
+        for end in ends:
+            end.recv()
+        (published, late), (images, _) = (end.recv() for end in ends)
+        for publisher in publishers:
+            publisher.join()
+        summary = recorder.finish(stop=True)
+    sensors = sum(summary["recorded"][f"/{topic}"] for topic in SENSORS)
+    print(
+        f"{published} sensor messages ({late * 1e3:.0f} ms late at most), {published - sensors} "
+        f"lost; {images} images, {images - summary['recorded'][f'/{Camera.topic}']} lost; "
+        f"load {os.getloadavg()[0]:.1f}"
+    )
+
+
+class Camera:
+    """A feed of 5 MB images that do not compress."""
+
+    topic, rate = "camera", 30.0
+
+    def __init__(self, node: Node) -> None:
+        image = Image(data=np.random.default_rng(0).bytes(5_000_000))
+        self.stamps = array("q")
+        self.publisher = node.create_publisher(Image, self.topic, reliable(5))
+        self._payload = serialize_message(image)
+
+    def publish(self) -> None:
+        """Publish the next image."""
+        self.publisher.publish(self._payload)
+        self.stamps.append(time.time_ns())
+
+
+def publish_images(seconds: float, pipe: Connection) -> None:
+    """Publish images once the topic has a subscriber; tell of the beginning and the end."""
+    rclpy.init()
+    node = rclpy.create_node("camera")
+    camera = Camera(node)
+    await_subscribers([camera])
+    pipe.send("begun")
+    late = feed([camera], Event(), seconds)
+    camera.publisher.wait_for_all_acked(Duration(seconds=10))
+    pipe.send((len(camera.stamps), late))
     node.destroy_node()
     rclpy.try_shutdown()
 

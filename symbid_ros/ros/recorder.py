@@ -55,7 +55,7 @@ PARAMETERS = (
     Parameter(
         "flush_period",
         0.05,
-        "Seconds of data at most that a killed recorder loses.",
+        "Seconds that data wait to be written; a killed recorder loses no older ones.",
         minimum=0.01,
         maximum=10.0,
     ),
