@@ -43,6 +43,8 @@ SUBPACKAGES = ("model", "dynamics", "signals", "estimation", "diagnosis", "bags"
 SESSIONS = ROOT / ".mutants"
 NOT_COPIED = (".*", "build", "install", "log", "demo", "__pycache__", "*.egg-info")
 GOAL = 0.85
+# pytest's statuses of an internal error, wrong usage, and no tests: no fault does that.
+BROKEN = (3, 4, 5)
 
 ARITHMETIC = {"Add", "Sub", "Mul", "Div", "FloorDiv", "Mod", "Pow"}
 BITWISE = {"RShift", "LShift", "BitOr", "BitAnd", "BitXor"}
@@ -184,11 +186,11 @@ class Runner:
             # Bytecode knows its source by size and second: no two states may share a second.
             self._second += 1
             os.utime(path, (self._second, self._second))
-            status, output = self._pytest(tests_of(fault.module_path), limit)
+            is_noticed, output = self._pytest(self._tests_of(fault.module_path), limit)
         return WorkResult(
             WorkerOutcome.NORMAL,
             output=output[-20_000:],
-            test_outcome=TestOutcome.KILLED if status else TestOutcome.SURVIVED,
+            test_outcome=TestOutcome.KILLED if is_noticed else TestOutcome.SURVIVED,
             diff="\n".join(_make_diff(before, after, fault.module_path)),
         )
 
@@ -196,16 +198,23 @@ class Runner:
         """Return how long a subpackage's tests may take, s; without a fault they must pass."""
         if subpackage not in self._times:
             began = time.monotonic()
-            files = sorted((self.copy / "test" / subpackage).glob("test_*.py"))
-            status, output = self._pytest([str(file) for file in files], None)
-            if status:
+            is_noticed, output = self._pytest([f"test/{subpackage}"], None)
+            if is_noticed:
                 sys.exit(f"{output}\nthe tests of {subpackage} fail without any fault")
             self._times[subpackage] = time.monotonic() - began
             self.times_file.write_text(json.dumps(self._times))
         return 60 + 3 * self._times[subpackage]
 
-    def _pytest(self, files: Sequence[str], limit: float | None) -> tuple[int, str]:
-        """Return the exit status and the output of pytest up to the first failure."""
+    def _tests_of(self, module: Path) -> list[str]:
+        """Return the test files of a module's subpackage, those named after the module first."""
+        subpackage = module.parts[1]
+        files = sorted((self.copy / "test" / subpackage).glob("test_*.py"))
+        name = f"test_{subpackage}_{module.stem}"
+        files.sort(key=lambda file: not file.stem.startswith(name))
+        return [str(file.relative_to(self.copy)) for file in files]
+
+    def _pytest(self, files: Sequence[str], limit: float | None) -> tuple[bool, str]:
+        """Return whether a test fails, and the output of pytest up to there."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--no-header", "--tb=line"]
         command += ["-p", "no:cacheprovider", f"--basetemp={self.folder / 'pytest'}", *files]
         environment = os.environ | {"PYTHONPATH": str(self.copy)}
@@ -221,20 +230,13 @@ class Runner:
             try:
                 output, _ = process.communicate(timeout=limit)
             except subprocess.TimeoutExpired:
-                return 1, f"not done after {limit:.0f} s"
+                return True, f"not done after {limit:.0f} s"
             finally:
                 if process.poll() is None:  # whatever else it has started ends with it
                     os.killpg(process.pid, signal.SIGKILL)
-        return process.returncode, output
-
-
-def tests_of(module: Path) -> list[str]:
-    """Return the test files of a module's subpackage, those named after the module first."""
-    subpackage = module.parts[1]
-    files = sorted((ROOT / "test" / subpackage).glob("test_*.py"))
-    name = f"test_{subpackage}_{module.stem}"
-    files.sort(key=lambda file: not file.stem.startswith(name))
-    return [str(file.relative_to(ROOT)) for file in files]
+        if process.returncode in BROKEN:
+            sys.exit(f"{output}\npytest could not run the tests (status {process.returncode})")
+        return process.returncode != 0, output
 
 
 def run(session: WorkDB, drawn: Sequence[WorkItem], runner: Runner, *, again: bool) -> None:
