@@ -108,7 +108,9 @@ class JointMotion:
         driven = [i for i in known if model is None or joints[self.names[i]].effort > 0]
         found = []
         for index in known:
-            if self._without_position[index]:
+            # Without a model nobody knows whether a joint that never has one needs one.
+            most = self._messages if model is not None else self._messages - 1
+            if 0 < self._without_position[index] <= most:
                 share = float(self._without_position[index] / self._messages)
                 is_fatal = model is not None and share >= MOST_MISSING
                 found.append(
@@ -125,16 +127,19 @@ class JointMotion:
         silent = [i for i in driven if not self._has_effort[i]]
         # The base's rows tell of a floating robot without any effort.
         is_fatal = len(silent) == len(driven) and (model is None or not model.floating)
+        if model is None and not is_fatal:
+            silent = []  # they may be passive
         for is_zero in (True, False):
             places = [i for i in silent if (self._without_effort[i] < self._messages) == is_zero]
             if places:
+                rows = "its row" if len(places) == 1 else "their rows"
                 found.append(
                     Finding.of(
                         self.topic,
                         Kind.MISSING_JOINT,
                         f"the effort of {self._of(places)} is "
-                        f"{'always zero' if is_zero else 'in no message'}, their own rows of the "
-                        "equation of motion are left out; let the driver fill JointState.effort",
+                        f"{'always zero' if is_zero else 'in no message'}, {rows} of the equation "
+                        "of motion cannot be used; let the driver fill JointState.effort",
                         {"joints": len(places)},
                         Severity.UNUSABLE if is_fatal else Severity.WARNING,
                     )

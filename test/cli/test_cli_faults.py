@@ -222,7 +222,7 @@ def test_values_that_are_no_numbers(fails, good, tmp_path) -> None:
         def step(self):
             instant = super().step()
             if self._taken > 400:
-                instant.joint_effort[2] = float("nan")
+                instant.joint_position[2] = float("nan")
             return instant
 
     faulty = Faulty("smooth", moves=1, motion_seed=3)

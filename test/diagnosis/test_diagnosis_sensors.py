@@ -1,7 +1,10 @@
 """What an IMU and the joint states say of themselves: units, gravity, signs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from random_robots import random_robot
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.diagnosis.finding import Kind, Severity
@@ -101,10 +104,10 @@ def joints() -> JointStream:
     )
 
 
-def of(joints: JointStream):
+def of(joints: JointStream, model=None):
     motion = JointMotion(joints.topic, joints.names)
     motion.add(joints)
-    return motion.findings(None)
+    return motion.findings(model)
 
 
 def test_honest_joints_are_clean(joints) -> None:
@@ -147,12 +150,59 @@ def test_no_effort_at_all(joints, value, says) -> None:
     assert f"effort of all joints is {says}" in finding.message
 
 
+def robot(*, passive: tuple[str, ...] = (), floating: bool = False):
+    model = random_robot(3, 4, floating=floating)
+    named = [
+        replace(joint, name=name, kind="revolute", effort=0.0 if name in passive else 20.0)
+        for joint, name in zip(model.joints, NAMES, strict=True)
+    ]
+    return replace(model, joints=tuple(named))
+
+
 @pytest.mark.parametrize(("value", "says"), [(0.0, "always zero"), (np.nan, "in no message")])
 def test_one_joint_without_effort(joints, value, says) -> None:
     joints.effort[:, 1] = value
-    (finding,) = of(joints)
+    (finding,) = of(joints, robot())
     assert (finding.kind, finding.severity) == (Kind.MISSING_JOINT, Severity.WARNING)
-    assert f"effort of knee is {says}" in finding.message
+    assert f"effort of knee is {says}, its row" in finding.message
+    # It may be passive, and nobody knows without a model.
+    assert of(joints) == of(joints, robot(passive=("knee",))) == []
+
+
+@pytest.mark.parametrize(
+    ("floating", "severity"), [(False, Severity.UNUSABLE), (True, Severity.WARNING)]
+)
+def test_without_any_effort_a_floating_robot_has_its_base(joints, floating, severity) -> None:
+    joints.effort[:] = np.nan
+    (finding,) = of(joints, robot(floating=floating))
+    assert (finding.kind, finding.severity) == (Kind.MISSING_JOINT, severity)
+
+
+@pytest.mark.parametrize("name", ["position", "velocity", "effort"])
+def test_joints_outside_the_model_may_leave_anything_out(joints, name) -> None:
+    getattr(joints, name)[:, 2] = np.nan
+    other = replace(joints, names=(*NAMES[:2], "gripper"))
+    model = robot()
+    smaller = replace(model, joints=(*model.joints[:2], replace(model.joints[2], name="arm")))
+    assert of(other, smaller) == of(other) == []
+
+
+def test_positions_in_degrees_are_seen_beside_a_joint_without_position(joints) -> None:
+    joints.position[:] *= 180 / np.pi
+    joints.velocity[:] = np.nan
+    joints.position[:, 2] = np.nan
+    model = robot()
+    limited = tuple(replace(joint, lower=-1.0, upper=1.0) for joint in model.joints)
+    gripper = replace(joints, names=(*NAMES[:2], "gripper"))
+    other = (*limited[:2], replace(limited[2], name="arm"))
+    (finding,) = of(gripper, replace(model, joints=other))
+    assert (finding.kind, finding.severity) == (Kind.UNIT, Severity.UNUSABLE)
+
+
+def test_half_of_the_positions_are_too_few(joints) -> None:
+    joints.position[::2, 0] = np.nan
+    (finding,) = of(joints, robot())
+    assert (finding.kind, finding.severity) == (Kind.MISSING_JOINT, Severity.UNUSABLE)
 
 
 def test_joints_that_some_messages_leave_out(joints) -> None:
