@@ -3,8 +3,11 @@
 import signal
 import subprocess
 import sys
+from threading import Event
 
 import pytest
+
+from symbid_ros.ending import interruptible
 
 # Nearly all the time within the wait, where a handler that set the event itself would hang.
 WORK = """
@@ -27,3 +30,30 @@ def test_work_that_waits_for_the_end_is_ended_by_a_signal(number: signal.Signals
                 assert process.wait(timeout=300) == 0
             finally:
                 process.kill()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_interruptible_work_and_nothing_else(number: signal.Signals) -> None:
+    before = signal.getsignal(number)
+
+    def work() -> None:
+        with interruptible(Event()):
+            signal.raise_signal(number)
+
+    with pytest.raises(SystemExit) as ended:
+        work()
+    assert ended.value.code == 128 + number
+    assert signal.getsignal(number) is before
+
+
+def test_work_is_not_begun_once_the_end_is_asked_for() -> None:
+    stop, begun = Event(), []
+    stop.set()
+
+    def work() -> None:
+        with interruptible(stop):
+            begun.append(True)
+
+    with pytest.raises(SystemExit):
+        work()
+    assert not begun

@@ -5,8 +5,12 @@ from collections.abc import Callable, Coroutine
 from typing import Any
 
 from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor, await_or_execute
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
+
+from symbid_ros.errors import DataError
 
 WARNING_PERIOD = 5.0  # s between two warnings
 
@@ -14,10 +18,11 @@ Work = Callable[[], Coroutine[Any, Any, None]]
 
 
 class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
-    """Drops and counts the messages that cannot be taken or that their callback cannot use.
+    """Drops and counts the messages that do not decode or that their callback cannot use.
 
     rclpy lets such an exception end the thread that spins: a negative time on ``/clock`` ends
-    every node that follows it. Exceptions of timers and services still end the node.
+    every node that follows it. Malformed bytes are dropped by the middleware without a word to the
+    node, therefore they are decoded here. Exceptions of timers and services still end the node.
 
     Attributes
     ----------
@@ -31,20 +36,26 @@ class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
 
     def _take_subscription(self, subscription: Subscription) -> Work | None:
         try:
-            work: Work | None = super()._take_subscription(subscription)
-        except Exception as error:
-            self._drop(subscription, error)
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, True)
+        except rclpy_implementation.InvalidHandle:  # destroyed meanwhile
             return None
-        if work is None:
+        if taken is None:
             return None
+        payload, details = taken
 
-        async def guarded() -> None:
+        async def work() -> None:
             try:
-                await work()
+                message = payload if subscription.raw else _decoded(payload, subscription.msg_type)
+                wants_details = (
+                    subscription._callback_type is not Subscription.CallbackType.MessageOnly
+                )
+                arguments = (message, details) if wants_details else (message,)
+                await await_or_execute(subscription.callback, *arguments)
             except Exception as error:
                 self._drop(subscription, error)
 
-        return guarded
+        return work
 
     def _drop(self, subscription: Subscription, error: Exception) -> None:
         topic = str(subscription.topic_name)
@@ -55,3 +66,10 @@ class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
                 "check its publisher",
                 throttle_duration_sec=WARNING_PERIOD,
             )
+
+
+def _decoded(payload: bytes, kind: type[Any]) -> Any:
+    try:
+        return deserialize_message(payload, kind)
+    except Exception as error:  # of no common base: rmw's own, or Unicode's
+        raise DataError(f"it is not a valid {kind.__name__}") from error

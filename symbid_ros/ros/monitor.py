@@ -15,7 +15,6 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SymbidError
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.ros.checked_subscription import checked_subscription
 from symbid_ros.ros.messages import latched, reliable
 from symbid_ros.ros.monitor_display import Screen, View
 from symbid_ros.ros.monitor_messages import (
@@ -55,10 +54,11 @@ class Monitor:
         self._count = 0
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._estimated = self._heard = time.monotonic()
-        estimates = f"{self._identifier}/estimate"
-        checked_subscription(node, DiagnosticArray, estimates, self._take_estimate, latched())
-        checked_subscription(
-            node, DiagnosticArray, "/diagnostics", self._take_diagnostics, reliable(100)
+        node.create_subscription(
+            DiagnosticArray, f"{self._identifier}/estimate", self._take_estimate, latched()
+        )
+        node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._take_diagnostics, reliable(100)
         )
 
     def run(self, stop: Event) -> None:

@@ -12,7 +12,6 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
-from symbid_ros.ros.checked_subscription import checked_subscription
 from symbid_ros.ros.message_executor import MessageExecutor
 from symbid_ros.ros.messages import reliable
 
@@ -55,8 +54,7 @@ def test_a_time_that_rclpy_cannot_hold_is_dropped(spun) -> None:
 def test_malformed_messages_are_counted_and_the_others_arrive(spun) -> None:
     node, executor = spun
     heard: list[str] = []
-    checked_subscription(
-        node,
+    node.create_subscription(
         DiagnosticArray,
         "health",
         lambda message: heard.append(message.status[0].name),

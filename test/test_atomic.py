@@ -1,0 +1,88 @@
+"""Outputs of several files appear together or not at all."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from symbid_ros.atomic import staged
+from symbid_ros.errors import SymbidError
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from symbid_ros.atomic import staged
+with staged(Path(sys.argv[1])) as stage:
+    (stage / "estimate").write_text("new")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir() if path.is_file()}
+
+
+def write(folder: Path, text: str) -> None:
+    with staged(folder) as stage:
+        for name in ("estimate", "model"):
+            (stage / name).write_text(text)
+
+
+def test_a_new_folder_appears_with_all_its_files(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "out"
+    write(out, "first")
+    assert contents(out) == {"estimate": "first", "model": "first"}
+    assert list(out.parent.iterdir()) == [out]
+    umask = os.umask(0)
+    os.umask(umask)
+    assert out.stat().st_mode & 0o777 == 0o777 & ~umask
+
+
+def test_in_a_folder_that_exists_only_the_files_written_are_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes").write_text("mine")
+    (out / "model").write_text("old")
+    write(out, "new")
+    assert contents(out) == {"notes": "mine", "estimate": "new", "model": "new"}
+    assert len(list(out.iterdir())) == 3
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_an_error_leaves_everything_as_it_was(tmp_path: Path, exists: bool) -> None:
+    out = tmp_path / "out"
+    if exists:
+        write(out, "old")
+
+    def fail() -> None:
+        with staged(out) as stage:
+            (stage / "estimate").write_text("new")
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fail()
+    assert out.exists() is exists
+    if exists:
+        assert contents(out) == {"estimate": "old", "model": "old"}
+    assert len(list(tmp_path.rglob("*"))) == 3 * exists
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_so_does_a_kill(tmp_path: Path, exists: bool) -> None:
+    out = tmp_path / "out"
+    if exists:
+        write(out, "old")
+    done = subprocess.run([sys.executable, "-c", KILLED, out], check=False, timeout=300)
+    assert done.returncode == -signal.SIGKILL
+    assert out.exists() is exists
+    if exists:
+        assert contents(out) == {"estimate": "old", "model": "old"}
+
+
+def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SymbidError, match="out: cannot write"):
+        write(tmp_path / "file" / "out", "new")
