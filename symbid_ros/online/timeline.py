@@ -144,6 +144,8 @@ class Timeline:
 
     def _block(self) -> int | None:
         """Return where the block begins that is being filled, ns."""
+        if self.newest is None:  # messages without stamps have been dropped again
+            self._open_from = self._piece_from = None
         if self._open_from is None:
             stamps = self.streams.joints.stamps
             if not len(stamps):
