@@ -145,6 +145,8 @@ class Timeline:
 
     def _block(self) -> tuple[int, int] | None:
         """Return where the block begins and ends that is being filled, ns."""
+        if self.newest is None:  # messages without stamps have been dropped again
+            self._open_from = self._piece_from = self._period = None
         stamps = self.streams.joints.stamps
         if self._period is None:
             if len(stamps) < SHORTEST_SEGMENT:

@@ -186,10 +186,11 @@ class SensorTopics:
 
     def missing(self) -> dict[str, str]:
         """Return what is still waited for, and why, by topic or kind of sensor."""
+        own = f"{self.node.get_fully_qualified_name()}/"
         graph = {
             name: types
             for name, types in self.node.get_topic_names_and_types()
-            if self.node.count_publishers(name)
+            if self.node.count_publishers(name) and not name.startswith(own)
         }
         missing = missing_topics(
             self.own.selection, self._chosen, graph, floating=self.model.floating

@@ -15,6 +15,7 @@ class _Counts:
     unstamped: int = 0
     stale: int = 0
     newest: int | None = None
+    is_stale: bool = False
 
 
 @dataclass
@@ -31,12 +32,16 @@ class StreamFaults:
         for topic, buffer in streams.buffers.items():
             name = topic.name
             last = self._last.get(name, _Counts())
+            new = buffer.received - last.received
+            is_stale = new > 0 and buffer.stale - last.stale == new
             self._last[name] = _Counts(
-                buffer.received, buffer.unstamped, buffer.stale, buffer.newest
+                buffer.received, buffer.unstamped, buffer.stale, buffer.newest, is_stale
             )
-            if buffer.received > last.received:
+            if new:
                 self._heard[name] = now
-                fault = _stamp_fault(buffer, last, streams.clock)
+                # What is left of the time before a clock's jump is stale for a moment only.
+                is_lasting = is_stale and last.is_stale
+                fault = _stamp_fault(buffer, last, streams.clock if is_lasting else None)
             else:
                 silent = now - self._heard.setdefault(name, now) > SILENT
                 fault = f"no message for {SILENT:g} s or more; check its driver" if silent else ""
@@ -46,12 +51,13 @@ class StreamFaults:
 
 
 def _stamp_fault(buffer: TopicBuffer, last: _Counts, clock: int | None) -> str:
+    """Return what is wrong with new stamps; ``clock``, ns, if they are of another time."""
     if buffer.unstamped > last.unstamped:
         return (
             "header.stamp is zero; let its driver set the stamp (with use_sim_time it needs "
             "/clock). These messages are left out"
         )
-    if buffer.stale > last.stale and clock is not None:
+    if clock is not None:
         return (
             f"stamped at {buffer.newest_stale * 1e-9:.3f} s while other topics are at "
             f"{clock * 1e-9:.3f} s; synchronise the clocks. These messages are left out"

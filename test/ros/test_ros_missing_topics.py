@@ -18,13 +18,15 @@ from sensor_msgs.msg import JointState
 
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.messages import IMU, JOINT_STATE
-from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.bags.streams.selection import SelectedTopics, TopicSelection
 from symbid_ros.errors import SymbidError
+from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.ros.identifier_parameters import PARAMETERS
 from symbid_ros.ros.log_bridge import python_logs_of
 from symbid_ros.ros.missing_topics import missing_topics
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.parameters import declare
+from symbid_ros.ros.stream_faults import StreamFaults
 
 DEADLINE = 240.0  # s; only a hang takes as long
 ARM = """<robot name="arm"><link name="world"/><link name="base"/><link name="rod"><inertial>
@@ -123,7 +125,7 @@ def test_faults_are_named_and_their_cures_noticed_while_the_node_lives(arm: Robo
 
     clock = [100 * 10**9]
     arm.wait_for("has no joint 'elbow' of model", "wrist", meanwhile=lambda: publish(wrong, clock))
-    assert not any("bag" in one for one in arm.log)
+    assert not any("bag" in one or "silent" in one for one in arm.log)
     assert arm.is_alive
     arm.node.destroy_publisher(mistyped)
 
@@ -143,7 +145,7 @@ GRAPH = {
             TopicSelection(joints=("/joints",)),
             [],
             False,
-            {"/joints": "parameter joint_topic), which nobody publishes; .* /robot/joint_states;"},
+            {"/joints": "parameter joint_topic., which nobody publishes; .* /robot/joint_states;"},
         ),
         (
             TopicSelection(joints=("/chatter",), wrenches=("/foot",)),
@@ -172,3 +174,21 @@ def test_what_is_missing_is_named_with_the_parameter(selection, found, floating,
     assert set(missing) == set(says)
     for key, pattern in says.items():
         assert re.search(pattern, missing[key]), missing[key]
+
+
+def test_stamps_of_another_clock_or_none_at_all_are_told_from_what_a_jump_leaves_behind() -> None:
+    joints, imu = Topic("/joint_states", JOINT_STATE), Topic("/imu", IMU)
+    streams, faults = LiveStreams(SelectedTopics((joints,), (imu,), ()), "live"), StreamFaults()
+
+    def looked(joint_stamp: float, imu_stamp: float) -> dict[str, str]:
+        for topic, stamp in ((joints, joint_stamp), (imu, imu_stamp)):
+            streams.add(topic, round(stamp * 1e9), b"")
+        return faults.look(streams)
+
+    assert looked(100.0, 5.0) == {}  # once may be left over from before a jump
+    (fault,) = looked(100.1, 5.1).values()
+    assert fault.startswith("/imu: stamped at 5.100 s while other topics are at 100.100 s; synchr")
+    assert looked(100.2, 100.2) == {}
+    assert set(looked(100.3, 100.2)) == {"/imu"}  # stands still
+    assert "header.stamp is zero" in looked(100.4, 0.0)["/imu"]
+    assert looked(100.5, 100.5) == {}
