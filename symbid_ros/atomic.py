@@ -38,6 +38,19 @@ def check_writable(folder: Path) -> None:
                 place.rmdir()
 
 
+def check_output_file(path: Path) -> None:
+    """Try whether a file can be written; nothing is left behind.
+
+    Raises
+    ------
+    SymbidError
+        When it cannot.
+    """
+    if path.is_dir():
+        raise SymbidError(f"{path}: is a folder; name a file in it")
+    check_writable(path.parent)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` to ``path`` in one step, replacing what was there.
 

@@ -39,6 +39,7 @@ LONGEST = (
     "test_diagnosis_clean.py",
     "test_offline_calibration.py",
     "test_cli_identify.py",
+    "test_offline_rates.py",
     "test_cli_faults.py",
     "test_cli_demo.py",
     "test_cli_evaluate.py",

@@ -1,4 +1,4 @@
-"""Outputs of several files appear together or not at all."""
+"""Outputs appear whole or not at all, and whether they can be written is known beforehand."""
 
 import os
 import signal
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from symbid_ros.atomic import staged
+from symbid_ros.atomic import check_output_file, check_writable, staged
 from symbid_ros.errors import SymbidError
 
 KILLED = """
@@ -86,3 +86,23 @@ def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(SymbidError, match="out: cannot write"):
         write(tmp_path / "file" / "out", "new")
+
+
+def test_asking_leaves_nothing(tmp_path: Path) -> None:
+    check_writable(tmp_path / "deep" / "down")
+    check_writable(tmp_path)
+    check_output_file(tmp_path / "deep" / "page.html")
+    (tmp_path / "page.html").write_text("old")
+    check_output_file(tmp_path / "page.html")
+    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+    assert (tmp_path / "page.html").read_text() == "old"
+
+
+def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SymbidError, match="name a file in it"):
+        check_output_file(tmp_path)
+    for folder in ("file", "file/below", "deep/" + 300 * "x"):
+        with pytest.raises(SymbidError, match="cannot write"):
+            check_writable(tmp_path / folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -33,7 +33,7 @@ def evaluate(
     base: BaseKind = "auto",
 ) -> None:
     """Judge an estimate or a prior against the truth of a simulated bag."""
-    from symbid_ros.atomic import write_text
+    from symbid_ros.atomic import check_output_file, write_text
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.evaluation import evaluate as judge
     from symbid_ros.offline.evaluation import read_true_motion
@@ -42,11 +42,13 @@ def evaluate(
     from symbid_ros.offline.subject import load_subject
     from symbid_ros.signals.causal import CausalLowPass
 
+    low_pass = CausalLowPass(velocity_cutoff)
+    if json_file is not None:
+        check_output_file(json_file)
     robot = load_model(model, base)
     found = load_subject(subject, robot)
     parameters, values, factor = found.parameters, found.values, found.deviation_factor
     motion = read_true_motion(bag, robot)
-    low_pass = CausalLowPass(velocity_cutoff)
     noisy = read_realistic_motion(realistic, robot, low_pass) if realistic else None
     candidates = {"it": values}
     ideal = asdict(judge(parameters, candidates, parameters.values, motion)["it"])
@@ -60,9 +62,9 @@ def evaluate(
         judged = evaluate_realistic(parameters, candidates, parameters.values, noisy)["it"]
         figures["realistic"] = asdict(judged)
         tables.append(_table("from noisy sensors", asdict(judged)))
+    Console().print(*tables, sep="\n")
     if json_file is not None:
         write_text(json_file, json.dumps(figures, indent=1) + "\n")
-    Console().print(*tables, sep="\n")
 
 
 def _table(title: str, metrics: Mapping[str, float]) -> Table:

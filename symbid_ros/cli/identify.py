@@ -132,8 +132,8 @@ def identify(
     window: Annotated[
         float | None,
         typer.Option(
-            help="Length of the windows, s. Default: 0.081, 0.161 or 0.321, whichever tells most "
-            "(weak); 0.081 (savitzky_golay).",
+            help="Length of the windows, s. Default: 0.081, 0.161 or 0.321, whichever tells most, "
+            "longer below 75 Hz (weak); 0.081 (savitzky_golay).",
             rich_help_panel=ROWS,
         ),
     ] = None,

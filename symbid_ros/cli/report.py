@@ -27,6 +27,7 @@ def report(
     base: BaseKind = "auto",
 ) -> None:
     """Render identifications as one self-contained page."""
+    from symbid_ros.atomic import check_output_file
     from symbid_ros.errors import EstimateError
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
@@ -39,6 +40,7 @@ def report(
 
     if realistic and truth is None:
         raise EstimateError("--realistic predictions are judged by the true model; add --truth")
+    check_output_file(out)
     robot = load_model(model, base)
     subjects = {folder: load_subject(folder, robot) for folder in folders}
     estimates = {}

@@ -230,7 +230,8 @@ def agreement(rates: StandingRate) -> Agreement | None:
     independent = max(2 * pace * rates.count * rates.step, 1.0)
     error = left * np.sqrt(total / rates.count)
     spread = np.linalg.eigvalsh(rates.told)
-    across = np.sqrt((spread[0] + spread[1]) / rates.count)
+    # A turn about one axis alone leaves rounding on the others.
+    across = np.sqrt(max(float(spread[0] + spread[1]), 0.0) / rates.count)
     return Agreement(
         rotation=rotation,
         angle=float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))),

@@ -174,12 +174,12 @@ class TooSlow(BaseException):
 
 
 @contextmanager
-def time_limit() -> Iterator[None]:
+def time_limit(seconds: int = MAX_SECONDS) -> Iterator[None]:
     def stop(_number: int, _frame: FrameType | None) -> None:
         raise TooSlow
 
     before = signal.signal(signal.SIGALRM, stop)
-    signal.alarm(MAX_SECONDS)
+    signal.alarm(seconds)
     try:
         yield
     finally:
