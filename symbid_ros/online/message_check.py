@@ -3,11 +3,10 @@
 import logging
 import time
 
-import numpy as np
-
 from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.layout import Layout
-from symbid_ros.bags.messages import IMU, JOINT_STATE, NANO, WRENCH, read_stamp
+from symbid_ros.bags.messages import IMU, JOINT_STATE, NANO, WRENCH
+from symbid_ros.bags.streams.message_pattern import MessagePattern
 from symbid_ros.bags.streams.single_messages import SingleMessages
 from symbid_ros.bags.streams.stamps import CLOCK_JUMP, seconds
 from symbid_ros.errors import DataError
@@ -24,6 +23,7 @@ VALUES = {
     IMU: ("angular_velocity", "linear_acceleration"),
     WRENCH: ("wrench.force", "wrench.torque"),
 }
+MOST_PATTERNS = 8  # layouts of a topic's messages that are recognised at once
 MOST_NAMES = 3  # of a foreign robot's joints, in a warning
 
 
@@ -56,6 +56,7 @@ class MessageCheck:
     def __init__(self, topic: Topic, model: RobotModel, frame_prefix: str = "") -> None:
         self._topic = topic
         self._messages = SingleMessages(topic)
+        self._patterns: list[MessagePattern] = []
         self._joints = frozenset(model.joint_names)
         self._frames, self._prefix = known_frames(model), frame_prefix
         self._last: int | None = None
@@ -92,18 +93,30 @@ class MessageCheck:
         return otherwise if self._last is None else self._last
 
     def _stamp(self, payload: bytes) -> int:
+        """Return the stamp of a message of this robot, ns."""
+        pattern, numbers = self._read(payload)
+        second, nanosecond = pattern.stamp(numbers)
+        if nanosecond >= NANO:
+            raise DataError(f"{self._topic.name}: header.stamp.nanosec is a second or more")
+        # NaN passes: what lacks a value is reported with its joint or axis later on.
+        field = pattern.field_beyond(numbers, LARGEST)
+        if field:
+            raise DataError(f"{self._topic.name}: {field} exceeds {LARGEST:g}")
+        return second * NANO + nanosecond
+
+    def _read(self, payload: bytes) -> tuple[MessagePattern, bytes]:
+        """Return the pattern of a message of this robot, and the message in little-endian bytes."""
+        for pattern in self._patterns:
+            if pattern.matches(payload):
+                return pattern, payload
         layout, record = self._messages.decode(payload)
         objection = self._objection(layout)
         if objection:
             raise DataError(f"{self._topic.name}: {objection}")
-        if int(record["header.stamp.nanosec"][0]) >= NANO:
-            raise DataError(f"{self._topic.name}: header.stamp.nanosec is a second or more")
-        for field in VALUES[self._topic.msgtype]:
-            values = record[field]
-            # NaN passes: what lacks a value is reported with its joint or axis later on.
-            if values.size and np.abs(values).max() > LARGEST:
-                raise DataError(f"{self._topic.name}: {field} exceeds {LARGEST:g}")
-        return int(read_stamp(record)[0])
+        pattern = MessagePattern(layout, VALUES[self._topic.msgtype])
+        if pattern.matches(payload):
+            self._patterns = [pattern, *self._patterns[: MOST_PATTERNS - 1]]
+        return pattern, record.tobytes()
 
     def _objection(self, layout: Layout) -> str:
         """Return why messages of a layout are not this robot's; empty if they may be."""
