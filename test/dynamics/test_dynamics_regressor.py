@@ -150,7 +150,10 @@ def test_real_robots_obey_pinocchios_regressor(robot):
     samples = random_samples(model, 20, rng, ())
     parameters = ParameterSet(model)
     left = equation_of_motion(parameters, samples).K @ parameters.values
-    assert relative_rmse(left, pinocchio_torque(model, path, samples, rng)) < 1e-11
+    # Pinocchio moves every joint by itself; here what a mimic joint feels is its master's.
+    truth = pinocchio_torque(model, path, samples, rng)
+    model.fold_followers(truth)
+    assert relative_rmse(left, truth) < 1e-11
 
 
 @pytest.mark.parametrize("seed", range(4))
