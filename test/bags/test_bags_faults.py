@@ -225,7 +225,7 @@ def test_damaged_sqlite_files_are_refused(tmp_path: Path, caplog: pytest.LogCapt
     log = file.with_name(f"{file.name}-wal")
     log.write_bytes(b"no log at all")
     assert len(read_streams([file]).joints.stamp) == 1000
-    assert "the recording was interrupted; what it wrote last is taken from" in caplog.text
+    assert "the recording was interrupted; its last messages are read from" in caplog.text
     assert log.read_bytes() == b"no log at all"
     log.unlink()
 
