@@ -70,9 +70,9 @@ $(BIN)/python:
 	exit 1
 
 # Most of what is installed is never imported: compiling it all would double the time.
-$(VENV)/.installed: requirements.txt setup.py setup.cfg | $(BIN)/python
+$(VENV)/.installed: requirements.txt requirements-pypi.txt requirements-ros.txt setup.py setup.cfg | $(BIN)/python
 	$(PIP) install --quiet pip==26.3 setuptools==79.0.1
-	$(PIP) install --quiet --no-compile -r requirements.txt
+	$(PIP) install --quiet --no-compile -r requirements-ros.txt -r requirements.txt
 	PYTHONWARNINGS=ignore $(PIP) install --quiet --no-build-isolation --no-deps --editable .
 	@touch $@
 

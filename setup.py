@@ -20,6 +20,8 @@ setup(
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
     ],
     install_requires=["setuptools"],
+    # By this colcon knows that the tests are pytest's.
+    extras_require={"test": ["pytest"]},
     python_requires=">=3.11",
     zip_safe=False,
     maintainer="symbid_ros maintainers",

@@ -199,6 +199,19 @@ class TestInstallation:
         assert {"report.html", "report.css"} <= names
 
 
+def test_colcon_runs_the_tests(installation: Path) -> None:
+    """One short file stands for all of them, which colcon finds in the same way."""
+    done = colcon(
+        *("--log-base", "log", "test", "--base-paths", str(ROOT)),
+        *("--build-base", "build", "--install-base", "install"),
+        *("--pytest-args", "test/test_ending.py", "-p", "no:cacheprovider"),
+        cwd=installation.parent,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    result = colcon("test-result", "--test-result-base", "build", cwd=installation.parent)
+    assert "Summary: 2 tests, 0 errors, 0 failures" in result.stdout
+
+
 def _calls(path: Path, function: str) -> list[ast.Call]:
     return [
         node
@@ -287,6 +300,40 @@ class TestLaunchFile:
             n.name for n in ast.parse(path.read_text()).body if isinstance(n, ast.FunctionDef)
         }
         assert "generate_launch_description" in functions
+
+
+def _required(name: str) -> dict[str, str]:
+    """Return the distributions that a list names itself, with what it demands of each."""
+    lines = (ROOT / name).read_text().splitlines()
+    return dict(re.findall(r"^([\w-]+)(==\S+)$", "\n".join(lines), re.MULTILINE))
+
+
+class TestRequirements:
+    def test_every_distribution_is_pinned_in_one_list(self) -> None:
+        names = ("requirements.txt", "requirements-pypi.txt", "requirements-ros.txt")
+        lists = [_required(name) for name in names]
+        assert all(lists)
+        assert len(set().union(*lists)) == sum(map(len, lists))
+        for name in names:
+            text = (ROOT / name).read_text()
+            lines = [line for line in text.splitlines() if line and line[0] not in "#-"]
+            assert len(lines) == len(_required(name)), "a line is not NAME==VERSION"
+
+    def test_ros_can_be_left_out(self) -> None:
+        ros = _required("requirements-ros.txt")
+        others = _required("requirements.txt") | _required("requirements-pypi.txt")
+        assert all(name.startswith("ros-") for name in ros)
+        assert not any(name.startswith("ros-") for name in others)
+        assert "-r requirements-ros.txt -r requirements.txt" in (ROOT / "Makefile").read_text()
+
+    def test_what_ubuntu_has_is_not_installed_beside_it(self) -> None:
+        """Packages with an apt key in the manifest come from there, all others from the list."""
+        keys = {e.text for e in TestManifest.root if e.tag == "exec_depend"}
+        apt = {"numpy", "scipy", "matplotlib", "PyYAML", "jinja2"}
+        assert _required("requirements.txt").keys() == apt
+        named = {"PyYAML": "yaml"}
+        assert {f"python3-{named.get(name, name)}" for name in apt} <= keys
+        assert {"python3-mujoco-pip", "python3-rosbags-pip", "proxsuite"} <= keys
 
 
 def test_entry_points_exist() -> None:

@@ -47,7 +47,7 @@ NOT_RUN = {
     r"make \w+": "installs, tests or demonstrates everything",
     r"(ros2 run symbid_ros )?(" + "|".join(NODES) + r")\b": "a node, which needs a robot",
     r"ros2 (launch|service|param)\b": "needs ROS's own command line, and a running graph",
-    r"colcon (build|test)\b": "test_packaging.py builds and tests",
+    r"(python3 -m )?colcon (build|test)\b": "test_packaging.py builds and tests",
     r"(export|unset|source)\b": "sets up the user's shell",
     r"(sudo|pip|python3|rosdep)\b": "installs",
     r"python bench/": "measures for minutes",
