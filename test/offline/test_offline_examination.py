@@ -17,7 +17,7 @@ RIGHT = "/right_foot/wrench"
 
 @pytest.fixture(scope="module")
 def log(simulated):
-    return simulated("smooth", moves=2, motion_seed=31, noise_seed=5)
+    return simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
 
 
 def job(bag) -> Job:

@@ -26,7 +26,7 @@ def model():
 
 @pytest.fixture(scope="module")
 def bag(simulated) -> Path:
-    return simulated("smooth", moves=5, motion_seed=4, noise_seed=2)
+    return simulated("smooth", moves=3, motion_seed=21, noise_seed=5)
 
 
 def joined(segments) -> dict[str, np.ndarray]:
