@@ -66,7 +66,7 @@ plans = st.builds(
 )
 
 
-@settings(max_examples=40)
+@settings(max_examples=30)
 @given(parameters=st.sampled_from([ARM, LEGGED]), plan=plans)
 @example(ARM, LogPlan(100.0, 801, START))
 @example(LEGGED, LogPlan(1000.0, 1001, START))

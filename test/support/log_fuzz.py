@@ -34,7 +34,7 @@ from symbid_ros.signals.weak_form import block_length
 
 BATCH = 10
 MAX_SECONDS = 300  # a busy machine is slow
-LONGEST = 4000  # joint states
+LONGEST, LONGEST_BLOCK = 2500, 4002  # joint states
 RATES = (20.0, 25.0, 30.0, 50.0, 60.0, 100.0, 125.0, 200.0, 250.0, 500.0, 1000.0, 4000.0)
 OPTIONS: tuple[tuple[str, ...], ...] = (
     (),
@@ -63,22 +63,22 @@ def draw_plan(draw: Random) -> LogPlan:
         [
             draw.randint(0, 60),
             draw.randint(50, 400),
-            max(in_block + draw.randint(-2, 2), 0),
+            min(in_block + draw.randint(-2, 2), LONGEST_BLOCK),
             draw.randint(0, LONGEST),
-            round(rate * draw.uniform(0.1, 65)),
+            min(round(rate * draw.uniform(0.1, 65)), LONGEST),
         ]
     )
     start = draw.choice(
         [0, block * 40, block * 40 - round(0.03 * SECOND), draw.randrange(2 * 10**18)]
     )
-    plan = LogPlan(rate, min(count, LONGEST), start)
+    plan = LogPlan(rate, count, start)
     if draw.random() < 0.5:
         return plan
     gaps = [(draw.random(), 3 ** draw.uniform(0, 6)) for _ in range(draw.randint(0, 6))]
     ratios = tuple(draw.choice([1.0, 1.0, 0.5, 1 / 3, 2.0, 0.1]) for _ in range(2))
     return LogPlan(
         rate,
-        min(count, LONGEST),
+        count,
         start,
         tuple(gaps),
         (ratios[0], ratios[1]),
