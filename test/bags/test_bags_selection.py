@@ -51,7 +51,6 @@ BY_DEFAULT = {
             set(),
         ),
     ],
-    ids=str,
 )
 def test_what_is_wanted_follows_from_type_and_name(selection, gone, come) -> None:
     selector = Selector("log", selection)

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.diagnosis.excitation import RESOLUTION, excitation
 from symbid_ros.diagnosis.gains import loads
-from symbid_ros.diagnosis.model_watch import WINDOW, ModelWatch
+from symbid_ros.diagnosis.model_watch import WINDOWS, ModelWatch
 from symbid_ros.diagnosis.turned import nearest_turn
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
@@ -43,7 +43,7 @@ def test_what_is_determined_has_lost_half_of_its_variance(floating) -> None:
     watch.add(segment)
     rows = [
         part.mean.K
-        for (part,) in windowed_rows(segment, equation_rows(ParameterSet(model)), (WINDOW,), ())
+        for (part,) in windowed_rows(segment, equation_rows(ParameterSet(model)), WINDOWS[:1], ())
     ]
     K = np.concatenate(rows)
     scale = loads(watch.rows, watch.problem.expected)
