@@ -79,7 +79,7 @@ class Demo:
         number = self._process.pid
         for child in Path(f"/proc/{number}/task/{number}/children").read_text().split():
             command = Path(f"/proc/{child}/cmdline").read_bytes().decode()
-            if match := re.search(r"symbid_ros\.ros\.(\w+) import main", command):
+            if match := re.search(r"symbid_ros\.ros\.start import (\w+)", command):
                 self.nodes[match[1]] = int(child)
         return set(self.nodes)
 
