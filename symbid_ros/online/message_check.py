@@ -57,7 +57,7 @@ class MessageCheck:
         self._topic = topic
         self._messages = SingleMessages(topic)
         self._patterns: list[MessagePattern] = []
-        self._joints = frozenset(model.joint_names)
+        self._joints = frozenset(model.measured_joint_names)
         self._frames, self._prefix = known_frames(model), frame_prefix
         self._last: int | None = None
         self._held: tuple[int, bytes] | None = None
