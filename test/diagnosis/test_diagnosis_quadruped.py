@@ -84,6 +84,15 @@ def test_a_gyroscopes_constant_bias_is_no_fault_of_its_mounting(log, model, tmp_
     assert abs(found.delay) < 1e-3
     assert found.left < 0.1
     assert found.scale == pytest.approx(1, abs=0.05)
+    # Motion a hundred thousand times calmer says the same: nothing depends on the unit of rates.
+    for sums in (standing.cross, standing.read, standing.told):
+        sums *= 1e-10
+    standing.slope_square *= 1e-10
+    calm = agreement(standing)
+    assert calm is not None
+    assert calm.delay == pytest.approx(found.delay, abs=1e-9)
+    assert (calm.angle, calm.left) == pytest.approx((found.angle, found.left), rel=1e-6)
+    assert calm.rate == pytest.approx(1e-5 * found.rate)
 
 
 @pytest.mark.parametrize(("axis", "degrees"), [("x", 10), ("z", 90), ("x", 180)])
@@ -99,6 +108,20 @@ def test_a_turned_imu(judged, axis, degrees) -> None:
     diagnosis = judged(spoil)
     assert found(diagnosis) == [(Kind.IMU_MOUNTING, IMU)]
     assert diagnosis.findings[0].figures["angle_deg"] == pytest.approx(degrees, abs=1)
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [("x", 90), ("y", 60)])
+def test_an_accelerometer_that_is_turned_while_the_gyroscope_is_not(judged, axis, degrees) -> None:
+    turn = Rotation.from_euler(axis, degrees, degrees=True)
+
+    def spoil(log) -> None:
+        force = log[IMU]["linear_acceleration"]
+        log[IMU]["linear_acceleration"] = turn.apply(force, inverse=True)
+
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.IMU_MOUNTING, IMU)]
+    assert diagnosis.figures["/imu/angle_deg"] < 1
+    assert diagnosis.figures["/imu/force_angle_deg"] == pytest.approx(degrees, rel=0.2)
 
 
 @pytest.mark.parametrize("milliseconds", [5, -20, 90])
