@@ -85,8 +85,9 @@ def test_a_gyroscopes_constant_bias_is_no_fault_of_its_mounting(log, model, tmp_
     assert found.left < 0.1
     assert found.scale == pytest.approx(1, abs=0.05)
     # Motion a hundred thousand times calmer says the same: nothing depends on the unit of rates.
-    for sums in (standing.cross, standing.read, standing.told):
-        sums *= 1e-10
+    standing.cross *= 1e-10
+    standing.read *= 1e-10
+    standing.told *= 1e-10
     standing.slope_square *= 1e-10
     calm = agreement(standing)
     assert calm is not None
@@ -110,9 +111,8 @@ def test_a_turned_imu(judged, axis, degrees) -> None:
     assert diagnosis.findings[0].figures["angle_deg"] == pytest.approx(degrees, abs=1)
 
 
-@pytest.mark.parametrize(("axis", "degrees"), [("x", 90), ("y", 60)])
-def test_an_accelerometer_that_is_turned_while_the_gyroscope_is_not(judged, axis, degrees) -> None:
-    turn = Rotation.from_euler(axis, degrees, degrees=True)
+def test_an_accelerometer_that_is_turned_while_the_gyroscope_is_not(judged) -> None:
+    turn = Rotation.from_euler("y", 60, degrees=True)
 
     def spoil(log) -> None:
         force = log[IMU]["linear_acceleration"]
@@ -121,7 +121,7 @@ def test_an_accelerometer_that_is_turned_while_the_gyroscope_is_not(judged, axis
     diagnosis = judged(spoil)
     assert found(diagnosis) == [(Kind.IMU_MOUNTING, IMU)]
     assert diagnosis.figures["/imu/angle_deg"] < 1
-    assert diagnosis.figures["/imu/force_angle_deg"] == pytest.approx(degrees, rel=0.2)
+    assert diagnosis.figures["/imu/force_angle_deg"] == pytest.approx(60, rel=0.2)
 
 
 @pytest.mark.parametrize("milliseconds", [5, -20, 90])
