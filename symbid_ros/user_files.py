@@ -46,7 +46,9 @@ def read_regular(path: Path, limit: int) -> bytes:
         When it is larger than ``limit`` bytes.
     """
     with open_regular(path) as stream:
-        content = stream.read(limit + 1)
+        # The limit may be far larger than the file, and a read allocates all that it asks for.
+        size = os.fstat(stream.fileno()).st_size
+        content = stream.read(min(size, limit) + 1)
     if len(content) > limit:
         raise ValueError(f"larger than {limit // MEBI} MiB, the limit")
     return content

@@ -209,7 +209,7 @@ def test_colcon_runs_the_tests(installation: Path) -> None:
     )
     assert done.returncode == 0, done.stdout + done.stderr
     result = colcon("test-result", "--test-result-base", "build", cwd=installation.parent)
-    assert "Summary: 2 tests, 0 errors, 0 failures" in result.stdout
+    assert re.match(r"Summary: [1-9]\d* tests, 0 errors, 0 failures", result.stdout)
 
 
 def _calls(path: Path, function: str) -> list[ast.Call]:

@@ -56,11 +56,12 @@ def _identify(out: Path, model: Path, moves: int, seed: int, console: Console) -
             return NodeProcess(name, parameters, graph, log, file=file, is_shown=is_shown)
 
         # The robot waits for recorder and identifier, so that both get everything.
+        awaited = {"wait_for_subscribers": True, "subscribers": 2}
         with (
             node("identifier", identifier_parameters, "identifier.yaml") as identifier,
             node("recorder", {"bag": str(out / "bag")}, "recorder.yaml") as recorder,
             node("monitor", {"truth": str(model)}, is_shown=True) as monitor,
-            node("mujoco_bridge", motion | {"subscribers": 2}, "bridge.yaml") as bridge,
+            node("mujoco_bridge", motion | awaited, "bridge.yaml") as bridge,
         ):
             while not bridge.wait(POLL):
                 for other in (identifier, recorder, monitor):

@@ -32,7 +32,9 @@ def found(symbid_here, model, short, prior, tmp_path_factory):
             *("identify", short, "--model", model, "--prior", prior),
             *("--method", method, "--window", 0.081, "--out", out / method),
         )
-        assert (ended.returncode, ended.stderr) == (0, "")
+        assert ended.returncode == 0
+        # The truncated method leaves links that no mass density can realise.
+        assert ("the nearest" in ended.stderr) == (method == "wls_rc")
     return out
 
 

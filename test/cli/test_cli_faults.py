@@ -155,7 +155,7 @@ def test_information_that_is_no_archive(fails, good, model) -> None:
 
 def test_information_about_another_robot(fails, good, tmp_path) -> None:
     (tmp_path / "pendulum.urdf").write_text(PENDULUM)
-    layout = RowLayout.of(ParameterSet(load_model(tmp_path / "pendulum.urdf")))
+    layout = RowLayout.of(ParameterSet(load_model(tmp_path / "pendulum.urdf", "fixed")))
     path = tmp_path / "information.npz"
     write_archive(path, [Observations.empty(layout, window) for window in WINDOWS])
     fails("information.npz", "different robots", **good | {"information": path})

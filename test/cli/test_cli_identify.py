@@ -50,7 +50,9 @@ def before(symbid, model, ideal, prior, tmp_path_factory) -> dict[str, float]:
 
 def identified(symbid, bag: Path, model: Path, out: Path, *options: object) -> dict[str, Any]:
     ended = symbid("identify", bag, "--model", model, *options, "--out", out)
-    assert (ended.returncode, ended.stderr) == (0, "")
+    assert ended.returncode == 0
+    # The truncated method leaves links that no mass density can realise.
+    assert ("the nearest" in ended.stderr) == ("wls_rc" in options) or not ended.stderr
     assert {path.name for path in out.iterdir()} == FILES
     return json.loads((out / "estimate.json").read_text())
 

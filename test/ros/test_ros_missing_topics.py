@@ -124,7 +124,9 @@ def test_faults_are_named_and_their_cures_noticed_while_the_node_lives(arm: Robo
             cured.publish(message)
 
     clock = [100 * 10**9]
-    arm.wait_for("has no joint 'elbow' of model", "wrist", meanwhile=lambda: publish(wrong, clock))
+    arm.wait_for(
+        "names none of the model's joints (wrist)", meanwhile=lambda: publish(wrong, clock)
+    )
     assert not any("bag" in one or "silent" in one for one in arm.log)
     assert arm.is_alive
     arm.node.destroy_publisher(mistyped)

@@ -65,7 +65,7 @@ def test_an_end_without_an_estimate_is_a_failure_and_says_why(graph, tmp_path, n
     ended = process.ended()
     assert ended.status != 0
     if ended.status == 2:  # interrupted in its work, not while it read its files
-        assert "it ends without an estimate: no sensor topics yet, waiting for /joint_states" in (
-            ended.err
+        assert (
+            "it ends without an estimate: no sensor topics yet; waiting for topic /jo" in ended.err
         )
     assert not (tmp_path / "out").exists()

@@ -259,7 +259,10 @@ def test_folder_deleted_while_recording_ends_with_status_2(graph, tmp_path: Path
         ({"topics_regex": "("}, "recorder: parameter topics_regex: no regular expression (missin"),
         ({"queue_depth": 0}, "recorder: parameter queue_depth: not a valid value; give an integer"),
         ({"flush_period": 99.0}, "recorder: parameter flush_period: not a valid value; give a num"),
-        ({"topics": 3}, "recorder: parameter topics: not a valid value; give a list of texts"),
+        (
+            {"topics": 3},
+            "recorder: parameter topics: [3] is not valid; give a text or a list of texts",
+        ),
         ({"bag": "x" * 300}, f"recorder: {'x' * 300}: File name too long; check the path"),
         ({"bag": "/"}, "recorder: /: exists already; choose another name or remove it"),
     ],
