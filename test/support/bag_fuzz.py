@@ -5,7 +5,6 @@
 Every case follows from its number. A failure is printed with the command that repeats it.
 """
 
-import argparse
 import json
 import logging
 import shutil
@@ -13,17 +12,16 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
-from multiprocessing import get_context
 from pathlib import Path
 from random import Random
 from types import FrameType
 
 import numpy as np
 from foreign_bags import Messages, imu, joint_state, wrench
+from fuzz_runner import run_cases
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mutations import mutated
@@ -293,27 +291,5 @@ def run(cases: range) -> list[str]:
     return found
 
 
-def main() -> int:
-    """Run all cases, a hundred at a time, and print what failed and how to repeat it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=10_000)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--processes", type=int, default=2)
-    given = parser.parse_args()
-    last = given.first + given.cases
-    batches = [range(n, min(n + BATCH, last)) for n in range(given.first, last, BATCH)]
-    failures = 0
-    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
-        for batch, found in zip(batches, pool.map(run, batches), strict=True):
-            failures += len(found)
-            for text in found:
-                case = text.split(":")[0].split()[-1]
-                print(f"{text}\n    repeat: python {sys.argv[0]} --first {case} --cases 1")
-            if batch.stop % 1000 == 0:
-                print(f"cases up to {batch.stop}: {failures} failures", flush=True)
-    print(f"{given.cases} cases from {given.first}: {failures} failures")
-    return 1 if failures else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_cases(run, "spoiled bags", cases=10_000, batch=BATCH))

@@ -5,7 +5,6 @@
 Every case follows from its number. A failure is printed with the command that repeats it.
 """
 
-import argparse
 import contextlib
 import io
 import json
@@ -15,14 +14,13 @@ import sys
 import tempfile
 import traceback
 import warnings
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from random import Random
 from unittest.mock import patch
 
 import numpy as np
 from bag_fuzz import TooSlow, time_limit
+from fuzz_runner import run_cases
 from random_logs import FAULTS, SECOND, LogPlan, random_streams, small_robot, write_bag
 
 from symbid_ros.cli.main import main as symbid
@@ -160,27 +158,5 @@ def run(cases: range) -> list[str]:
     return found
 
 
-def main() -> int:
-    """Run all cases, a few at a time, and print what failed and how to repeat it."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=300)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--processes", type=int, default=2)
-    given = parser.parse_args()
-    last = given.first + given.cases
-    batches = [range(n, min(n + BATCH, last)) for n in range(given.first, last, BATCH)]
-    failures = 0
-    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
-        for batch, found in zip(batches, pool.map(run, batches), strict=True):
-            failures += len(found)
-            for text in found:
-                case = text.split(":")[0].split()[-1]
-                print(f"{text}\n    repeat: python {sys.argv[0]} --first {case} --cases 1")
-            if batch.stop % 100 == 0:
-                print(f"logs up to {batch.stop}: {failures} failures", flush=True)
-    print(f"{given.cases} random logs from {given.first}: {failures} failures")
-    return 1 if failures else 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run_cases(run, "random logs", cases=300, batch=BATCH))
