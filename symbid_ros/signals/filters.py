@@ -179,10 +179,15 @@ class SavitzkyGolay:
                 f"a Savitzky-Golay window of {self.window:g} s is longer than a stretch of "
                 f"{len(signal) / rate:.3g} s; shorten it or record longer"
             )
-        fitted: FloatArray = savgol_filter(
-            signal, length, self.degree, derivative, 1 / rate, axis=0
-        )
-        return fitted
+        # At the ends SciPy fits by least squares, which refuse NaN: efforts that were not measured.
+        columns = signal.reshape(len(signal), -1)
+        finite = np.isfinite(columns).all(axis=0)
+        fitted = np.full(columns.shape, np.nan)
+        if finite.any():
+            fitted[:, finite] = savgol_filter(
+                columns[:, finite], length, self.degree, derivative, 1 / rate, axis=0
+            )
+        return fitted.reshape(signal.shape)
 
     def _length(self, rate: float) -> int:
         """Return the window in samples: odd, and long enough for the polynomial."""

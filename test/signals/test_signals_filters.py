@@ -92,3 +92,14 @@ def test_nothing_is_left_of_the_edge_once_settled(smoothing):
     for long, short in zip(whole, part, strict=True):
         error = np.abs(short - long[1000:2000])[edge:-edge]
         assert np.sqrt(np.mean(error**2)) < 0.02 * np.std(long)
+
+
+@pytest.mark.parametrize("smoothing", [SavitzkyGolay(), LowPass(20.0)])
+def test_what_was_not_measured_stays_so_and_spoils_no_other_channel(smoothing) -> None:
+    signal = np.random.default_rng(5).normal(size=(300, 4))
+    whole = smoothing.force(signal, 1000.0)
+    signal[:, 2] = np.nan
+    found = smoothing.force(signal, 1000.0)
+    assert np.isnan(found[:, 2]).all()
+    others = [0, 1, 3]
+    np.testing.assert_allclose(found[:, others], whole[:, others], rtol=1e-9, atol=1e-12)
