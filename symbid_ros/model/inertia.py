@@ -19,7 +19,7 @@ _UPPER = np.triu_indices(3)
 LEAST_MASS = 1e-14
 TINY_MASS = 1e-9
 _LEAST_SECOND_MOMENT = 1e-14
-# Laminas and rods lie on the border of what is possible, and rounding takes them over it.
+# Laminas and rods lie on the boundary of physical consistency; rounding may push them over it.
 _BORDER = 1e-12
 
 

@@ -48,7 +48,7 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
     Raises
     ------
     EstimateError
-        When a file could not be written; the message names it and what was saved.
+        When a file could not be written; the message names that file and those saved.
     """
     estimate = found.estimate
     results: dict[str, Callable[[Path], object]] = {

@@ -103,7 +103,7 @@ class IdentifierHealth:
         return estimate_health(outcome.found.estimate, outcome.alarms, facts)
 
     def heard(self, live: OnlineIdentification) -> dict[str, str] | None:
-        """Take how the topics do; return what is wrong with them, None where it is too early."""
+        """Update the status of the topics; return their faults, or None if it is too early."""
         now = time.monotonic()
         elapsed = now - self._counted
         if elapsed < LEAST_COUNTED:

@@ -36,7 +36,7 @@ LONGEST_DRAIN = 1.0  # s; on a machine too slow for its topics the queues never 
 # An estimate by all data takes so many times as long as one between. Asked to end, the node
 # spends so long on it, s: launch ends by force what takes longer than a few seconds.
 EXACT_COST = 4.0
-LONGEST_FAREWELL = 1.5
+SHUTDOWN_SOLVE_TIME = 1.5
 ANSWER_POLL = 0.1  # s
 LOOK = 0.1  # s; between two looks at the graph while topics are waited for
 PATIENCE = 2.0  # s; topics that are missing for longer are reported
@@ -300,8 +300,8 @@ class OnlineIdentifier:
         print(json.dumps(summary), flush=True)
 
     def _last_known(self) -> Outcome | None:
-        """Return what an offline run would find, or the newest estimate where there is no time."""
-        if self._newest is not None and EXACT_COST * self._solve_time > LONGEST_FAREWELL:
+        """Return the estimate of an offline run, or the newest one if time is too short."""
+        if self._newest is not None and EXACT_COST * self._solve_time > SHUTDOWN_SOLVE_TIME:
             self._node.get_logger().warning(
                 "the machine is busy: the newest estimate is saved, not one by all data"
             )

@@ -172,7 +172,7 @@ class SensorTopics:
         return tuple(found)
 
     def release(self) -> None:
-        """Unsubscribe from what has been looked at and is not used: its queue would fill."""
+        """Unsubscribe from topics that are not used, so that their queues do not fill."""
         for candidate in self._candidates.values():
             is_idle = candidate.topic not in self._used and candidate.frame
             if is_idle and candidate.intake is not None:

@@ -79,7 +79,7 @@ class Segment:
 
     @property
     def displacement(self) -> str:
-        """What happened to the file if it is no longer at its path; else empty.
+        """Why the file is no longer at its path; empty if it still is.
 
         Writing to a file that was deleted or moved succeeds all the same.
         """
