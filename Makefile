@@ -30,7 +30,7 @@ demo: setup
 	$(BIN)/symbid demo --overwrite
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 3 --dist loadfile
 
 FIRST ?= 0
 CASES ?= 10000
