@@ -1,5 +1,7 @@
 # make demo   the whole loop: simulate, record, identify, compare      (needs git, make, Python 3.11 or 3.12)
 # make test   every check
+# make docs   the documentation as a site: build/docs/index.html
+# make wheel  the wheel in dist/, installed into an environment of its own and tried there
 # make fuzz   ten thousand spoiled bags and 300 random logs; FIRST=n, CASES=n and LOGS=n choose which
 # make mutants  a hundred random faults put into the code; SEED=n and COUNT=n choose which
 # make soak   all nodes among foreign traffic for DURATION seconds
@@ -20,7 +22,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/log/ros
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup setup-dev demo test fuzz mutants soak lint clean
+.PHONY: setup setup-dev demo test docs wheel fuzz mutants soak lint clean
 
 setup: $(VENV)/.installed
 
@@ -35,6 +37,19 @@ test: lint
 FIRST ?= 0
 CASES ?= 10000
 LOGS ?= 300
+docs: $(VENV)/.installed-docs
+	$(BIN)/sphinx-build --quiet --fail-on-warning --keep-going docs build/docs
+	@echo "build/docs/index.html"
+
+# The wheel, and a clean environment in which its command works.
+wheel: $(BIN)/python
+	rm -rf build/wheel
+	$(PIP) wheel --quiet --no-deps --wheel-dir dist .
+	$(BIN)/python -m venv build/wheel
+	build/wheel/bin/pip --disable-pip-version-check install --quiet \
+	    -c requirements.txt -c requirements-pypi.txt "$$(ls -t dist/*.whl | head -1)[bags]"
+	cd build/wheel && bin/symbid --version && bin/symbid identify --help >/dev/null
+
 fuzz: setup-dev
 	$(BIN)/python test/support/bag_fuzz.py --first $(FIRST) --cases $(CASES)
 	$(BIN)/python test/support/log_fuzz.py --first $(FIRST) --cases $(LOGS)
@@ -55,7 +70,7 @@ lint: setup-dev
 	$(BIN)/mypy
 
 clean:
-	rm -rf $(VENV) build install log demo *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .mutants
+	rm -rf $(VENV) build dist install log demo *.egg-info .mypy_cache .pytest_cache .ruff_cache .hypothesis .mutants
 
 # The interpreters are tried by running them: a shim can be there and fail.
 $(BIN)/python:
@@ -69,15 +84,22 @@ $(BIN)/python:
 	echo "make: no Python 3.11 or 3.12 with venv found; install python3.12 and python3.12-venv" >&2; \
 	exit 1
 
-# Most of what is installed is never imported: compiling it all would double the time.
-$(VENV)/.installed: requirements.txt requirements-pypi.txt requirements-ros.txt setup.py setup.cfg | $(BIN)/python
+# The extras of pyproject.toml say what is installed, these lists in which version. Most of what is
+# installed is never imported: compiling it all would double the time.
+INSTALL := $(PIP) install --quiet --no-compile --no-build-isolation \
+    -c requirements.txt -c requirements-pypi.txt -c requirements-ros.txt -c requirements-docs.txt
+
+$(VENV)/.installed: pyproject.toml requirements.txt requirements-pypi.txt requirements-ros.txt setup.py setup.cfg | $(BIN)/python
 	$(PIP) install --quiet pip==26.3 setuptools==79.0.1
-	$(PIP) install --quiet --no-compile -r requirements-ros.txt -r requirements.txt
-	PYTHONWARNINGS=ignore $(PIP) install --quiet --no-build-isolation --no-deps --editable .
+	PYTHONWARNINGS=ignore $(INSTALL) --editable '.[ros,sim]'
 	@touch $@
 
 $(VENV)/.installed-dev: requirements-dev.txt $(VENV)/.installed
-	$(PIP) install --quiet --no-compile -r requirements-dev.txt
+	$(INSTALL) 'symbid_ros[study]' -r requirements-dev.txt
+	@touch $@
+
+$(VENV)/.installed-docs: requirements-docs.txt $(VENV)/.installed
+	$(INSTALL) 'symbid_ros[docs]'
 	@touch $@
 
 $(VENV)/.installed-mutants: requirements-mutants.txt $(VENV)/.installed-dev

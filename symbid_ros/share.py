@@ -1,9 +1,10 @@
 """The package's own files (config/, launch/) and its version, however it was installed."""
 
 import os
+import re
 import sys
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -53,3 +54,17 @@ def package_version() -> str:
     except (SymbidError, OSError, ElementTree.ParseError):
         stated = None
     return stated or "of unknown version"
+
+
+def missing_extra(error: ModuleNotFoundError) -> str | None:
+    """Return how to install the module that was not found, None if no extra of ours brings it."""
+    name = (error.name or "").partition(".")[0].replace("_", "[-_]")
+    try:
+        requirements = requires(PACKAGE) or []
+    except PackageNotFoundError:
+        return None
+    for requirement in requirements:
+        if found := re.match(rf'(ros-)?{name}\b.*extra == "(\w+)"', requirement, re.IGNORECASE):
+            extra = f"{PACKAGE}[{found[2]}]"
+            return f"{error.name} is not installed; install it with: pip install '{extra}'"
+    return None

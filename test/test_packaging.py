@@ -6,11 +6,15 @@ import re
 import subprocess
 import sys
 import sysconfig
+import tomllib
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 import yaml
+from declared_environment import build_wheel, install
+from packaging.requirements import Requirement
 
 from symbid_ros.ros.launch_arguments import launch_arguments
 
@@ -25,6 +29,8 @@ EXECUTABLES = {
     "monitor",
     "player",
 }
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = set(PROJECT["optional-dependencies"]) - {"docs", "test"}
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
 
 
@@ -128,9 +134,12 @@ class TestManifest:
         ros |= used & {"rclpy", "launch", "launch_ros", "ament_index_python", "rpyutils"}
         assert ros <= declared
 
-    def test_version_is_that_of_setup_py(self) -> None:
-        version = self.root.findtext("version")
-        assert f'version="{version}"' in (ROOT / "setup.py").read_text()
+    def test_states_what_pyproject_does(self) -> None:
+        assert self.root.findtext("version") == PROJECT["version"]
+        assert self.root.findtext("name") == PROJECT["name"]
+        (maintainer,) = self.root.findall("maintainer")
+        (stated,) = PROJECT["maintainers"]
+        assert (maintainer.text, maintainer.get("email")) == (stated["name"], stated["email"])
 
 
 def _modules(node: ast.AST) -> list[str]:
@@ -302,47 +311,113 @@ class TestLaunchFile:
         assert "generate_launch_description" in functions
 
 
-def _required(name: str) -> dict[str, str]:
-    """Return the distributions that a list names itself, with what it demands of each."""
+def _pins(name: str) -> dict[str, str]:
+    """Return the version that a list pins each distribution to, by name."""
     lines = (ROOT / name).read_text().splitlines()
-    return dict(re.findall(r"^([\w-]+)(==\S+)$", "\n".join(lines), re.MULTILINE))
+    pinned = [line for line in lines if line and line[0] not in "#-"]
+    assert all(re.fullmatch(r"[\w-]+==\S+", line) for line in pinned), name
+    return dict(line.split("==") for line in pinned)
+
+
+def _declared(*extras: str) -> list[Requirement]:
+    optional = PROJECT["optional-dependencies"]
+    texts = [*PROJECT["dependencies"], *(text for extra in extras for text in optional[extra])]
+    return [each for each in map(Requirement, texts) if each.name != PACKAGE]
 
 
 class TestRequirements:
-    def test_every_distribution_is_pinned_in_one_list(self) -> None:
-        names = ("requirements.txt", "requirements-pypi.txt", "requirements-ros.txt")
-        lists = [_required(name) for name in names]
-        assert all(lists)
-        assert len(set().union(*lists)) == sum(map(len, lists))
-        for name in names:
-            text = (ROOT / name).read_text()
-            lines = [line for line in text.splitlines() if line and line[0] not in "#-"]
-            assert len(lines) == len(_required(name)), "a line is not NAME==VERSION"
+    lists = ("requirements.txt", "requirements-pypi.txt", "requirements-ros.txt")
+    apt = ("numpy", "scipy", "matplotlib", "PyYAML", "jinja2")
+
+    def test_every_dependency_is_pinned_in_one_list_within_its_range(self) -> None:
+        pins = [_pins(name) for name in (*self.lists, "requirements-docs.txt")]
+        for requirement in _declared("bags", "sim", "study", "ros", "docs"):
+            names = {requirement.name, requirement.name.capitalize()}
+            found = [versions[name] for versions in pins for name in names if name in versions]
+            assert len(found) == 1, requirement
+            assert requirement.specifier.contains(found[0]), requirement
+
+    def test_every_pin_is_of_a_declared_dependency(self) -> None:
+        pinned = [name for each in self.lists for name in _pins(each)]
+        assert sorted(pinned) == sorted({each.name for each in _declared(*EXTRAS)})
 
     def test_ros_can_be_left_out(self) -> None:
-        ros = _required("requirements-ros.txt")
-        others = _required("requirements.txt") | _required("requirements-pypi.txt")
-        assert all(name.startswith("ros-") for name in ros)
+        assert all(name.startswith("ros-") for name in _pins("requirements-ros.txt"))
+        others = _pins("requirements.txt") | _pins("requirements-pypi.txt")
         assert not any(name.startswith("ros-") for name in others)
-        assert "-r requirements-ros.txt -r requirements.txt" in (ROOT / "Makefile").read_text()
 
-    def test_what_ubuntu_has_is_not_installed_beside_it(self) -> None:
-        """Packages with an apt key in the manifest come from there, all others from the list."""
+    def test_ranges_hold_what_ubuntu_has(self) -> None:
+        """Packages with an apt key in the manifest come from there, all others from PyPI."""
+        versions = dict(zip(self.apt, ("1.26.4", "1.11.4", "3.6.3", "6.0.1", "3.1.2"), strict=True))
+        for requirement in _declared(*EXTRAS):
+            if requirement.name in versions:
+                assert requirement.specifier.contains(versions[requirement.name])
         keys = {e.text for e in TestManifest.root if e.tag == "exec_depend"}
-        apt = {"numpy", "scipy", "matplotlib", "PyYAML", "jinja2"}
-        assert _required("requirements.txt").keys() == apt
+        assert set(_pins("requirements.txt")) == set(self.apt)
         named = {"PyYAML": "yaml"}
-        assert {f"python3-{named.get(name, name)}" for name in apt} <= keys
+        assert {f"python3-{named.get(name, name)}" for name in self.apt} <= keys
         assert {"python3-mujoco-pip", "python3-rosbags-pip", "proxsuite"} <= keys
+
+    def test_tools_that_cannot_be_dependencies_of_the_core_stay_in_extras(self) -> None:
+        assert {each.name for each in _declared()} == {"numpy", "scipy", "clarabel", "PyYAML"}
 
 
 def test_entry_points_exist() -> None:
-    text = (ROOT / "setup.py").read_text()
-    scripts = re.findall(r'"(\w+) = ([\w.]+):(\w+)"', text)
-    assert {script for script, _, _ in scripts} == EXECUTABLES
-    for _, module, function in scripts:
+    assert set(PROJECT["scripts"]) == EXECUTABLES
+    for target in PROJECT["scripts"].values():
+        module, function = target.split(":")
         source = ROOT / Path(*module.split(".")).with_suffix(".py")
         names = {
             n.name for n in ast.parse(source.read_text()).body if isinstance(n, ast.FunctionDef)
         }
         assert function in names
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return build_wheel(tmp_path_factory.mktemp("wheel"))
+
+
+def run_in(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [str(word) for word in words],
+        cwd=folder,
+        env=clean_environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+class TestWheel:
+    def test_with_bags_identifies_and_reports(
+        self, wheel: Path, simulated: Callable[..., Path], tmp_path: Path
+    ) -> None:
+        scripts = install(wheel, tmp_path / "environment", {"bags"})
+        symbid, bag = scripts / "symbid", simulated("smooth", moves=1, motion_seed=21, noise_seed=5)
+        model = scripts.parent / "share" / PACKAGE / "config" / "symbitron.urdf"
+        done = run_in(tmp_path, symbid, "identify", bag, "--model", model, "--out", "result")
+        assert (done.returncode, done.stderr) == (0, "")
+        page = ("--bag", bag, "--out", "report.html")
+        done = run_in(tmp_path, symbid, "report", "result", "--model", model, *page)
+        assert (done.returncode, done.stderr) == (0, "")
+        assert (tmp_path / "report.html").is_file()
+        done = run_in(tmp_path, symbid, "bag", "doctor", bag, "--model", model)
+        assert (done.returncode, done.stderr) == (0, "")
+
+        # What needs another extra names it.
+        done = run_in(tmp_path, symbid, "simulate", "--out", "simulated")
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert "pip install 'symbid_ros[sim]'" in done.stderr
+        done = run_in(tmp_path, scripts / "identifier")
+        assert done.returncode == 2
+        assert "pip install 'symbid_ros[ros]'" in done.stderr
+
+    def test_alone_names_the_extra_that_the_command_needs(
+        self, wheel: Path, tmp_path: Path
+    ) -> None:
+        scripts = install(wheel, tmp_path / "environment", set())
+        done = run_in(tmp_path, scripts / "symbid", "--version")
+        assert done.returncode == 2
+        assert "pip install 'symbid_ros[bags]'" in done.stderr

@@ -28,18 +28,32 @@ def main() -> None:
         from symbid_ros.cli.app import run
 
         status = run()
-    except BaseException:
+    except BaseException as error:
         # What arrives here need not be KeyboardInterrupt: a library that is interrupted while
         # it loads may raise ImportError or SystemError instead.
-        if not was_interrupted:
+        if was_interrupted:
+            status = INTERRUPTED
+        elif isinstance(error, ModuleNotFoundError):
+            status = _report_missing(error)
+        else:
             raise
-        status = INTERRUPTED
     finally:
         if before is signal.default_int_handler:
             signal.signal(signal.SIGINT, before)
     if status == INTERRUPTED:
         print("symbid: interrupted", file=sys.stderr)
     sys.exit(status)
+
+
+def _report_missing(error: ModuleNotFoundError) -> int:
+    """Print how to install the missing module and return the exit status, or raise the error."""
+    from symbid_ros.share import missing_extra
+
+    advice = missing_extra(error)
+    if advice is None:
+        raise error
+    print(f"symbid: {advice}", file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":

@@ -2,7 +2,10 @@
 
 import os
 import signal
+import sys
 from importlib import import_module
+
+from symbid_ros.share import missing_extra
 
 
 def mujoco_bridge() -> None:
@@ -41,4 +44,12 @@ def _run(node: str) -> None:
         # far there is nothing to clean up.
         signal.signal(number, lambda number, _: os._exit(128 + number))
     # Loading takes seconds; the node then has handlers of its own.
-    import_module(f"{__package__}.{node}").main()
+    try:
+        run = import_module(f"{__package__}.{node}").main
+    except ModuleNotFoundError as error:
+        advice = missing_extra(error)
+        if advice is None:
+            raise
+        print(f"{node}: {advice}; or source ROS 2's setup.bash", file=sys.stderr)
+        sys.exit(2)
+    run()
