@@ -188,7 +188,7 @@ def identify(
     base: BaseKind = "auto",
     unchecked: Annotated[
         bool,
-        typer.Option("--unchecked", help="Do without the doctor's checks (doc/diagnosis.md)."),
+        typer.Option("--unchecked", help="Do without the doctor's checks (docs/diagnosis.md)."),
     ] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the result of an earlier run in --out.")

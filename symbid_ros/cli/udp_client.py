@@ -27,7 +27,7 @@ def udp_client(
     """Balance a robot over UDP, by its sensors alone, until Ctrl-C.
 
     The plant is [b]mujoco_bridge[/b] with command_source:=udp, or whatever speaks the packets of
-    doc/udp.md. Nothing is shared with it but the model file and what --scenario, --moves and
+    docs/udp.md. Nothing is shared with it but the model file and what --scenario, --moves and
     --motion-seed draw.
     """
     stop = stop_on_signals()

@@ -214,7 +214,7 @@ class TopicCommands:
     def _reject(self, reason: str) -> None:
         self.counts.rejected[reason] += 1
         self._node.get_logger().warning(
-            f"{self.place}: a command is ignored ({reason}); doc/topics.md lists the reasons",
+            f"{self.place}: a command is ignored ({reason}); docs/ros.md lists the reasons",
             throttle_duration_sec=WARNING_PERIOD,
         )
 

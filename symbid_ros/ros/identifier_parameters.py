@@ -111,7 +111,7 @@ PARAMETERS = (
         "",
         "What the sensors' frames begin with and the model's do not, such as robot1/.",
     ),
-    Parameter("unchecked", False, "Go on with data that contradict the model (doc/diagnosis.md)."),
+    Parameter("unchecked", False, "Go on with data that contradict the model (docs/diagnosis.md)."),
     Parameter("out", "", "Folder for the estimate and the models; empty for none."),
     Parameter(
         "solve_period",

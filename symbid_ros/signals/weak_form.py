@@ -3,7 +3,7 @@
 The equation of motion holds at every instant, so it holds for any average of instants, and
 one smooth window takes the noise out of both of its sides alike. By summation by parts the
 average needs no acceleration: Σ w A q̈ = -Σ Δ(w A)/Δt q̇, exactly, where the differences are
-central ones and the window ends at zero (``doc/theory.md``).
+central ones and the window ends at zero (``docs/theory.md``).
 
 What noise does to the regressor is seen by adding as much again: the level of every
 differentiated channel's noise shows in the quietest part of its spectrum. The difference that
@@ -33,7 +33,7 @@ WINDOWS = (0.081, 0.161, 0.321)
 # Slowly sampled logs use longer ones: the first three lengths that hold enough samples.
 ALL_WINDOWS = (*WINDOWS, 0.641, 1.281, 2.561)
 MOST_WINDOWS = len(WINDOWS)
-# Fewer samples describe neither a Hann window nor the noise that it leaves (doc/theory.md).
+# Fewer samples describe neither a Hann window nor the noise that it leaves (docs/theory.md).
 SAMPLES_PER_WINDOW = 6
 
 # Windows and filters never cross a multiple of the block's length, in ns of header.stamp: a log

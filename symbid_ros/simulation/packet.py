@@ -1,6 +1,6 @@
 """The datagrams of the UDP loop: 24 bytes of header, then doubles, all little-endian.
 
-doc/udp.md tables every field for those who speak it from elsewhere.
+docs/udp.md tables every field for those who speak it from elsewhere.
 """
 
 import struct
@@ -33,7 +33,7 @@ class PacketError(SimulationError):
     """
 
     def __init__(self, reason: Rejection) -> None:
-        super().__init__(f"datagram refused for its {reason}; see doc/udp.md")
+        super().__init__(f"datagram refused for its {reason}; see docs/udp.md")
         self.reason = reason
 
 

@@ -1,4 +1,4 @@
-"""Every command in README and the pages under doc/ does what it is shown for.
+"""Every command in README and the pages under docs/ does what it is shown for.
 
 Commands of ``symbid`` are run as they stand, in a folder that looks like the checkout. The rest
 (NOT_RUN says why) are held against the parser, parameters or launch arguments they are meant for.
@@ -24,7 +24,7 @@ PAGES = [
     ROOT / "bags" / "README.md",
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
-    *sorted((ROOT / "doc").glob("*.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
 ]
 PROGRAMS = [
     "symbid",

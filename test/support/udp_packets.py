@@ -1,4 +1,4 @@
-"""The UDP loop's packets as doc/udp.md tables them, by ``struct`` alone."""
+"""The UDP loop's packets as docs/udp.md tables them, by ``struct`` alone."""
 
 import struct
 
