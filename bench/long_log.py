@@ -19,12 +19,12 @@ import numpy as np
 from reading import peak_memory
 
 from symbid_ros.bags.container.contents import all_blocks
-from symbid_ros.bags.messages import fill_stamp, read_stamp
-from symbid_ros.bags.streams.decoder import TopicDecoder
 from symbid_ros.bags.writing.writer import BagWriter
-from symbid_ros.offline.facts import PriorChoice
-from symbid_ros.offline.job import Job, prepare
-from symbid_ros.share import config_file
+from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.messages.decoder import TopicDecoder
+from symbid_ros.messages.types import fill_stamp, read_stamp
+from symbid_ros.offline.identify import Job, prepare
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 

@@ -25,7 +25,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rosgraph_msgs.msg import Clock
 
 from symbid_ros.cli.processes import NodeProcess, private_graph
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.simulator import Simulator
 
 WARM_UP = 5.0  # s

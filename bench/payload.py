@@ -24,18 +24,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.streams.selection import Selector, TopicSelection
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.messages.topics import Selector, Topic, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.facts import PriorChoice
-from symbid_ros.offline.job import Job
+from symbid_ros.offline.identify import Job
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.outcome import Outcome
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.payload import Payload
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator

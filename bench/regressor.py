@@ -19,7 +19,7 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 
 ROBOT_DATA = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
 

@@ -17,8 +17,8 @@ from launch.events.process import ShutdownProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from symbid_ros.package_paths import PACKAGE
 from symbid_ros.ros.launch_arguments import launch_arguments, node_arguments
-from symbid_ros.share import PACKAGE
 
 
 def generate_launch_description() -> LaunchDescription:

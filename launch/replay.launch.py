@@ -22,8 +22,8 @@ from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
+from symbid_ros.package_paths import PACKAGE, share_directory
 from symbid_ros.ros.launch_arguments import launch_arguments, node_arguments
-from symbid_ros.share import PACKAGE, share_directory
 
 
 def generate_launch_description() -> LaunchDescription:

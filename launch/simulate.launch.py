@@ -13,8 +13,8 @@ from launch.conditions import IfCondition
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 
+from symbid_ros.package_paths import PACKAGE
 from symbid_ros.ros.launch_arguments import launch_arguments, node_arguments
-from symbid_ros.share import PACKAGE
 
 TRUE = ("true", "True", "1")
 

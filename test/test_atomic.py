@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from symbid_ros.atomic import check_output_file, check_writable, staged
+from symbid_ros.atomic_write import check_output_file, check_writable, staged
 from symbid_ros.errors import SymbidError
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from symbid_ros.atomic import staged
+from symbid_ros.atomic_write import staged
 with staged(Path(sys.argv[1])) as stage:
     (stage / "estimate").write_text("new")
     os.kill(os.getpid(), signal.SIGKILL)

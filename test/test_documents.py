@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from symbid_ros import documents
-from symbid_ros.documents import load_json, load_yaml
+from symbid_ros import safe_yaml as documents
+from symbid_ros.safe_yaml import load_json, load_yaml
 
 
 def written(folder, content):

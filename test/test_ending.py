@@ -7,11 +7,11 @@ from threading import Event
 
 import pytest
 
-from symbid_ros.ending import interruptible
+from symbid_ros.shutdown import interruptible
 
 # Nearly all the time within the wait, where a handler that set the event itself would hang.
 WORK = """
-from symbid_ros.ending import stop_on_signals
+from symbid_ros.shutdown import stop_on_signals
 stop = stop_on_signals()
 print("at work", flush=True)
 while not stop.wait(0):

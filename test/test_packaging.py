@@ -172,7 +172,7 @@ class TestInstallation:
             assert installed == tracked
 
     def test_is_what_a_sourced_shell_imports(self, installation: Path) -> None:
-        code = "import symbid_ros.share as s; print(s.__file__); print(s.share_directory())"
+        code = "import symbid_ros.package_paths as s; print(s.__file__); print(s.share_directory())"
         done = run_installed(installation, f"{sys.executable} -c '{code}'")
         assert done.returncode == 0, done.stderr
         module, share = map(Path, done.stdout.split())

@@ -5,7 +5,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 import pytest
 
-from symbid_ros.share import package_version
+from symbid_ros.package_paths import package_version
 
 
 def test_a_source_tree_that_is_not_installed_has_the_version_of_its_package_xml(

@@ -20,7 +20,7 @@ from symbid_ros.cli.simulate import simulate
 from symbid_ros.cli.study import study
 from symbid_ros.cli.udp_client import udp_client
 from symbid_ros.errors import SymbidError
-from symbid_ros.share import package_version
+from symbid_ros.package_paths import package_version
 
 app = typer.Typer(
     help="Identify the inertial and friction parameters of a robot from ROS 2 bags.",

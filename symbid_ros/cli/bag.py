@@ -93,10 +93,10 @@ def doctor(
 
     Exit status: 0 clean, 1 warnings, 2 unusable.
     """
-    from symbid_ros.bags.streams.selection import TopicSelection
-    from symbid_ros.bags.streams.slices import TimeRange
     from symbid_ros.diagnosis.doctor import diagnose
+    from symbid_ros.messages.topics import TopicSelection
     from symbid_ros.model.load import load_model
+    from symbid_ros.signals.slices import TimeRange
 
     topics = TopicSelection(
         joints=tuple(joint_topic) if joint_topic else None,

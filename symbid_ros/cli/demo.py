@@ -25,7 +25,7 @@ def demo(
     from symbid_ros.cli.demo_setting import draw_demo_prior, prepare_folder
     from symbid_ros.cli.offline_demo import demonstrate_offline
     from symbid_ros.cli.online_demo import demonstrate_online
-    from symbid_ros.share import config_file
+    from symbid_ros.package_paths import config_file
 
     console = Console()
     prepare_folder(out, overwrite=overwrite)

@@ -203,17 +203,17 @@ def identify(
 
     Exit status: 0 written, 1 written with alarms: do not trust the numbers yet, 2 nothing written.
     """
-    from symbid_ros.bags.streams.selection import TopicSelection
-    from symbid_ros.bags.streams.slices import TimeRange
     from symbid_ros.cli.overwriting import require_no_files
     from symbid_ros.cli.summary import print_estimate
     from symbid_ros.estimation.row_weights import SensorDeviation
+    from symbid_ros.identification.dataset import processing
+    from symbid_ros.identification.export import RESULT_FILES, write_identification
+    from symbid_ros.identification.prior_information import Facts, PriorChoice, weighing
+    from symbid_ros.messages.topics import TopicSelection
     from symbid_ros.model.parameters import joint_terms
-    from symbid_ros.offline.export import RESULT_FILES, write_identification
-    from symbid_ros.offline.facts import Facts, PriorChoice, weighing
-    from symbid_ros.offline.job import Job, chosen_filter, prepare
-    from symbid_ros.offline.record import processing
+    from symbid_ros.offline.identify import Job, chosen_filter, prepare
     from symbid_ros.signals.sensor_errors import parse_kinds
+    from symbid_ros.signals.slices import TimeRange
 
     require_no_files(out, RESULT_FILES, overwrite=overwrite)
     topics = TopicSelection(

@@ -5,7 +5,7 @@ import sys
 from types import FrameType
 from typing import NoReturn
 
-from symbid_ros.ending import exit_on_signals
+from symbid_ros.shutdown import exit_on_signals
 
 INTERRUPTED = 130  # as shells have it: 128 and the signal's number
 

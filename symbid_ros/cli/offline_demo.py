@@ -17,8 +17,8 @@ from symbid_ros.cli.demo_setting import (
 
 if TYPE_CHECKING:
     from symbid_ros.estimation.estimate import Estimate
-    from symbid_ros.offline.identification import Identification
-    from symbid_ros.offline.job import Prepared
+    from symbid_ros.identification.solver import Identification
+    from symbid_ros.offline.identify import Prepared
 
 
 def demonstrate_offline(out: Path, model: Path, moves: int, seed: int, console: Console) -> None:
@@ -70,14 +70,14 @@ def _identify(
 ) -> None:
     """Identify with every method, write what each found, and report on all of them."""
     from symbid_ros.estimation.thesis import METHODS
+    from symbid_ros.identification.dataset import Processing
+    from symbid_ros.identification.evaluation import read_true_motion
+    from symbid_ros.identification.export import write_identification
+    from symbid_ros.identification.prediction import read_realistic_motion
+    from symbid_ros.identification.prior_information import PriorChoice
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
-    from symbid_ros.offline.evaluation import read_true_motion
-    from symbid_ros.offline.export import write_identification
-    from symbid_ros.offline.facts import PriorChoice
-    from symbid_ros.offline.job import Job, prepare
-    from symbid_ros.offline.prediction import read_realistic_motion
-    from symbid_ros.offline.record import Processing
+    from symbid_ros.offline.identify import Job, prepare
     from symbid_ros.report.compose import OWN_Z, TITLES, Reference, compose
     from symbid_ros.report.facts import bag_facts
     from symbid_ros.report.page import write_report
@@ -143,7 +143,7 @@ def _identify(
 def _truncations(prepared: "Prepared", validation: Path) -> "dict[tuple[str, str], Estimate]":
     """Return the thesis's methods on the prepared rows, z chosen without and with validation."""
     from symbid_ros.estimation.thesis import METHODS
-    from symbid_ros.offline.record import Processing, read_record
+    from symbid_ros.identification.dataset import Processing, read_record
     from symbid_ros.report.compose import TITLES
 
     # The other windows' rows of an ideal bag would be built for nothing.

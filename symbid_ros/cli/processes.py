@@ -12,9 +12,9 @@ from types import TracebackType
 from typing import Any
 
 from symbid_ros.cli.domain import unused_domain
-from symbid_ros.ending import unwind
 from symbid_ros.errors import SymbidError
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
+from symbid_ros.shutdown import unwind
 
 STOPPING_TIME = 120.0  # s; a recorder has a bag to complete, perhaps on a machine that is busy
 

@@ -64,7 +64,7 @@ def simulate(
     [b]link_length[/b] 1-2 mm between joints, [b]sample_rates[/b] joints 1000, IMU 500, plates
     333 Hz, [b]delays[/b] 1-5 ms, each sensor its own, [b]quantisation[/b] 16 to 18 bits.
     """
-    from symbid_ros.atomic import write_text
+    from symbid_ros.atomic_write import write_text
     from symbid_ros.cli.overwriting import clear_folder, is_simulated_bag
     from symbid_ros.errors import SimulationError
     from symbid_ros.simulation.payload import Payload

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from symbid_ros.ending import stop_on_signals
+from symbid_ros.shutdown import stop_on_signals
 
 Scenario = Literal["smooth", "squat"]
 

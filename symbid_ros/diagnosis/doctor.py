@@ -6,9 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from symbid_ros.bags.container.contents import bag_names
-from symbid_ros.bags.streams.selection import TopicSelection
-from symbid_ros.bags.streams.slices import ALL_OF_IT, Slice, TimeRange, iterate_slices
-from symbid_ros.bags.streams.tally import Defect, DefectError
+from symbid_ros.bags.streams.slices import iterate_slices
 from symbid_ros.diagnosis.diagnosis import Diagnosis
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
 from symbid_ros.diagnosis.mending import beyond_mending
@@ -16,9 +14,12 @@ from symbid_ros.diagnosis.model_checks import ModelChecks, check_model
 from symbid_ros.diagnosis.model_watch import ModelWatch
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import cut_to, warned_once
+from symbid_ros.signals.defects import Defect, DefectError
 from symbid_ros.signals.samples import moving_segments
+from symbid_ros.signals.slices import ALL_OF_IT, Slice, TimeRange
 from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
 from symbid_ros.signals.weak_form import BLOCK
 

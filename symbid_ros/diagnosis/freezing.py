@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.bags.streams.tally import ALWAYS
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import Streams
 
 # A reading is frozen that stays the same for so long, and for so many messages,

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.bags.streams.tally import ALWAYS
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import JointStream
 
 DEGREES = 180 / np.pi

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable
 
-from symbid_ros.bags.streams.tally import Defect, DefectError, Tally
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.signals.defects import Defect, DefectError, Tally
 
 KINDS = {
     Defect.DISORDER: Kind.DISORDER,

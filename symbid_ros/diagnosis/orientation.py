@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.bags.streams.slices import Slice
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.signals.slices import Slice
 
 # Four decimals of a quaternion, the fewest that drivers print, leave its norm this near to one.
 TOLERANCE = 1e-3

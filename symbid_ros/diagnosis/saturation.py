@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.bags.streams.tally import ALWAYS
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
 from symbid_ros.diagnosis.freezing import differs
+from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import Streams
 
 # A channel is saturated that was at its extreme so often,

@@ -3,8 +3,6 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from symbid_ros.bags.streams.slices import Slice
-from symbid_ros.bags.streams.tally import Tally
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
 from symbid_ros.diagnosis.freezing import Freezing
 from symbid_ros.diagnosis.inertial import Inertial
@@ -15,6 +13,8 @@ from symbid_ros.diagnosis.orientation import Orientation
 from symbid_ros.diagnosis.saturation import Saturation
 from symbid_ros.diagnosis.timing import Timing
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.defects import Tally
+from symbid_ros.signals.slices import Slice
 
 
 @dataclass

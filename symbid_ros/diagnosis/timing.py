@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.bags.gaps import find_gaps
 from symbid_ros.diagnosis.diagnosis import StreamFigures
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.signals.gaps import find_gaps
 
 # Periods that vary by more than this share of themselves are arrival times, no sampling times.
 JITTER = 0.25

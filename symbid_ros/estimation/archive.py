@@ -11,7 +11,7 @@ from typing import IO, Any, BinaryIO
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.atomic import write_through
+from symbid_ros.atomic_write import write_through
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.layout import RowLayout

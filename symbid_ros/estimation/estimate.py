@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.atomic import write_text
-from symbid_ros.documents import load_json
+from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.verdict import Quantity, Verdict
+from symbid_ros.safe_yaml import load_json
 
 
 @dataclass(frozen=True)

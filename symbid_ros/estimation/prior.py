@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.atomic import write_text
+from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import PriorError
 from symbid_ros.estimation.deviation import (
     absolute_std,

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.documents import load_json
 from symbid_ros.errors import PriorError
 from symbid_ros.estimation.prior import Prior, model_prior
 from symbid_ros.model.parameters import TERMS, ParameterSet
 from symbid_ros.model.xml_tree import LARGEST
+from symbid_ros.safe_yaml import load_json
 
 # The moment of inertia of a gram within a millimetre is 1e-9 kg m²; this is a billionth of it.
 LEAST_STD = 1e-18

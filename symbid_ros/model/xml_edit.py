@@ -97,7 +97,7 @@ class XmlEditor:
         """Return the edited file.
 
         Bytes that are not UTF-8, such as a comment in Latin-1, become surrogates, from which
-        :func:`symbid_ros.atomic.write_text` makes the same bytes again.
+        :func:`symbid_ros.atomic_write.write_text` makes the same bytes again.
         """
         parts, done = [], 0
         for start, stop, markup in sorted(self._edits, key=lambda edit: edit[:2]):

@@ -5,15 +5,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from symbid_ros.bags.streams.selection import TopicSelection
-from symbid_ros.bags.streams.slices import ALL_OF_IT, TimeRange, iterate_slices
+from symbid_ros.bags.streams.slices import iterate_slices
 from symbid_ros.diagnosis.finding import Finding
 from symbid_ros.diagnosis.masking import masked
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import Segment, cut_to, warned_once
 from symbid_ros.signals.samples import moving_segments
+from symbid_ros.signals.slices import ALL_OF_IT, TimeRange
 from symbid_ros.signals.weak_form import BLOCK
 
 # Slices are of whole blocks, over which no window reaches: where they are cut makes no difference.

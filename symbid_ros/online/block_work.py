@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 
-from symbid_ros.online.block_rows import block_rows
-from symbid_ros.online.memory import Whole
+from symbid_ros.identification.accumulator import Whole
+from symbid_ros.identification.block_rows import block_rows
 from symbid_ros.online.timeline import Stretch
 from symbid_ros.signals.readings import Readings
 from symbid_ros.signals.weak_form import RowBuilder, SampledRows

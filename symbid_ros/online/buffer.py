@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.gaps import find_gaps
-from symbid_ros.bags.layout import Layout
-from symbid_ros.bags.streams.decoder import TopicDecoder
+from symbid_ros.messages.decoder import TopicDecoder
+from symbid_ros.messages.layout import Layout
+from symbid_ros.messages.topics import Topic
+from symbid_ros.signals.gaps import find_gaps
 
 # Nobody works on data this much older than the topic's newest, ns, nor looks for it more often than
 # every so many messages.

@@ -12,24 +12,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.streams.selection import SelectedTopics
 from symbid_ros.estimation.fading import released
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
-from symbid_ros.offline.identification import Identification, Solver
-from symbid_ros.offline.problem import Problem, Truncation
+from symbid_ros.identification.accumulator import Memory, Whole
+from symbid_ros.identification.block_rows import BlockRows, block_rows
+from symbid_ros.identification.change_monitor import ChangeWatch
+from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.identification.weight_check import check_weight
+from symbid_ros.identification.window_choice import WindowChoice
+from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.online.beginning import Beginning
-from symbid_ros.online.block_rows import BlockRows, block_rows
 from symbid_ros.online.block_work import BlockWork
-from symbid_ros.online.change_watch import ChangeWatch
 from symbid_ros.online.live_streams import LiveStreams
-from symbid_ros.online.memory import Memory, Whole
 from symbid_ros.online.message_check import MessageCheck
 from symbid_ros.online.outcome import Outcome
 from symbid_ros.online.timeline import Stretch, Timeline
-from symbid_ros.online.weight import check_weight
-from symbid_ros.online.window_choice import WindowChoice
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suited_windows
 
 logger = logging.getLogger(__name__)

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass, field, replace
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.streams.selection import SelectedTopics
-from symbid_ros.bags.streams.sensors import sensor_streams
-from symbid_ros.bags.streams.stamps import CLOCK_JUMP, seconds
-from symbid_ros.bags.streams.tally import Tally
 from symbid_ros.errors import DataError
+from symbid_ros.messages.sensor_streams import sensor_streams
+from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.online.buffer import TopicBuffer
+from symbid_ros.signals.defects import Tally
+from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
 from symbid_ros.signals.streams import Streams
 
 

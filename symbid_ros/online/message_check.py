@@ -3,14 +3,14 @@
 import logging
 import time
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.layout import Layout
-from symbid_ros.bags.messages import IMU, JOINT_STATE, NANO, WRENCH
-from symbid_ros.bags.streams.message_pattern import MessagePattern
-from symbid_ros.bags.streams.single_messages import SingleMessages
-from symbid_ros.bags.streams.stamps import CLOCK_JUMP, seconds
 from symbid_ros.errors import DataError
+from symbid_ros.messages.layout import Layout
+from symbid_ros.messages.message_pattern import MessagePattern
+from symbid_ros.messages.single_messages import SingleMessages
+from symbid_ros.messages.topics import Topic
+from symbid_ros.messages.types import IMU, JOINT_STATE, NANO, WRENCH
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
 
 logger = logging.getLogger(__name__)
 

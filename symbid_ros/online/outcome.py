@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from symbid_ros.offline.identification import Identification
-from symbid_ros.online.change_watch import Change
+from symbid_ros.identification.change_monitor import Change
+from symbid_ros.identification.solver import Identification
 
 
 @dataclass(frozen=True)

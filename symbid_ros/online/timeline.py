@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from symbid_ros.bags.streams.selection import SelectedTopics
 from symbid_ros.errors import SymbidError
+from symbid_ros.messages.topics import SelectedTopics
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.signals.alignment import (

@@ -6,16 +6,16 @@ from dataclasses import asdict, dataclass, replace
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.evaluation import (
+from symbid_ros.identification.evaluation import (
     TrueMotion,
     environment_force,
     evaluate,
     link_errors,
     predict,
 )
-from symbid_ros.offline.interval import IntervalSummary, summarise_intervals
-from symbid_ros.offline.prediction import RealisticMotion, evaluate_realistic
+from symbid_ros.identification.intervals import IntervalSummary, summarise_intervals
+from symbid_ros.identification.prediction import RealisticMotion, evaluate_realistic
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.content import (
     PRIOR,
     TRUTH,

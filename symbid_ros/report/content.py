@@ -7,7 +7,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.offline.interval import IntervalSummary
+from symbid_ros.identification.intervals import IntervalSummary
 
 PRIOR = "prior"
 TRUTH = "truth"

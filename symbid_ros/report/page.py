@@ -5,7 +5,7 @@ from pathlib import Path
 
 import jinja2
 
-from symbid_ros.atomic import write_text
+from symbid_ros.atomic_write import write_text
 from symbid_ros.report.content import METRICS, REALISTIC_METRICS, ReportContent
 from symbid_ros.report.figures import (
     Panel,

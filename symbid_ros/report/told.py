@@ -14,8 +14,8 @@ from symbid_ros.estimation.verdict import (
     Quantity,
     Verdict,
 )
+from symbid_ros.identification.intervals import IntervalSummary
 from symbid_ros.model.inertia import PARAMETERS
-from symbid_ros.offline.interval import IntervalSummary
 from symbid_ros.report.numerals import ABSENT, measured, significant
 
 _COEFFICIENT = re.compile(r"([+-])(\d\S*) ")

@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros.parameters import Parameter, Values
-from symbid_ros.share import config_file
 from symbid_ros.simulation.payload import Payload, link_index
 from symbid_ros.simulation.plant import load_model
 from symbid_ros.simulation.simulator import Simulator

@@ -9,9 +9,9 @@ import numpy as np
 from rclpy.node import Node
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.bags.layout import Layout, typestore
-from symbid_ros.bags.messages import JOINT_STATE, fill_stamp
 from symbid_ros.errors import DataError
+from symbid_ros.messages.layout import Layout, typestore
+from symbid_ros.messages.types import JOINT_STATE, fill_stamp
 from symbid_ros.ros.mailbox import Letter, Mailbox, wait_for_any
 from symbid_ros.ros.messages import message_class, reliable
 from symbid_ros.ros.publishing import await_settled

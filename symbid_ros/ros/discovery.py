@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 from rclpy.node import Node
 
-from symbid_ros.bags.definitions import find_definition
 from symbid_ros.errors import SymbidError
+from symbid_ros.messages.definitions import find_definition
 from symbid_ros.ros.intake import Intake, Polled, subscribe
 
 

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterable, Sequence
 
-from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.messages.topics import Topic
 from symbid_ros.online.identification import OnlineIdentification
 from symbid_ros.online.outcome import Outcome
 from symbid_ros.ros.estimate_messages import estimate_health

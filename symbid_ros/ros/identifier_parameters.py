@@ -4,16 +4,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from symbid_ros.bags.streams.selection import TopicSelection
-from symbid_ros.bags.streams.slices import TimeRange
+from symbid_ros.identification.dataset import processing
+from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.problem import METHODS
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.parameters import joint_terms
-from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.job import Job, chosen_filter
-from symbid_ros.offline.problem import METHODS
-from symbid_ros.offline.record import processing
+from symbid_ros.offline.identify import Job, chosen_filter
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sensor_errors import parse_kinds
+from symbid_ros.signals.slices import TimeRange
 
 CUTOFF = LowPass().cutoff
 

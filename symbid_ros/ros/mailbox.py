@@ -12,10 +12,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.layout import Layout, Records
-from symbid_ros.bags.messages import read_stamp
-from symbid_ros.bags.streams.single_messages import SingleMessages
+from symbid_ros.messages.layout import Layout, Records
+from symbid_ros.messages.single_messages import SingleMessages
+from symbid_ros.messages.topics import Topic
+from symbid_ros.messages.types import read_stamp
 from symbid_ros.ros.intake import Polled
 from symbid_ros.ros.messages import message_class
 

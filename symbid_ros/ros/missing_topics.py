@@ -2,9 +2,8 @@
 
 from collections.abc import Collection, Mapping, Sequence
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
-from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.messages.topics import Topic, TopicSelection
+from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 Graph = Mapping[str, Sequence[str]]
 

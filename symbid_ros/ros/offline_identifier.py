@@ -5,13 +5,13 @@ from typing import Any
 
 from rclpy.node import Node
 
-from symbid_ros.ending import interruptible
-from symbid_ros.offline.export import export_urdf, write_identification
-from symbid_ros.offline.job import prepare
+from symbid_ros.identification.export import export_urdf, write_identification
+from symbid_ros.offline.identify import prepare
 from symbid_ros.ros.estimate_messages import estimate_health
 from symbid_ros.ros.estimate_topics import EstimateTopics
 from symbid_ros.ros.health import HealthPublisher
 from symbid_ros.ros.identifier_parameters import given_path, job_from
+from symbid_ros.shutdown import interruptible
 
 
 class OfflineIdentifier:

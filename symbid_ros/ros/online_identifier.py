@@ -14,10 +14,9 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.streams.selection import SelectedTopics
 from symbid_ros.errors import EstimateError, SymbidError
-from symbid_ros.offline.export import check_output, export_urdf, write_identification
+from symbid_ros.identification.export import check_output, export_urdf, write_identification
+from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.outcome import Outcome

@@ -14,14 +14,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.container.index import RecordedTopic
-from symbid_ros.bags.gaps import has_stamp, stamp_of
-from symbid_ros.bags.layout import typestore
 from symbid_ros.bags.replay import RecordedMessage, Recording
-from symbid_ros.bags.streams.selection import Selector, TopicSelection
-from symbid_ros.ending import interruptible
 from symbid_ros.errors import BagError, SymbidError
+from symbid_ros.messages.layout import typestore
+from symbid_ros.messages.topics import Selector, Topic, TopicSelection
+from symbid_ros.messages.types import has_stamp, stamp_of
 from symbid_ros.ros.messages import message_class, reliable
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.playback import (
@@ -33,6 +31,7 @@ from symbid_ros.ros.playback import (
 )
 from symbid_ros.ros.process import run_node
 from symbid_ros.ros.publishing import await_acknowledgement, await_settled
+from symbid_ros.shutdown import interruptible
 
 LATE = 1.0  # s behind schedule, worth a warning
 

@@ -14,12 +14,12 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from symbid_ros.ending import interruptible, stop_on_signals
 from symbid_ros.errors import SymbidError
 from symbid_ros.ros.log_bridge import python_logs_of
 from symbid_ros.ros.message_executor import MessageExecutor
 from symbid_ros.ros.parameters import Parameter, declare
 from symbid_ros.ros.transport import use_udp
+from symbid_ros.shutdown import interruptible, stop_on_signals
 
 FAILURE = 2
 

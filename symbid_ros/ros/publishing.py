@@ -9,8 +9,8 @@ from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from symbid_ros.bags.layout import Columns, Records
-from symbid_ros.bags.messages import clock_layout, fill_stamp
+from symbid_ros.messages.layout import Columns, Records
+from symbid_ros.messages.types import clock_layout, fill_stamp
 from symbid_ros.ros.messages import message_class, reliable
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.topics import SimulatedTopic

@@ -7,9 +7,9 @@ import numpy as np
 from rclpy.node import Node
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.bags.layout import Layout
-from symbid_ros.bags.messages import IMU, JOINT_STATE
 from symbid_ros.errors import DataError
+from symbid_ros.messages.layout import Layout
+from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.ros.mailbox import Letter, Mailbox, wait_for_any
 
 DEPTH = 1000  # messages

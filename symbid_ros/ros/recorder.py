@@ -14,13 +14,13 @@ from typing import Any
 from rclpy.node import Node
 from rich.console import Console
 
-from symbid_ros.bags.gaps import has_stamp, stamp_of
-from symbid_ros.bags.layout import ENCAPSULATION, typestore
 from symbid_ros.bags.writing.background import BackgroundWriter
 from symbid_ros.bags.writing.gap_count import GapCount
 from symbid_ros.bags.writing.message_queue import QueuedMessage
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError, SymbidError
+from symbid_ros.messages.layout import ENCAPSULATION, typestore
+from symbid_ros.messages.types import has_stamp, stamp_of
 from symbid_ros.ros.discovery import Discovery, TopicFilter
 from symbid_ros.ros.health import HealthPublisher
 from symbid_ros.ros.intake import Intake

@@ -7,11 +7,10 @@ from itertools import pairwise
 
 from rclpy.node import Node
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
-from symbid_ros.bags.streams.selection import SelectedTopics, Selector, TopicSelection
-from symbid_ros.bags.streams.single_messages import SingleMessages
 from symbid_ros.errors import DataError
+from symbid_ros.messages.single_messages import SingleMessages
+from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSelection
+from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.message_check import known_frames
 from symbid_ros.ros.intake import Intake, Polled, subscribe

@@ -2,7 +2,7 @@
 
 from collections.abc import MutableMapping
 
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 
 PROFILE, TRANSPORTS = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"

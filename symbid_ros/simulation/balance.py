@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.believed import believed_model
 from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.controller import BalanceController, BalanceGains

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from symbid_ros.documents import load_yaml
 from symbid_ros.errors import SimulationError
+from symbid_ros.safe_yaml import load_yaml
 
 
 def read_mapping(path: Path) -> dict[str, Any]:

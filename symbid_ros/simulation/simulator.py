@@ -9,7 +9,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.errors import draw_errors, parse_errors
 from symbid_ros.simulation.friction import JointFriction, load_friction
 from symbid_ros.simulation.measurement import Instant

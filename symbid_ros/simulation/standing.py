@@ -6,7 +6,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.controller import BalanceController, BalanceGains
 from symbid_ros.simulation.leg_odometry import BalanceReadings, LegOdometry
 from symbid_ros.simulation.plant import Plant

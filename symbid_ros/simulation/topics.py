@@ -4,8 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.bags import messages
-from symbid_ros.bags.layout import Columns, Layout
+from symbid_ros.messages import types as messages
+from symbid_ros.messages.layout import Columns, Layout
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.scenario import HOIST_FRAME
 from symbid_ros.simulation.simulator import Simulator

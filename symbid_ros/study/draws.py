@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.atomic import write_text
+from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import Information
@@ -18,14 +18,14 @@ from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.thesis import METHODS as TRUNCATED
 from symbid_ros.estimation.thesis import LeastSquares
 from symbid_ros.estimation.truncation import select_rank
+from symbid_ros.identification.evaluation import Judge, link_errors, read_true_motion
+from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.problem import GAUSSIAN, Problem, Truncation
+from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.evaluation import Judge, link_errors, read_true_motion
-from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import Solver
-from symbid_ros.offline.job import Job, Prepared, prepare
-from symbid_ros.offline.problem import GAUSSIAN, Problem, Truncation
-from symbid_ros.share import config_file
+from symbid_ros.offline.identify import Job, Prepared, prepare
+from symbid_ros.package_paths import config_file
 from symbid_ros.study.data_set import Log
 from symbid_ros.study.logs import identified, truth
 from symbid_ros.study.plan import Plan, Spread

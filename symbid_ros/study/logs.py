@@ -5,10 +5,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from symbid_ros.atomic import write_text
+from symbid_ros.atomic_write import write_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet, joint_terms
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.study.data_set import Log

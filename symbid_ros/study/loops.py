@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.atomic import write_text
+from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import StudyError
-from symbid_ros.offline.problem import GAUSSIAN
+from symbid_ros.identification.problem import GAUSSIAN
 from symbid_ros.report.content import TRUTH
 from symbid_ros.simulation.balance import BalanceRun, balance
 from symbid_ros.study.data_set import Log

@@ -7,7 +7,7 @@ from pydantic import Field, model_validator
 
 from symbid_ros.estimation.prior import Kind
 from symbid_ros.estimation.truncation import Criterion
-from symbid_ros.offline.problem import GAUSSIAN, METHODS, Method
+from symbid_ros.identification.problem import GAUSSIAN, METHODS, Method
 from symbid_ros.signals.filters import Channels
 from symbid_ros.study.data_set import Count, DataSet, Log, Part, Seed
 from symbid_ros.study.scores import METRICS

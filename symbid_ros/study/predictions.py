@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.offline.evaluation import read_true_motion
-from symbid_ros.offline.prediction import (
+from symbid_ros.identification.evaluation import read_true_motion
+from symbid_ros.identification.prediction import (
     RealisticMotion,
     predict_realistic,
     read_realistic_motion,

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import yaml
 
-from symbid_ros.atomic import write_text
-from symbid_ros.share import package_version
+from symbid_ros.atomic_write import write_text
+from symbid_ros.package_paths import package_version
 from symbid_ros.study.data_claims import headline
 from symbid_ros.study.drawing import save
 from symbid_ros.study.page import Page, Section, render

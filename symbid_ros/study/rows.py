@@ -3,9 +3,9 @@
 from functools import lru_cache
 from pathlib import Path
 
-from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.estimation.archive import write_archive
-from symbid_ros.offline.record import Processing, fold_record
+from symbid_ros.identification.dataset import Processing, fold_record
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.offline.sensor_log import SensorLog
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import Channels, LowPass

@@ -7,7 +7,7 @@ import numpy as np
 
 from symbid_ros.report.content import METRICS as TITLED
 
-# The errors of `symbid_ros.offline.evaluation.Metrics`, and how many singular values were kept.
+# The fields of `evaluation.Metrics`, and the number of singular values kept.
 METRICS = tuple(metric.key for metric in TITLED)
 RANK = "singular_values"
 REFERENCE = "ref"
@@ -24,7 +24,7 @@ class Case:
     prior : str
         How the priors were drawn, such as "±25 %".
     method : str
-        "ref" for the prior itself, or one of `symbid_ros.offline.problem.METHODS`.
+        "ref" for the prior itself, or one of `symbid_ros.identification.problem.METHODS`.
     filter : float or None
         Hz, cutoff of its rows, 0 unfiltered; None for the prior and for methods whose rows are
         averaged over windows instead.

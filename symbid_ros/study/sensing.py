@@ -20,9 +20,9 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.layout import RowLayout, random_motions
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.identification.dataset import BLOCK, Record, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.offline.record import BLOCK, Record, observe
 from symbid_ros.signals.readings import Readings, at_base
 from symbid_ros.signals.weak_form import CHUNK, SampledRows, sticking_left_out
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import StudyError
+from symbid_ros.identification.prediction import RealisticMotion, RealisticPrediction
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.prediction import RealisticMotion, RealisticPrediction
 from symbid_ros.report.compose import prediction_series
 from symbid_ros.report.content import TRUTH, PredictionSeries
 from symbid_ros.report.numerals import significant

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from symbid_ros.offline.problem import GAUSSIAN
+from symbid_ros.identification.problem import GAUSSIAN
 from symbid_ros.report.content import TRUTH
 from symbid_ros.study.checks import check_equation, check_realistic
 from symbid_ros.study.data_set import Log

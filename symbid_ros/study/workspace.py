@@ -4,9 +4,9 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from symbid_ros.atomic import write_text
+from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import StudyError
-from symbid_ros.share import package_version
+from symbid_ros.package_paths import package_version
 from symbid_ros.study.data_set import Log
 from symbid_ros.study.plan import Plan, Spread
 from symbid_ros.study.sensing import Sensing

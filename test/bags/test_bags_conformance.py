@@ -23,11 +23,11 @@ from mcap_features import (
 )
 
 from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
 from symbid_ros.bags.replay import Recording
 from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.streams.reader import read_streams, topic_counts
 from symbid_ros.errors import BagError
+from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 SCHEMA = Schema(id=1, name="Example", encoding="c", data=b"\4\5\6")
 CHANNEL = Channel(id=1, topic="example", message_encoding="a", metadata={"foo": "bar"}, schema_id=1)

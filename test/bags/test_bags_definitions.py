@@ -6,9 +6,9 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from symbid_ros.bags.definitions import find_definition
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
+from symbid_ros.messages.definitions import find_definition
 
 GOALS = "nav_msgs/msg/Goals"  # installed, and younger than rosbags' list
 

@@ -22,13 +22,13 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.limits import MIB
-from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
 from symbid_ros.bags.replay import Recording
 from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.streams.reader import read_streams, topic_counts
 from symbid_ros.bags.streams.slices import iterate_slices
 from symbid_ros.errors import BagError, DataError
+from symbid_ros.messages.limits import MIB
+from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 COUNT = 50
 VALUES = list(range(1, COUNT + 1))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from symbid_ros.bags.gaps import Gaps, find_gaps
 from symbid_ros.bags.writing.gap_count import BLOCK, GapCount
+from symbid_ros.signals.gaps import Gaps, find_gaps
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, BLOCK, BLOCK + 1, 3 * BLOCK + 17])

@@ -5,7 +5,8 @@ from foreign_bags import imu
 from hypothesis import given
 from hypothesis import strategies as st
 
-from symbid_ros.bags.gaps import find_gaps, has_stamp, stamp_of
+from symbid_ros.messages.types import has_stamp, stamp_of
+from symbid_ros.signals.gaps import find_gaps
 
 PERIOD = 1_000_000
 

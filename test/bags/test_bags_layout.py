@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rosbags.typesys import Stores, get_typestore
 
-from symbid_ros.bags import messages
-from symbid_ros.bags.layout import Layout, typestore
+from symbid_ros.messages import types as messages
+from symbid_ros.messages.layout import Layout, typestore
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types

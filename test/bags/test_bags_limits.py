@@ -20,12 +20,12 @@ from mcap.writer import Writer as McapWriter
 
 from symbid_ros.bags.container.blocks import iterate_blocks
 from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.limits import MAX_CHUNK, MAX_MESSAGE, MAX_NAMES, MIB
-from symbid_ros.bags.messages import IMU, JOINT_STATE
 from symbid_ros.bags.replay import Recording
 from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.errors import BagError, DataError
+from symbid_ros.messages.limits import MAX_CHUNK, MAX_MESSAGE, MAX_NAMES, MIB
+from symbid_ros.messages.types import IMU, JOINT_STATE
 
 MAGIC = b"\x89MCAP0\r\n"
 STATE = joint_state(1, ["hip"], [1.0], [2.0], [3.0])

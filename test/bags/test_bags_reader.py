@@ -15,10 +15,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from symbid_ros.bags.messages import ACCEL, IMU, JOINT_STATE, WRENCH
 from symbid_ros.bags.streams.reader import read_streams, read_truth, topic_counts
-from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.errors import BagError, DataError
+from symbid_ros.messages.topics import TopicSelection
+from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, WRENCH
 from symbid_ros.simulation.recording import record
 
 MILLISECOND = 1_000_000

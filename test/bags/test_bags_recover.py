@@ -22,12 +22,12 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.messages import JOINT_STATE
 from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.rescue.recovery import RecordCount, Recovery
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
+from symbid_ros.messages.types import JOINT_STATE
 
 MAGIC = 8
 CHUNK, MESSAGE_INDEX, DATA_END = 6, 7, 15

@@ -27,10 +27,10 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mcap_features import MAGIC, encoded
 
-from symbid_ros.bags.messages import IMU, JOINT_STATE
 from symbid_ros.bags.replay import RecordedMessage, Recording
 from symbid_ros.bags.writing.writer import BagWriter, OfferedQos
 from symbid_ros.errors import BagError
+from symbid_ros.messages.types import IMU, JOINT_STATE
 
 STRING = "std_msgs/msg/String"
 TYPES = {"/a": JOINT_STATE, "/b": IMU, "/c": STRING}

@@ -2,9 +2,8 @@
 
 import pytest
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
-from symbid_ros.bags.streams.selection import Selector, TopicSelection
+from symbid_ros.messages.topics import Selector, Topic, TopicSelection
+from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 TOPICS = {
     "/joint_states": JOINT_STATE,

@@ -7,7 +7,8 @@ import pytest
 from foreign_bags import IMU, JOINT_STATE, imu, joint_state, write_rosbags
 
 from symbid_ros.bags.streams import slices
-from symbid_ros.bags.streams.slices import TimeRange, iterate_slices
+from symbid_ros.bags.streams.slices import iterate_slices
+from symbid_ros.signals.slices import TimeRange
 
 SECOND = 10**9
 SPAN = 4 * SECOND

@@ -9,8 +9,8 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from whole_bags import whole_messages
 
-from symbid_ros.bags.messages import IMU, WRENCH
 from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.messages.types import IMU, WRENCH
 
 MILLISECOND = 10**6
 

@@ -16,7 +16,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from symbid_ros.cli.main import main
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -7,9 +7,9 @@ import pytest
 from foreign_bags import STORE, imu, joint_state
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from symbid_ros.bags.messages import IMU, JOINT_STATE
 from symbid_ros.bags.streams.reader import topic_counts
 from symbid_ros.bags.writing.writer import BagWriter, OfferedQos
+from symbid_ros.messages.types import IMU, JOINT_STATE
 
 STEPS = 100
 START = 1_700_000_000_000_000_000

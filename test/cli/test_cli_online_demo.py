@@ -17,7 +17,7 @@ from report_pages import Page
 from symbid_ros.bags.streams.reader import topic_counts
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 
 DEADLINE = 300.0  # s; only a hang takes as long
 NODES = {"identifier", "recorder", "monitor", "mujoco_bridge"}

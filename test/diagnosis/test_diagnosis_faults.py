@@ -10,11 +10,11 @@ from bag_surgery import Messages, Surgery, operate
 from random_robots import CONFIG
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.diagnosis.diagnosis import Diagnosis
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 

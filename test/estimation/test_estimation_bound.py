@@ -16,12 +16,12 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.identification.dataset import observe
+from symbid_ros.identification.problem import METHODS, Problem, Truncation
+from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identification import Solver
-from symbid_ros.offline.problem import METHODS, Problem, Truncation
-from symbid_ros.offline.record import observe
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 from symbid_ros.simulation.noise import load_noise

@@ -19,11 +19,11 @@ from symbid_ros.estimation.prior import (
     model_prior,
 )
 from symbid_ros.estimation.prior_file import load_prior
+from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent, phi_from_pseudo_inertia, pseudo_inertia
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
-from symbid_ros.offline.identification import Solver
-from symbid_ros.offline.problem import Problem
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_robots import random_phi
 
-from symbid_ros.atomic import write_text
+from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import ModelError
 from symbid_ros.model.export_mjcf import mjcf_files, mjcf_text, replaced_values
 from symbid_ros.model.export_urdf import urdf_text

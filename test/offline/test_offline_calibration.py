@@ -9,17 +9,17 @@ from analytic_log import analytic_segment, noisy, spoilt
 from foreign_bags import imu, joint_state, wrench, write_rosbags
 from random_robots import CONFIG, random_robot
 
-from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
-from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.errors import DataError, EstimateError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.calibration import Tare, Wanted, calibrate, read_tare
+from symbid_ros.identification.dataset import Processing, Record
+from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.messages.topics import TopicSelection
+from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.calibration import Tare, Wanted, calibrate, read_tare
-from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.job import Job, prepare
-from symbid_ros.offline.record import Processing, Record
+from symbid_ros.offline.identify import Job, prepare
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, SensorErrors
 from symbid_ros.signals.weak_form import WINDOWS

@@ -7,10 +7,10 @@ import pytest
 from bag_surgery import Messages, operate
 from random_robots import CONFIG
 
-from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.errors import DataError
-from symbid_ros.offline.job import Job, prepare
-from symbid_ros.offline.record import Processing
+from symbid_ros.identification.dataset import Processing
+from symbid_ros.messages.topics import TopicSelection
+from symbid_ros.offline.identify import Job, prepare
 
 RIGHT = "/right_foot/wrench"
 

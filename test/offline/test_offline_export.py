@@ -9,13 +9,13 @@ from random_logs import LogPlan, random_streams, small_robot, write_bag
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import load_estimate
+from symbid_ros.identification.export import check_output, write_identification
+from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.export import check_output, write_identification
-from symbid_ros.offline.identification import Identification
-from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.identify import Job, prepare
 
 MISSING = Path("missing")
 

@@ -15,15 +15,15 @@ from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviation
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
+from symbid_ros.identification.dataset import Processing
+from symbid_ros.identification.export import write_identification
+from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
-from symbid_ros.offline.export import write_identification
-from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import Solver
-from symbid_ros.offline.job import Job, prepare
-from symbid_ros.offline.problem import Problem
-from symbid_ros.offline.record import Processing
+from symbid_ros.offline.identify import Job, prepare
 from symbid_ros.signals.weak_form import BLOCK, WindowedRows
 from symbid_ros.simulation.friction import load_friction
 from symbid_ros.simulation.recording import record

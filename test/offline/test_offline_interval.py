@@ -10,9 +10,9 @@ from symbid_ros.dynamics.centroid import com_position
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import EstimateError
+from symbid_ros.identification.evaluation import TrueMotion, predict
+from symbid_ros.identification.intervals import prediction_std, summarise_intervals
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.evaluation import TrueMotion, predict
-from symbid_ros.offline.interval import prediction_std, summarise_intervals
 
 
 def random_motion(parameters, count, rng):

@@ -14,10 +14,10 @@ from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_watch import ModelWatch
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.prior import model_prior
+from symbid_ros.identification.dataset import Processing, Record, fold_record
+from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identification import Identification, Solver
-from symbid_ros.offline.problem import Problem
-from symbid_ros.offline.record import Processing, Record, fold_record
 from symbid_ros.signals.alignment import cut_to
 from symbid_ros.signals.samples import moving_segments
 from symbid_ros.signals.weak_form import BLOCKS, block_length

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from bag_surgery import Messages, operate
 
-from symbid_ros.bags.streams.selection import TopicSelection
-from symbid_ros.bags.streams.slices import TimeRange
 from symbid_ros.errors import BagError, DataError
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.sensor_log import SensorLog
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.signals.alignment import Segment
+from symbid_ros.signals.slices import TimeRange
 from symbid_ros.signals.weak_form import BLOCK
 
 ALL = TopicSelection()

@@ -12,8 +12,8 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.loaded_model import load_subject
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.subject import load_subject
 
 TERMS = ("viscous", "offset")
 

@@ -9,11 +9,11 @@ from live_feed import feed_of
 from scipy.interpolate import CubicSpline
 
 from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.sensor_log import SensorLog
 from symbid_ros.online.timeline import Timeline
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.signals.weak_form import BLOCK
 
 SLOW = "/left_foot/wrench"

@@ -13,15 +13,15 @@ from live_feed import Feed, feed_of
 
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import write_archive
+from symbid_ros.identification.dataset import Processing
+from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import Solver
-from symbid_ros.offline.job import Job, prepare
-from symbid_ros.offline.record import Processing
+from symbid_ros.offline.identify import Job, prepare
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
 
 MODEL = config_file("symbitron.xml")
@@ -135,7 +135,7 @@ def test_there_is_news_once_every_topic_has_told_more(start, feed) -> None:
 
 def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
     from symbid_ros.bags.streams.reader import read_streams
-    from symbid_ros.offline.record import fold_record
+    from symbid_ros.identification.dataset import fold_record
     from symbid_ros.signals.samples import moving_segments
 
     streams = read_streams([bag])

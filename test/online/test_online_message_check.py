@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from symbid_ros.bags.container.blocks import Topic
+from symbid_ros.messages.topics import Topic
 from symbid_ros.model.load import load_model
 from symbid_ros.online.message_check import MessageCheck
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 JOINT_STATE = "sensor_msgs/msg/JointState"

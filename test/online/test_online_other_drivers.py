@@ -9,15 +9,14 @@ from foreign_bags import STORE
 from live_feed import feed_of
 from split_joints import JOINTS, Part, left, right, split_joints, stamped
 
-from symbid_ros.bags.gaps import stamp_of
-from symbid_ros.bags.messages import IMU
 from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.errors import DataError
+from symbid_ros.messages.topics import TopicSelection
+from symbid_ros.messages.types import IMU, stamp_of
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.sensor_log import SensorLog
 from symbid_ros.online.timeline import Timeline
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.signals.samples import moving_segments
 
 ALL = TopicSelection()

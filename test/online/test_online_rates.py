@@ -8,10 +8,10 @@ from live_feed import feed_of
 from random_logs import LogPlan, random_streams, small_robot, write_bag
 
 from symbid_ros.estimation.archive import write_archive
+from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
-from symbid_ros.offline.facts import PriorChoice
-from symbid_ros.offline.job import Job, prepare
+from symbid_ros.offline.identify import Job, prepare
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows

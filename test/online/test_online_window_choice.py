@@ -2,11 +2,11 @@
 
 import pytest
 
-from symbid_ros.offline.facts import PriorChoice
-from symbid_ros.offline.job import Job, prepare
-from symbid_ros.offline.window_comparison import WindowComparison
-from symbid_ros.online.window_choice import WindowChoice
-from symbid_ros.share import config_file
+from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.identification.window_choice import WindowChoice
+from symbid_ros.identification.window_comparison import WindowComparison
+from symbid_ros.offline.identify import Job, prepare
+from symbid_ros.package_paths import config_file
 
 
 @pytest.fixture(scope="module")

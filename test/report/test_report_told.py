@@ -13,7 +13,7 @@ from symbid_ros.estimation.verdict import (
     SUSPICIOUS_SCALE,
     SUSPICIOUS_WHITENESS,
 )
-from symbid_ros.offline.interval import IntervalSummary
+from symbid_ros.identification.intervals import IntervalSummary
 from symbid_ros.report.content import (
     METRICS,
     REALISTIC_METRICS,

@@ -18,8 +18,8 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.rotation import rotation_from_xyzw
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros import mujoco_bridge
-from symbid_ros.share import config_file
 from symbid_ros.signals.streams import Streams
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator

@@ -12,7 +12,7 @@ from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import JointState
 
-from symbid_ros.bags.messages import JOINT_STATE
+from symbid_ros.messages.types import JOINT_STATE
 from symbid_ros.ros.commands import CommandPublisher, TopicCommands
 from symbid_ros.ros.mailbox import wait_for_any
 from symbid_ros.simulation.command import Drives

@@ -19,7 +19,7 @@ from symbid_ros.bags.streams.reader import topic_counts
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 

@@ -11,8 +11,8 @@ from rclpy.node import Node
 
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros.estimate_topics import EstimateTopics
-from symbid_ros.share import config_file
 
 AGE = "/identifier: estimate", "age"
 

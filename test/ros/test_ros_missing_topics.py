@@ -16,10 +16,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as Given
 from sensor_msgs.msg import JointState
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.messages import IMU, JOINT_STATE
-from symbid_ros.bags.streams.selection import SelectedTopics, TopicSelection
 from symbid_ros.errors import SymbidError
+from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
+from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.ros.identifier_parameters import PARAMETERS
 from symbid_ros.ros.log_bridge import python_logs_of

@@ -22,10 +22,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rich.console import Console
 
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros.monitor import PARAMETERS
 from symbid_ros.ros.monitor_display import Screen, View, page
 from symbid_ros.ros.monitor_messages import Health, read_estimate, read_health
-from symbid_ros.share import config_file
 
 NAMES = ("m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)

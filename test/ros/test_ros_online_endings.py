@@ -14,11 +14,11 @@ from rclpy.parameter import Parameter
 
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.online.identification import OnlineIdentification
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros.identifier_parameters import PARAMETERS
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.parameters import declare
 from symbid_ros.ros.sensor_topics import SensorTopics
-from symbid_ros.share import config_file
 
 MODEL = config_file("symbitron.xml")
 FILES = {"estimate.json", "information.npz", "model.urdf", "model.xml"}

@@ -17,7 +17,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 
 MODEL = config_file("symbitron.xml")
 SENSORS = "[joint_states, imu/data, left_foot/wrench, right_foot/wrench]"

@@ -17,7 +17,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from symbid_ros.bags.messages import (
+from symbid_ros.bags.replay import Recording
+from symbid_ros.bags.writing.writer import BagWriter, OfferedQos
+from symbid_ros.messages.types import (
     CLOCK,
     IMU,
     JOINT_STATE,
@@ -27,8 +29,6 @@ from symbid_ros.bags.messages import (
     imu_layout,
     joint_state_layout,
 )
-from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.writing.writer import BagWriter, OfferedQos
 from symbid_ros.ros.intake import Polled
 
 MILLISECOND = 1_000_000

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros import (
     balance_controller,
     identifier,
@@ -18,7 +19,6 @@ from symbid_ros.ros import (
     recorder,
 )
 from symbid_ros.ros.parameters import Parameter
-from symbid_ros.share import config_file
 
 NODES = {
     "mujoco_bridge": mujoco_bridge.PARAMETERS,

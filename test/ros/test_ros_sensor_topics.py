@@ -12,11 +12,11 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
-from symbid_ros.bags.streams.selection import TopicSelection
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros.intake import Polled, subscribe
 from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
-from symbid_ros.share import config_file
 
 OWN = {
     "/joint_states": (JointState, ""),

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.simulator import Simulator, WrenchSensor
 

@@ -9,7 +9,7 @@ from symbid_ros.errors import SimulationError
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.balance import balance
 from symbid_ros.simulation.controller import BalanceGains
 from symbid_ros.simulation.scenario import SOLES

@@ -14,7 +14,7 @@ from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.belief import Belief
 from symbid_ros.simulation.believed import believed_model
 from symbid_ros.simulation.breakdown import BreakdownError

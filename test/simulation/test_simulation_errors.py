@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.errors import SimulationError
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.errors import (
     ERRORS,
     TYPICAL,

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.noise import load_noise
 from symbid_ros.simulation.simulator import Simulator
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.payload import Payload
 from symbid_ros.simulation.plant import Plant
 from symbid_ros.simulation.scenario import SCENARIOS, SOLES

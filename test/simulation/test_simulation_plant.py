@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.plant import Plant
 from symbid_ros.simulation.scenario import SOLES
 

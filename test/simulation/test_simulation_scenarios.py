@@ -10,7 +10,7 @@ import pytest
 import scipy.signal
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.programme import proxqp
 from symbid_ros.simulation.scenario import COM_MOVES, SCENARIOS, SQUAT_MOVES
 from symbid_ros.simulation.simulator import Simulator

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.leg_odometry import LegOdometry
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.plant import Plant

@@ -13,13 +13,13 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.dataset import Processing, read_record
+from symbid_ros.identification.evaluation import read_true_motion
+from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Frame
-from symbid_ros.offline.evaluation import read_true_motion
-from symbid_ros.offline.identification import Solver
-from symbid_ros.offline.problem import Problem
-from symbid_ros.offline.record import Processing, read_record
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 from symbid_ros.study.sensing import Annihilator, SensedRows, Sensing, observe_sensed

@@ -16,13 +16,13 @@ import pytest
 from small_study import PLAN, SmallStudy, symbid
 
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.dataset import Processing, read_record
+from symbid_ros.identification.evaluation import evaluate, read_true_motion
+from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.evaluation import evaluate, read_true_motion
-from symbid_ros.offline.identification import Solver
-from symbid_ros.offline.problem import Problem, Truncation
-from symbid_ros.offline.record import Processing, read_record
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator

@@ -5,7 +5,7 @@ import pytest
 
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.study import thesis
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case
 

@@ -29,13 +29,13 @@ from mutations import mutated
 from symbid_ros.bags.container.framing import damage_named
 from symbid_ros.bags.container.summary import read_summary
 from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.layout import typestore
-from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
 from symbid_ros.bags.replay import Recording
 from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import SymbidError
+from symbid_ros.messages.layout import typestore
+from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.signals.streams import Streams
 
 STEPS = 40

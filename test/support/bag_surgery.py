@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 
 from symbid_ros.bags.container.contents import all_blocks
-from symbid_ros.bags.layout import Layout
-from symbid_ros.bags.messages import (
+from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.messages.decoder import TopicDecoder
+from symbid_ros.messages.layout import Layout
+from symbid_ros.messages.types import (
     IMU,
     JOINT_STATE,
     NANO,
@@ -18,8 +20,6 @@ from symbid_ros.bags.messages import (
     read_stamp,
     wrench_layout,
 )
-from symbid_ros.bags.streams.decoder import TopicDecoder
-from symbid_ros.bags.writing.writer import BagWriter
 
 PER_JOINT = ("position", "velocity", "effort")
 

@@ -9,7 +9,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
+from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from symbid_ros.bags.container.blocks import Topic, iterate_blocks
+from symbid_ros.bags.container.blocks import iterate_blocks
 from symbid_ros.bags.container.files import bag_files
-from symbid_ros.bags.gaps import stamp_of
-from symbid_ros.bags.streams.selection import SelectedTopics, Selector, TopicSelection
+from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSelection
+from symbid_ros.messages.types import stamp_of
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,12 @@ from analytic_log import imu_motion, waves
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.bags.messages import (
+from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
+from symbid_ros.messages.types import (
     IMU,
     JOINT_STATE,
     WRENCH,
@@ -18,11 +23,6 @@ from symbid_ros.bags.messages import (
     joint_state_layout,
     wrench_layout,
 )
-from symbid_ros.bags.writing.writer import BagWriter
-from symbid_ros.dynamics.contact import contact_jacobian
-from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.parameters import ParameterSet
 
 RATE = 250

@@ -8,8 +8,9 @@ import numpy as np
 from analytic_log import analytic_samples, imu_motion
 from random_robots import random_robot
 
-from symbid_ros.bags.layout import Layout, typestore
-from symbid_ros.bags.messages import (
+from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.messages.layout import Layout, typestore
+from symbid_ros.messages.types import (
     IMU,
     JOINT_STATE,
     WRENCH,
@@ -19,7 +20,6 @@ from symbid_ros.bags.messages import (
     imu_layout,
     wrench_layout,
 )
-from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream

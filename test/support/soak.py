@@ -30,7 +30,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.cli.domain import unused_domain
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.share import config_file
+from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator

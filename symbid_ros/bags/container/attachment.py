@@ -9,7 +9,7 @@ from typing import BinaryIO
 from mcap.records import AttachmentIndex
 
 from symbid_ros.bags.container.framing import RECORD
-from symbid_ros.bags.limits import MAX_RECORD, MIB, within
+from symbid_ros.messages.limits import MAX_RECORD, MIB, within
 
 TIMES = struct.Struct("<QQ")
 TEXT = struct.Struct("<I")

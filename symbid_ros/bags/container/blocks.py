@@ -39,9 +39,10 @@ from symbid_ros.bags.container.summary import (
     read_summary,
     warn_of_counts,
 )
-from symbid_ros.bags.layout import ByteArray, gathered
-from symbid_ros.bags.limits import MAX_CHUNK, MIB, within
 from symbid_ros.errors import BagError
+from symbid_ros.messages.layout import ByteArray, gathered
+from symbid_ros.messages.limits import MAX_CHUNK, MIB, within
+from symbid_ros.messages.topics import Topic
 
 HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
 BLOCK_SIZE = 4 * MIB  # chunks are joined to this many bytes: per-block work is per-topic work
@@ -58,14 +59,6 @@ DATA = SKIPPED | {
 CHANNELS = 1 << 16
 
 logger = logging.getLogger("symbid_ros.bags")
-
-
-@dataclass(frozen=True)
-class Topic:
-    """A topic of a bag: name as recorded, message type."""
-
-    name: str
-    msgtype: str
 
 
 @dataclass(frozen=True)

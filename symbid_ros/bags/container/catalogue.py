@@ -15,8 +15,9 @@ from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.base import TypesysError
 
 from symbid_ros.bags.container.framing import Buffer
-from symbid_ros.bags.layout import typestore
-from symbid_ros.bags.limits import (
+from symbid_ros.bags.metadata import OfferedQos
+from symbid_ros.messages.layout import typestore
+from symbid_ros.messages.limits import (
     MAX_CATALOGUE,
     MAX_CHANNELS,
     MAX_DEFINITION,
@@ -25,13 +26,12 @@ from symbid_ros.bags.limits import (
     MAX_YAML_NODES,
     within,
 )
-from symbid_ros.bags.messages import ACCEL, IMU, JOINT_STATE, ODOMETRY, TRAJECTORY, WRENCH
-from symbid_ros.bags.metadata import OfferedQos
-from symbid_ros.documents import parse_yaml
+from symbid_ros.messages.topics import ENCODED
+from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, ODOMETRY, TRAJECTORY, WRENCH
+from symbid_ros.safe_yaml import parse_yaml
 
 CDR = "cdr"
 ROS2_TEXT = "ros2msg"
-ENCODED = " encoded as "  # between the name of a type and what its messages are instead
 READ = frozenset({JOINT_STATE, IMU, WRENCH, TRAJECTORY, ODOMETRY, ACCEL})
 
 R = TypeVar("R")

@@ -1,31 +1,17 @@
-"""Chunks and messages unpacked: no more memory than their stated size, and no byte unchecked."""
+"""Chunks unpacked: no more memory than their stated size, and no byte unchecked."""
 
 import struct
-import threading
 import zlib
 from typing import NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
-import zstandard
 
 from symbid_ros.bags.container.framing import Buffer
-from symbid_ros.bags.limits import MAX_CHUNK, MAX_EXPANSION, MAX_WINDOW, UNSUSPICIOUS, within
+from symbid_ros.messages.compression import unpacked_zstd
+from symbid_ros.messages.limits import MAX_CHUNK, MAX_EXPANSION, UNSUSPICIOUS, within
 
-ZSTD_FRAME = b"\x28\xb5\x2f\xfd"
-
-MESSAGE = "a message"
 HEAD = struct.Struct("<QQQII")
 LENGTH = struct.Struct("<Q")
-
-
-class _Zstd(threading.local):
-    """A decompressor for each thread, because it has a state that two must not share."""
-
-    def __init__(self) -> None:
-        self.decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
-
-
-_ZSTD = _Zstd()
 
 
 class ChunkRecord(NamedTuple):
@@ -85,31 +71,10 @@ class ChunkRecord(NamedTuple):
         if not self.size:
             return b""
         if self.compression == "zstd":
-            return _unpacked_zstd(self.data, self.size)
+            return unpacked_zstd(self.data, self.size)
         if self.compression == "lz4":
             return _unpacked_lz4(self.data, self.size)
         raise ValueError(f"unknown compression {self.compression!r}")
-
-
-def unpacked_message(payload: bytes, limit: int) -> bytes:
-    """Return a message that was compressed by itself, ``limit`` bytes at most; others as they are.
-
-    rosbag2 does so in its compression mode MESSAGE. No encapsulation header begins like a frame.
-    """
-    if not payload.startswith(ZSTD_FRAME):
-        return payload
-    size = zstandard.frame_content_size(payload)
-    data = _unpacked_zstd(memoryview(payload), limit if size < 0 else within(MESSAGE, size, limit))
-    within(MESSAGE, len(data), limit)
-    return data
-
-
-def _unpacked_zstd(data: memoryview, size: int) -> bytes:
-    # The frame's own size wins over max_output_size: only a true one goes the direct way.
-    if zstandard.frame_content_size(data) == size:
-        return _ZSTD.decompressor.decompress(data, max_output_size=size, allow_extra_data=False)
-    with _ZSTD.decompressor.stream_reader(data, read_across_frames=True) as reader:
-        return reader.read(size + 1)
 
 
 def _unpacked_lz4(data: memoryview, size: int) -> bytes:

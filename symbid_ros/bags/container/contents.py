@@ -4,12 +4,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from symbid_ros.bags.container.blocks import Block, Topic, iterate_blocks
+from symbid_ros.bags.container.blocks import Block, iterate_blocks
 from symbid_ros.bags.container.files import bag_files
 from symbid_ros.bags.container.framing import damage_named
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, sqlite_blocks, sqlite_contents
 from symbid_ros.bags.container.summary import read_summary
 from symbid_ros.errors import BagError
+from symbid_ros.messages.topics import Topic
 
 
 def bag_names(bags: Sequence[Path]) -> str:

@@ -4,9 +4,9 @@ from pathlib import Path
 from typing import Any
 
 from symbid_ros.bags.container.framing import quoted
-from symbid_ros.bags.limits import MAX_METADATA, MAX_YAML_NODES
-from symbid_ros.documents import parse_yaml
 from symbid_ros.errors import BagError
+from symbid_ros.messages.limits import MAX_METADATA, MAX_YAML_NODES
+from symbid_ros.safe_yaml import parse_yaml
 from symbid_ros.user_files import read_regular
 
 STORAGES = (".mcap", ".db3")

@@ -11,8 +11,8 @@ import zstandard
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
-from symbid_ros.bags.limits import OverLimitError
 from symbid_ros.errors import BagError
+from symbid_ros.messages.limits import OverLimitError
 
 Buffer = bytes | memoryview
 MAGIC = b"\x89MCAP0\r\n"

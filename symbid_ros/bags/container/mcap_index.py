@@ -8,7 +8,7 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Statistics
 
 from symbid_ros.bags.container.catalogue import Catalogue
-from symbid_ros.bags.container.compression import ChunkRecord, unpacked_message
+from symbid_ros.bags.container.compression import ChunkRecord
 from symbid_ros.bags.container.framing import (
     INDEX_ENTRY,
     INDEX_HEAD,
@@ -26,7 +26,8 @@ from symbid_ros.bags.container.index import (
     recorded_topics,
 )
 from symbid_ros.bags.container.summary import Summary, read_summary
-from symbid_ros.bags.limits import MAX_CHUNK, MAX_EXTENTS, within
+from symbid_ros.messages.compression import unpacked_message
+from symbid_ros.messages.limits import MAX_CHUNK, MAX_EXTENTS, within
 
 INDEX_RECORD = RECORD.size + INDEX_HEAD.size  # bytes of a message index without entries
 

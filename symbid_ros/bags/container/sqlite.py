@@ -12,9 +12,8 @@ import apsw
 import numpy as np
 from mcap.records import Channel, Schema
 
-from symbid_ros.bags.container.blocks import BLOCK_SIZE, Block, Topic
+from symbid_ros.bags.container.blocks import BLOCK_SIZE, Block
 from symbid_ros.bags.container.catalogue import Catalogue
-from symbid_ros.bags.container.compression import unpacked_message
 from symbid_ros.bags.container.framing import quoted
 from symbid_ros.bags.container.index import (
     EXTENT_SIZE,
@@ -24,9 +23,11 @@ from symbid_ros.bags.container.index import (
     recorded_topics,
 )
 from symbid_ros.bags.container.sqlite_pages import WholePages
-from symbid_ros.bags.limits import MAX_CHANNELS, MAX_CHUNK, within
 from symbid_ros.bags.metadata import OfferedQos
 from symbid_ros.errors import BagError
+from symbid_ros.messages.compression import unpacked_message
+from symbid_ros.messages.limits import MAX_CHANNELS, MAX_CHUNK, within
+from symbid_ros.messages.topics import Topic
 
 logger = logging.getLogger("symbid_ros.bags")
 

@@ -20,7 +20,7 @@ from symbid_ros.bags.container.framing import (
     checked_size,
     quoted,
 )
-from symbid_ros.bags.limits import MAX_CATALOGUE, MAX_EXTENTS, MAX_RECORD, within
+from symbid_ros.messages.limits import MAX_CATALOGUE, MAX_EXTENTS, MAX_RECORD, within
 
 DATA_END_SIZE = RECORD.size + 4
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.rescue.recovery import LostStretch, RecordCount, Recovery, TopicRecovery
+from symbid_ros.messages.topics import Topic
 
 UNKNOWN_TOPIC = Topic("(unknown topic)", "")
 

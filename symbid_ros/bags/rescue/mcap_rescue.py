@@ -9,7 +9,6 @@ from mcap.opcode import Opcode
 from mcap.records import Metadata, Statistics
 
 from symbid_ros.bags.container.attachment import Attachment, record_parts
-from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.container.catalogue import Catalogue
 from symbid_ros.bags.container.framing import MESSAGE, PAYLOAD, RECORD, damage_named
 from symbid_ros.bags.container.summary import read_summary
@@ -18,6 +17,7 @@ from symbid_ros.bags.rescue.recovery import LostStretch
 from symbid_ros.bags.rescue.rewriting import ROSBAG2, RewrittenBag
 from symbid_ros.bags.rescue.salvage import Hole, Private, Salvage, Stretch
 from symbid_ros.errors import BagError
+from symbid_ros.messages.topics import Topic
 
 
 @dataclass

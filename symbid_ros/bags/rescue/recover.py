@@ -3,7 +3,6 @@
 from contextlib import suppress
 from pathlib import Path
 
-from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.container.files import bag_metadata, files_present, listed_names
 from symbid_ros.bags.container.framing import (
     damage_named,
@@ -17,6 +16,7 @@ from symbid_ros.bags.rescue.rewriting import RewrittenBag
 from symbid_ros.bags.rescue.sqlite_rescue import SqliteRescue
 from symbid_ros.bags.writing.new_folder import new_folder
 from symbid_ros.errors import BagError
+from symbid_ros.messages.topics import Topic
 
 MESSAGE_MODE = "MESSAGE"
 

@@ -8,7 +8,7 @@ from typing import BinaryIO, NamedTuple
 from mcap.opcode import Opcode
 
 from symbid_ros.bags.container.framing import INDEX_ENTRY, INDEX_HEAD, MESSAGE, PRIVATE, RECORD
-from symbid_ros.bags.limits import MAX_CHUNK, MAX_RECORD, MIB
+from symbid_ros.messages.limits import MAX_CHUNK, MAX_RECORD, MIB
 
 WINDOW = 4 * MIB
 # A record's length is below 4 GiB: its upper bytes are zero, in compressed data a rare sight.

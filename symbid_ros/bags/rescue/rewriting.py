@@ -11,7 +11,6 @@ from mcap.records import Channel, Metadata
 
 from symbid_ros.bags.container.attachment import Attachment
 from symbid_ros.bags.container.catalogue import Catalogue
-from symbid_ros.bags.limits import MIB
 from symbid_ros.bags.metadata import (
     FileMetadata,
     OfferedQos,
@@ -21,6 +20,7 @@ from symbid_ros.bags.metadata import (
     write_metadata,
 )
 from symbid_ros.bags.writing.chunks import ChunkWriter
+from symbid_ros.messages.limits import MIB
 
 CHUNK_SIZE = MIB
 ROSBAG2 = "rosbag2"  # name of the metadata record that rosbag2 keeps about a file

@@ -29,9 +29,9 @@ from symbid_ros.bags.container.framing import (
     damage_named,
     message_starts,
 )
-from symbid_ros.bags.limits import MAX_CHUNK, MIB, within
 from symbid_ros.bags.rescue import resync
 from symbid_ros.bags.rescue.resync import is_record, read_at
+from symbid_ros.messages.limits import MAX_CHUNK, MIB, within
 
 FAULTS = (struct.error, ValueError, McapError, zstandard.ZstdError, RuntimeError)
 PATIENCE = 4  # bytes tried as chunks, for each byte of the file: crafted ones could take for ever

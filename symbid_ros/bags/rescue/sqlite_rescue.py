@@ -3,15 +3,15 @@
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.container.catalogue import ROS2_TEXT, Catalogue
 from symbid_ros.bags.container.sqlite import opened_database, read_catalogue, warn_of_leftovers
-from symbid_ros.bags.definitions import find_definition
 from symbid_ros.bags.rescue.account import Account
 from symbid_ros.bags.rescue.recovery import LostStretch
 from symbid_ros.bags.rescue.rewriting import RewrittenBag
 from symbid_ros.bags.rescue.sqlite_salvage import RowGap, SqliteSalvage
 from symbid_ros.errors import BagError
+from symbid_ros.messages.definitions import find_definition
+from symbid_ros.messages.topics import Topic
 
 
 @dataclass

@@ -3,14 +3,13 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from symbid_ros.bags.container.blocks import Topic
 from symbid_ros.bags.container.contents import all_blocks, bag_names
-from symbid_ros.bags.messages import ACCEL, ODOMETRY, TRAJECTORY
-from symbid_ros.bags.streams.decoder import TopicDecoder
-from symbid_ros.bags.streams.selection import TRUTH, TopicSelection, listing
 from symbid_ros.bags.streams.slices import DEFAULT_SELECTION, iterate_slices
 from symbid_ros.bags.streams.truth import truth_streams
 from symbid_ros.errors import BagError
+from symbid_ros.messages.decoder import TopicDecoder
+from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, listing
+from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
 from symbid_ros.signals.streams import Streams, TruthStreams
 
 TRUTH_TYPES = {"joints": TRAJECTORY, "odom": ODOMETRY, "base_accel": ACCEL}

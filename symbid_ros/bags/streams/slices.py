@@ -1,71 +1,27 @@
 """Bags into streams of arrays, slice by slice of time, so that a long log need not be held."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.bags.container.blocks import Block, Topic
+from symbid_ros.bags.container.blocks import Block
 from symbid_ros.bags.container.contents import all_blocks, bag_names, contents
-from symbid_ros.bags.streams.backlog import Backlog
-from symbid_ros.bags.streams.decoder import TopicDecoder
-from symbid_ros.bags.streams.joint_parts import joint_groups
-from symbid_ros.bags.streams.selection import SelectedTopics, Selector, TopicSelection
-from symbid_ros.bags.streams.sensors import sensor_streams, stamps
-from symbid_ros.bags.streams.stamps import CLOCK_JUMP, seconds
-from symbid_ros.bags.streams.tally import ALWAYS, Defect, Tally
-from symbid_ros.errors import BagError
+from symbid_ros.bags.streams.reorder_buffer import Backlog
+from symbid_ros.messages.decoder import TopicDecoder
+from symbid_ros.messages.joint_parts import joint_groups
+from symbid_ros.messages.sensor_streams import sensor_streams, stamps
+from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSelection
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
-from symbid_ros.signals.streams import Streams
+from symbid_ros.signals.defects import ALWAYS, Defect
+from symbid_ros.signals.slices import ALL_OF_IT, Slice, TimeRange
+from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
 
 # Bytes that may wait for a topic that lags; it is silent or recorded behind the others.
 MOST_WAITING = 256 << 20
 
 
-@dataclass(frozen=True)
-class TimeRange:
-    """A part of a recording, in seconds after its first joint state."""
-
-    start: float = 0.0
-    stop: float = np.inf
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.start < self.stop:
-            raise BagError(
-                f"from {self.start:g} s to {self.stop:g} s is no part of a recording; give a start "
-                "from 0 on and a later stop, seconds after the first joint state"
-            )
-
-
-@dataclass(frozen=True)
-class Slice:
-    """A slice of a recording.
-
-    Attributes
-    ----------
-    start, stop : int
-        From where up to where, ns of header.stamp.
-    streams : Streams or None
-        Of that time, and of a margin at both ends; None where a topic was silent.
-    stamps : dict of str to (N,) int64
-        By topic the stamps of that time as they were recorded, ns.
-    tallies : tuple of Tally
-        What was mended so far, one for each topic; they go on counting.
-    fault : str
-        Which was silent; empty where none was.
-    """
-
-    start: int
-    stop: int
-    streams: Streams | None
-    stamps: Mapping[str, IntArray]
-    tallies: tuple[Tally, ...]
-    fault: str = ""
-
-
-ALL_OF_IT = TimeRange()
 DEFAULT_SELECTION = TopicSelection()
 
 

@@ -6,11 +6,11 @@ from functools import reduce
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.bags.streams.decoder import TopicDecoder
-from symbid_ros.bags.streams.sensors import column, stamps
-from symbid_ros.bags.streams.stamps import kept_in_order
-from symbid_ros.bags.streams.tally import Tally
 from symbid_ros.errors import DataError
+from symbid_ros.messages.decoder import TopicDecoder
+from symbid_ros.messages.sensor_streams import column, stamps
+from symbid_ros.signals.defects import Tally
+from symbid_ros.signals.stamps import kept_in_order
 from symbid_ros.signals.streams import TruthStreams
 
 logger = logging.getLogger("symbid_ros.bags")

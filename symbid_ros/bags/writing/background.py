@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from threading import Condition, Event, Thread
 from typing import NamedTuple
 
-from symbid_ros.bags.definitions import find_definition
 from symbid_ros.bags.metadata import OfferedQos
 from symbid_ros.bags.writing.message_queue import MessageQueue, QueuedMessage
 from symbid_ros.bags.writing.writer import CHUNK_SIZE, BagWriter
+from symbid_ros.messages.definitions import find_definition
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from array import array
 
 import numpy as np
 
-from symbid_ros.bags.gaps import Gaps, find_gaps
+from symbid_ros.signals.gaps import Gaps, find_gaps
 
 BLOCK = 65536  # stamps
 

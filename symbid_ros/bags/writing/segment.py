@@ -6,9 +6,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from symbid_ros.bags.definitions import find_definition
 from symbid_ros.bags.metadata import FileMetadata, TopicMetadata, metadata_record
 from symbid_ros.bags.writing.chunks import ChunkWriter
+from symbid_ros.messages.definitions import find_definition
 
 RECORD = "rosbag2"
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from symbid_ros.bags.definitions import find_definition
 from symbid_ros.bags.metadata import (
     FileMetadata,
     OfferedQos,
@@ -18,6 +17,7 @@ from symbid_ros.bags.metadata import (
 from symbid_ros.bags.writing.reserve import Reserve
 from symbid_ros.bags.writing.segment import Segment, sync_folder
 from symbid_ros.errors import BagError
+from symbid_ros.messages.definitions import find_definition
 
 CHUNK_SIZE = 64 * 1024  # what a killed recorder loses at most: 64 ms of four sensors at 1 kHz
 DESCRIPTION = 2048  # bytes, at most, that a file without topics takes in the bag's metadata

@@ -8,14 +8,13 @@ from typing import TypeVar
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.messages import read_stamp
-from symbid_ros.bags.streams.decoder import Piece, TopicDecoder
-from symbid_ros.bags.streams.joint_parts import joint_parts
-from symbid_ros.bags.streams.selection import SelectedTopics
-from symbid_ros.bags.streams.stamps import kept_in_order, seconds
-from symbid_ros.bags.streams.tally import Defect, DefectError, Tally
+from symbid_ros.messages.decoder import Piece, TopicDecoder
+from symbid_ros.messages.joint_parts import joint_parts
+from symbid_ros.messages.topics import SelectedTopics, Topic
+from symbid_ros.messages.types import read_stamp
+from symbid_ros.signals.defects import Defect, DefectError, Tally
 from symbid_ros.signals.joint_merging import merged_joints
+from symbid_ros.signals.stamps import kept_in_order, seconds
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 AXES = ("x", "y", "z")

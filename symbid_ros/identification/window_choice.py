@@ -1,7 +1,7 @@
 """Which length of windows live estimates are made over."""
 
-from symbid_ros.offline.problem import Problem
-from symbid_ros.offline.window_comparison import WindowComparison
+from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.window_comparison import WindowComparison
 
 # Windows are compared again when there are so many times more blocks than at the last time.
 COMPARE_AGAIN = 2

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from symbid_ros.bags.container.contents import contents
-from symbid_ros.bags.streams.slices import ALL_OF_IT
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
@@ -16,17 +15,18 @@ from symbid_ros.estimation.posterior import SoftRows
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviation
 from symbid_ros.estimation.truncation import Criterion
+from symbid_ros.identification.calibration import Wanted, calibrate, read_tare
+from symbid_ros.identification.dataset import Filter, Processing, Record, read_record
+from symbid_ros.identification.export import check_output
+from symbid_ros.identification.preflight import examine
+from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.problem import GAUSSIAN, METHODS, Method, Problem, Truncation
+from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet, Term
 from symbid_ros.model.urdf import Base
-from symbid_ros.offline.calibration import Wanted, calibrate, read_tare
-from symbid_ros.offline.examination import examine
-from symbid_ros.offline.export import check_output
-from symbid_ros.offline.facts import Facts, PriorChoice
-from symbid_ros.offline.identification import Identification, Solver
-from symbid_ros.offline.problem import GAUSSIAN, METHODS, Method, Problem, Truncation
-from symbid_ros.offline.record import Filter, Processing, Record, read_record
 from symbid_ros.signals.filters import Channels
+from symbid_ros.signals.slices import ALL_OF_IT
 
 logger = logging.getLogger(__name__)
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.layout import Layout, Records
-from symbid_ros.bags.streams.decoder import MAX_LAYOUTS, MAX_TRAILING, TopicDecoder
 from symbid_ros.errors import DataError
+from symbid_ros.messages.decoder import MAX_LAYOUTS, MAX_TRAILING, TopicDecoder
+from symbid_ros.messages.layout import Layout, Records
+from symbid_ros.messages.topics import Topic
 
 
 class SingleMessages:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.bags.streams.tally import Defect, DefectError, Tally
+from symbid_ros.signals.defects import Defect, DefectError, Tally
 
 CLOCK_JUMP = 1_000_000_000  # ns; messages overtake each other by milliseconds, clocks jump further
 

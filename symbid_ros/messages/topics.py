@@ -3,12 +3,19 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.container.catalogue import ENCODED
-from symbid_ros.bags.messages import IMU, JOINT_STATE, WRENCH
 from symbid_ros.errors import BagError
+from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 TRUTH = "ground_truth"
+ENCODED = " encoded as "  # between the name of a type and what its messages are instead
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic: name as recorded or resolved, and message type."""
+
+    name: str
+    msgtype: str
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.bags.streams.selection import TopicSelection
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import SoftRows, posterior
 from symbid_ros.estimation.prior import Prior
+from symbid_ros.identification.dataset import Record, observe
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.record import Record, observe
 from symbid_ros.signals.calibration import Pilot, calibrating_rows
 from symbid_ros.signals.noise_floor import FORCES, MOTION
 from symbid_ros.signals.sensor_errors import SensorErrors

@@ -4,15 +4,15 @@ import logging
 from collections.abc import Sequence
 
 from symbid_ros.bags.container.contents import bag_names, contents
-from symbid_ros.bags.streams.selection import Selector, TopicSelection
 from symbid_ros.diagnosis.finding import Finding, Kind
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_watch import ModelWatch
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.prior import Prior
+from symbid_ros.identification.dataset import Record
+from symbid_ros.messages.topics import Selector, TopicSelection
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.record import Record
 
 logger = logging.getLogger(__name__)
 

@@ -16,9 +16,9 @@ from symbid_ros.dynamics.regressor import equation_of_motion, known_force
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import rotate
 from symbid_ros.errors import BagError, DataError
+from symbid_ros.identification.evaluation import BLOCK, TrueMotion, predict, true_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.offline.evaluation import BLOCK, TrueMotion, predict, true_motion
 from symbid_ros.signals.alignment import Segment, align
 from symbid_ros.signals.causal import CausalLowPass
 from symbid_ros.signals.streams import Streams

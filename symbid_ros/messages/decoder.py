@@ -9,9 +9,9 @@ import zstandard
 from rosbags.serde import SerdeError
 
 from symbid_ros.arrays import BoolArray, IntArray
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.container.compression import ZSTD_FRAME, unpacked_message
-from symbid_ros.bags.layout import (
+from symbid_ros.errors import DataError
+from symbid_ros.messages.compression import ZSTD_FRAME, unpacked_message
+from symbid_ros.messages.layout import (
     ENCAPSULATION,
     ByteArray,
     Layout,
@@ -19,8 +19,8 @@ from symbid_ros.bags.layout import (
     gathered,
     typestore,
 )
-from symbid_ros.bags.limits import MAX_CHUNK, MAX_MESSAGE, MAX_NAMES, within
-from symbid_ros.errors import DataError
+from symbid_ros.messages.limits import MAX_CHUNK, MAX_MESSAGE, MAX_NAMES, within
+from symbid_ros.messages.topics import Topic
 
 MAX_LAYOUTS = 32  # a log that changes shape with every message must not cost N² comparisons
 MAX_TRAILING = 32  # Fast CDR pads behind the last field, and behind empty sequences more than once

@@ -12,8 +12,8 @@ from typing import Any
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import TypesysError, get_types_from_msg
 
-from symbid_ros.bags.layout import typestore
 from symbid_ros.errors import BagError
+from symbid_ros.messages.layout import typestore
 
 SEPARATOR = "=" * 80
 

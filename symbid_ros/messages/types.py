@@ -5,12 +5,14 @@ Every ``fill_*`` writes the columns of a block of N records at once; vectors are
 them may drop the first axis: the real-time path patches one record in place.
 """
 
+import struct
 from typing import Any
 
 import numpy as np
+from rosbags.interfaces import Nodetype
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.bags.layout import Columns, Layout, Records, typestore
+from symbid_ros.messages.layout import ENCAPSULATION, Columns, Layout, Records, typestore
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
@@ -21,6 +23,10 @@ ACCEL = "geometry_msgs/msg/AccelStamped"
 CLOCK = "rosgraph_msgs/msg/Clock"
 
 NANO = 1_000_000_000
+
+HEADER = (Nodetype.NAME, "std_msgs/msg/Header")
+TIME = (Nodetype.NAME, "builtin_interfaces/msg/Time")
+_STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 
 
 def _message(msgtype: str, **fields: Any) -> Any:
@@ -211,3 +217,15 @@ def fill_accel(
     fill_stamp(columns, stamp)
     columns["accel.linear"][...] = linear
     columns["accel.angular"][...] = angular
+
+
+def has_stamp(msgtype: str) -> bool:
+    """Tell whether messages of a type begin with a header or a time."""
+    fields = typestore().fielddefs[msgtype][1]
+    return bool(fields) and fields[0][1] in (HEADER, TIME)
+
+
+def stamp_of(payload: bytes) -> int:
+    """Return the leading stamp of a serialised message, nanoseconds."""
+    seconds, nanoseconds = _STAMP[payload[1] & 1].unpack_from(payload, ENCAPSULATION)
+    return int(seconds) * NANO + int(nanoseconds)

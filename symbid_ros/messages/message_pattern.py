@@ -5,8 +5,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from symbid_ros.bags.layout import Layout
-from symbid_ros.bags.streams.decoder import MAX_TRAILING
+from symbid_ros.messages.decoder import MAX_TRAILING
+from symbid_ros.messages.layout import Layout
 
 
 class MessagePattern:

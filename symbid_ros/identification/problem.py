@@ -7,8 +7,8 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import SoftRows
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.truncation import Criterion
+from symbid_ros.identification.calibration import Calibrated
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.calibration import Calibrated
 
 Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
 METHODS: tuple[Method, ...] = get_args(Method)

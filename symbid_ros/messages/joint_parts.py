@@ -7,9 +7,9 @@ from collections import Counter
 
 import numpy as np
 
-from symbid_ros.bags.messages import read_stamp
-from symbid_ros.bags.streams.decoder import Piece, TopicDecoder
-from symbid_ros.bags.streams.tally import Defect, Tally
+from symbid_ros.messages.decoder import Piece, TopicDecoder
+from symbid_ros.messages.types import read_stamp
+from symbid_ros.signals.defects import Defect, Tally
 
 # Without a model, joints count as the robot's if this share as many messages name them.
 SIMILAR = 0.5

@@ -10,8 +10,8 @@ from symbid_ros.dynamics.centroid import com_position
 from symbid_ros.dynamics.kinematics import LinkPoses, link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import EstimateError
+from symbid_ros.identification.evaluation import TrueMotion
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.evaluation import TrueMotion
 
 LEVEL = 0.9
 # Half the width of the interval that holds LEVEL of a Gaussian, in standard deviations.
@@ -102,7 +102,7 @@ def summarise_intervals(
     """Compare the intervals around an estimate with the truth.
 
     The true centre of mass follows from the true parameters (p,), the true torques from the
-    motion's forces, as in :func:`symbid_ros.offline.evaluation.evaluate`.
+    motion's forces, as in :func:`symbid_ros.identification.evaluation.evaluate`.
     """
     std = prediction_std(parameters, values, factor, motion)
     first_joint = 6 * parameters.model.floating

@@ -7,13 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from symbid_ros.bags.streams.selection import TopicSelection
-from symbid_ros.bags.streams.slices import ALL_OF_IT, TimeRange
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.offline.sensor_log import SensorLog
@@ -29,6 +28,7 @@ from symbid_ros.signals.fingerprint import fingerprint
 from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.readings import at_base, smoothed
 from symbid_ros.signals.samples import build_samples, joined
+from symbid_ros.signals.slices import ALL_OF_IT, TimeRange
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     RowBuilder,

@@ -7,7 +7,7 @@ from symbid_ros.estimation.fading import faded_prior, faded_rows
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior, posterior
 from symbid_ros.estimation.verdict import SUSPICIOUS_NOISE
-from symbid_ros.offline.problem import Problem
+from symbid_ros.identification.problem import Problem
 
 # Change, in posterior deviations, at which windows of several lengths can be compared.
 COMPARABLE = 1e-2

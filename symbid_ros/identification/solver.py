@@ -16,10 +16,10 @@ from symbid_ros.estimation.thesis import LeastSquares
 from symbid_ros.estimation.thesis import Method as TruncatedMethod
 from symbid_ros.estimation.truncation import informative_rank, select_rank
 from symbid_ros.estimation.verdict import DETERMINED, alarms, judge
+from symbid_ros.identification.problem import Method, Problem, Truncation
+from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solved
 from symbid_ros.model.inertia import is_consistent
-from symbid_ros.offline.problem import Method, Problem, Truncation
-from symbid_ros.offline.window_comparison import COMPARABLE, WindowComparison, solved
-from symbid_ros.share import package_version
+from symbid_ros.package_paths import package_version
 
 SOFTWARE = f"symbid_ros {package_version()}"  # looked up before any work
 

@@ -6,12 +6,12 @@ from functools import cached_property
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.bags.container.blocks import Topic
-from symbid_ros.bags.layout import ByteArray
-from symbid_ros.bags.messages import read_stamp
-from symbid_ros.bags.streams.decoder import Piece, TopicDecoder
-from symbid_ros.bags.streams.stamps import check_clock
-from symbid_ros.bags.streams.tally import ALWAYS, Defect, Tally
+from symbid_ros.messages.decoder import Piece, TopicDecoder
+from symbid_ros.messages.layout import ByteArray
+from symbid_ros.messages.topics import Topic
+from symbid_ros.messages.types import read_stamp
+from symbid_ros.signals.defects import ALWAYS, Defect, Tally
+from symbid_ros.signals.stamps import check_clock
 
 
 @dataclass

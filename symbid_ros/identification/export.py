@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path, PurePosixPath
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.atomic import check_writable, staged, write_text
+from symbid_ros.atomic_write import check_writable, staged, write_text
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_files, replaced_values
 from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.offline.identification import Identification
 
 logger = logging.getLogger(__name__)
 

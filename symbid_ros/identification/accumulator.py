@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.online.block_rows import BlockRows
+from symbid_ros.identification.block_rows import BlockRows
 from symbid_ros.signals.weak_form import WindowedRows
 
 
