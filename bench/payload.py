@@ -30,7 +30,7 @@ from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.messages.topics import Selector, Topic, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import Job
+from symbid_ros.offline.job import Job
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.outcome import Outcome

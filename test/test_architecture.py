@@ -1,20 +1,22 @@
-"""The rooms import each other in one direction, and foreign libraries stay in their rooms."""
+"""Subpackages import each other in one direction; libraries stay where they belong."""
 
 import ast
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
-
-import pytest
 
 PACKAGE = "symbid_ros"
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = (
+# Each subpackage may import those before it.
+SUBPACKAGES = (
     "model",
     "dynamics",
     "signals",
     "estimation",
-    "bags",
     "diagnosis",
+    "identification",
+    "messages",
+    "bags",
     "offline",
     "online",
     "simulation",
@@ -23,14 +25,24 @@ ROOMS = (
     "ros",
     "cli",
 )
-# Within the bags' room; what stands beside these rooms there is common to them.
-BAG_ROOMS: dict[str, set[str]] = {
+# What runs with NumPy, SciPy, Clarabel and PyYAML alone.
+CORE = SUBPACKAGES[: SUBPACKAGES.index("messages")]
+# Whole lists of what these may import, where order says too little.
+NEVER = {
+    "messages": {"estimation", "diagnosis", "identification"},
+    "bags": {"estimation", "diagnosis", "identification"},
+    "online": {"bags"},
+    "simulation": {"estimation", "diagnosis", "identification", "offline", "online"},
+    "cli": {"ros"},  # the command starts nodes as processes
+}
+# Within bags; what lies beside these is common to them.
+BAG_PARTS: dict[str, set[str]] = {
     "container": set(),
     "writing": {"container"},
     "rescue": {"container", "writing"},
     "streams": {"container"},
 }
-FREE = {"arrays", "atomic", "documents", "ending", "errors", "share", "user_files"}
+FREE = {"arrays", "atomic_write", "safe_yaml", "shutdown", "errors", "package_paths", "user_files"}
 ROS_LIBRARIES = {
     "rclpy",
     "rosidl_runtime_py",
@@ -46,8 +58,8 @@ ROS_LIBRARIES = {
     "std_msgs",
     "std_srvs",
 }
-BAG_LIBRARIES = {"mcap", "rosbags"}
-NUMERIC_ROOMS = {"model", "dynamics", "signals", "estimation"}
+CORE_LIBRARIES = {"numpy", "scipy", "clarabel", "yaml", "threadpoolctl"}
+BAG_LIBRARIES = {"mcap", "rosbags", "apsw"}
 
 MODULES = sorted((ROOT / PACKAGE).rglob("*.py"))
 
@@ -61,7 +73,7 @@ def imported(text: str, package: tuple[str, ...]) -> Iterator[str]:
             base = package[: len(package) - node.level + 1] if node.level else ()
             module = ".".join([*base, *filter(None, [node.module])])
             yield module
-            # `from symbid_ros import bags` names the room only in the alias.
+            # `from symbid_ros import bags` names the subpackage only in the alias.
             yield from (f"{module}.{alias.name}" for alias in node.names if module == PACKAGE)
 
 
@@ -70,58 +82,80 @@ def imports(path: Path) -> set[str]:
     return set(imported(path.read_text(encoding="utf-8"), package))
 
 
-def room_of(module: str) -> str:
+def subpackage_of(module: str) -> str:
     parts = module.split(".")
     return parts[1] if parts[0] == PACKAGE and len(parts) > 1 else ""
+
+
+def subpackage(path: Path) -> str:
+    parts = path.relative_to(ROOT / PACKAGE).parts
+    return parts[0] if len(parts) > 1 else ""
 
 
 def libraries(path: Path) -> set[str]:
     return {name.split(".")[0] for name in imports(path)}
 
 
-def room(path: Path) -> str:
-    parts = path.relative_to(ROOT / PACKAGE).parts
-    return parts[0] if len(parts) > 1 else ""
-
-
-def is_of_a_bag_room(module: str) -> bool:
-    parts = module.split(".")
-    return parts[:2] == [PACKAGE, "bags"] and len(parts) > 2 and parts[2] in BAG_ROOMS
-
-
-def test_every_folder_is_a_known_room() -> None:
+def test_every_folder_is_a_known_subpackage() -> None:
     folders = {path.name for path in (ROOT / PACKAGE).iterdir() if (path / "__init__.py").is_file()}
-    assert folders <= set(ROOMS)
-    assert {path.stem for path in MODULES if not room(path)} == FREE | {"__init__"}
+    assert folders == set(SUBPACKAGES)
+    assert {path.stem for path in MODULES if not subpackage(path)} == FREE | {"__init__"}
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(ROOT / PACKAGE)))
-class TestModule:
-    def test_imports_only_rooms_before_its_own(self, path: Path) -> None:
-        used = {room_of(module) for module in imports(path)} - {"", room(path)} - FREE
-        allowed = set(ROOMS[: ROOMS.index(room(path))]) if room(path) else set()
-        # The command starts nodes as processes.
-        allowed -= {"ros"}
-        assert used <= allowed
+def wrong(forbidden: Callable[[Path], set[str]]) -> list[str]:
+    """Each module that imports something forbidden, with that."""
+    return [
+        f"{path.relative_to(ROOT)}: {', '.join(bad)}"
+        for path in MODULES
+        if (bad := forbidden(path))
+    ]
 
-    def test_rooms_of_bags_keep_apart(self, path: Path) -> None:
-        parts = path.relative_to(ROOT / PACKAGE).parts
-        if parts[0] == "bags" and len(parts) > 2:
-            used = {module.split(".")[2] for module in imports(path) if is_of_a_bag_room(module)}
-            assert used <= BAG_ROOMS[parts[1]] | {parts[1]}
 
-    def test_ros_stays_in_its_room(self, path: Path) -> None:
-        if room(path) != "ros":
-            assert not libraries(path) & ROS_LIBRARIES
+def test_subpackages_import_only_those_before_them() -> None:
+    def forbidden(path: Path) -> set[str]:
+        own = subpackage(path)
+        used = {subpackage_of(module) for module in imports(path)} - {"", own} - FREE
+        allowed = (
+            set(SUBPACKAGES[: SUBPACKAGES.index(own)]) - NEVER.get(own, set()) if own else set()
+        )
+        return used - allowed
 
-    def test_numeric_rooms_know_neither_bags_nor_simulator(self, path: Path) -> None:
-        if room(path) in NUMERIC_ROOMS:
-            assert not libraries(path) & BAG_LIBRARIES
-            is_parser = room(path) == "model" and path.name.startswith("mjcf")
-            assert is_parser or "mujoco" not in libraries(path)
+    assert not wrong(forbidden)
 
-    def test_stores_no_code(self, path: Path) -> None:
-        assert not libraries(path) & {"pickle", "dill", "cloudpickle", "joblib", "shelve"}
+
+def test_parts_of_bags_keep_apart() -> None:
+    def forbidden(path: Path) -> set[str]:
+        own = path.relative_to(ROOT / PACKAGE).parts
+        if own[0] != "bags" or len(own) < 3:
+            return set()
+        used = {tuple(module.split(".")) for module in imports(path)}
+        parts = {name[2] for name in used if name[:2] == (PACKAGE, "bags") and len(name) > 2}
+        return parts & set(BAG_PARTS) - BAG_PARTS[own[1]] - {own[1]}
+
+    assert not wrong(forbidden)
+
+
+def test_ros_is_imported_by_nodes_alone() -> None:
+    assert not wrong(
+        lambda path: libraries(path) & ROS_LIBRARIES if subpackage(path) != "ros" else set()
+    )
+
+
+def test_the_core_needs_few_libraries() -> None:
+    def forbidden(path: Path) -> set[str]:
+        if subpackage(path) not in CORE:
+            return set()
+        allowed = CORE_LIBRARIES | sys.stdlib_module_names | {PACKAGE}
+        is_parser = subpackage(path) == "model" and path.name.startswith("mjcf")
+        return libraries(path) - allowed - ({"mujoco"} if is_parser else set())
+
+    assert not wrong(forbidden)
+
+
+def test_no_module_stores_code() -> None:
+    assert not wrong(
+        lambda path: libraries(path) & {"pickle", "dill", "cloudpickle", "joblib", "shelve"}
+    )
 
 
 def test_no_import_escapes() -> None:

@@ -93,6 +93,7 @@ def doctor(
 
     Exit status: 0 clean, 1 warnings, 2 unusable.
     """
+    from symbid_ros.bags.streams.reader import bag_log
     from symbid_ros.diagnosis.doctor import diagnose
     from symbid_ros.messages.topics import TopicSelection
     from symbid_ros.model.load import load_model
@@ -105,7 +106,7 @@ def doctor(
         frame_prefix=frame_prefix,
     )
     robot = None if model is None else load_model(model, base)
-    found = diagnose(bags, robot, topics, TimeRange(start, stop))
+    found = diagnose(bag_log(bags, robot, topics, TimeRange(start, stop)), robot)
     print_verdict(found, as_json=as_json)
     if found.severity:
         raise typer.Exit(int(found.severity))

@@ -35,11 +35,11 @@ def evaluate(
     """Judge an estimate or a prior against the truth of a simulated bag."""
     from symbid_ros.atomic_write import check_output_file, write_text
     from symbid_ros.identification.evaluation import evaluate as judge
-    from symbid_ros.identification.evaluation import read_true_motion
     from symbid_ros.identification.intervals import LEVEL, summarise_intervals
     from symbid_ros.identification.loaded_model import load_subject
-    from symbid_ros.identification.prediction import evaluate_realistic, read_realistic_motion
+    from symbid_ros.identification.prediction import evaluate_realistic
     from symbid_ros.model.load import load_model
+    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
     from symbid_ros.signals.causal import CausalLowPass
 
     low_pass = CausalLowPass(velocity_cutoff)

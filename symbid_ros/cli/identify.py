@@ -211,7 +211,8 @@ def identify(
     from symbid_ros.identification.prior_information import Facts, PriorChoice, weighing
     from symbid_ros.messages.topics import TopicSelection
     from symbid_ros.model.parameters import joint_terms
-    from symbid_ros.offline.identify import Job, chosen_filter, prepare
+    from symbid_ros.offline.identify import prepare
+    from symbid_ros.offline.job import Job, chosen_filter
     from symbid_ros.signals.sensor_errors import parse_kinds
     from symbid_ros.signals.slices import TimeRange
 
@@ -234,9 +235,9 @@ def identify(
             window,
             cutoff,
             channels,
-            topics,
-            part=TimeRange(start, stop),
         ),
+        topics=topics,
+        part=TimeRange(start, stop),
         facts=Facts(
             total_mass=weighing(total_mass, total_mass_std),
             mirror=mirror,

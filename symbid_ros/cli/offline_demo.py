@@ -71,13 +71,13 @@ def _identify(
     """Identify with every method, write what each found, and report on all of them."""
     from symbid_ros.estimation.thesis import METHODS
     from symbid_ros.identification.dataset import Processing
-    from symbid_ros.identification.evaluation import read_true_motion
     from symbid_ros.identification.export import write_identification
-    from symbid_ros.identification.prediction import read_realistic_motion
     from symbid_ros.identification.prior_information import PriorChoice
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
-    from symbid_ros.offline.identify import Job, prepare
+    from symbid_ros.offline.identify import prepare
+    from symbid_ros.offline.job import Job
+    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import OWN_Z, TITLES, Reference, compose
     from symbid_ros.report.facts import bag_facts
     from symbid_ros.report.page import write_report
@@ -142,13 +142,15 @@ def _identify(
 
 def _truncations(prepared: "Prepared", validation: Path) -> "dict[tuple[str, str], Estimate]":
     """Return the thesis's methods on the prepared rows, z chosen without and with validation."""
+    from symbid_ros.bags.streams.reader import bag_log
     from symbid_ros.estimation.thesis import METHODS
     from symbid_ros.identification.dataset import Processing, read_record
     from symbid_ros.report.compose import TITLES
 
     # The other windows' rows of an ideal bag would be built for nothing.
+    log = bag_log([validation], prepared.parameters.model)
     only = Processing(windows=(prepared.solver.chosen.window,))
-    judge = replace(prepared, validation=read_record([validation], prepared.parameters, only))
+    judge = replace(prepared, validation=read_record(log, prepared.parameters, only))
     return {
         (TITLES[method], chosen_by): source.solve(method).estimate
         for method in METHODS

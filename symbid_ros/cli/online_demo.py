@@ -83,10 +83,9 @@ def _report(
 ) -> None:
     """Judge the saved estimate by the truth and write the page."""
     from symbid_ros.errors import EstimateError
-    from symbid_ros.identification.evaluation import read_true_motion
     from symbid_ros.identification.loaded_model import load_subject
-    from symbid_ros.identification.prediction import read_realistic_motion
     from symbid_ros.model.load import load_model
+    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import TITLES, Reference, compose
     from symbid_ros.report.facts import bag_facts, estimate_facts
     from symbid_ros.report.page import write_report

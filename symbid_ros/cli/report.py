@@ -29,11 +29,10 @@ def report(
     """Render identifications as one self-contained page."""
     from symbid_ros.atomic_write import check_output_file
     from symbid_ros.errors import EstimateError
-    from symbid_ros.identification.evaluation import read_true_motion
     from symbid_ros.identification.loaded_model import load_subject
-    from symbid_ros.identification.prediction import read_realistic_motion
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
+    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import TITLES, Reference, compose
     from symbid_ros.report.facts import bag_facts, estimate_facts
     from symbid_ros.report.page import write_report

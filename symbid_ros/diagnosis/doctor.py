@@ -1,12 +1,8 @@
 """One look at a log, slice by slice, and the verdict on it."""
 
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field
 
-from symbid_ros.bags.container.contents import bag_names
-from symbid_ros.bags.streams.slices import iterate_slices
 from symbid_ros.diagnosis.diagnosis import Diagnosis
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
 from symbid_ros.diagnosis.mending import beyond_mending
@@ -14,55 +10,41 @@ from symbid_ros.diagnosis.model_checks import ModelChecks, check_model
 from symbid_ros.diagnosis.model_watch import ModelWatch
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
-from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import cut_to, warned_once
 from symbid_ros.signals.defects import Defect, DefectError
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.samples import moving_segments
-from symbid_ros.signals.slices import ALL_OF_IT, Slice, TimeRange
+from symbid_ros.signals.slices import Slice
 from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
 from symbid_ros.signals.weak_form import BLOCK
 
 SPAN = 15 * BLOCK  # ns of a log that are in memory at a time
 
 
-def diagnose(
-    bags: Sequence[Path],
-    model: RobotModel | None = None,
-    topics: TopicSelection | None = None,
-    part: TimeRange = ALL_OF_IT,
-) -> Diagnosis:
-    """Judge a recording.
+def diagnose(log: Log, model: RobotModel | None = None) -> Diagnosis:
+    """Judge a log.
 
     Parameters
     ----------
-    bags : sequence of Path
-        Bags that continue one another.
+    log : Log
     model : RobotModel, optional
         The robot as its maker describes it, inertias to ±25 %; streams alone are judged without.
-    topics : TopicSelection, optional
-        Which are the robot's sensors.
-    part : TimeRange
-        Which part of the recording.
 
     Raises
     ------
     BagError
         When there is nothing to judge: no bag, or none of the topics.
     """
-    log = _LogDiagnoser(model)
-    topics = topics or TopicSelection()
-    if model is not None:
-        topics = replace(topics, joint_names=model.measured_joint_names)
-    pieces = iterate_slices(bags, topics, span=SPAN, part=part, warn=False)
+    judged = _LogDiagnoser(model)
     try:
-        for piece in pieces:
-            log.take(piece)
+        for piece in log.slices(SPAN, warn=False):
+            judged.take(piece)
     except DefectError as error:
-        log.fatal.append(beyond_mending(error))
+        judged.fatal.append(beyond_mending(error))
     except DataError as error:
-        log.fatal.append(Finding(Kind.UNREADABLE, "", Severity.UNUSABLE, str(error)))
-    return log.diagnosis(bag_names(bags))
+        judged.fatal.append(Finding(Kind.UNREADABLE, "", Severity.UNUSABLE, str(error)))
+    return judged.diagnosis(log.source)
 
 
 @dataclass

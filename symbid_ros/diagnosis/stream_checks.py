@@ -31,12 +31,17 @@ class StreamChecks:
         What is wrong with names and frames under the model.
     has_streams : bool
         Whether there was a slice in which no topic was silent.
+    joint_topic, imu_topics, wrench_topics : str and tuples of str
+        The topics of that slice.
     """
 
     model: RobotModel | None
     timings: dict[str, Timing] = field(default_factory=dict)
     named: tuple[Finding, ...] = ()
     has_streams: bool = False
+    joint_topic: str = ""
+    imu_topics: tuple[str, ...] = ()
+    wrench_topics: tuple[str, ...] = ()
     _orientations: dict[str, Orientation] = field(default_factory=dict)
     _inertials: dict[str, Inertial] = field(default_factory=dict)
     _motion: JointMotion | None = None
@@ -64,6 +69,10 @@ class StreamChecks:
         self._saturation.add(streams, during)
         if self.model is not None and not self.has_streams:
             self.named = tuple(check_names(streams, self.model))
+        if not self.has_streams:
+            self.joint_topic = streams.joints.topic
+            self.imu_topics = tuple(imu.topic for imu in streams.imus)
+            self.wrench_topics = tuple(wrench.topic for wrench in streams.wrenches)
         self.has_streams = True
 
     def unit_findings(self) -> list[Finding]:

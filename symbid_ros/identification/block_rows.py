@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from symbid_ros.online.timeline import Stretch
+from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.fingerprint import fingerprint
 from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.weak_form import (
@@ -13,6 +13,26 @@ from symbid_ros.signals.weak_form import (
     suited_windows,
     windowed_rows,
 )
+
+
+@dataclass(frozen=True)
+class TimeSpan:
+    """A stretch of time, aligned.
+
+    Attributes
+    ----------
+    start, stop : int
+        From where up to where, ns.
+    segments : tuple of Segment
+        What is in it.
+    fault : str
+        Why there is nothing in it; empty if there is.
+    """
+
+    start: int
+    stop: int
+    segments: tuple[Segment, ...]
+    fault: str = ""
 
 
 @dataclass(frozen=True)
@@ -45,7 +65,7 @@ class BlockRows:
 
 
 def block_rows(
-    stretch: Stretch,
+    stretch: TimeSpan,
     build: RowBuilder,
     windows: Sequence[float],
     noisy_channels: Sequence[Channel] = MOTION,

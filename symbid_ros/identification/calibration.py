@@ -1,23 +1,20 @@
 """Sensor errors identified along with the robot, and the tare that makes that possible."""
 
 import logging
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import SoftRows, posterior
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Record, observe
-from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.calibration import Pilot, calibrating_rows
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import FORCES, MOTION
 from symbid_ros.signals.sensor_errors import SensorErrors
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
@@ -47,15 +44,15 @@ class Tare:
     std: FloatArray
 
 
-def read_tare(bags: Sequence[Path], topics: TopicSelection) -> dict[str, Tare]:
-    """Return, by frame, what the unloaded wrench sensors of a bag read.
+def read_tare(log: Log) -> dict[str, Tare]:
+    """Return, by frame, what the unloaded wrench sensors of a log read.
 
     Raises
     ------
     DataError
         When every one of them carries something, or a reading is not finite.
     """
-    streams = read_streams(bags, topics)
+    streams = log.streams()
     tares = {}
     for wrench in streams.wrenches:
         readings = np.concatenate([wrench.torque, wrench.force], axis=1)

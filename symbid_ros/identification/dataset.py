@@ -1,8 +1,7 @@
 """From bags to information: everything that happens before a method is chosen."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,10 +11,9 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.messages.topics import TopicSelection
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.offline.sensor_log import SensorLog
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import (
     Channels,
@@ -25,10 +23,10 @@ from symbid_ros.signals.filters import (
     row_inflation,
 )
 from symbid_ros.signals.fingerprint import fingerprint
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.readings import at_base, smoothed
 from symbid_ros.signals.samples import build_samples, joined
-from symbid_ros.signals.slices import ALL_OF_IT, TimeRange
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     RowBuilder,
@@ -58,16 +56,10 @@ class Processing:
         windows instead.
     windows : tuple of float
         Lengths of those windows to try, s; a log uses the shortest that suit its rate.
-    topics : TopicSelection
-        Which topics are the robot's sensors.
-    part : TimeRange
-        Which part of the log.
     """
 
     smoothing: Smoothing | None = None
     windows: tuple[float, ...] = ALL_WINDOWS
-    topics: TopicSelection = field(default_factory=TopicSelection)
-    part: TimeRange = ALL_OF_IT
 
     def __str__(self) -> str:
         """Return what a report says of it."""
@@ -84,9 +76,6 @@ def processing(
     window: float | None,
     cutoff: float | None,
     channels: Channels | None,
-    topics: TopicSelection,
-    *,
-    part: TimeRange = ALL_OF_IT,
 ) -> Processing:
     """Return the processing that options ask for; None leaves them as they are by default.
 
@@ -107,12 +96,12 @@ def processing(
             raise DataError("butterworth has no window; give a cutoff, or another filter")
         filtered = LowPass() if cutoff is None else LowPass(cutoff)
         smoothing: Smoothing = replace(filtered, channels=channels or filtered.channels)
-        return Processing(smoothing, topics=topics, part=part)
+        return Processing(smoothing)
     if name == "savitzky_golay":
         smoothing = SavitzkyGolay(window or SavitzkyGolay.window)
-        return Processing(smoothing, topics=topics, part=part)
+        return Processing(smoothing)
     windows = ALL_WINDOWS if window is None else (window,)
-    return Processing(windows=windows, topics=topics, part=part)
+    return Processing(windows=windows)
 
 
 @dataclass(frozen=True)
@@ -121,8 +110,8 @@ class Record:
 
     Attributes
     ----------
-    bags : tuple of Path
-        Where it came from.
+    source : str
+        Name of the log, for messages.
     segments : iterable of Segment
         Aligned sensor channels, as they were recorded; a long log is read again for them.
     samples : Samples
@@ -131,19 +120,19 @@ class Record:
         The rows, folded, for each length of window.
     """
 
-    bags: tuple[Path, ...]
+    source: str
     segments: Iterable[Segment]
     samples: Samples
     observations: tuple[Observations, ...]
 
 
 def read_record(
-    bags: Sequence[Path],
+    log: Log,
     parameters: ParameterSet,
     processing: Processing | None = None,
     checks: StreamChecks | None = None,
 ) -> Record:
-    """Read bags piece by piece, build samples and fold their rows.
+    """Read a log piece by piece, build samples and fold their rows.
 
     ``checks`` takes the streams on the way.
 
@@ -153,18 +142,18 @@ def read_record(
         When a bag, its data or the model does not serve; the message says which.
     """
     processing = processing or Processing()
-    log = SensorLog(bags, parameters.model, processing.topics, processing.part, checks=checks)
-    segments = log if processing.smoothing is None else log.whole_stretches()
-    return fold_record(segments, bags, parameters, processing)
+    aligned = AlignedLog(log, parameters.model, checks=checks)
+    segments = aligned if processing.smoothing is None else aligned.whole_stretches()
+    return fold_record(segments, log.source, parameters, processing)
 
 
 def fold_record(
     segments: Iterable[Segment],
-    bags: Sequence[Path],
+    source: str,
     parameters: ParameterSet,
     processing: Processing,
 ) -> Record:
-    """Do the same with stretches that have been read from these bags.
+    """Do the same with stretches that have been read from a log of that name.
 
     Raises
     ------
@@ -172,7 +161,6 @@ def fold_record(
         When the data or the model does not serve; the message says which.
     """
     model, smoothing = parameters.model, processing.smoothing
-    source = ", ".join(map(str, bags))
     if smoothing is None:
         layout = RowLayout.of(parameters)
         probes: list[Samples] = []
@@ -197,7 +185,7 @@ def fold_record(
         unwindowed = Observations.unwindowed(RowLayout.of(parameters), rows, inflation)
         observations = (unwindowed.covering(frozenset().union(*map(fingerprint, stretches))),)
         segments = stretches
-    return Record(tuple(bags), segments, samples, observations)
+    return Record(source, segments, samples, observations)
 
 
 def observe(

@@ -1,13 +1,11 @@
 """An estimate judged against the truth of a simulated bag, as the thesis does."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.bags.streams.reader import read_streams, read_truth
 from symbid_ros.dynamics.centroid import first_moment_regressor, momentum_regressor
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, generalised_force, known_force
@@ -80,18 +78,6 @@ class Metrics:
     com_position_rmse_mm: float
     com_momentum_rmse: float
     parameter_error_pct: float
-
-
-def read_true_motion(bags: Sequence[Path], model: RobotModel) -> TrueMotion:
-    """Read a simulated bag's truth at the instants that have all of it.
-
-    Raises
-    ------
-    BagError
-        When the bag holds no ground truth, or its truth and its wrenches never
-        coincide.
-    """
-    return true_motion(read_truth(bags), read_streams(bags), model)
 
 
 def true_motion(truth: TruthStreams, streams: Streams, model: RobotModel) -> TrueMotion:

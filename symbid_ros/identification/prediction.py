@@ -2,12 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.bags.streams.reader import read_streams, read_truth
 from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regressor
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
@@ -21,7 +19,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import Segment, align
 from symbid_ros.signals.causal import CausalLowPass
-from symbid_ros.signals.streams import Streams
+from symbid_ros.signals.streams import Streams, TruthStreams
 
 # A combination of wrenches that the coordinates feel less than this share of the best felt one is
 # taken as unfelt, for its noise would outgrow the wrench: with the legs in parallel planes the feet
@@ -91,20 +89,22 @@ class RealisticMetrics:
     com_momentum_rmse: float
 
 
-def read_realistic_motion(
-    bags: Sequence[Path], model: RobotModel, low_pass: CausalLowPass | None = None
+def realistic_motion(
+    recorded: TruthStreams,
+    streams: Streams,
+    model: RobotModel,
+    low_pass: CausalLowPass | None = None,
 ) -> RealisticMotion:
-    """Read a noisy simulated bag with ground truth; ``low_pass`` filters the velocities.
+    """Return what a noisy simulated log and its ground truth say; velocities are filtered.
 
     Raises
     ------
     BagError
-        When the bag holds no ground truth, or never at the joint states' instants.
+        When the ground truth never coincides with the joint states.
     DataError
-        When a floating robot's bag has no IMU.
+        When a floating robot's log has no IMU.
     """
-    streams = read_streams(bags)
-    truth = true_motion(read_truth(bags), streams, model)
+    truth = true_motion(recorded, streams, model)
     if model.floating and not streams.imus:
         raise DataError(
             f"{streams.source}: the base of {model.source} floats, but the bag has no "

@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Sequence
 
-from symbid_ros.bags.container.contents import bag_names, contents
 from symbid_ros.diagnosis.finding import Finding, Kind
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_watch import ModelWatch
@@ -11,7 +10,6 @@ from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Record
-from symbid_ros.messages.topics import Selector, TopicSelection
 from symbid_ros.model.parameters import ParameterSet
 
 logger = logging.getLogger(__name__)
@@ -22,7 +20,6 @@ def examine(
     checks: StreamChecks,
     parameters: ParameterSet,
     prior: Prior,
-    topics: TopicSelection,
 ) -> None:
     """Warn of what is wrong with a record's streams, and between them and its model.
 
@@ -36,8 +33,6 @@ def examine(
         Of the job.
     prior : Prior
         Whose mean is taken for the robot, to ±25 %.
-    topics : TopicSelection
-        Which were the robot's sensors.
 
     Raises
     ------
@@ -45,10 +40,9 @@ def examine(
         When the record is unusable: a unit, sign, frame or mounting is wrong, a contact is
         missing, or a topic says next to nothing.
     """
-    source = bag_names(record.bags)
+    source = record.source
     of_streams = checks.findings(source)
     _refuse(source, of_streams)
-    chosen = Selector(source, topics, contents(record.bags)).selected()
     watch: ModelWatch | None = None
     for segment in record.segments:
         if watch is None:
@@ -59,9 +53,9 @@ def examine(
         return
     found = check_model(
         watch,
-        ", ".join(topic.name for topic in chosen.joints),
-        [imu.name for imu in chosen.imus],
-        dict(zip(watch.gains.wrench_frames, (one.name for one in chosen.wrenches), strict=True)),
+        checks.joint_topic,
+        checks.imu_topics,
+        dict(zip(watch.gains.wrench_frames, checks.wrench_topics, strict=True)),
     ).findings
     _refuse(source, found)
     for finding in sorted([*of_streams, *found], key=lambda one: -one.severity):

@@ -2,10 +2,11 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from symbid_ros.bags.container.contents import contents
+from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
@@ -13,89 +14,21 @@ from symbid_ros.estimation.information import DIFFERENT
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import SoftRows
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviation
-from symbid_ros.estimation.truncation import Criterion
+from symbid_ros.estimation.row_weights import sensor_row_deviation
 from symbid_ros.identification.calibration import Wanted, calibrate, read_tare
-from symbid_ros.identification.dataset import Filter, Processing, Record, read_record
+from symbid_ros.identification.dataset import Record, read_record
 from symbid_ros.identification.export import check_output
 from symbid_ros.identification.preflight import examine
-from symbid_ros.identification.prior_information import Facts, PriorChoice
-from symbid_ros.identification.problem import GAUSSIAN, METHODS, Method, Problem, Truncation
+from symbid_ros.identification.prior_information import Facts
+from symbid_ros.identification.problem import Method, Problem, Truncation
 from symbid_ros.identification.solver import Identification, Solver
-from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet, Term
-from symbid_ros.model.urdf import Base
-from symbid_ros.signals.filters import Channels
-from symbid_ros.signals.slices import ALL_OF_IT
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.job import Job, check, load_parameters
+from symbid_ros.signals.slices import ALL_OF_IT, TimeRange
 
 logger = logging.getLogger(__name__)
 
 ALIKE = "identify both with the same model, joint terms and sensor errors"
-
-
-@dataclass(frozen=True)
-class Job:
-    """What to identify, from what, and how.
-
-    Attributes
-    ----------
-    bags : tuple of Path
-        Bags that continue one another.
-    model : Path
-        URDF or MJCF; only its kinematics are used when there is a prior.
-    base : {"auto", "floating", "fixed"}
-        Whether a URDF's base may move.
-    prior : PriorChoice
-        Where the prior comes from.
-    method : {"map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"}
-        Estimator.
-    terms : tuple of {"viscous", "coulomb", "armature", "offset"}
-        What is identified of every joint beside the links.
-    processing : Processing
-        Topics, and how they become rows.
-    facts : Facts
-        What else is known.
-    information : Path or None
-        information.npz of a run to go on from.
-    rank : int or None
-        Number of singular values, for the truncated methods.
-    validation : Path or None
-        Bag on which to choose the number of singular values.
-    criterion : {"gen_force", "torque", "com"}
-        What to choose it by.
-    sensors : SensorDeviation or None
-        Weigh rows of the truncated methods by sensor noise (Eq. 28), not residuals (Eq. 29).
-    unchecked : bool
-        Do not hold the data against the model before they are believed.
-    """
-
-    bags: tuple[Path, ...]
-    model: Path
-    base: Base = "auto"
-    prior: PriorChoice = field(default_factory=PriorChoice)
-    method: Method = "map_lmi"
-    terms: tuple[Term, ...] = ()
-    processing: Processing = field(default_factory=Processing)
-    facts: Facts = field(default_factory=Facts)
-    information: Path | None = None
-    rank: int | None = None
-    validation: Path | None = None
-    criterion: Criterion = "gen_force"
-    sensors: SensorDeviation | None = None
-    unchecked: bool = False
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """The files that the estimate came from."""
-        files = [
-            *self.bags,
-            self.model,
-            self.prior.file,
-            *self.facts.tare,
-            self.information,
-            self.validation,
-        ]
-        return tuple(str(file) for file in files if file is not None)
 
 
 @dataclass(frozen=True)
@@ -148,11 +81,10 @@ def prepare(job: Job, out: Path | None = None) -> Prepared:
     prior = job.prior.load(parameters)
     known = job.facts.rows(parameters, prior)
     _check_early(job, parameters, out)
-    record = _checked_record(job, job.bags, job.processing, parameters, prior)
+    record = _checked_record(job, job.bags, job.part, parameters, prior)
     validation = None
     if job.validation is not None:
-        whole = replace(job.processing, part=ALL_OF_IT)
-        validation = _checked_record(job, [job.validation], whole, parameters, prior)
+        validation = _checked_record(job, [job.validation], ALL_OF_IT, parameters, prior)
     return Prepared(
         job,
         parameters,
@@ -164,14 +96,15 @@ def prepare(job: Job, out: Path | None = None) -> Prepared:
 
 
 def _checked_record(
-    job: Job, bags: Sequence[Path], processing: Processing, parameters: ParameterSet, prior: Prior
+    job: Job, bags: Sequence[Path], part: TimeRange, parameters: ParameterSet, prior: Prior
 ) -> Record:
     """Read a log and check it as the doctor does, unless the job does without."""
+    log = bag_log(bags, parameters.model, job.topics, part)
     if job.unchecked:
-        return read_record(bags, parameters, processing)
+        return read_record(log, parameters, job.processing)
     checks = StreamChecks(parameters.model)
-    record = read_record(bags, parameters, processing, checks)
-    examine(record, checks, parameters, prior, processing.topics)
+    record = read_record(log, parameters, job.processing, checks)
+    examine(record, checks, parameters, prior)
     return record
 
 
@@ -193,70 +126,6 @@ def _check_early(job: Job, parameters: ParameterSet, out: Path | None) -> None:
                 raise EstimateError(f"{job.information}: {DIFFERENT}; {ALIKE}")
 
 
-def load_parameters(job: Job) -> ParameterSet:
-    """Return the columns of a job's robot, and say what its file states beside them.
-
-    Raises
-    ------
-    ModelError
-        When the file does not serve.
-    """
-    parameters = ParameterSet(load_model(job.model, job.base), job.terms)
-    names = parameters.model.joint_names
-    for term, values in parameters.known_terms.items():
-        stated = [name for name, value in zip(names, values, strict=True) if value != 0.0]
-        option = "armature" if term == "armature" else "friction"
-        logger.warning(
-            "%s states %s of %s, which is taken as known; identify it with --%s if it may be wrong",
-            job.model,
-            f"{term} friction" if option == "friction" else term,
-            ", ".join(stated),
-            option,
-        )
-    return parameters
-
-
-def chosen_filter(
-    named: Filter | None, method: Method, cutoff: float | None, channels: Channels | None
-) -> Filter:
-    """Return the filter of the rows: the one named, or the one that the other options imply.
-
-    The thesis's methods were published with Butterworth-filtered rows, so a cutoff or channels
-    given with one of them ask for that filter.
-    """
-    if named is not None:
-        return named
-    is_butterworth = method not in GAUSSIAN and not (cutoff is None and channels is None)
-    return "butterworth" if is_butterworth else "weak"
-
-
-def check(job: Job) -> None:
-    """Refuse what the method cannot take: an option without effect is a misunderstanding.
-
-    Raises
-    ------
-    EstimateError
-        When an option is of no use with another.
-    """
-    if job.method not in METHODS:
-        raise EstimateError(f"no method {job.method!r}; choose one of {', '.join(METHODS)}")
-    if job.rank is not None and job.validation is not None:
-        raise EstimateError("--rank and --validate both choose the singular values; give one")
-    facts = job.facts
-    if job.method in GAUSSIAN:
-        if job.rank is not None or job.validation is not None or job.sensors is not None:
-            raise EstimateError(
-                f"{job.method} cuts off no singular values and weighs rows by their residuals; "
-                "leave --rank, --validate and --sensor-std out, or use wls_rc"
-            )
-    elif facts.kinds or facts.rows_wanted:
-        raise EstimateError(
-            f"{job.method} takes neither sensor errors, a tare nor a total mass; use map or map_lmi"
-        )
-    if facts.kinds and job.processing.smoothing is not None:
-        raise EstimateError("sensor errors need rows averaged over windows; leave --filter out")
-
-
 def _problem(
     job: Job, parameters: ParameterSet, prior: Prior, record: Record, known: SoftRows | None
 ) -> Problem:
@@ -275,7 +144,7 @@ def _problem(
 
 
 def _calibrated(job: Job, problem: Problem, record: Record) -> Problem:
-    tares = read_tare(job.facts.tare, job.processing.topics) if job.facts.tare else {}
+    tares = read_tare(bag_log(job.facts.tare, topics=job.topics)) if job.facts.tare else {}
     wanted = Wanted(job.facts.kinds, tares)
     found = calibrate(record, problem.parameters, problem.prior, wanted, problem.known)
     return problem.calibrated(found)

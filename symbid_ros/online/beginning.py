@@ -8,7 +8,7 @@ from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.layout import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.problem import Problem
-from symbid_ros.offline.identify import Job, check, load_parameters
+from symbid_ros.offline.job import Job, check, load_parameters
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 
 from symbid_ros.identification.accumulator import Whole
-from symbid_ros.identification.block_rows import block_rows
-from symbid_ros.online.timeline import Stretch
+from symbid_ros.identification.block_rows import TimeSpan, block_rows
 from symbid_ros.signals.readings import Readings
 from symbid_ros.signals.weak_form import RowBuilder, SampledRows
 
@@ -38,7 +37,7 @@ class BlockWork:
         self._pool = ThreadPoolExecutor(1, "blocks")
         self._line: list[Future[Whole]] = []
 
-    def put(self, block: Stretch) -> None:
+    def put(self, block: TimeSpan) -> None:
         """Put a block in line."""
         self._line.append(self._pool.submit(self._worked, block))
 
@@ -66,7 +65,7 @@ class BlockWork:
         self._hurry.set()
         self._pool.shutdown(cancel_futures=True)
 
-    def _worked(self, block: Stretch) -> Whole:
+    def _worked(self, block: TimeSpan) -> Whole:
         rows = block_rows(block, self._paced, self._windows)
         # Nobody else touches it while blocks are in line, which are worked on one by one.
         self._whole = self._whole.with_block(rows)

@@ -16,7 +16,7 @@ from symbid_ros.estimation.fading import released
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.accumulator import Memory, Whole
-from symbid_ros.identification.block_rows import BlockRows, block_rows
+from symbid_ros.identification.block_rows import BlockRows, TimeSpan, block_rows
 from symbid_ros.identification.change_monitor import ChangeWatch
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solver import Identification, Solver
@@ -28,7 +28,7 @@ from symbid_ros.online.block_work import BlockWork
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.message_check import MessageCheck
 from symbid_ros.online.outcome import Outcome
-from symbid_ros.online.timeline import Stretch, Timeline
+from symbid_ros.online.timeline import Timeline
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suited_windows
 
 logger = logging.getLogger(__name__)
@@ -232,7 +232,7 @@ class OnlineIdentification:
         )
         return replace(self._problem, observations=told)
 
-    def _suit(self, stretch: Stretch) -> None:
+    def _suit(self, stretch: TimeSpan) -> None:
         """Use the windows that suit a stretch's rate, the middle one until they are compared.
 
         Raises
@@ -288,7 +288,7 @@ class OnlineIdentification:
         self._memory.track(whole, self._memory.window)
         self._until = 0
 
-    def _put(self, stretch: Stretch | None) -> None:
+    def _put(self, stretch: TimeSpan | None) -> None:
         if stretch is None:
             return
         if stretch.fault:
@@ -302,7 +302,7 @@ class OnlineIdentification:
         if whole is not None:
             self._memory.settle(whole)
 
-    def _piece(self, stretch: Stretch) -> BlockRows:
+    def _piece(self, stretch: TimeSpan) -> BlockRows:
         self._suit(stretch)
         # It is not searched for noise: that takes as long again, and its block will be.
         return block_rows(stretch, self._build, [self._windows[self._memory.window]], ())

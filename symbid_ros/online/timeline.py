@@ -2,18 +2,18 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from symbid_ros.errors import SymbidError
+from symbid_ros.identification.block_rows import TimeSpan
 from symbid_ros.messages.topics import SelectedTopics
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.signals.alignment import (
     LONGEST_MARGIN,
     SHORTEST_SEGMENT,
-    Segment,
     cut_to,
     resampling_margin,
 )
@@ -24,26 +24,6 @@ from symbid_ros.signals.weak_form import block_length, prefilter
 EDGES = 8
 # Of so many blocks what is no piece yet is kept; who asks so seldom can wait for the blocks.
 MOST_LEFT = 4
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """A stretch of time, aligned.
-
-    Attributes
-    ----------
-    start, stop : int
-        From where up to where, ns.
-    segments : tuple of Segment
-        What is in it.
-    fault : str
-        Why there is nothing in it; empty if there is.
-    """
-
-    start: int
-    stop: int
-    segments: tuple[Segment, ...]
-    fault: str = ""
 
 
 class Timeline:
@@ -78,9 +58,9 @@ class Timeline:
         self._period: float | None = None  # of the joint states, ns, once enough have come
         self._open_from: int | None = None
         self._piece_from: int | None = None
-        self._left: deque[Stretch] = deque(maxlen=MOST_LEFT)
+        self._left: deque[TimeSpan] = deque(maxlen=MOST_LEFT)
 
-    def restart(self) -> Stretch | None:
+    def restart(self) -> TimeSpan | None:
         """Begin a new time and return what was left of the old one."""
         left = self.rest()
         self.streams.restart()
@@ -93,7 +73,7 @@ class Timeline:
         """Stamp of the newest joint state, ns; None before the first."""
         return self.streams.joints.newest
 
-    def whole(self) -> Iterator[Stretch]:
+    def whole(self) -> Iterator[TimeSpan]:
         """Yield the blocks that are whole by now, each once."""
         while (place := self._block()) is not None:
             start, stop = place
@@ -111,7 +91,7 @@ class Timeline:
             later = stamps[stamps >= stop]
             self._open_from = int(later.min()) if len(later) else stop
 
-    def pieces(self) -> Iterator[Stretch]:
+    def pieces(self) -> Iterator[TimeSpan]:
         """Yield what every topic has told since the last time; no piece lies in two blocks.
 
         What would be too short waits for more, unless its block ends. Of blocks given out
@@ -129,13 +109,13 @@ class Timeline:
             self._piece_from = stop
             yield self._stretch(start, stop, stop)
 
-    def _leave(self, block: Stretch) -> None:
+    def _leave(self, block: TimeSpan) -> None:
         start = max(block.start, self._piece_from or block.start)
         if start < block.stop:
             segments = tuple(cut_to(block.segments, start, block.stop))
             self._left.append(replace(block, start=start, segments=segments))
 
-    def rest(self) -> Stretch | None:
+    def rest(self) -> TimeSpan | None:
         """Return what is open: all that has come since the last whole block."""
         until, place = self.streams.complete_until, self._block()
         if until is None or place is None or until < place[0]:
@@ -177,11 +157,11 @@ class Timeline:
         is_complete = complete is not None and complete >= stop + margin
         return margin if is_complete or newest >= stop + max(self._lag, margin) else None
 
-    def _stretch(self, start: int, stop: int, seen_until: int) -> Stretch:
+    def _stretch(self, start: int, stop: int, seen_until: int) -> TimeSpan:
         try:
             margin = resampling_margin(each.stamps for each in self.streams.buffers.values())
             streams = self.streams.between(start - margin, seen_until)
             segments = moving_segments(streams, self._model)
         except SymbidError as error:
-            return Stretch(start, stop, (), str(error))
-        return Stretch(start, stop, tuple(cut_to(segments, start, stop)))
+            return TimeSpan(start, stop, (), str(error))
+        return TimeSpan(start, stop, tuple(cut_to(segments, start, stop)))

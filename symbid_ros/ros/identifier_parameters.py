@@ -9,7 +9,7 @@ from symbid_ros.identification.prior_information import Facts, PriorChoice
 from symbid_ros.identification.problem import METHODS
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.parameters import joint_terms
-from symbid_ros.offline.identify import Job, chosen_filter
+from symbid_ros.offline.job import Job, chosen_filter
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sensor_errors import parse_kinds
@@ -216,9 +216,9 @@ def job_from(values: dict[str, Any]) -> Job:
         ),
         method=values["method"],
         terms=joint_terms(values["friction"], values["armature"], values["offset"]),
-        processing=processing(
-            row_filter, window or None, cutoff, channels, topics, part=_part(values)
-        ),
+        processing=processing(row_filter, window or None, cutoff, channels),
+        topics=topics,
+        part=_part(values),
         facts=Facts(
             total_mass=(mass, values["total_mass_std"]) if mass else None,
             mirror=mirror or None,

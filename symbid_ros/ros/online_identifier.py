@@ -82,7 +82,7 @@ class OnlineIdentifier:
         self._period: float = values["solve_period"]
         self._sensors = SensorTopics(
             node,
-            own_topics(node, self._beginning.job.processing.topics, sys.argv),
+            own_topics(node, self._beginning.job.topics, sys.argv),
             self._parameters.model,
             values["settle"],
             values["queue_depth"],

@@ -18,13 +18,15 @@ from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.thesis import METHODS as TRUNCATED
 from symbid_ros.estimation.thesis import LeastSquares
 from symbid_ros.estimation.truncation import select_rank
-from symbid_ros.identification.evaluation import Judge, link_errors, read_true_motion
+from symbid_ros.identification.evaluation import Judge, link_errors
 from symbid_ros.identification.prior_information import Facts, PriorChoice
 from symbid_ros.identification.problem import GAUSSIAN, Problem, Truncation
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import Job, Prepared, prepare
+from symbid_ros.offline.identify import Prepared, prepare
+from symbid_ros.offline.job import Job
+from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.study.data_set import Log
 from symbid_ros.study.logs import identified, truth

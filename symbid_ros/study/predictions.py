@@ -3,12 +3,8 @@
 from collections.abc import Callable, Sequence
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.identification.evaluation import read_true_motion
-from symbid_ros.identification.prediction import (
-    RealisticMotion,
-    predict_realistic,
-    read_realistic_motion,
-)
+from symbid_ros.identification.prediction import RealisticMotion, predict_realistic
+from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
 from symbid_ros.report.compose import prediction_series
 from symbid_ros.report.content import TRUTH, PredictionSeries
 from symbid_ros.signals.causal import CausalLowPass

@@ -3,10 +3,10 @@
 from functools import lru_cache
 from pathlib import Path
 
+from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.estimation.archive import write_archive
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.dataset import Processing, fold_record
-from symbid_ros.messages.topics import TopicSelection
-from symbid_ros.offline.sensor_log import SensorLog
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import Channels, LowPass
 from symbid_ros.study.data_set import Log
@@ -22,7 +22,7 @@ def fold_rows(
     smoothing = None if cutoff is None else LowPass(cutoff, channels)
     parameters = identified(log)
     bag = space.log(log)
-    record = fold_record(_segments(bag, log), [bag], parameters, Processing(smoothing))
+    record = fold_record(_segments(bag, log), str(bag), parameters, Processing(smoothing))
     observations = observe_sensed(record, parameters, sensing)
     write_archive(space.rows(log, sensing, cutoff), observations)
 
@@ -30,4 +30,5 @@ def fold_rows(
 # One log after the other: all filters of one see what was read once.
 @lru_cache(maxsize=1)
 def _segments(bag: Path, log: Log) -> tuple[Segment, ...]:
-    return SensorLog([bag], identified(log).model, TopicSelection()).whole_stretches()
+    model = identified(log).model
+    return AlignedLog(bag_log([bag], model), model).whole_stretches()

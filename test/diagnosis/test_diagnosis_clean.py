@@ -4,6 +4,7 @@ import pytest
 from random_robots import CONFIG, random_robot
 from tree_simulation import TreeSimulation
 
+from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.finding import Kind, Severity
 from symbid_ros.estimation.prior import draw_prior
@@ -35,7 +36,7 @@ def test_nothing_is_found_in_a_clean_log(simulated, scenario, options) -> None:
     bag = simulated(scenario, **options)
     seed = options["motion_seed"]
     for model in (believed("percent", seed), believed("consistent", seed)):
-        diagnosis = diagnose([bag], model)
+        diagnosis = diagnose(bag_log([bag], model), model)
         assert [one.message for one in diagnosis.findings] == []
         assert diagnosis.severity is Severity.CLEAN
         is_standing = scenario != "suspended"
@@ -47,10 +48,10 @@ def test_nothing_is_found_in_a_clean_log(simulated, scenario, options) -> None:
 @pytest.mark.parametrize("options", [{"noise_seed": 41}, {"ideal": True}], ids=["noisy", "ideal"])
 def test_a_tare_excites_nothing_and_has_no_other_fault(simulated, options) -> None:
     bag = simulated("tare", **options)
-    (found,) = diagnose([bag], believed("percent", 7)).findings
+    (found,) = diagnose(bag_log([bag]), believed("percent", 7)).findings
     assert found.kind is Kind.EXCITATION
     assert found.severity is Severity.WARNING
-    alone = diagnose([bag])
+    alone = diagnose(bag_log([bag]))
     assert alone.severity is Severity.CLEAN
     assert alone.left_out == ("all checks against a model: none is given",)
 
@@ -60,5 +61,5 @@ def test_nothing_is_found_in_the_log_of_any_tree(tmp_path, seed, floating) -> No
     robot = random_robot(seed, links=5, floating=floating, wrench_frames=seed)
     (tmp_path / "robot.xml").write_text(mjcf_text(robot))
     record(TreeSimulation(robot, 2.5, seed), tmp_path / "log")
-    diagnosis = diagnose([tmp_path / "log"], load_model(tmp_path / "robot.xml"))
+    diagnosis = diagnose(bag_log([tmp_path / "log"]), load_model(tmp_path / "robot.xml"))
     assert [one.message for one in diagnosis.findings] == []

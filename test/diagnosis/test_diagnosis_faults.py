@@ -10,6 +10,7 @@ from bag_surgery import Messages, Surgery, operate
 from random_robots import CONFIG
 from scipy.spatial.transform import Rotation
 
+from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.diagnosis.diagnosis import Diagnosis
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.finding import Finding, Kind, Severity
@@ -53,7 +54,7 @@ def log(simulated, tmp_path_factory) -> Path:
 def judged(log, model, tmp_path) -> Callable[..., Diagnosis]:
     def judge(surgeries: dict[str, Surgery], *, alone: bool = False, bag: Path = log) -> Diagnosis:
         spoilt = operate(bag, tmp_path / "spoilt", surgeries)
-        diagnosis = diagnose([spoilt], None if alone else model)
+        diagnosis = diagnose(bag_log([spoilt], model), None if alone else model)
         assert json.loads(json.dumps(diagnosis.as_dict()))["severity"]
         return diagnosis
 
@@ -315,7 +316,7 @@ def test_wrench_gain(judged) -> None:
 
 def test_missing_wrench(judged, log, model, tmp_path) -> None:
     selection = TopicSelection(wrenches=(RIGHT,))
-    only(diagnose([log], model, selection), Kind.WEIGHT, "", Severity.UNUSABLE)
+    only(diagnose(bag_log([log], model, selection), model), Kind.WEIGHT, "", Severity.UNUSABLE)
 
 
 @pytest.mark.parametrize(("axis", "degrees"), [("x", 180), ("z", 90), ("y", 10)])
@@ -375,4 +376,4 @@ def test_excitation(log, model, tmp_path) -> None:
         kept(messages, messages.between(0.0, 1.0))
 
     bag = operate(log, tmp_path / "still", dict.fromkeys(TOPICS, beginning))
-    only(diagnose([bag], model), Kind.EXCITATION, "", Severity.WARNING)
+    only(diagnose(bag_log([bag], model), model), Kind.EXCITATION, "", Severity.WARNING)

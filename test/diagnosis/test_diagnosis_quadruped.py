@@ -9,7 +9,7 @@ import pytest
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.bags.streams.reader import read_streams
+from symbid_ros.bags.streams.reader import bag_log, read_streams
 from symbid_ros.diagnosis.diagnosis import Diagnosis
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.finding import Kind, Severity
@@ -42,7 +42,7 @@ def judged(log, model, tmp_path) -> Callable[..., Diagnosis]:
     def judge(spoil: Callable[[dict], None] = lambda log: None) -> Diagnosis:
         spoilt = copy.deepcopy(log)
         spoil(spoilt)
-        diagnosis = diagnose([record_log(spoilt, model, tmp_path / "bag")], model)
+        diagnosis = diagnose(bag_log([record_log(spoilt, model, tmp_path / "bag")], model), model)
         assert json.loads(json.dumps(diagnosis.as_dict()))["severity"]
         return diagnosis
 

@@ -8,10 +8,9 @@ from bag_surgery import Messages, operate
 from live_feed import feed_of
 from scipy.interpolate import CubicSpline
 
-from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.messages.topics import TopicSelection
+from symbid_ros.bags.streams.reader import bag_log, read_streams
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.model.load import load_model
-from symbid_ros.offline.sensor_log import SensorLog
 from symbid_ros.online.timeline import Timeline
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.weak_form import BLOCK
@@ -50,7 +49,7 @@ def live(bag: Path, model):
 
 
 def offline(bag: Path, model):
-    return list(SensorLog([bag], model, TopicSelection(), span=BLOCK))
+    return list(AlignedLog(bag_log([bag], model), model, span=BLOCK))
 
 
 @pytest.mark.parametrize("read", [live, offline])

@@ -18,7 +18,8 @@ from symbid_ros.identification.prior_information import Facts, PriorChoice
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import Job, prepare
+from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.job import Job
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.package_paths import config_file
@@ -144,7 +145,7 @@ def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
         feed.between(done, stop).into(live)
         done = stop
         segments = moving_segments(_cut(streams, stop), parameters.model)
-        cut = fold_record(segments, [bag], parameters, Processing())
+        cut = fold_record(segments, str(bag), parameters, Processing())
         assert_same(live.solve(exactly=True).found.observations, cut.observations)
 
 

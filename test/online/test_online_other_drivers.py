@@ -9,12 +9,12 @@ from foreign_bags import STORE
 from live_feed import feed_of
 from split_joints import JOINTS, Part, left, right, split_joints, stamped
 
-from symbid_ros.bags.streams.reader import read_streams
+from symbid_ros.bags.streams.reader import bag_log, read_streams
 from symbid_ros.errors import DataError
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import IMU, stamp_of
 from symbid_ros.model.load import load_model
-from symbid_ros.offline.sensor_log import SensorLog
 from symbid_ros.online.timeline import Timeline
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.samples import moving_segments
@@ -122,7 +122,10 @@ def test_joints_in_parts_are_merged_by_stamp_live_as_from_a_bag(
 ) -> None:
     parts, topics = SPLITS[way]
     log = split_joints(bag, tmp_path / "log", parts)
-    whole, merged = (joined(SensorLog([one], model, of)) for one, of in ((bag, ALL), (log, topics)))
+    whole, merged = (
+        joined(AlignedLog(bag_log([one], model, of), model))
+        for one, of in ((bag, ALL), (log, topics))
+    )
     if way in ("one topic", "two topics"):
         assert_equal(merged, whole)
     else:
@@ -139,7 +142,7 @@ def test_joints_of_other_machines_on_the_topic_are_ignored(model, bag: Path, tmp
     names = set(legs.joint_names)
     parts = [Part(JOINTS, names.__contains__), Part(JOINTS, lambda n: n not in names, every=50)]
     log = split_joints(bag, tmp_path / "log", parts)
-    found, whole = (joined(SensorLog([one], legs, ALL)) for one in (log, bag))
+    found, whole = (joined(AlignedLog(bag_log([one], legs, ALL), legs)) for one in (log, bag))
     assert_equal(found, whole)
 
 

@@ -11,7 +11,8 @@ from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
-from symbid_ros.offline.identify import Job, prepare
+from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.job import Job
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows

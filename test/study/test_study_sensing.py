@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
+from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
@@ -14,12 +15,12 @@ from symbid_ros.errors import StudyError
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.dataset import Processing, read_record
-from symbid_ros.identification.evaluation import read_true_motion
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Frame
+from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 from symbid_ros.study.sensing import Annihilator, SensedRows, Sensing, observe_sensed
@@ -41,7 +42,9 @@ def motion(simulated, symbitron):
 
 @pytest.fixture(scope="module")
 def record(simulated, symbitron):
-    return read_record([simulated("smooth", moves=3, motion_seed=21, noise_seed=5)], symbitron)
+    return read_record(
+        bag_log([simulated("smooth", moves=3, motion_seed=21, noise_seed=5)]), symbitron
+    )
 
 
 def jacobian(model, samples):
@@ -180,7 +183,7 @@ def test_without_torque_sensors_efforts_are_not_looked_at(motion, symbitron):
 def test_every_row_tells_something(record, simulated, symbitron):
     prior = draw_prior(symbitron, "percent", 25.0, 3)
     filtered = read_record(
-        [simulated("smooth", moves=3, motion_seed=21, noise_seed=5)],
+        bag_log([simulated("smooth", moves=3, motion_seed=21, noise_seed=5)]),
         symbitron,
         Processing(LowPass(30.0)),
     )

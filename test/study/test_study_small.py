@@ -15,13 +15,15 @@ import numpy as np
 import pytest
 from small_study import PLAN, SmallStudy, symbid
 
+from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.dataset import Processing, read_record
-from symbid_ros.identification.evaluation import evaluate, read_true_motion
+from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.simulation.recording import record
@@ -57,8 +59,10 @@ def direct(tmp_path_factory) -> dict[tuple[str, str], dict[str, float]]:
     record(Simulator("smooth", moves=1, motion_seed=7, ideal=True), folder / "ideal")
     parameters = ParameterSet(load_model(config_file("symbitron.xml")))
     filtered = Processing(LowPass(30.0))
-    log, ideal = (read_record([folder / n], parameters, filtered) for n in ("log", "ideal"))
-    windows = read_record([folder / "log"], parameters)
+    log, ideal = (
+        read_record(bag_log([folder / n]), parameters, filtered) for n in ("log", "ideal")
+    )
+    windows = read_record(bag_log([folder / "log"]), parameters)
     motion = read_true_motion([folder / "ideal"], parameters.model)[::10]
     means = {}
     for label, (kind, amount) in KINDS.items():

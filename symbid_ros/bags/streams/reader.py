@@ -1,6 +1,7 @@
 """Bags into streams of arrays."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from symbid_ros.bags.container.contents import all_blocks, bag_names
@@ -10,31 +11,48 @@ from symbid_ros.errors import BagError
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, listing
 from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.log import Log
+from symbid_ros.signals.slices import ALL_OF_IT, Slice, TimeRange
 from symbid_ros.signals.streams import Streams, TruthStreams
 
 TRUTH_TYPES = {"joints": TRAJECTORY, "odom": ODOMETRY, "base_accel": ACCEL}
 
 
-def read_streams(bags: Sequence[Path], topics: TopicSelection = DEFAULT_SELECTION) -> Streams:
-    """Read the sensor topics of one recording at once.
+def bag_log(
+    bags: Sequence[Path],
+    model: RobotModel | None = None,
+    topics: TopicSelection = DEFAULT_SELECTION,
+    part: TimeRange = ALL_OF_IT,
+) -> Log:
+    """Return the log in bags that continue one another; nothing is read yet.
 
     Parameters
     ----------
     bags : sequence of Path
-        Bag folders or files that continue one another; separate runs are
-        to be read separately.
+        Bag folders or files; give separate runs separately.
+    model : RobotModel, optional
+        Whose joints must be in the log; messages that name none of them are ignored.
     topics : TopicSelection
         Topics to read.
-
-    Returns
-    -------
-    Streams
-        Stamps strictly increasing in every stream.
+    part : TimeRange
+        Part of the recording.
     """
-    (whole,) = iterate_slices(bags, topics)
-    if whole.streams is None:
-        raise BagError(whole.fault)
-    return whole.streams
+    if model is not None:
+        topics = replace(topics, joint_names=model.measured_joint_names)
+
+    def read(span: int | None, warn: bool) -> Iterator[Slice]:
+        return iterate_slices(bags, topics, span=span, part=part, warn=warn)
+
+    return Log(bag_names(bags), tuple(bags), _read=read)
+
+
+def read_streams(bags: Sequence[Path], topics: TopicSelection = DEFAULT_SELECTION) -> Streams:
+    """Read the sensor topics of one recording at once.
+
+    Stamps increase strictly in every stream.
+    """
+    return bag_log(bags, topics=topics).streams()
 
 
 def read_truth(bags: Sequence[Path]) -> TruthStreams:

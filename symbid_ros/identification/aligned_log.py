@@ -1,20 +1,17 @@
 """A recording as aligned stretches, read piece by piece as often as they are wanted."""
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 
-from symbid_ros.bags.streams.slices import iterate_slices
 from symbid_ros.diagnosis.finding import Finding
 from symbid_ros.diagnosis.masking import masked
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError
-from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import Segment, cut_to, warned_once
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.samples import moving_segments
-from symbid_ros.signals.slices import ALL_OF_IT, TimeRange
 from symbid_ros.signals.weak_form import BLOCK
 
 # Slices are of whole blocks, over which no window reaches: where they are cut makes no difference.
@@ -25,19 +22,15 @@ MOST_KEPT = 128 << 20
 logger = logging.getLogger(__name__)
 
 
-class SensorLog:
+class AlignedLog:
     """The stretches of a recording at which every sensor spoke; iterate as often as needed.
 
     Parameters
     ----------
-    bags : sequence of Path
-        Bags that continue one another.
+    log : Log
+        Read piece by piece.
     model : RobotModel
         Kinematics and frames.
-    topics : TopicSelection
-        Which are the robot's sensors.
-    part : TimeRange
-        Which part of the recording.
     span : int
         Length of the slices that are in memory at a time, ns.
     most_kept : int
@@ -54,17 +47,14 @@ class SensorLog:
 
     def __init__(
         self,
-        bags: Sequence[Path],
+        log: Log,
         model: RobotModel,
-        topics: TopicSelection,
-        part: TimeRange = ALL_OF_IT,
         *,
         span: int = SPAN,
         most_kept: int = MOST_KEPT,
         checks: StreamChecks | None = None,
     ) -> None:
-        self._bags, self._model, self._part = tuple(bags), model, part
-        self._topics = replace(topics, joint_names=model.measured_joint_names)
+        self._log, self._model = log, model
         self._span, self._most_kept = span, most_kept
         self._checks = checks
         self._kept: tuple[Segment, ...] | None = None
@@ -97,13 +87,10 @@ class SensorLog:
     def _read(self, *, warn: bool) -> Iterator[Segment]:
         checks = self._checks if warn else None
         tell = warn and checks is None
-        slices = iterate_slices(
-            self._bags, self._topics, span=self._span, part=self._part, warn=tell
-        )
-        coverage = _Coverage(", ".join(map(str, self._bags)))
+        coverage = _Coverage(self._log.source)
         told: set[tuple[str, str]] = set()
         with warned_once(muted=not tell):
-            for piece in slices:
+            for piece in self._log.slices(self._span, warn=tell):
                 if checks is not None:
                     checks.take(piece)
                 if piece.streams is None:

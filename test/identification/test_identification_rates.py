@@ -1,7 +1,5 @@
 """Logs of any length and rate, with any gaps, are identified or refused in one line."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -38,7 +36,7 @@ def record_of(parameters: ParameterSet, plan: LogPlan, windows: tuple[float, ...
         for part in cut_to(whole, minute * SPAN, (minute + 1) * SPAN)
     ]
     processing = Processing(windows=windows) if windows else Processing()
-    return fold_record(segments, [Path("log")], parameters, processing)
+    return fold_record(segments, "log", parameters, processing)
 
 
 def identified(parameters: ParameterSet, plan: LogPlan) -> Identification:

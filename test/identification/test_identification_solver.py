@@ -23,7 +23,8 @@ from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet
-from symbid_ros.offline.identify import Job, prepare
+from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.job import Job
 from symbid_ros.signals.weak_form import BLOCK, WindowedRows
 from symbid_ros.simulation.friction import load_friction
 from symbid_ros.simulation.recording import record

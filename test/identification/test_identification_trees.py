@@ -7,13 +7,15 @@ from tree_simulation import TreeSimulation
 
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.dataset import Processing
-from symbid_ros.identification.evaluation import evaluate, read_true_motion
+from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.export import write_identification
 from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import Job, prepare
+from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.job import Job
+from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay
 from symbid_ros.simulation.recording import record
 

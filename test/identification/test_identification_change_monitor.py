@@ -9,7 +9,7 @@ from symbid_ros.identification.change_monitor import Change
 from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import Job
+from symbid_ros.offline.job import Job
 from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.package_paths import config_file

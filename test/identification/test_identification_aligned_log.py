@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from bag_surgery import Messages, operate
 
+from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.errors import BagError, DataError
+from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
-from symbid_ros.offline.sensor_log import SensorLog
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.slices import TimeRange
@@ -44,8 +45,8 @@ def assert_equal(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) 
 
 
 def test_slices_put_together_are_the_whole(model, bag: Path) -> None:
-    (whole,) = SensorLog([bag], model, ALL)
-    sliced = SensorLog([bag], model, ALL, span=BLOCK)
+    (whole,) = AlignedLog(bag_log([bag], model), model)
+    sliced = AlignedLog(bag_log([bag], model), model, span=BLOCK)
     parts = list(sliced)
     assert len(parts) == whole.stamp[-1] // BLOCK - whole.stamp[0] // BLOCK + 1
     assert {part.stamp[0] // BLOCK for part in parts} == {p.stamp[-1] // BLOCK for p in parts}
@@ -57,7 +58,9 @@ def test_slices_put_together_are_the_whole(model, bag: Path) -> None:
 def test_a_log_too_long_to_keep_is_read_again(model, bag: Path, tmp_path: Path) -> None:
     link = tmp_path / "bag"
     link.symlink_to(bag)
-    kept, reread = (SensorLog([link], model, ALL, most_kept=most) for most in (2**30, 0))
+    kept, reread = (
+        AlignedLog(bag_log([link], model), model, most_kept=most) for most in (2**30, 0)
+    )
     first = [joined(log) for log in (kept, reread)]
     assert_equal(joined(reread), first[0])
     link.unlink()
@@ -67,14 +70,14 @@ def test_a_log_too_long_to_keep_is_read_again(model, bag: Path, tmp_path: Path) 
 
 
 def test_a_part_is_cut_out(model, bag: Path) -> None:
-    (whole,) = SensorLog([bag], model, ALL)
+    (whole,) = AlignedLog(bag_log([bag], model), model)
     begin = int(whole.stamp[0])
-    parts = SensorLog([bag], model, ALL, TimeRange(1.5, 6.25), span=BLOCK)
+    parts = AlignedLog(bag_log([bag], model, ALL, TimeRange(1.5, 6.25)), model, span=BLOCK)
     inside = (whole.stamp >= begin + 1_500_000_000) & (whole.stamp < begin + 6_250_000_000)
     np.testing.assert_array_equal(joined(parts)["effort"], whole.effort[inside])
     with pytest.raises(DataError, match="holds nothing of the time asked for"):
-        list(SensorLog([bag], model, ALL, TimeRange(1e5)))
-    with pytest.raises(BagError, match="from 2 s to 1 s is no part"):
+        list(AlignedLog(bag_log([bag], model, ALL, TimeRange(1e5)), model))
+    with pytest.raises(DataError, match="from 2 s to 1 s is no part"):
         TimeRange(2, 1)
 
 
@@ -84,8 +87,8 @@ def test_instants_in_a_gap_are_counted_once(model, bag: Path, tmp_path: Path, ca
         messages.order, messages.log_time = messages.order[heard], messages.log_time[heard]
 
     gappy = operate(bag, tmp_path / "gappy", {"/imu/data": silenced})
-    (whole,) = SensorLog([bag], model, ALL)
-    log = SensorLog([gappy], model, ALL, span=BLOCK, most_kept=0)
+    (whole,) = AlignedLog(bag_log([bag], model), model)
+    log = AlignedLog(bag_log([gappy], model), model, span=BLOCK, most_kept=0)
     left = joined(log)["stamp"]
     after = (whole.stamp - whole.stamp[0]) * 1e-9
     np.testing.assert_array_equal(left, whole.stamp[(after < 4.0) | (after >= 4.4)])

@@ -10,7 +10,8 @@ from random_robots import CONFIG
 from symbid_ros.errors import DataError
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.messages.topics import TopicSelection
-from symbid_ros.offline.identify import Job, prepare
+from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.job import Job
 
 RIGHT = "/right_foot/wrench"
 
@@ -54,7 +55,7 @@ def test_a_reversed_wrench_is_refused_and_named_unless_it_is_not_to_be_checked(
 def test_a_contact_left_out_is_refused_although_the_others_are_named(log) -> None:
     left_alone = TopicSelection(wrenches=("/left_foot/wrench",))
     with pytest.raises(DataError, match="record the wrench of every contact"):
-        prepare(replace(job(log), processing=Processing(topics=left_alone)))
+        prepare(replace(job(log), processing=Processing(), topics=left_alone))
 
 
 def test_a_doubtful_gain_is_warned_of(log, tmp_path, caplog) -> None:

@@ -10,12 +10,14 @@ import pytest
 from tree_simulation import TreeSimulation
 
 from symbid_ros.identification.dataset import Processing
-from symbid_ros.identification.evaluation import evaluate, read_true_motion
+from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import Frame
-from symbid_ros.offline.identify import Job, prepare
+from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.job import Job
+from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.simulation.recording import record
 

@@ -1,0 +1,265 @@
+"""A log: the sensor measurements of one robot, read slice by slice as often as needed."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.errors import DataError
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.alignment import resampling_margin
+from symbid_ros.signals.defects import Defect, Tally
+from symbid_ros.signals.slices import ALL_OF_IT, Slice, TimeRange
+from symbid_ros.signals.stamps import kept_in_order, seconds
+from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
+
+SliceReader = Callable[[int | None, bool], Iterator[Slice]]
+S = TypeVar("S", JointStream, ImuStream, WrenchStream)
+
+
+@dataclass(frozen=True)
+class Log:
+    """Sensor measurements of one robot: a bag, several bags that continue one another, or arrays.
+
+    Use :func:`symbid_ros.load_bag` or :meth:`from_arrays` to get one. A bag is read when it is
+    needed, not when the log is made.
+
+    Attributes
+    ----------
+    source : str
+        Name for messages, such as the path of the bag.
+    files : tuple of Path
+        Bags that it is read from; empty for arrays.
+    """
+
+    source: str
+    files: tuple[Path, ...] = ()
+    _read: SliceReader = field(repr=False, kw_only=True)
+
+    def slices(self, span: int | None = None, *, warn: bool = True) -> Iterator[Slice]:
+        """Yield the measurements in slices that end at multiples of ``span`` ns.
+
+        Parameters
+        ----------
+        span : int, optional
+            Length of a slice, ns; one slice of everything if left out.
+        warn : bool
+            Whether to log a warning about repaired messages at the end.
+
+        Raises
+        ------
+        BagError, DataError
+            When a bag or its content cannot be used.
+        """
+        return self._read(span, warn)
+
+    def streams(self) -> Streams:
+        """Return all measurements at once.
+
+        Raises
+        ------
+        BagError, DataError
+            When a bag or its content cannot be used, or a topic is silent.
+        """
+        (whole,) = self.slices()
+        if whole.streams is None:
+            raise DataError(whole.fault)
+        return whole.streams
+
+    @classmethod
+    def from_arrays(
+        cls,
+        robot: RobotModel,
+        *,
+        time: ArrayLike,
+        position: ArrayLike,
+        effort: ArrayLike,
+        velocity: ArrayLike | None = None,
+        imus: Mapping[str, ArrayLike] | None = None,
+        wrenches: Mapping[str, ArrayLike] | None = None,
+        start: float = 0.0,
+        stop: float = np.inf,
+        name: str = "arrays",
+    ) -> "Log":
+        """Make a log of arrays whose N rows were measured at the same instants.
+
+        Parameters
+        ----------
+        robot : RobotModel
+            Names the joints and sensor frames.
+        time : (N,) array_like
+            Instants: seconds if floating-point, nanoseconds if integer.
+        position, effort : (N, J) array_like
+            rad and Nm (m and N for prismatic joints), one column for each of
+            ``robot.measured_joint_names``. NaN where a joint has no reading.
+        velocity : (N, J) array_like, optional
+            rad/s or m/s; compared with the positions by :func:`symbid_ros.diagnose`, not needed to
+            identify.
+        imus : mapping of str to (N, 6) array_like, optional
+            By frame: angular velocity (rad/s), then specific force (acceleration minus gravity,
+            m/s²), in the axes of the frame.
+        wrenches : mapping of str to (N, 6) array_like, optional
+            By frame: force (N), then torque (Nm) about the frame's origin, environment on robot,
+            in the axes of the frame.
+        start, stop : float
+            Part of the log to use, seconds after the first instant.
+        name : str
+            Name for messages.
+
+        Raises
+        ------
+        DataError
+            When an array has the wrong shape or instants repeat.
+        ModelError
+            When the robot has no frame of that name.
+        """
+        stamp = _stamps(time, name)
+        tallies = [Tally(name, "time")]
+        tallies[0].see(stamp)
+        kept = kept_in_order(stamp, tallies[0])
+        names = robot.measured_joint_names
+        shape = len(stamp), len(names)
+
+        def rows(what: str, values: ArrayLike, width: int = len(names)) -> FloatArray:
+            array = np.asarray(values, dtype=np.float64)
+            if array.shape != (len(stamp), width):
+                raise DataError(
+                    f"{name}: {what} has shape {array.shape}, expected {(len(stamp), width)}: one "
+                    f"row for each of {len(stamp)} instants"
+                )
+            return np.ascontiguousarray(array[kept])
+
+        def finite(topic: str, values: ArrayLike) -> tuple[IntArray, FloatArray]:
+            """Return the stamps and rows that hold no NaN, as a bag's messages are treated."""
+            read = rows(topic, values, 6)
+            usable = np.isfinite(read).all(axis=1)
+            tally = Tally(name, topic)
+            tally.see(stamp[kept])
+            tally.add(Defect.NOT_FINITE, stamp[kept], np.asarray(~usable), ["value"])
+            tallies.append(tally)
+            return stamp[kept][usable], read[usable]
+
+        joints = JointStream(
+            topic="joints",
+            names=names,
+            stamp=stamp[kept],
+            position=rows("position", position),
+            velocity=rows("velocity", np.full(shape, np.nan) if velocity is None else velocity),
+            effort=rows("effort", effort),
+        )
+        imu_streams, wrench_streams = [], []
+        for frame, values in (imus or {}).items():
+            robot.frame(frame)
+            topic = f"imus[{frame!r}]"
+            at, read = finite(topic, values)
+            imu_streams.append(
+                ImuStream(
+                    topic=topic,
+                    frame_id=frame,
+                    stamp=at,
+                    orientation=None,
+                    angular_velocity=read[:, :3],
+                    linear_acceleration=read[:, 3:],
+                )
+            )
+        for frame, values in (wrenches or {}).items():
+            robot.frame(frame)
+            topic = f"wrenches[{frame!r}]"
+            at, read = finite(topic, values)
+            wrench_streams.append(
+                WrenchStream(
+                    topic=topic,
+                    frame_id=frame,
+                    stamp=at,
+                    force=read[:, :3],
+                    torque=read[:, 3:],
+                )
+            )
+        streams = Streams(name, joints, tuple(imu_streams), tuple(wrench_streams))
+        return cls.from_streams(streams, TimeRange(start, stop), tuple(tallies))
+
+    @classmethod
+    def from_streams(
+        cls, streams: Streams, part: TimeRange = ALL_OF_IT, tallies: tuple[Tally, ...] = ()
+    ) -> "Log":
+        """Make a log of streams in memory, each with stamps that increase strictly."""
+
+        def read(span: int | None, warn: bool) -> Iterator[Slice]:
+            yield from _slices(streams, span, part, tallies)
+            if warn:
+                for tally in tallies:
+                    tally.report()
+
+        return cls(streams.source, _read=read)
+
+
+def _stamps(time: ArrayLike, name: str) -> IntArray:
+    """Return instants (N,) as ns."""
+    instants: NDArray[np.generic] = np.asarray(time)
+    if instants.ndim != 1 or not len(instants):
+        raise DataError(f"{name}: time has shape {instants.shape}, expected (N,) with N > 0")
+    if np.issubdtype(instants.dtype, np.integer):
+        return instants.astype(np.int64)
+    in_seconds = instants.astype(np.float64)
+    # 2⁶² ns are 146 years: what lies beyond would overflow, and margins need room.
+    if not (np.abs(in_seconds) < 2**62 * 1e-9).all():
+        raise DataError(
+            f"{name}: time is NaN, infinite or not in seconds; give seconds or integer ns"
+        )
+    return np.rint(in_seconds * 1e9).astype(np.int64)
+
+
+def _slices(
+    streams: Streams, span: int | None, part: TimeRange, tallies: tuple[Tally, ...]
+) -> Iterator[Slice]:
+    """Cut streams as `bags.streams.slices` cuts a bag."""
+    stamp = streams.joints.stamp
+    every = _each(streams)
+    begin = int(stamp[0]) + round(1e9 * part.start)
+    end = int(stamp[0]) + round(1e9 * part.stop) if np.isfinite(part.stop) else int(stamp[-1]) + 1
+    until = begin
+    margin = resampling_margin(each.stamp for each in every)
+    while (place := int(np.searchsorted(stamp, until))) < len(stamp) and stamp[place] < end:
+        start = until
+        until = end if span is None else min((int(stamp[place]) // span + 1) * span, end)
+        inside = {
+            each.topic: each.stamp[slice(*np.searchsorted(each.stamp, [start, until]))]
+            for each in every
+        }
+        piece = replace(
+            streams,
+            joints=_between(streams.joints, start - margin, until + margin),
+            imus=tuple(_between(each, start - margin, until + margin) for each in streams.imus),
+            wrenches=tuple(
+                _between(each, start - margin, until + margin) for each in streams.wrenches
+            ),
+        )
+        silent = [each.topic for each in _each(piece) if not len(each.stamp)]
+        if silent:
+            fault = (
+                f"{streams.source}: {', '.join(silent)} has no reading up to {seconds(until)}; "
+                "leave it out, or give all arrays the same clock"
+            )
+            yield Slice(start, until, None, inside, tallies, fault)
+        else:
+            yield Slice(start, until, piece, inside, tallies)
+
+
+def _each(streams: Streams) -> list[JointStream | ImuStream | WrenchStream]:
+    return [streams.joints, *streams.imus, *streams.wrenches]
+
+
+def _between(stream: S, start: int, stop: int) -> S:
+    """Return the rows of a stream from ``start`` up to ``stop``, ns."""
+    first, last = np.searchsorted(stream.stamp, [start, stop])
+    count = len(stream.stamp)
+    arrays: dict[str, Any] = {
+        name: value[first:last]
+        for name, value in vars(stream).items()
+        if isinstance(value, np.ndarray) and len(value) == count
+    }
+    return replace(stream, **arrays)
