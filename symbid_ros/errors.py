@@ -1,16 +1,32 @@
-"""The one error root: what went wrong, where, and what to do, in one line."""
+"""Errors that a user can cause: what went wrong, where, and how to fix it, in one line."""
+
+UNCODED = "E000"
 
 
 class SymbidError(Exception):
-    """Something the user can mend; the message names the place and the remedy."""
+    """An error that the user can fix.
+
+    Parameters
+    ----------
+    message : str
+        One line: what happened, where (file, topic, joint, link) and the option or parameter that
+        fixes it.
+    code : str
+        Key of :data:`symbid_ros.error_codes.CODES`, such as ``"E104"``; it never changes its
+        meaning.
+    """
+
+    def __init__(self, message: str, code: str = UNCODED) -> None:
+        super().__init__(message)
+        self.code = code
 
 
 class ModelError(SymbidError):
-    """A robot description that cannot be read or does not fit the data."""
+    """A robot description that cannot be read or does not match the data."""
 
 
 class BagError(SymbidError):
-    """A bag that is missing, unreadable or lacks what the job needs."""
+    """A bag that is missing, unreadable or incomplete."""
 
 
 class DataError(SymbidError):
@@ -18,7 +34,7 @@ class DataError(SymbidError):
 
 
 class PriorError(SymbidError):
-    """A prior that does not belong to the model or is not a distribution."""
+    """A prior that does not match the model or is not a distribution."""
 
 
 class EstimateError(SymbidError):
@@ -26,8 +42,8 @@ class EstimateError(SymbidError):
 
 
 class SimulationError(SymbidError):
-    """A simulation that cannot start or has come to grief, such as a fall."""
+    """A simulation that cannot start or has failed, for example by a fall."""
 
 
 class StudyError(SymbidError):
-    """A study whose file is wrong, or whose folder holds another one's results."""
+    """A study with an invalid file, or with a folder that holds results of another study."""

@@ -42,7 +42,16 @@ BAG_PARTS: dict[str, set[str]] = {
     "rescue": {"container", "writing"},
     "streams": {"container"},
 }
-FREE = {"arrays", "atomic_write", "safe_yaml", "shutdown", "errors", "package_paths", "user_files"}
+FREE = {
+    "arrays",
+    "error_codes",
+    "atomic_write",
+    "safe_yaml",
+    "shutdown",
+    "errors",
+    "package_paths",
+    "user_files",
+}
 ROS_LIBRARIES = {
     "rclpy",
     "rosidl_runtime_py",
