@@ -174,7 +174,7 @@ def test_measurements_go_to_another_port_where_wanted(stop):
 
 
 def test_the_documented_program_holds_the_robot(stop):
-    page = (Path(__file__).parents[2] / "doc" / "udp.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "udp.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     robot, drives = commanded(moves=1, motion_seed=2)
     with UdpCommands("127.0.0.1", 0, drives, command_timeout=PATIENCE) as commands:
