@@ -93,6 +93,7 @@ def doctor(
 
     Exit status: 0 clean, 1 warnings, 2 unusable.
     """
+    from symbid_ros.bags.streams.reader import bag_log
     from symbid_ros.diagnosis.doctor import diagnose
     from symbid_ros.messages.topics import TopicSelection
     from symbid_ros.model.load import load_model

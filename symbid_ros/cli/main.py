@@ -47,7 +47,7 @@ def main() -> None:
 
 def _report_missing(error: ModuleNotFoundError) -> int:
     """Print how to install the missing module and return the exit status, or raise the error."""
-    from symbid_ros.share import missing_extra
+    from symbid_ros.package_paths import missing_extra
 
     advice = missing_extra(error)
     if advice is None:

@@ -5,7 +5,7 @@ import signal
 import sys
 from importlib import import_module
 
-from symbid_ros.share import missing_extra
+from symbid_ros.package_paths import missing_extra
 
 
 def mujoco_bridge() -> None:
