@@ -5,7 +5,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-from symbid_ros.share import package_version
+from symbid_ros.package_paths import package_version
 
 project = "symbid_ros"
 author = "symbid_ros maintainers"

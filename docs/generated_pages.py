@@ -18,6 +18,8 @@ from sphinx.util.typing import ExtensionMetadata
 
 import symbid_ros
 from symbid_ros.cli.app import app as command_line
+from symbid_ros.error_codes import CODES
+from symbid_ros.ros.launch_arguments import node_parameters
 
 
 def markdown_table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
@@ -64,8 +66,6 @@ class Parameters(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        from symbid_ros.ros.launch_arguments import node_parameters
-
         rows = []
         for each in node_parameters(self.arguments[0]):
             meaning = each.description
@@ -75,6 +75,15 @@ class Parameters(SphinxDirective):
                 meaning += " Can be set while the node runs."
             rows.append((f"`{each.name}`", f"`{json.dumps(each.default)}`", meaning))
         return self.parse_text_to_nodes(markdown_table(("parameter", "default", "meaning"), rows))
+
+
+class ErrorCodes(SphinxDirective):
+    """The codes of the errors, each with cause and fix."""
+
+    def run(self) -> list[nodes.Node]:
+        rows = [(f"`SYMBID-{code}`", entry.cause, entry.fix) for code, entry in CODES.items()]
+        table = markdown_table(("code", "cause", "fix"), rows)
+        return self.parse_text_to_nodes(table) if rows else []
 
 
 class PublicApi(SphinxDirective):
@@ -97,6 +106,7 @@ def setup(app: Sphinx) -> ExtensionMetadata:
     for name, directive in {
         "options": Options,
         "parameters": Parameters,
+        "error-codes": ErrorCodes,
         "public-api": PublicApi,
     }.items():
         app.add_directive(name, directive)
