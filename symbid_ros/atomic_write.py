@@ -54,7 +54,7 @@ def check_output_file(path: Path) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` to ``path`` in one step, replacing what was there.
 
-    Surrogates, in which :mod:`symbid_ros.model.xml_edit` keeps bytes that are not UTF-8, become
+    Surrogates, in which :mod:`symbid_ros.model.xml_file` keeps bytes that are not UTF-8, become
     those bytes again.
 
     Raises

@@ -205,7 +205,7 @@ def identify(
     """
     from symbid_ros.cli.overwriting import require_no_files
     from symbid_ros.cli.summary import print_estimate
-    from symbid_ros.estimation.row_weights import SensorDeviation
+    from symbid_ros.estimation.truncated_svd import SensorDeviation
     from symbid_ros.identification.dataset import processing
     from symbid_ros.identification.export import RESULT_FILES, write_identification
     from symbid_ros.identification.prior_information import Facts, PriorChoice, weighing

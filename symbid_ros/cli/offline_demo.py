@@ -69,7 +69,7 @@ def _identify(
     out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
     """Identify with every method, write what each found, and report on all of them."""
-    from symbid_ros.estimation.thesis import METHODS
+    from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing
     from symbid_ros.identification.export import write_identification
     from symbid_ros.identification.prior_information import PriorChoice
@@ -143,7 +143,7 @@ def _identify(
 def _truncations(prepared: "Prepared", validation: Path) -> "dict[tuple[str, str], Estimate]":
     """Return the thesis's methods on the prepared rows, z chosen without and with validation."""
     from symbid_ros.bags.streams.reader import bag_log
-    from symbid_ros.estimation.thesis import METHODS
+    from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing, read_record
     from symbid_ros.report.compose import TITLES
 

@@ -7,8 +7,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.contact import contact_jacobian
-from symbid_ros.dynamics.joints import JointTable
-from symbid_ros.dynamics.kinematics import Posture, link_poses, link_velocity
+from symbid_ros.dynamics.kinematics import JointTable, Posture, link_poses, link_velocity
 from symbid_ros.dynamics.spatial import component_first
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import Segment

@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.joints import JointTable
-from symbid_ros.dynamics.kinematics import Posture, link_motion, link_velocity
+from symbid_ros.dynamics.kinematics import JointTable, Posture, link_motion, link_velocity
 from symbid_ros.dynamics.spatial import component_first, cross, passes, turn
 from symbid_ros.model.tree import Frame, RobotModel
 

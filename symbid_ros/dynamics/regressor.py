@@ -5,15 +5,77 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.body_integrals import body_integrals
-from symbid_ros.dynamics.friction import coulomb_column
-from symbid_ros.dynamics.joints import JointTable
-from symbid_ros.dynamics.kinematics import LinkPoses, Posture, link_motion
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.dynamics.kinematics import (
+    JointTable,
+    LinkPoses,
+    Posture,
+    link_motion,
+    link_velocity,
+)
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import component_first, cross, passes, sample_first
+from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet, Term
 from symbid_ros.model.tree import RobotModel
+
+# J of one unit of each parameter, (10, 16).
+UNIT_PSEUDO_INERTIA = pseudo_inertia(np.eye(10)).reshape(10, 16)
+
+# Below this speed, rad/s or m/s, a joint may stick, and then its friction is whatever holds it.
+COULOMB_SPEED = 0.02
+
+
+def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatArray) -> FloatArray:
+    """Return ∫ (x × u; u) dm about the base's origin per unit parameter, (N, 6, inertial).
+
+    A body's points x = X ξ, ξ homogeneous in link axes, have rates u = U ξ, so that
+    ∫ x uᵀ dm = X J Uᵀ with the pseudo-inertia J = ∫ ξξᵀ dm, linear in the parameters
+    (Wensing, Kim and Slotine 2018). With u = ẋ the integral is the body's momentum. With
+    u = ẍ - g it is the wrench that moves it, bX_l^F A_l of Eq. 11 and 14; the thesis's -S(ṗ)
+    of Eq. 2.38 comes out as -S(p̈), as it must.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        Which links have parameters.
+    pose, pose_rate : (3, 4, L, N) float64
+        X and U of all links, in base axes: rotation (or its rate), then origin (or its rate).
+    """
+    if len(parameters.links) < pose.shape[2]:
+        pose, pose_rate = pose[:, :, parameters.links], pose_rate[:, :, parameters.links]
+    links, count = pose.shape[2:]
+    integrals = np.empty((6, links, 10, count))
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        # One axis at a time: the products of all three would not fit the cache.
+        products = pose[i, :, None] * pose_rate[j]
+        products -= pose[j, :, None] * pose_rate[i]
+        moment = UNIT_PSEUDO_INERTIA @ products.reshape(16, links * count)
+        integrals[axis] = moment.reshape(10, links, count).swapaxes(0, 1)
+    integrals[3:, :, 0] = pose_rate[:, 3]
+    integrals[3:, :, 1:4] = pose_rate[:, :3].swapaxes(1, 2)
+    integrals[3:, :, 4:] = 0.0
+    return integrals.reshape(6, parameters.inertial, count).transpose(2, 0, 1)
+
+
+def slips(velocity: FloatArray) -> BoolArray:
+    """Return whether joints (N, J) move at ``COULOMB_SPEED`` or faster.
+
+    A joint that sticks feels anything between the bounds ± its Coulomb friction, which no
+    parameter of the equation of motion says: its row holds only where this is true.
+    """
+    moves: BoolArray = np.abs(velocity) >= COULOMB_SPEED
+    return moves
+
+
+def coulomb_column(velocity: FloatArray) -> FloatArray:
+    """Return sign(q̇) (N, J) of Eq. 2.49, with a linear ramp below ``COULOMB_SPEED``.
+
+    The ramp keeps noise about zero speed from switching a whole Coulomb friction on and off;
+    it is no model of stiction.
+    """
+    column: FloatArray = np.clip(velocity / COULOMB_SPEED, -1.0, 1.0)
+    return column
 
 
 @dataclass(frozen=True)
@@ -163,3 +225,61 @@ def wrenches_at_base(
     at_base = np.einsum("ijfn,kjfn->kifn", rotation, in_link)
     at_base[0] += cross(component_first(poses.position[:, links]), at_base[1])
     return sample_first(at_base.reshape(6, len(frames), len(wrenches)))
+
+
+def com_position(parameters: ParameterSet, values: FloatArray, poses: LinkPoses) -> FloatArray:
+    """Return the centre of mass (N, 3) in the base frame, m, for parameters (p,)."""
+    com: FloatArray = first_moment_regressor(parameters, poses) @ values
+    com /= parameters.link_phi(values)[:, 0].sum()
+    return com
+
+
+def first_moment_regressor(parameters: ParameterSet, poses: LinkPoses) -> FloatArray:
+    """Return C (N, 3, p): C φ is the robot's first moment in the base frame, kg m."""
+    links, count = parameters.links, parameters.inertial
+    C = np.zeros((len(poses.position), 3, len(parameters)))
+    by_link = C[:, :, :count].reshape(len(C), 3, len(links), 10)
+    by_link[..., 0] = poses.position[:, links].transpose(0, 2, 1)
+    by_link[..., 1:4] = poses.rotation[:, links].transpose(0, 2, 1, 3)
+    C[:, :, :count] = by_link.reshape(len(C), 3, count)
+    return C
+
+
+def momentum_regressor(
+    parameters: ParameterSet, samples: Samples, base_velocity: FloatArray, poses: LinkPoses
+) -> FloatArray:
+    """Return M (N, 6, p): M φ is the momentum (angular; linear) about the base's origin.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        The robot and its columns; friction has none of it.
+    samples : Samples
+        Joint positions and velocities, and the base's angular velocity.
+    base_velocity : (N, 3) float64
+        Linear velocity of the base's origin, in base axes, m/s.
+    poses : LinkPoses
+        Of the same samples.
+    """
+    joints = JointTable.of(parameters.model.joints)
+    M = np.zeros((len(samples), 6, len(parameters)))
+    for part in passes(len(samples), len(parameters.model.links)):
+        posture = Posture.of(joints, LinkPoses(poses.rotation[part], poses.position[part]))
+        omega, velocity = link_velocity(
+            posture,
+            component_first(samples.velocity[part]),
+            component_first(samples.base_angular_velocity[part]),
+            component_first(base_velocity[part]),
+        )
+        pose_rate = np.empty_like(posture.pose)
+        pose_rate[:, :3] = cross(omega[:, None], posture.rotation)
+        pose_rate[:, 3] = velocity
+        M[part, :, : parameters.inertial] = body_integrals(parameters, posture.pose, pose_rate)
+    return M
+
+
+def centroidal(momentum: FloatArray, com: FloatArray) -> FloatArray:
+    """Return momentum (N, 6) moved from the base's origin to the centre of mass (N, 3)."""
+    moved = momentum.copy()
+    moved[:, :3] -= cross(com.T, momentum[:, 3:].T).T
+    return moved

@@ -13,8 +13,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import write_through
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.information import Information
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.information import Information, RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.user_files import open_regular
 

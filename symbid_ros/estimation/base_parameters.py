@@ -17,7 +17,7 @@ from scipy.linalg import qr
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.estimation.layout import random_motions
+from symbid_ros.estimation.information import random_motions
 from symbid_ros.model.parameters import ParameterSet
 
 # Columns of unit length have no singular value between 2e-9 and 0.2 in any of 67 published

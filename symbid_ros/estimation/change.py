@@ -9,15 +9,16 @@ with the change's size integrated out).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.estimation.deviation import payload_std
 from symbid_ros.estimation.information import stacked_factor
-from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.estimation.posterior import Posterior, SoftRows
+from symbid_ros.estimation.prior import Prior
+from symbid_ros.estimation.prior_std import payload_std
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import WindowedRows
 
@@ -25,6 +26,9 @@ from symbid_ros.signals.weak_form import WindowedRows
 # A mass on a hinge's axis moves alike with either of its links: their evidence then differs only by
 # how likely a payload of that size and place was thought to be.
 TOLD_APART = 10.0
+
+# What is left at last of the prior's weight: two of its standard deviations become one.
+LEAST_WEIGHT = 0.25
 
 
 @dataclass(frozen=True)
@@ -128,3 +132,39 @@ def _whitened_factor(recent: Sequence[WindowedRows], whitening: FloatArray) -> F
     flat = [np.concatenate([part.mean.K, part.mean.y[:, :, None]], axis=2) for part in recent]
     rows = whitening @ np.concatenate(flat)
     return stacked_factor(rows.reshape(-1, rows.shape[2]))
+
+
+def faded_weight(kept: float) -> float:
+    """Return the prior's weight where ``kept`` of the first rows' is left, both from 0 to 1."""
+    return max(kept, LEAST_WEIGHT)
+
+
+def faded_prior(prior: Prior, kept: float) -> Prior:
+    """Return the prior with its covariance divided by its weight."""
+    scale = 1 / np.sqrt(faded_weight(kept))
+    return prior.widened(np.full(len(prior.mean), scale))
+
+
+def released(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
+    """Return the prior of a robot that something of unknown mass and place was added to at a link.
+
+    What is added has zero mean and the deviations of :func:`payload_std`.
+    """
+    start = 10 * parameters.link_names.index(link)
+    added = np.zeros(len(prior.mean))
+    added[start : start + 10] = payload_std(parameters, prior.mean)[start // 10]
+    std = np.hypot(prior.std, added)
+    if prior.factor is None:
+        return replace(prior, std=std)
+    covariance = prior.factor @ prior.factor.T + np.diag(added**2)
+    scaled = np.linalg.cholesky(covariance / np.outer(std, std))
+    factor = std[:, None] * scaled
+    return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor)
+
+
+def faded_rows(known: SoftRows | None, kept: float) -> SoftRows | None:
+    """Return other knowledge with the same weight: a robot that was weighed may carry more now."""
+    if known is None:
+        return None
+    root = np.sqrt(faded_weight(kept))
+    return SoftRows(root * known.rows, root * known.targets)

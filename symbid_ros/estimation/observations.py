@@ -9,8 +9,7 @@ from scipy.linalg import eigh
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.information import Information
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.information import Information, RowLayout
 from symbid_ros.signals.weak_form import INFLATION, SampledRows, WindowedRows
 
 # Fewer samples than this per coordinate give no covariance between coordinates worth having.

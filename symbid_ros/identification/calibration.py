@@ -7,7 +7,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import DataError
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import SoftRows, posterior
 from symbid_ros.estimation.prior import Prior

@@ -9,7 +9,7 @@ import numpy as np
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.model.parameters import ParameterSet

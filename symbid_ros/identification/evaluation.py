@@ -6,9 +6,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.dynamics.centroid import first_moment_regressor, momentum_regressor
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion, generalised_force, known_force
+from symbid_ros.dynamics.regressor import (
+    equation_of_motion,
+    first_moment_regressor,
+    generalised_force,
+    known_force,
+    momentum_regressor,
+)
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import rotate, rotate_back
 from symbid_ros.errors import BagError

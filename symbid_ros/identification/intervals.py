@@ -6,9 +6,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.centroid import com_position
 from symbid_ros.dynamics.kinematics import LinkPoses, link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.regressor import com_position, equation_of_motion
 from symbid_ros.errors import EstimateError
 from symbid_ros.identification.evaluation import TrueMotion
 from symbid_ros.model.parameters import ParameterSet

@@ -9,7 +9,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import load_deviation_factor
 from symbid_ros.estimation.estimate import Estimate, load_estimate
-from symbid_ros.estimation.prior_file import load_prior
+from symbid_ros.estimation.prior import load_prior
 from symbid_ros.model.parameters import ParameterSet, terms_in
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.safe_yaml import load_json

@@ -6,11 +6,16 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regressor
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion, known_force
+from symbid_ros.dynamics.regressor import (
+    centroidal,
+    com_position,
+    equation_of_motion,
+    known_force,
+    momentum_regressor,
+)
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import rotate
 from symbid_ros.errors import BagError, DataError

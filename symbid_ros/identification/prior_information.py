@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.knowledge import mirror_rows, total_mass_row
+from symbid_ros.estimation.constraints import mirror_rows, total_mass_row
 from symbid_ros.estimation.posterior import SoftRows
-from symbid_ros.estimation.prior import Prior, absolute_model_prior, model_prior
-from symbid_ros.estimation.prior_file import load_prior
+from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior, model_prior
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_errors import KINDS
 

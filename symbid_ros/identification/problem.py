@@ -6,7 +6,7 @@ from typing import Literal, get_args
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import SoftRows
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.truncation import Criterion
+from symbid_ros.estimation.truncated_svd import Criterion
 from symbid_ros.identification.calibration import Calibrated
 from symbid_ros.model.parameters import ParameterSet
 

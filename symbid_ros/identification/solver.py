@@ -7,14 +7,13 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.constraints import Bounds
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.estimation.knowledge import Bounds
 from symbid_ros.estimation.observations import Observations, whiteness
-from symbid_ros.estimation.physical import consistent_minimum
+from symbid_ros.estimation.physical_consistency import consistent_minimum
 from symbid_ros.estimation.posterior import SETTLED, Posterior
-from symbid_ros.estimation.thesis import LeastSquares
-from symbid_ros.estimation.thesis import Method as TruncatedMethod
-from symbid_ros.estimation.truncation import informative_rank, select_rank
+from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, select_rank
+from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.verdict import DETERMINED, alarms, judge
 from symbid_ros.identification.problem import Method, Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solved

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.estimation.fading import faded_prior, faded_rows
+from symbid_ros.estimation.change import faded_prior, faded_rows
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior, posterior
 from symbid_ros.estimation.verdict import SUSPICIOUS_NOISE

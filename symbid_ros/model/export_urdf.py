@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.model.bodies import ROUNDING, updated_bodies
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.rotation import rpy_from_rotation
 from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.model.urdf import UrdfReader
-from symbid_ros.model.welded_bodies import ROUNDING, updated_bodies
-from symbid_ros.model.xml_edit import XmlEditor, is_editable
-from symbid_ros.model.xml_tree import as_element, read_xml
+from symbid_ros.model.xml_file import XmlEditor, as_element, is_editable, read_xml
 
 # urdfdom demands numbers for effort and velocity and does not read "inf".
 _UNLIMITED = 1e9

@@ -10,7 +10,7 @@ from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.mjcf_source import read_mjcf
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.urdf import Base, load_urdf
-from symbid_ros.model.xml_tree import read_xml
+from symbid_ros.model.xml_file import read_xml
 
 logger = logging.getLogger(__name__)
 
@@ -92,6 +92,6 @@ def is_mjcf(path: Path) -> bool:
     Raises
     ------
     ModelError
-        When the file is refused by :func:`symbid_ros.model.xml_tree.read_xml`.
+        When the file is refused by :func:`symbid_ros.model.xml_file.read_xml`.
     """
     return read_xml(path).tag == "mujoco"

@@ -9,10 +9,9 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
-from symbid_ros.model.assembly import Body, BodyJoint, assemble
+from symbid_ros.model.bodies import Body, BodyJoint, assemble
 from symbid_ros.model.inertia import phi_from_com
-from symbid_ros.model.mjcf_bare import bare_mjcf
-from symbid_ros.model.mjcf_source import read_mjcf
+from symbid_ros.model.mjcf_source import bare_mjcf, read_mjcf
 from symbid_ros.model.rotation import rotation_from_quaternion
 from symbid_ros.model.tree import RobotModel
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
-from symbid_ros.model.assembly import Body, BodyJoint, assemble
+from symbid_ros.model.bodies import Body, BodyJoint, assemble
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.rotation import rotation_from_rpy
 from symbid_ros.model.tree import STANDARD_GRAVITY, RobotModel
-from symbid_ros.model.xml_tree import LARGEST, MAX_DEPTH, place, read_xml
+from symbid_ros.model.xml_file import LARGEST, MAX_DEPTH, place, read_xml
 
 Base = Literal["auto", "floating", "fixed"]
 
@@ -39,7 +39,7 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
     Raises
     ------
     ModelError
-        When the file is refused by :func:`symbid_ros.model.xml_tree.read_xml`, is not a URDF
+        When the file is refused by :func:`symbid_ros.model.xml_file.read_xml`, is not a URDF
         (yet: xacro), describes no tree, or has numbers that no robot has.
     """
     robot = read_xml(path)

@@ -14,7 +14,7 @@ from symbid_ros.estimation.information import DIFFERENT
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import SoftRows
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.row_weights import sensor_row_deviation
+from symbid_ros.estimation.truncated_svd import sensor_row_deviation
 from symbid_ros.identification.calibration import Wanted, calibrate, read_tare
 from symbid_ros.identification.dataset import Record, read_record
 from symbid_ros.identification.export import check_output

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.row_weights import SensorDeviation
-from symbid_ros.estimation.truncation import Criterion
+from symbid_ros.estimation.truncated_svd import Criterion, SensorDeviation
 from symbid_ros.identification.dataset import Filter, Processing
 from symbid_ros.identification.prior_information import Facts, PriorChoice
 from symbid_ros.identification.problem import GAUSSIAN, METHODS, Method

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.problem import Problem
 from symbid_ros.offline.job import Job, check, load_parameters

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from symbid_ros.estimation.fading import released
+from symbid_ros.estimation.change import released
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.accumulator import Memory, Whole

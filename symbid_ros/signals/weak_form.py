@@ -17,8 +17,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.dynamics.friction import slips
-from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion, slips
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet

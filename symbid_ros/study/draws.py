@@ -15,9 +15,8 @@ from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior, draw_prior
-from symbid_ros.estimation.thesis import METHODS as TRUNCATED
-from symbid_ros.estimation.thesis import LeastSquares
-from symbid_ros.estimation.truncation import select_rank
+from symbid_ros.estimation.truncated_svd import METHODS as TRUNCATED
+from symbid_ros.estimation.truncated_svd import LeastSquares, select_rank
 from symbid_ros.identification.evaluation import Judge, link_errors
 from symbid_ros.identification.prior_information import Facts, PriorChoice
 from symbid_ros.identification.problem import GAUSSIAN, Problem, Truncation

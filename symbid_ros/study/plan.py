@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import Field, model_validator
 
 from symbid_ros.estimation.prior import Kind
-from symbid_ros.estimation.truncation import Criterion
+from symbid_ros.estimation.truncated_svd import Criterion
 from symbid_ros.identification.problem import GAUSSIAN, METHODS, Method
 from symbid_ros.signals.filters import Channels
 from symbid_ros.study.data_set import Count, DataSet, Log, Part, Seed

@@ -18,7 +18,7 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import StudyError
-from symbid_ros.estimation.layout import RowLayout, random_motions
+from symbid_ros.estimation.information import RowLayout, random_motions
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.dataset import BLOCK, Record, observe
 from symbid_ros.model.parameters import ParameterSet

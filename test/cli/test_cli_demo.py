@@ -5,7 +5,7 @@ import json
 from report_pages import Page
 
 from symbid_ros.bags.streams.reader import topic_counts
-from symbid_ros.estimation.thesis import METHODS
+from symbid_ros.estimation.truncated_svd import METHODS
 from symbid_ros.report.numerals import measured
 
 TITLES = ("prior", "OLS", "WLS-R", "WLS-C", "WLS-RC", "WLS-RC, own z", "MAP", "MAP-LMI", "truth")

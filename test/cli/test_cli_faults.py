@@ -9,7 +9,7 @@ import pytest
 
 from symbid_ros.cli.main import main
 from symbid_ros.estimation.archive import write_archive
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.model.load import load_model

@@ -9,9 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
-from symbid_ros.dynamics.friction import COULOMB_SPEED, coulomb_column, slips
-from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.dynamics.regressor import COULOMB_SPEED, coulomb_column, equation_of_motion, slips
+from symbid_ros.estimation.information import RowLayout
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import TERMS, ParameterSet

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from random_robots import random_robot
 
-from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regressor
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.regressor import centroidal, com_position, momentum_regressor
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.parameters import ParameterSet

@@ -8,8 +8,7 @@ import pinocchio
 import pytest
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
-from symbid_ros.dynamics.friction import slips
-from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion, slips
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model

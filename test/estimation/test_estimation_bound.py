@@ -13,7 +13,7 @@ from random_robots import CONFIG
 from scipy.linalg import cho_factor, cho_solve
 
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.dataset import observe

@@ -9,8 +9,8 @@ from random_robots import random_robot
 from scipy.stats import multivariate_normal
 
 from symbid_ros.estimation.change import innovation
-from symbid_ros.estimation.deviation import PAYLOAD, link_extent
 from symbid_ros.estimation.posterior import posterior
+from symbid_ros.estimation.prior_std import PAYLOAD, link_extent
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.signals.weak_form import INFLATION
 

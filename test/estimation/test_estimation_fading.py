@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from gaussian_logs import gaussian_log, prior_of
 
-from symbid_ros.estimation.deviation import payload_std
-from symbid_ros.estimation.fading import LEAST_WEIGHT, faded_prior, faded_rows, released
+from symbid_ros.estimation.change import LEAST_WEIGHT, faded_prior, faded_rows, released
 from symbid_ros.estimation.posterior import SoftRows, posterior
+from symbid_ros.estimation.prior_std import payload_std
 
 
 @pytest.mark.parametrize("related", [False, True])

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from random_robots import CONFIG, random_robot, with_drives
 
 from symbid_ros.errors import PriorError, SymbidError
-from symbid_ros.estimation.deviation import TERM_STD
 from symbid_ros.estimation.prior import (
     Prior,
     absolute_model_prior,
     draw_prior,
+    load_prior,
     model_prior,
 )
-from symbid_ros.estimation.prior_file import load_prior
+from symbid_ros.estimation.prior_std import TERM_STD
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent, phi_from_pseudo_inertia, pseudo_inertia

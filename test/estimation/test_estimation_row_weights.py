@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from random_robots import random_robot, random_samples
 
-from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviation
+from symbid_ros.estimation.truncated_svd import SensorDeviation, sensor_row_deviation
 from symbid_ros.model.export_mjcf import mjcf_text
 
 SENSORS = SensorDeviation(effort=0.3, force=2.0, moment=0.7)

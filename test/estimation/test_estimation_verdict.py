@@ -11,7 +11,7 @@ from scipy.linalg import eigh
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.posterior import posterior
-from symbid_ros.estimation.truncation import informative_rank
+from symbid_ros.estimation.truncated_svd import informative_rank
 from symbid_ros.estimation.verdict import (
     DETERMINED,
     SUSPICIOUS_NOISE,

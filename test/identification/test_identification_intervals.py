@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from random_robots import random_robot, random_samples
 
-from symbid_ros.dynamics.centroid import com_position
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.regressor import com_position, equation_of_motion
 from symbid_ros.errors import EstimateError
 from symbid_ros.identification.evaluation import TrueMotion, predict
 from symbid_ros.identification.intervals import prediction_std, summarise_intervals

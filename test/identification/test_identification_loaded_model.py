@@ -9,7 +9,7 @@ from random_robots import random_robot
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.loaded_model import load_subject

@@ -8,12 +8,12 @@ from random_robots import CONFIG
 
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.knowledge import total_mass_row
-from symbid_ros.estimation.layout import RowLayout
+from symbid_ros.estimation.constraints import total_mass_row
+from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import Prior, draw_prior
-from symbid_ros.estimation.row_weights import SensorDeviation, sensor_row_deviation
+from symbid_ros.estimation.truncated_svd import SensorDeviation, sensor_row_deviation
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.export import write_identification

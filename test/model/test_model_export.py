@@ -27,7 +27,7 @@ from symbid_ros.model.inertia import (
 )
 from symbid_ros.model.load import load_model
 from symbid_ros.model.urdf import UrdfReader
-from symbid_ros.model.xml_tree import read_xml
+from symbid_ros.model.xml_file import read_xml
 
 ROBOTS = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
 

@@ -13,7 +13,7 @@ import pytest
 from random_robots import CONFIG
 
 from symbid_ros.errors import ModelError, SimulationError
-from symbid_ros.model import xml_tree
+from symbid_ros.model import xml_file as xml_tree
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model

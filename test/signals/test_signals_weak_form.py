@@ -8,9 +8,8 @@ import pytest
 from analytic_log import analytic_segment, noisy
 from random_robots import random_robot, with_drives
 
-from symbid_ros.dynamics.friction import COULOMB_SPEED
 from symbid_ros.dynamics.imu import BaseMotion
-from symbid_ros.dynamics.regressor import Rows
+from symbid_ros.dynamics.regressor import COULOMB_SPEED, Rows
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.readings import smoothed

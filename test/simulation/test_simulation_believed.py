@@ -4,9 +4,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from symbid_ros.dynamics.centroid import centroidal, com_position, momentum_regressor
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.regressor import (
+    centroidal,
+    com_position,
+    equation_of_motion,
+    momentum_regressor,
+)
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import SimulationError
 from symbid_ros.estimation.prior import draw_prior

@@ -7,7 +7,7 @@ import pytest
 from random_robots import CONFIG, random_phi, random_rotation
 
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.knowledge import (
+from symbid_ros.estimation.constraints import (
     Bounds,
     mirror_pairs,
     mirror_rows,

@@ -9,9 +9,9 @@ from random_robots import CONFIG, random_phi, random_robot
 from scipy.optimize import least_squares
 
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation import physical
-from symbid_ros.estimation.knowledge import Bounds, total_mass_row
-from symbid_ros.estimation.physical import ACCURACY, MARGIN, consistent_minimum
+from symbid_ros.estimation import physical_consistency as physical
+from symbid_ros.estimation.constraints import Bounds, total_mass_row
+from symbid_ros.estimation.physical_consistency import ACCURACY, MARGIN, consistent_minimum
 from symbid_ros.estimation.prior import draw_prior, model_prior
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.inertia import is_consistent, phi_from_pseudo_inertia, pseudo_inertia

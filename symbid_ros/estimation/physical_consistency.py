@@ -1,0 +1,366 @@
+"""The least-squares minimum among physically possible links: a quadratic under cones.
+
+Minimise ½‖W φ - w‖² subject to J(φ_l) ⪰ ε for each link l, where J is the pseudo-inertia
+(Wensing, Kim and Slotine 2018, IEEE RA-L 3(1), Eq. 11) in units of the link's own scale,
+and to linear bounds, such as the sign of friction. The problem is convex, and Clarabel
+(Goulart and Chen 2024, arXiv:2405.12762) solves it.
+
+Clarabel is given u = R (x - x₀), with x = φ / scale and R the triangular factor of the
+scaled problem about its free minimum x₀: the objective is then ½‖u‖², whose Hessian is the
+identity whatever the data's condition, and u counts posterior standard deviations. It also
+makes the duality gap bound the distance to the optimum, ½‖u - u*‖² ≤ gap, so that an
+answer is judged by what it is and not by the status it came with.
+"""
+
+from dataclasses import dataclass, replace
+
+import clarabel  # type: ignore[import-untyped]
+import numpy as np
+from scipy.linalg import block_diag, qr, solve_triangular
+from scipy.sparse import csc_array
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.constraints import Bounds
+from symbid_ros.model.inertia import pseudo_inertia
+
+# Least eigenvalue of a link's pseudo-inertia in units of the link's own size. It keeps links
+# strictly inside, where the rounding of a written model cannot make them impossible and
+# MuJoCo accepts them, yet lies far below what any data can tell.
+MARGIN = 1e-7
+
+# A symmetric 4 by 4 matrix as Clarabel's vector: the upper triangle column by column, with
+# off-diagonal elements times √2 so that scalar products are kept.
+_COLUMN, _ROW = np.tril_indices(4)
+_SVEC = np.where(_COLUMN == _ROW, 1.0, np.sqrt(2.0))
+
+# Largest certified distance from the optimum: in posterior standard deviations, or relative
+# to the way from the free minimum where the constraints move the answer by more than one.
+ACCURACY = 1e-3
+
+_TOLERANCE = 1e-10
+_ATTEMPTS: tuple[dict[str, object], ...] = (
+    # The problem comes scaled; a second scaling costs two digits of the gap.
+    {"equilibrate_enable": False},
+    {"equilibrate_enable": True},
+    {"equilibrate_enable": False, "max_step_fraction": 0.9, "iterative_refinement_max_iter": 50},
+)
+_INFEASIBLE = {"PrimalInfeasible", "AlmostPrimalInfeasible"}
+
+
+@dataclass(frozen=True)
+class Quadratic:
+    """‖factor φ - target‖² as ‖R (x - x₀)‖² + c, with x = φ / scale.
+
+    Attributes
+    ----------
+    scale : (p,) float64
+        The parameters' units.
+    triangle : (p, p) float64
+        R, upper triangular.
+    minimum : (p,) float64
+        x₀.
+    """
+
+    scale: FloatArray
+    triangle: FloatArray
+    minimum: FloatArray
+
+    @classmethod
+    def of(cls, factor: FloatArray, target: FloatArray, scale: FloatArray) -> "Quadratic":
+        """Return ‖factor φ - target‖² (r rows) in units of ``scale`` (p,).
+
+        Raises
+        ------
+        EstimateError
+            When a number is not finite, or the rows do not determine φ.
+        """
+        if not (np.all(np.isfinite(factor)) and np.all(np.isfinite(target))):
+            raise EstimateError(
+                "a row of data or prior is not finite; mask the sample it came from"
+            )
+        if not np.all((scale > 0) & np.isfinite(scale)):
+            raise EstimateError(
+                "a prior standard deviation is not a positive number; mend the prior"
+            )
+        count = len(scale)
+        rows = np.column_stack([factor * scale, target])
+        triangle = np.asarray(qr(rows, mode="r", overwrite_a=True)[0], dtype=np.float64)
+        R, projected = triangle[:count, :count], triangle[:count, count]
+        pivots = np.abs(np.diag(R))
+        if len(R) < count or pivots.min() <= count * np.finfo(float).eps * pivots.max():
+            raise EstimateError(
+                "data and prior together do not determine all parameters; give each a prior "
+                "standard deviation in proportion to the others"
+            )
+        return cls(scale, R, np.asarray(solve_triangular(R, projected)))
+
+    def in_deviations(self, matrix: FloatArray) -> FloatArray:
+        """Return matrix R⁻¹ (m, p): rows on x as rows on u, in posterior deviations."""
+        return np.asarray(solve_triangular(self.triangle, matrix.T, trans="T").T)
+
+    def point(self, u: FloatArray) -> FloatArray:
+        """Return x (p,) at u (p,) posterior deviations from the minimum."""
+        return np.asarray(self.minimum + solve_triangular(self.triangle, u))
+
+    def deviations(self, x: FloatArray) -> FloatArray:
+        """Return u (p,), the posterior deviations of x (p,) from the minimum."""
+        return np.asarray(self.triangle @ (x - self.minimum))
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """The cone program's rows: matrix x - offset in {0}ᵉ × ℝ₊ᵏ × (4 by 4 semidefinite)ᴸ.
+
+    Pseudo-inertias are scaled from both sides by the link's extent and mass, and every
+    bound and link by its own size about the free minimum.
+    """
+
+    matrix: FloatArray
+    offset: FloatArray
+    equations: int
+    linear: int
+    links: int
+
+    @classmethod
+    def about(cls, quadratic: Quadratic, links: int, bounds: Bounds | None) -> "Constraints":
+        """Return the constraints on L ``links`` and the bounds, in sizes of the free minimum."""
+        scale = quadratic.scale
+        count = len(scale)
+        cones = np.zeros((10 * links, count))
+        inertial = scale[: 10 * links].reshape(-1, 10)
+        cones[:, : 10 * links] = block_diag(*map(_scaled_pseudo_inertia, inertial))
+        matrix, offset, equations = np.zeros((0, count)), np.zeros(0), 0
+        if bounds is not None:
+            matrix, offset, equations = bounds.one_sided(count)
+        linear = len(matrix)
+        matrix = np.concatenate([matrix * scale, cones])
+        offset = np.concatenate([offset, np.zeros(10 * links)])
+        # A tight or loose prior must neither swamp the solver's tolerances, which are those
+        # of the largest row, nor make the margin large beside the link itself.
+        deviation = np.linalg.norm(quadratic.in_deviations(matrix), axis=1)
+        size = np.maximum(np.abs(matrix @ quadratic.minimum - offset), deviation)
+        per_link = size[linear:].reshape(-1, 10).max(axis=1)
+        size = np.concatenate([size[:linear], np.repeat(per_link, 10)])
+        offset = offset / size
+        offset[linear:] += MARGIN * np.tile(_svec(np.eye(4)), links)
+        return cls(matrix / size[:, None], offset, equations, linear, links)
+
+    @property
+    def cones(self) -> list[object]:
+        """The same as Clarabel calls them."""
+        return [
+            clarabel.ZeroConeT(self.equations),
+            clarabel.NonnegativeConeT(self.linear - self.equations),
+            *[clarabel.PSDTriangleConeT(4)] * self.links,
+        ]
+
+    def slack(self, x: FloatArray) -> FloatArray:
+        """Return the vector (m,) that should lie in the cone."""
+        return np.asarray(self.matrix @ x - self.offset)
+
+    def outside(self, x: FloatArray) -> FloatArray:
+        """Return per bound and link (linear + L,) how far x is outside; inside it is ≤ 0."""
+        slack = self.slack(x)
+        equations, inequalities = np.split(slack[: self.linear], [self.equations])
+        smallest = np.linalg.eigvalsh(_smat(slack[self.linear :]))[:, 0]
+        return np.concatenate([np.abs(equations), -inequalities, -smallest])
+
+    def restored(self, x: FloatArray) -> FloatArray:
+        """Return x moved just so far that links and one-sided bounds on a parameter hold.
+
+        A link moves along the isotropic body of its scale, the direction that raises all
+        eigenvalues of its pseudo-inertia alike.
+        """
+        x = x.copy()
+        for row, offset in zip(
+            self.matrix[self.equations : self.linear],
+            self.offset[self.equations : self.linear],
+            strict=True,
+        ):
+            at = np.flatnonzero(row)
+            if len(at) == 1 and row @ x < offset:
+                x[at] = offset / row[at]
+        outside = self.outside(x)[self.linear :]
+        for link in np.flatnonzero(outside > 0.0):
+            own = slice(10 * link, 10 * link + 10)
+            raising = np.linalg.solve(self.matrix[self.linear :][own, own], _svec(np.eye(4)))
+            x[own] += outside[link] * raising
+        return x
+
+    def multipliers(self, z: FloatArray) -> FloatArray:
+        """Return the multipliers (m,) of the right sign nearest to z (m,)."""
+        values, vectors = np.linalg.eigh(_smat(z[self.linear :]))
+        nearest = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
+        equations, inequalities = np.split(z[: self.linear], [self.equations])
+        return np.concatenate([equations, np.maximum(inequalities, 0.0), _svec(nearest).ravel()])
+
+
+def _scaled_pseudo_inertia(std: FloatArray) -> FloatArray:
+    """Return the (10, 10) map from a link's φ / std to its scaled pseudo-inertia's vector.
+
+    The scale is the deviation of the mass, and that of a second moment: half the root of
+    the sum of the three moments of inertia's variances, which is the same for each axis.
+    """
+    moment = 0.5 * np.sqrt(np.sum(std[[4, 7, 9]] ** 2))
+    size = 1.0 / np.sqrt([moment, moment, moment, std[0]])
+    basis = pseudo_inertia(np.eye(10)) * np.outer(size, size)
+    return np.asarray(_svec(basis).T * std)
+
+
+def _svec(matrix: FloatArray) -> FloatArray:
+    return np.asarray(matrix[..., _COLUMN, _ROW] * _SVEC)
+
+
+def _smat(vector: FloatArray) -> FloatArray:
+    vector = vector.reshape(-1, 10) / _SVEC
+    matrix = np.empty((len(vector), 4, 4))
+    matrix[:, _COLUMN, _ROW] = matrix[:, _ROW, _COLUMN] = vector
+    return matrix
+
+
+@dataclass(frozen=True)
+class ConsistentSolution:
+    """The minimum among physically possible links.
+
+    Attributes
+    ----------
+    value : (p,) float64
+        Parameters, in SI units.
+    smallest : (L,) float64
+        Per link the least eigenvalue of its pseudo-inertia in units of its own size (of
+        the free minimum or of its posterior deviation, whichever is larger); at least
+        :data:`MARGIN`, but for rounding.
+    active : (L,) bool
+        Whether the link lies on the border of what is possible.
+    moved : float
+        Distance from the free minimum in posterior standard deviations.
+    accuracy : float
+        Upper bound on the distance from the exact minimum, in the same units.
+    status : str
+        ``Free`` when no constraint matters, else the solver's own word.
+    iterations : int
+        Interior-point iterations, of all attempts.
+    """
+
+    value: FloatArray
+    smallest: FloatArray
+    active: BoolArray
+    moved: float
+    accuracy: float
+    status: str
+    iterations: int
+
+
+def consistent_minimum(
+    factor: FloatArray,
+    target: FloatArray,
+    scale: FloatArray,
+    links: int,
+    bounds: Bounds | None = None,
+) -> ConsistentSolution:
+    """Minimise ‖factor φ - target‖² among physically possible links.
+
+    Parameters
+    ----------
+    factor : (r, p) float64
+        Whitened rows of data and prior, of full column rank.
+    target : (r,) float64
+        Their right-hand sides.
+    scale : (p,) float64
+        The prior's standard deviations, in SI units.
+    links : int
+        Number of links, whose ten parameters each come first.
+    bounds : Bounds, optional
+        Linear bounds on the parameters.
+
+    Returns
+    -------
+    ConsistentSolution
+        The minimum, and a bound on its distance from the exact one.
+
+    Raises
+    ------
+    EstimateError
+        When the rows do not determine the parameters, no possible links meet the
+        bounds, or the solver does not come within :data:`ACCURACY` of the optimum.
+    """
+    quadratic = Quadratic.of(factor, target, scale)
+    constraints = Constraints.about(quadratic, links, bounds)
+    if np.all(constraints.outside(quadratic.minimum) <= 0.0):
+        return _solution(quadratic, constraints, quadratic.minimum, 0.0)
+    statuses: list[str] = []
+    iterations = 0
+    for options in _ATTEMPTS:
+        solution = _attempt(quadratic, constraints, options)
+        statuses.append(solution.status)
+        iterations += solution.iterations
+        if solution.accuracy <= ACCURACY * max(1.0, solution.moved):
+            return replace(solution, iterations=iterations)
+    if bounds is not None and _INFEASIBLE & set(statuses):
+        shown = ", ".join(bounds.names[:4]) + (" ..." if len(bounds.names) > 4 else "")
+        raise EstimateError(
+            f"no physically possible links meet the bounds on {shown}; loosen one of them"
+        )
+    raise EstimateError(
+        f"the physically possible minimum was not found to {ACCURACY:g} standard deviations "
+        f"(solver: {', '.join(dict.fromkeys(statuses))}); look for a prior deviation out of all "
+        "proportion to the others"
+    )
+
+
+def _attempt(
+    quadratic: Quadratic, constraints: Constraints, options: dict[str, object]
+) -> ConsistentSolution:
+    """Run Clarabel, put its answer inside the constraints and bound its error."""
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
+    for option, value in options.items():
+        setattr(settings, option, value)
+    # A u + s = b with s in the cone, and lengths in units of the least way to the cone.
+    A = -quadratic.in_deviations(constraints.matrix)
+    count, linear = len(quadratic.minimum), constraints.linear
+    per_link = A[linear:].reshape(constraints.links, 10 * count)
+    pull = np.concatenate([np.linalg.norm(rows, axis=1) for rows in (A[:linear], per_link)])
+    way = max(1.0, float(np.max(constraints.outside(quadratic.minimum) / pull)))
+    answer = clarabel.DefaultSolver(
+        csc_array(np.eye(count)),
+        np.zeros(count),
+        csc_array(A),
+        constraints.slack(quadratic.minimum) / way,
+        constraints.cones,
+        settings,
+    ).solve()
+    x, accuracy = quadratic.minimum, np.inf
+    u, z = way * np.array(answer.x), way * np.array(answer.z)
+    if np.all(np.isfinite(u)) and np.all(np.isfinite(z)):
+        x = constraints.restored(quadratic.point(u))
+        if np.all(constraints.outside(x) <= MARGIN / 2):
+            z = constraints.multipliers(z)
+            stationarity = quadratic.deviations(x) + A.T @ z
+            gap = 0.5 * stationarity @ stationarity + abs(constraints.slack(x) @ z)
+            accuracy = float(np.sqrt(2.0 * gap))
+    status, iterations = str(answer.status), int(answer.iterations)
+    return _solution(quadratic, constraints, x, accuracy, status=status, iterations=iterations)
+
+
+def _solution(
+    quadratic: Quadratic,
+    constraints: Constraints,
+    x: FloatArray,
+    accuracy: float,
+    *,
+    status: str = "Free",
+    iterations: int = 0,
+) -> ConsistentSolution:
+    smallest = MARGIN - constraints.outside(x)[constraints.linear :]
+    return ConsistentSolution(
+        value=x * quadratic.scale,
+        smallest=smallest,
+        active=smallest < 10 * MARGIN,
+        moved=float(np.linalg.norm(quadratic.deviations(x))),
+        accuracy=accuracy,
+        status=status,
+        iterations=iterations,
+    )
