@@ -31,9 +31,8 @@ from symbid_ros.messages.topics import Selector, Topic, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.job import Job
-from symbid_ros.online.beginning import Beginning
-from symbid_ros.online.identification import OnlineIdentification, Pace
-from symbid_ros.online.outcome import Outcome
+from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
+from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.payload import Payload
 from symbid_ros.simulation.recording import record
@@ -162,7 +161,7 @@ def _looks(simulator: Simulator, seconds: float, seed: int, memory: float) -> It
         selector.counts = {topic: 1 for topic in topics.values() if selector.wants(topic)}
         selected = selector.selected()
         job = Job((), MODEL, prior=PriorChoice(Path(folder) / "prior.json"))
-        live = OnlineIdentification(Beginning.of(job), selected, Pace(memory, share=1.0))
+        live = OnlineIdentification(InitialState.of(job), selected, Pace(memory, share=1.0))
         due = recording.start + 1_000_000_000
         names = {topic.name for topic in selected.all}
         for message in recording.messages(names, recording.start, recording.end + 1):
@@ -175,7 +174,7 @@ def _looks(simulator: Simulator, seconds: float, seed: int, memory: float) -> It
         live.close()
 
 
-def _look(time: float, outcome: Outcome, parameters: ParameterSet) -> Look:
+def _look(time: float, outcome: OnlineEstimate, parameters: ParameterSet) -> Look:
     estimate, change = outcome.found.estimate, outcome.change
     assert estimate.std is not None
     return Look(

@@ -17,18 +17,17 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.accumulator import Memory, Whole
 from symbid_ros.identification.block_rows import BlockRows, TimeSpan, block_rows
-from symbid_ros.identification.change_monitor import ChangeWatch
+from symbid_ros.identification.change_monitor import Change, ChangeWatch
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.weight_check import check_weight
 from symbid_ros.identification.window_choice import WindowChoice
 from symbid_ros.messages.topics import SelectedTopics, Topic
-from symbid_ros.online.beginning import Beginning
-from symbid_ros.online.block_work import BlockWork
+from symbid_ros.online.block_scheduler import BlockScheduler
+from symbid_ros.online.block_worker import BlockWorker
+from symbid_ros.online.initial_state import InitialState
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.message_check import MessageCheck
-from symbid_ros.online.outcome import Outcome
-from symbid_ros.online.timeline import Timeline
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suited_windows
 
 logger = logging.getLogger(__name__)
@@ -56,12 +55,37 @@ class Pace:
     share: float = 0.15
 
 
+@dataclass(frozen=True)
+class OnlineEstimate:
+    """An estimate and up to when it knows the robot.
+
+    Attributes
+    ----------
+    found : Identification
+        The estimate, with the observations behind it; its verdict only if solved exactly.
+    until : int
+        Stamp of the newest data in it, ns.
+    window : float
+        Length of the rows' windows, s.
+    alarms : tuple of str
+        What is wrong, one line each.
+    change : Change or None
+        What the robot has changed in, if it has.
+    """
+
+    found: Identification
+    until: int
+    window: float
+    alarms: tuple[str, ...]
+    change: Change | None
+
+
 class OnlineIdentification:
     """What is known of a robot, by the messages that have come.
 
     Parameters
     ----------
-    beginning : Beginning
+    beginning : InitialState
         The job, and what is known already.
     selected : SelectedTopics
         The robot's sensors.
@@ -80,7 +104,7 @@ class OnlineIdentification:
         What they dropped, and why.
     """
 
-    def __init__(self, beginning: Beginning, selected: SelectedTopics, pace: Pace) -> None:
+    def __init__(self, beginning: InitialState, selected: SelectedTopics, pace: Pace) -> None:
         self._beginning, self._pace = beginning, pace
         self._job, self._parameters = beginning.job, beginning.problem.parameters
         self._windows = tuple(one.window for one in beginning.observations)
@@ -91,7 +115,7 @@ class OnlineIdentification:
             inputs=(*beginning.problem.inputs, *topics),
             has_wrenches=bool(selected.wrenches),
         )
-        self._timeline = Timeline(selected, self._parameters.model, pace.lag, "live topics")
+        self._timeline = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
         self.lost_blocks = self.clock_jumps = 0
         model = self._parameters.model
@@ -106,7 +130,7 @@ class OnlineIdentification:
         self._suited: tuple[float, ...] = ()
         known = Whole(beginning.observations, pace.memory)
         self._memory = Memory(known, len(self._windows) // 2)
-        self._work = BlockWork(self._build, self._windows, pace.share, known)
+        self._work = BlockWorker(self._build, self._windows, pace.share, known)
 
     @property
     def streams(self) -> LiveStreams:
@@ -155,7 +179,7 @@ class OnlineIdentification:
             self._put(stretch)
         self._settle(self._work.done())
 
-    def solve(self, *, exactly: bool = False) -> Outcome | None:
+    def solve(self, *, exactly: bool = False) -> OnlineEstimate | None:
         """Return the estimate by what has come; None while that is too little.
 
         Parameters
@@ -181,7 +205,7 @@ class OnlineIdentification:
             self._until = piece.stop - 1
         return self._solve_exactly() if exactly else self._solve_roughly(new)
 
-    def _solve_exactly(self) -> Outcome | None:
+    def _solve_exactly(self) -> OnlineEstimate | None:
         self._settle(self._work.finish())
         whole, rest = self._memory.whole, self._timeline.rest()
         if rest is not None and rest.segments:
@@ -194,7 +218,7 @@ class OnlineIdentification:
         self._check_weight(problem.observations[0])
         return self._outcome(Solver.of(problem), judged=True)
 
-    def _solve_roughly(self, new: Sequence[BlockRows]) -> Outcome | None:
+    def _solve_roughly(self, new: Sequence[BlockRows]) -> OnlineEstimate | None:
         problem = self._problem_of(self._memory.whole)
         if problem.observations:
             self._choose_window(problem)
@@ -256,10 +280,10 @@ class OnlineIdentification:
             self._memory.track(self._memory.whole, window)
             self._watch.begin_again()
 
-    def _outcome(self, solver: Solver, *, judged: bool) -> Outcome:
+    def _outcome(self, solver: Solver, *, judged: bool) -> OnlineEstimate:
         found = self._identified(solver, judged=judged)
         window = solver.chosen.window
-        return Outcome(found, self._until, window, solver.alarms, self._watch.change)
+        return OnlineEstimate(found, self._until, window, solver.alarms, self._watch.change)
 
     def reset(self) -> None:
         """Forget all but the prior."""

@@ -4,8 +4,7 @@ import time
 from collections.abc import Iterable, Sequence
 
 from symbid_ros.messages.topics import Topic
-from symbid_ros.online.identification import OnlineIdentification
-from symbid_ros.online.outcome import Outcome
+from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification
 from symbid_ros.ros.estimate_messages import estimate_health
 from symbid_ros.ros.health import ERROR, OK, WARN, Health
 from symbid_ros.ros.stream_faults import StreamFaults
@@ -69,7 +68,9 @@ class IdentifierHealth:
         """Take why there is no estimate."""
         self._estimate = Health("estimate", ERROR, reason)
 
-    def solved(self, live: OnlineIdentification, outcome: Outcome | None, seconds: float) -> None:
+    def solved(
+        self, live: OnlineIdentification, outcome: OnlineEstimate | None, seconds: float
+    ) -> None:
         """Take an estimate and how long it took."""
         self._solved = time.monotonic()
         if outcome is None:
@@ -93,7 +94,7 @@ class IdentifierHealth:
             }
             self._change = Health("change", WARN, str(outcome.change), figures)
 
-    def _estimate_health(self, outcome: Outcome, age: float, seconds: float) -> Health:
+    def _estimate_health(self, outcome: OnlineEstimate, age: float, seconds: float) -> Health:
         facts = {
             "window": f"{outcome.window:g}",
             "age": f"{max(age, 0.0):.3f}",

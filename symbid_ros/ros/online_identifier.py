@@ -17,9 +17,8 @@ from std_srvs.srv import SetBool, Trigger
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.identification.export import check_output, export_urdf, write_identification
 from symbid_ros.messages.topics import SelectedTopics, Topic
-from symbid_ros.online.beginning import Beginning
-from symbid_ros.online.identification import OnlineIdentification, Pace
-from symbid_ros.online.outcome import Outcome
+from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
+from symbid_ros.online.initial_state import InitialState
 from symbid_ros.ros.estimate_topics import EstimateTopics
 from symbid_ros.ros.health import HealthPublisher
 from symbid_ros.ros.identifier_health import IdentifierHealth
@@ -72,7 +71,7 @@ class OnlineIdentifier:
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
-        self._beginning = Beginning.of(job_from(values))
+        self._beginning = InitialState.of(job_from(values))
         self._parameters = self._beginning.problem.parameters
         memory: float = values["memory"]
         self._pace = Pace(memory or float("inf"), values["lag"], values["row_share"])
@@ -97,7 +96,7 @@ class OnlineIdentifier:
         self._topics = EstimateTopics(node, self._parameters)
         self._described = float("-inf")
         self._solves = 0
-        self._newest: Outcome | None = None
+        self._newest: OnlineEstimate | None = None
         self._solve_time = 0.0  # s
         self._health = IdentifierHealth()
         self._notices = Notices(node)
@@ -232,7 +231,7 @@ class OnlineIdentifier:
         while self._drain(until) and time.monotonic() < deadline:
             pass
 
-    def _solve(self, *, exactly: bool = False) -> Outcome | None:
+    def _solve(self, *, exactly: bool = False) -> OnlineEstimate | None:
         began = time.monotonic()
         try:
             outcome = self._live.solve(exactly=exactly)
@@ -251,7 +250,7 @@ class OnlineIdentifier:
             self._publish(outcome, describe=exactly)
         return outcome
 
-    def _publish(self, outcome: Outcome, *, describe: bool) -> None:
+    def _publish(self, outcome: OnlineEstimate, *, describe: bool) -> None:
         estimate = outcome.found.estimate
         self._topics.publish(estimate, Time(nanoseconds=outcome.until).to_msg())
         now = time.monotonic()
@@ -262,7 +261,7 @@ class OnlineIdentifier:
     def _solve_exactly(self) -> str:
         return _told(self._known())
 
-    def _known(self) -> Outcome:
+    def _known(self) -> OnlineEstimate:
         self._drain_until(time.time_ns())
         outcome = self._solve(exactly=True)
         if outcome is None:
@@ -274,7 +273,7 @@ class OnlineIdentifier:
             raise ParameterError("parameter out: empty; start the identifier with -p out:=FOLDER")
         return self._write(self._known(), self._out)
 
-    def _write(self, outcome: Outcome, out: Path) -> str:
+    def _write(self, outcome: OnlineEstimate, out: Path) -> str:
         write_identification(outcome.found, self._parameters, out)
         return f"{_told(outcome)}, written to {out}"
 
@@ -298,7 +297,7 @@ class OnlineIdentifier:
             summary["saved"] = self._write(known, self._out)
         print(json.dumps(summary), flush=True)
 
-    def _last_known(self) -> Outcome | None:
+    def _last_known(self) -> OnlineEstimate | None:
         """Return the estimate of an offline run, or the newest one if time is too short."""
         if self._newest is not None and EXACT_COST * self._solve_time > SHUTDOWN_SOLVE_TIME:
             self._node.get_logger().warning(
@@ -362,7 +361,7 @@ class OnlineIdentifier:
             return None
 
 
-def _told(outcome: Outcome) -> str:
+def _told(outcome: OnlineEstimate) -> str:
     estimate = outcome.found.estimate
     count = 0 if estimate.determined is None else int(estimate.determined.sum())
     return f"{count} of {len(estimate.names)} parameters determined by {estimate.samples} rows"

@@ -3,8 +3,7 @@
 import time
 from dataclasses import dataclass, field
 
-from symbid_ros.online.buffer import TopicBuffer
-from symbid_ros.online.live_streams import LiveStreams
+from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
 
 SILENT = 2.0  # s without a message
 

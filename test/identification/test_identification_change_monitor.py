@@ -10,8 +10,8 @@ from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.job import Job
-from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.payload import Payload
 
@@ -32,7 +32,7 @@ def looks(simulated):
     )
     feed = feed_of(bag)
     job = Job((), MODEL, prior=PriorChoice(percent=25.0))
-    live = OnlineIdentification(Beginning.of(job), feed.selected, Pace(memory=5.0, share=1.0))
+    live = OnlineIdentification(InitialState.of(job), feed.selected, Pace(memory=5.0, share=1.0))
     outcomes = feed.into(live, solving=1.0)
     live.close()
     return [(outcome.until * 1e-9, outcome) for outcome in outcomes if outcome is not None]

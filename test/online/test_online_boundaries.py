@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from symbid_ros.bags.streams.reader import bag_log, read_streams
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.model.load import load_model
-from symbid_ros.online.timeline import Timeline
+from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.weak_form import BLOCK
 
@@ -38,7 +38,7 @@ def bag(simulated, tmp_path_factory) -> Path:
 
 def live(bag: Path, model):
     feed = feed_of(bag)
-    timeline = Timeline(feed.selected, model, 0.5, "live")
+    timeline = BlockScheduler(feed.selected, model, 0.5, "live")
     found = []
     for stamp, topic, payload in feed.messages:
         timeline.streams.add(topic, stamp, payload)

@@ -20,8 +20,8 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identify import prepare
 from symbid_ros.offline.job import Job
-from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
 
@@ -56,7 +56,7 @@ def start(feed):
     begun = []
 
     def begin(pace=HURRIED, **options):
-        begun.append(OnlineIdentification(Beginning.of(job(**options)), feed.selected, pace))
+        begun.append(OnlineIdentification(InitialState.of(job(**options)), feed.selected, pace))
         return begun[-1]
 
     yield begin
@@ -267,7 +267,7 @@ def renamed(payload: bytes) -> bytes:
 def undisturbed(feed):
     """What two seconds of the log tell."""
     part = feed.between(0.0, 2.0)
-    live = OnlineIdentification(Beginning.of(job()), part.selected, HURRIED)
+    live = OnlineIdentification(InitialState.of(job()), part.selected, HURRIED)
     part.into(live)
     value = values_of(live)
     live.close()
@@ -319,7 +319,7 @@ def test_late_and_missing_messages_are_counted(start, feed) -> None:
 def test_a_robot_whose_forces_do_not_carry_it_is_refused(feed) -> None:
     gone = feed.selected.wrenches[0]
     halved = replace(feed.selected, wrenches=feed.selected.wrenches[1:])
-    other = OnlineIdentification(Beginning.of(job()), halved, HURRIED)
+    other = OnlineIdentification(InitialState.of(job()), halved, HURRIED)
     feed.between(0.0, 3.0).without(gone.name).into(other)
     with pytest.raises(DataError, match=r"differ by \d+ % of the prior's weight"):
         other.solve()

@@ -15,7 +15,7 @@ from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import IMU, stamp_of
 from symbid_ros.model.load import load_model
-from symbid_ros.online.timeline import Timeline
+from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.samples import moving_segments
 
@@ -52,7 +52,9 @@ class Heard:
 
 def heard(feed, model, prefix="") -> Heard:
     """Hand a feed to a timeline, taking blocks and pieces each second."""
-    timeline = Timeline(replace(feed.selected, frame_prefix=prefix), model, 1.0, "live topics")
+    timeline = BlockScheduler(
+        replace(feed.selected, frame_prefix=prefix), model, 1.0, "live topics"
+    )
     due = feed.messages[0][0]
     blocks, pieces = [], []
     for stamp, topic, payload in feed.messages:

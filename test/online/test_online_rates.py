@@ -13,8 +13,8 @@ from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.identify import prepare
 from symbid_ros.offline.job import Job
-from symbid_ros.online.beginning import Beginning
 from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.online.initial_state import InitialState
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
 
 START = 1_723_456_789_012_345_678
@@ -37,7 +37,9 @@ def test_a_slow_log_fed_live_tells_what_its_bag_tells(robot_and_bag, tmp_path) -
     def job(bags=(), **options) -> Job:
         return Job(bags, model, prior=PriorChoice(percent=25.0), method="map", **options)
 
-    live = OnlineIdentification(Beginning.of(job()), (feed := feed_of(bag)).selected, Pace(share=1))
+    live = OnlineIdentification(
+        InitialState.of(job()), (feed := feed_of(bag)).selected, Pace(share=1)
+    )
     outcomes = feed.into(live, solving=8.0)
     assert [outcome for outcome in outcomes if outcome is not None]
     exact = live.solve(exactly=True).found
@@ -55,5 +57,5 @@ def test_a_slow_log_fed_live_tells_what_its_bag_tells(robot_and_bag, tmp_path) -
     # Resumed, it has the windows of the run before.
     archive = tmp_path / "information.npz"
     write_archive(archive, exact.observations)
-    resumed = Beginning.of(job(information=archive))
+    resumed = InitialState.of(job(information=archive))
     assert tuple(one.window for one in resumed.observations) == expected

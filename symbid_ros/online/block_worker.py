@@ -11,7 +11,7 @@ from symbid_ros.signals.readings import Readings
 from symbid_ros.signals.weak_form import RowBuilder, SampledRows
 
 
-class BlockWork:
+class BlockWorker:
     """Blocks in line for a thread that takes a bounded share of a core.
 
     A block's rows come at once every few seconds and would keep whoever reads the topics waiting.

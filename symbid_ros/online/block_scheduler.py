@@ -26,7 +26,7 @@ EDGES = 8
 MOST_LEFT = 4
 
 
-class Timeline:
+class BlockScheduler:
     """Messages of a robot's topics, cut where an offline run cuts.
 
     Parameters

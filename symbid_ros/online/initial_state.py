@@ -12,7 +12,7 @@ from symbid_ros.offline.job import Job, check, load_parameters
 
 
 @dataclass(frozen=True)
-class Beginning:
+class InitialState:
     """A job's files, read and checked before the first message.
 
     Attributes
@@ -33,7 +33,7 @@ class Beginning:
     observations: tuple[Observations, ...]
 
     @classmethod
-    def of(cls, job: Job) -> "Beginning":
+    def of(cls, job: Job) -> "InitialState":
         """Read a job's files.
 
         Raises
