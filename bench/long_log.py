@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from reading import peak_memory
 
-from symbid_ros.bags.container.contents import all_blocks
+from symbid_ros.bags.container.files import all_blocks
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.messages.decoder import TopicDecoder

@@ -40,7 +40,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "test" / "support"))
 
 from paced_feed import SENSORS, Feed, await_subscribers, feed, kill_recorder
 
-from symbid_ros.bags.rescue.recover import recover
+from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.messages.types import stamp_of
 from symbid_ros.ros.messages import reliable

@@ -39,7 +39,7 @@ NEVER = {
 BAG_PARTS: dict[str, set[str]] = {
     "container": set(),
     "writing": {"container"},
-    "rescue": {"container", "writing"},
+    "recovery": {"container", "writing"},
     "streams": {"container"},
 }
 FREE = {

@@ -9,17 +9,22 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.records import Header, Metadata, Statistics
 
-from symbid_ros.bags.container.attachment import Attachment
-from symbid_ros.bags.container.catalogue import Catalogue, parsed
 from symbid_ros.bags.container.files import bag_metadata, files_present
-from symbid_ros.bags.container.framing import MAGIC, MESSAGE, RECORD, checked_size, damage_named
+from symbid_ros.bags.container.mcap_records import (
+    MAGIC,
+    MESSAGE,
+    RECORD,
+    Attachment,
+    checked_size,
+    damage_named,
+)
+from symbid_ros.bags.container.mcap_summary import Summary, read_summary
+from symbid_ros.bags.container.schema_registry import Catalogue, parsed
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, sqlite_contents
-from symbid_ros.bags.container.summary import Summary, read_summary
-from symbid_ros.bags.metadata import OfferedQos
-from symbid_ros.bags.rescue.salvage import Salvage, Stretch
+from symbid_ros.bags.recovery.mcap_salvage import Salvage, Stretch
 from symbid_ros.errors import BagError
 from symbid_ros.messages.limits import MAX_QOS, within
-from symbid_ros.messages.topics import Topic
+from symbid_ros.messages.topics import OfferedQos, Topic
 
 
 @dataclass(frozen=True)

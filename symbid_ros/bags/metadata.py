@@ -8,33 +8,10 @@ from typing import Any
 
 import yaml
 
+from symbid_ros.messages.layout import CDR
+from symbid_ros.messages.topics import OfferedQos
+
 METADATA_VERSION = 9  # ROS 2 Jazzy's
-ENCODING = "cdr"
-UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
-
-
-@dataclass(frozen=True)
-class OfferedQos:
-    """What a publisher offers, in rosbag2's words."""
-
-    depth: int = 10
-    history: str = "keep_last"
-    reliability: str = "reliable"
-    durability: str = "volatile"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the entry of ``offered_qos_profiles``; unnamed policies are unlimited."""
-        return {
-            "history": self.history,
-            "depth": self.depth,
-            "reliability": self.reliability,
-            "durability": self.durability,
-            "deadline": dict(UNLIMITED),
-            "lifespan": dict(UNLIMITED),
-            "liveliness": "automatic",
-            "liveliness_lease_duration": dict(UNLIMITED),
-            "avoid_ros_namespace_conventions": False,
-        }
 
 
 @dataclass(frozen=True)
@@ -56,7 +33,7 @@ class TopicMetadata:
     msgtype: str
     qos: tuple[OfferedQos, ...]
     type_hash: str
-    encoding: str = ENCODING
+    encoding: str = CDR
 
     def channel(self) -> dict[str, str]:
         """Return the metadata of the topic's MCAP channel."""

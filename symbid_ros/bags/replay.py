@@ -8,15 +8,13 @@ from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
+from symbid_ros.bags.container.file_index import FileIndex, RecordedTopic, read_mcap_index
 from symbid_ros.bags.container.files import bag_files
-from symbid_ros.bags.container.index import FileIndex, RecordedTopic
-from symbid_ros.bags.container.mcap_index import read_mcap_index
+from symbid_ros.bags.container.mcap_summary import warn_of_counts
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_index
-from symbid_ros.bags.container.summary import warn_of_counts
 from symbid_ros.errors import BagError
+from symbid_ros.messages.layout import CDR
 from symbid_ros.messages.topics import Topic, listing
-
-CDR = "cdr"
 
 
 class RecordedMessage(NamedTuple):

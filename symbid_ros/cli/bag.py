@@ -55,7 +55,7 @@ def recover(
 
     The bag itself is left as it is. Exit status: 0 nothing lost, 1 something, 2 everything.
     """
-    from symbid_ros.bags.rescue import recover as recovering
+    from symbid_ros.bags.recovery import recover as recovering
     from symbid_ros.cli.bag_tables import print_recovery
 
     found = recovering.recover(bag, out)

@@ -9,8 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from symbid_ros.bags.info import BagInfo, FileInfo
-from symbid_ros.bags.metadata import OfferedQos
-from symbid_ros.bags.rescue.recovery import LostStretch, Recovery
+from symbid_ros.bags.recovery.report import LostStretch, Recovery
+from symbid_ros.messages.topics import OfferedQos
 
 SHOWN = 20  # holes; a list of thousands tells no more, --json has them all
 

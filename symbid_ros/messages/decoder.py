@@ -10,7 +10,6 @@ from rosbags.serde import SerdeError
 
 from symbid_ros.arrays import BoolArray, IntArray
 from symbid_ros.errors import DataError
-from symbid_ros.messages.compression import ZSTD_FRAME, unpacked_message
 from symbid_ros.messages.layout import (
     ENCAPSULATION,
     ByteArray,
@@ -19,7 +18,14 @@ from symbid_ros.messages.layout import (
     gathered,
     typestore,
 )
-from symbid_ros.messages.limits import MAX_CHUNK, MAX_MESSAGE, MAX_NAMES, within
+from symbid_ros.messages.limits import (
+    MAX_CHUNK,
+    MAX_MESSAGE,
+    MAX_NAMES,
+    ZSTD_FRAME,
+    unpacked_message,
+    within,
+)
 from symbid_ros.messages.topics import Topic
 
 MAX_LAYOUTS = 32  # a log that changes shape with every message must not cost N² comparisons

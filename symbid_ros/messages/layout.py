@@ -25,6 +25,7 @@ ByteArray = NDArray[np.uint8]
 Records = NDArray[np.void]
 Columns = dict[str, NDArray[Any]]
 
+CDR = "cdr"  # its name as a message encoding
 ENCAPSULATION = 4
 NUMBERS = {
     "bool": "u1",

@@ -2,11 +2,13 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 from symbid_ros.errors import BagError
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 TRUTH = "ground_truth"
+UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 ENCODED = " encoded as "  # between the name of a type and what its messages are instead
 
 
@@ -16,6 +18,30 @@ class Topic:
 
     name: str
     msgtype: str
+
+
+@dataclass(frozen=True)
+class OfferedQos:
+    """What a publisher offers, in rosbag2's words."""
+
+    depth: int = 10
+    history: str = "keep_last"
+    reliability: str = "reliable"
+    durability: str = "volatile"
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the entry of ``offered_qos_profiles``; unnamed policies are unlimited."""
+        return {
+            "history": self.history,
+            "depth": self.depth,
+            "reliability": self.reliability,
+            "durability": self.durability,
+            "deadline": dict(UNLIMITED),
+            "lifespan": dict(UNLIMITED),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(UNLIMITED),
+            "avoid_ros_namespace_conventions": False,
+        }
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from symbid_ros.bags.container.contents import contents
+from symbid_ros.bags.container.files import contents
 from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError, EstimateError

@@ -5,8 +5,7 @@ import time
 
 from symbid_ros.errors import DataError
 from symbid_ros.messages.layout import Layout
-from symbid_ros.messages.message_pattern import MessagePattern
-from symbid_ros.messages.single_messages import SingleMessages
+from symbid_ros.messages.single_message import MessagePattern, SingleMessages
 from symbid_ros.messages.topics import Topic
 from symbid_ros.messages.types import IMU, JOINT_STATE, NANO, WRENCH
 from symbid_ros.model.tree import RobotModel

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from symbid_ros.bags.metadata import OfferedQos
+from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.ros.messages import matching, meets, message_class, offered
 
 # Messages, and bytes of them, taken from one queue before the next has its turn.

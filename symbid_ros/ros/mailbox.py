@@ -13,7 +13,7 @@ from rclpy.qos import QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
 
 from symbid_ros.arrays import IntArray
 from symbid_ros.messages.layout import Layout, Records
-from symbid_ros.messages.single_messages import SingleMessages
+from symbid_ros.messages.single_message import SingleMessages
 from symbid_ros.messages.topics import Topic
 from symbid_ros.messages.types import read_stamp
 from symbid_ros.ros.intake import Polled

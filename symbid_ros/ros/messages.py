@@ -11,8 +11,8 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 
-from symbid_ros.bags.metadata import OfferedQos
 from symbid_ros.errors import SymbidError
+from symbid_ros.messages.topics import OfferedQos
 
 
 def message_class(msgtype: str) -> type[Any]:

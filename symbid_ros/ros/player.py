@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from symbid_ros.bags.container.index import RecordedTopic
+from symbid_ros.bags.container.file_index import RecordedTopic
 from symbid_ros.bags.replay import RecordedMessage, Recording
 from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.messages.layout import typestore

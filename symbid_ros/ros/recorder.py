@@ -14,12 +14,11 @@ from typing import Any
 from rclpy.node import Node
 from rich.console import Console
 
-from symbid_ros.bags.writing.background import BackgroundWriter
-from symbid_ros.bags.writing.gap_count import GapCount
-from symbid_ros.bags.writing.message_queue import QueuedMessage
+from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.messages.layout import ENCAPSULATION, typestore
+from symbid_ros.messages.single_message import GapCounter
 from symbid_ros.messages.types import has_stamp, stamp_of
 from symbid_ros.ros.discovery import Discovery, TopicFilter
 from symbid_ros.ros.health import HealthPublisher
@@ -85,7 +84,7 @@ class _Recording:
 
     intake: Intake
     topic: int
-    gaps: GapCount | None  # without stamps there is nothing to count
+    gaps: GapCounter | None  # without stamps there is nothing to count
 
 
 class Recorder:
@@ -178,7 +177,7 @@ class Recorder:
     def _announce(self, intake: Intake) -> None:
         topic = self._writer.add_topic(intake.topic, intake.msgtype, intake.qos)
         is_stamped = intake.msgtype in typestore().fielddefs and has_stamp(intake.msgtype)
-        self._recordings.append(_Recording(intake, topic, GapCount() if is_stamped else None))
+        self._recordings.append(_Recording(intake, topic, GapCounter() if is_stamped else None))
 
     def _refuse(self, topic: str, error: SymbidError) -> None:
         _warn(f"{topic}: not recorded: {error}")

@@ -8,7 +8,7 @@ from itertools import pairwise
 from rclpy.node import Node
 
 from symbid_ros.errors import DataError
-from symbid_ros.messages.single_messages import SingleMessages
+from symbid_ros.messages.single_message import SingleMessages
 from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSelection
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.tree import RobotModel

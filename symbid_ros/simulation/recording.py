@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from symbid_ros.bags.writing.new_folder import new_folder
+from symbid_ros.bags.writing.disk import new_folder
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.simulator import Simulator

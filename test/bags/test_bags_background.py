@@ -12,11 +12,10 @@ import pytest
 from mcap.reader import make_reader
 from whole_bags import whole_messages
 
-from symbid_ros.bags.metadata import OfferedQos
-from symbid_ros.bags.writing.background import BackgroundWriter
-from symbid_ros.bags.writing.message_queue import QueuedMessage
+from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
+from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.messages.types import IMU, WRENCH
 
 PAYLOAD = np.random.default_rng(0).bytes(320)

@@ -23,8 +23,8 @@ from mcap_features import (
 )
 
 from symbid_ros.bags.info import bag_info
+from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.streams.reader import read_streams, topic_counts
 from symbid_ros.errors import BagError
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH

@@ -22,8 +22,8 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
 from symbid_ros.bags.info import bag_info
+from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.streams.reader import read_streams, topic_counts
 from symbid_ros.bags.streams.slices import iterate_slices
 from symbid_ros.errors import BagError, DataError

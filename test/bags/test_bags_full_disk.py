@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from small_disks import small_disk
 from whole_bags import whole_messages
 
-from symbid_ros.bags.writing.chunks import ChunkWriter
+from symbid_ros.bags.writing.mcap_writer import ChunkWriter
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
 from symbid_ros.messages.types import IMU

@@ -20,8 +20,8 @@ from mcap.writer import Writer as McapWriter
 
 from symbid_ros.bags.container.blocks import iterate_blocks
 from symbid_ros.bags.info import bag_info
+from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.limits import MAX_CHUNK, MAX_MESSAGE, MAX_NAMES, MIB
@@ -108,7 +108,7 @@ READ_ALL = """
 import sys
 from pathlib import Path
 from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.bags.rescue.recover import recover
+from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.bags.replay import Recording
 from symbid_ros.errors import SymbidError
 good, *bombs = map(Path, sys.argv[1:])

@@ -5,7 +5,7 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from symbid_ros.bags.writing.message_queue import MessageQueue, QueuedMessage
+from symbid_ros.bags.writing.background import MessageQueue, QueuedMessage
 
 SENSOR, CAMERA = 0, 1
 

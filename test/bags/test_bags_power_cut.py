@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from whole_bags import whole_messages
 
-from symbid_ros.bags.rescue.recover import recover
+from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.messages.types import IMU
 

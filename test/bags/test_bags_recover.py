@@ -22,8 +22,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
 from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.rescue.recover import recover
-from symbid_ros.bags.rescue.recovery import RecordCount, Recovery
+from symbid_ros.bags.recovery.recover import recover
+from symbid_ros.bags.recovery.report import RecordCount, Recovery
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError

@@ -28,8 +28,9 @@ from mcap.writer import Writer as McapWriter
 from mcap_features import MAGIC, encoded
 
 from symbid_ros.bags.replay import RecordedMessage, Recording
-from symbid_ros.bags.writing.writer import BagWriter, OfferedQos
+from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
+from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.messages.types import IMU, JOINT_STATE
 
 STRING = "std_msgs/msg/String"

@@ -26,11 +26,11 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mutations import mutated
 
-from symbid_ros.bags.container.framing import damage_named
-from symbid_ros.bags.container.summary import read_summary
+from symbid_ros.bags.container.mcap_records import damage_named
+from symbid_ros.bags.container.mcap_summary import read_summary
 from symbid_ros.bags.info import bag_info
+from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.rescue.recover import recover
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import SymbidError

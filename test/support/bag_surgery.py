@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from symbid_ros.bags.container.contents import all_blocks
+from symbid_ros.bags.container.files import all_blocks
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.layout import Layout

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.bags.container.contents import all_blocks
+from symbid_ros.bags.container.files import all_blocks
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.types import JOINT_STATE, fill_joint_state, joint_state_layout, read_stamp

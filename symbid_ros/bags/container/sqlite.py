@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import apsw
@@ -13,21 +14,18 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from symbid_ros.bags.container.blocks import BLOCK_SIZE, Block
-from symbid_ros.bags.container.catalogue import Catalogue
-from symbid_ros.bags.container.framing import quoted
-from symbid_ros.bags.container.index import (
+from symbid_ros.bags.container.file_index import (
     EXTENT_SIZE,
     Extent,
     FileIndex,
     StoredMessage,
     recorded_topics,
 )
-from symbid_ros.bags.container.sqlite_pages import WholePages
-from symbid_ros.bags.metadata import OfferedQos
+from symbid_ros.bags.container.mcap_records import quoted
+from symbid_ros.bags.container.schema_registry import Catalogue
 from symbid_ros.errors import BagError
-from symbid_ros.messages.compression import unpacked_message
-from symbid_ros.messages.limits import MAX_CHANNELS, MAX_CHUNK, within
-from symbid_ros.messages.topics import Topic
+from symbid_ros.messages.limits import MAX_CHANNELS, MAX_CHUNK, unpacked_message, within
+from symbid_ros.messages.topics import OfferedQos, Topic
 
 logger = logging.getLogger("symbid_ros.bags")
 
@@ -263,3 +261,33 @@ def _leftovers(file: Path) -> list[Path]:
     """Return what an interrupted recording left beside its file."""
     places = (file.with_name(file.name + ending) for ending in LEFTOVERS)
     return [place for place in places if place.is_file() and place.stat().st_size]
+
+
+class WholePages(apsw.VFS):
+    """Reads a database as if it ended with its last whole page.
+
+    SQLite would read what is missing of a page that was cut off as zeros.
+    """
+
+    def __init__(self, base: str, file: Path) -> None:
+        with file.open("rb") as stream:
+            size = int.from_bytes(stream.read(18)[16:], "big")
+        self.name = f"whole pages {id(self)}"
+        self._base, self._page = base, 65536 if size == 1 else max(size, 1)
+        super().__init__(self.name, base)
+
+    def xOpen(self, name: Any, flags: list[int]) -> apsw.VFSFile:
+        """Open one of SQLite's files."""
+        page = self._page if flags[0] & apsw.SQLITE_OPEN_MAIN_DB else 1
+        return _WholePagesFile(self._base, name, flags, page)
+
+
+class _WholePagesFile(apsw.VFSFile):
+    def __init__(self, base: str, name: Any, flags: list[int], page: int) -> None:
+        self._page = page
+        super().__init__(base, name, flags)
+
+    def xFileSize(self) -> int:
+        """Return the size in bytes."""
+        size = super().xFileSize()
+        return size - size % self._page

@@ -7,11 +7,10 @@ import numpy as np
 
 from symbid_ros.arrays import IntArray
 from symbid_ros.bags.container.blocks import Block
-from symbid_ros.bags.container.contents import all_blocks, bag_names, contents
+from symbid_ros.bags.container.files import all_blocks, bag_names, contents
 from symbid_ros.bags.streams.reorder_buffer import Backlog
 from symbid_ros.messages.decoder import TopicDecoder
-from symbid_ros.messages.joint_parts import joint_groups
-from symbid_ros.messages.sensor_streams import sensor_streams, stamps
+from symbid_ros.messages.sensor_streams import joint_groups, sensor_streams, stamps
 from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSelection
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
 from symbid_ros.signals.defects import ALWAYS, Defect

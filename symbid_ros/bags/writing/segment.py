@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from symbid_ros.bags.metadata import FileMetadata, TopicMetadata, metadata_record
-from symbid_ros.bags.writing.chunks import ChunkWriter
+from symbid_ros.bags.writing.disk import sync_folder
+from symbid_ros.bags.writing.mcap_writer import ChunkWriter
 from symbid_ros.messages.definitions import find_definition
 
 RECORD = "rosbag2"
@@ -107,12 +108,3 @@ class Segment:
         with suppress(OSError):
             self._stream.close()
         self.path.unlink(missing_ok=True)
-
-
-def sync_folder(folder: Path) -> None:
-    """Wait until the disk holds the names in a folder."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

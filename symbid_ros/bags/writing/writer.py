@@ -9,15 +9,15 @@ from typing import Any, Self
 
 from symbid_ros.bags.metadata import (
     FileMetadata,
-    OfferedQos,
     TopicMetadata,
     bag_information,
     write_metadata,
 )
-from symbid_ros.bags.writing.reserve import Reserve
-from symbid_ros.bags.writing.segment import Segment, sync_folder
+from symbid_ros.bags.writing.disk import Reserve, sync_folder
+from symbid_ros.bags.writing.segment import Segment
 from symbid_ros.errors import BagError
 from symbid_ros.messages.definitions import find_definition
+from symbid_ros.messages.topics import OfferedQos
 
 CHUNK_SIZE = 64 * 1024  # what a killed recorder loses at most: 64 ms of four sensors at 1 kHz
 DESCRIPTION = 2048  # bytes, at most, that a file without topics takes in the bag's metadata

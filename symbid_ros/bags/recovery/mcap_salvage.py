@@ -4,6 +4,7 @@ A chunk is trusted if it unpacks to its stated size, matches its checksum and is
 made of whole records. Behind a fault the search goes on for the next such chunk.
 """
 
+import re
 import struct
 from array import array
 from collections import Counter
@@ -17,21 +18,128 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
-from symbid_ros.bags.container.attachment import Attachment
-from symbid_ros.bags.container.catalogue import Catalogue, parsed
-from symbid_ros.bags.container.compression import ChunkRecord
-from symbid_ros.bags.container.framing import (
+from symbid_ros.bags.container.mcap_records import (
     FOOTER_SIZE,
+    INDEX_ENTRY,
+    INDEX_HEAD,
     MAGIC,
+    MESSAGE,
     PRIVATE,
     RECORD,
+    Attachment,
     Buffer,
+    ChunkRecord,
     damage_named,
     message_starts,
 )
-from symbid_ros.bags.rescue import resync
-from symbid_ros.bags.rescue.resync import is_record, read_at
-from symbid_ros.messages.limits import MAX_CHUNK, MIB, within
+from symbid_ros.bags.container.schema_registry import Catalogue, parsed
+from symbid_ros.messages.limits import MAX_CHUNK, MAX_RECORD, MIB, within
+
+WINDOW = 4 * MIB
+# A record's length is below 4 GiB: its upper bytes are zero, in compressed data a rare sight.
+ANY = rb"(?=.{4}\0{4})"
+COMPRESSION = rb"(?=.{36}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0\0\0\0))"
+CHUNK = re.compile(rb"\x06" + ANY + COMPRESSION, re.DOTALL)
+ANNOUNCEMENT = re.compile(rb"[\x03\x04]" + ANY, re.DOTALL)
+INDEX = re.compile(rb"\x07" + ANY, re.DOTALL)
+MESSAGES = re.compile(rb"\x05" + ANY, re.DOTALL)
+MOST_FURTHER = 64  # bytes of fields that a later version of MCAP may append to an index
+LONGEST = 45  # bytes that decide whether a pattern is there
+
+
+def read_at(stream: BinaryIO, position: int, length: int) -> bytes:
+    """Return bytes of a file; fewer where it ends."""
+    stream.seek(position)
+    return stream.read(length)
+
+
+def candidates(
+    stream: BinaryIO, pattern: re.Pattern[bytes], position: int, end: int
+) -> Iterator[int]:
+    """Yield where a pattern begins between ``position`` and ``end``."""
+    while position < end:
+        window = read_at(stream, position, WINDOW + LONGEST)
+        for found in pattern.finditer(window):
+            if found.start() < min(WINDOW, end - position):
+                yield position + found.start()
+        position += WINDOW
+
+
+def is_record(stream: BinaryIO, position: int, size: int) -> bool:
+    """Tell whether a record may begin here, or the file of ``size`` bytes ends or was cut here."""
+    head = read_at(stream, position, RECORD.size)
+    if len(head) < RECORD.size:
+        return position <= size
+    opcode, length = RECORD.unpack(head)
+    if not (Opcode.HEADER <= opcode <= Opcode.DATA_END or opcode >= PRIVATE):
+        return False
+    return position + RECORD.size + length <= size or bool(length <= MAX_CHUNK)
+
+
+def indexed_messages(stream: BinaryIO, position: int, end: int) -> dict[int, int]:
+    """Return what message indexes between two places count, by channel."""
+    counts: Counter[int] = Counter()
+    for start in candidates(stream, INDEX, position, end):
+        if index := _index(stream, start):
+            counts[index.channel] += index.entries
+    return {channel: count for channel, count in counts.items() if count}
+
+
+def following_index(stream: BinaryIO, position: int, size: int) -> int:
+    """Return where the message indexes that begin at ``position`` end."""
+    while index := _index(stream, position):
+        if position + index.length > size:
+            break
+        position += index.length
+    return position
+
+
+class _Index(NamedTuple):
+    """A message index: its channel, number of entries, and bytes of the record."""
+
+    channel: int
+    entries: int
+    length: int
+
+
+def _index(stream: BinaryIO, position: int) -> _Index | None:
+    """Return the message index at a place, if there is one."""
+    head = read_at(stream, position, RECORD.size + INDEX_HEAD.size)
+    if len(head) < RECORD.size + INDEX_HEAD.size or head[0] != Opcode.MESSAGE_INDEX:
+        return None
+    _, length = RECORD.unpack_from(head)
+    channel, size = INDEX_HEAD.unpack_from(head, RECORD.size)
+    further = length - INDEX_HEAD.size - size
+    if not 0 <= further <= MOST_FURTHER or size % INDEX_ENTRY or length > MAX_CHUNK:
+        return None
+    return _Index(channel, size // INDEX_ENTRY, RECORD.size + length)
+
+
+def announcements(stream: BinaryIO, position: int, end: int) -> Iterator[tuple[int, bytes]]:
+    """Yield opcode and body of what may be schemas and channels between two places."""
+    for start in candidates(stream, ANNOUNCEMENT, position, end):
+        opcode, length = RECORD.unpack(read_at(stream, start, RECORD.size))
+        if length <= MAX_RECORD and start + RECORD.size + length <= end:
+            yield opcode, read_at(stream, start + RECORD.size, length)
+
+
+def message_chain(
+    stream: BinaryIO, position: int, size: int, channels: set[int], times: int = 3
+) -> bool:
+    """Tell whether messages of known channels follow each other from here, or end the file."""
+    for _ in range(times):
+        head = read_at(stream, position, RECORD.size + MESSAGE.size)
+        if len(head) < RECORD.size or head[0] != Opcode.MESSAGE:
+            return is_record(stream, position, size)
+        _, length = RECORD.unpack_from(head)
+        if len(head) < RECORD.size + MESSAGE.size or length < MESSAGE.size:
+            return False
+        channel, *_ = MESSAGE.unpack_from(head, RECORD.size)
+        position += RECORD.size + length
+        if channel not in channels or position > size:
+            return False
+    return True
+
 
 FAULTS = (struct.error, ValueError, McapError, zstandard.ZstdError, RuntimeError)
 PATIENCE = 4  # bytes tried as chunks, for each byte of the file: crafted ones could take for ever
@@ -129,7 +237,7 @@ class Salvage:
         is_followed = is_inside and (
             is_record(stream, end, self._size)
             # What an index says of its own length twice is right, whatever comes behind it.
-            or resync.following_index(stream, position, self._size) >= end
+            or following_index(stream, position, self._size) >= end
         )
         fault = "overwritten" if is_inside else CUT_OFF
         if is_followed or (is_inside and opcode == Opcode.CHUNK):
@@ -140,9 +248,7 @@ class Salvage:
         self.damaged[opcode] += 1
         if not is_followed:
             return self._search(stream, position, fault)
-        messages = resync.indexed_messages(
-            stream, end, resync.following_index(stream, end, self._size)
-        )
+        messages = indexed_messages(stream, end, following_index(stream, end, self._size))
         is_counted = bool(messages) or opcode not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
         return Hole(position, end - position, fault, messages, is_counted), end
 
@@ -154,7 +260,7 @@ class Salvage:
         if opcode == Opcode.CHUNK:
             return self._chunk(read_at(stream, start, within("a chunk", length, MAX_CHUNK)))
         if opcode == Opcode.MESSAGE_INDEX:
-            if resync.following_index(stream, position, self._size) == position:
+            if following_index(stream, position, self._size) == position:
                 raise ValueError("a message index is none")
         elif read_at(stream, start + length, 1) == bytes([Opcode.MESSAGE_INDEX]):
             raise ValueError("a message index follows no chunk")
@@ -189,16 +295,16 @@ class Salvage:
     def _search(self, stream: BinaryIO, position: int, fault: str) -> tuple[Hole, int]:
         """Return the hole up to what can be trusted again, and where that begins."""
         following = self._next_chunk(stream, position + 1)
-        messages = resync.indexed_messages(stream, position, following)
+        messages = indexed_messages(stream, position, following)
         if following == self._size and not messages and not self._has_chunks:
             following = self._next_message(stream, position)
-        for opcode, body in resync.announcements(stream, position, following):
+        for opcode, body in announcements(stream, position, following):
             self._learn(opcode, body)
         # Indexes tell of some chunks; how many there were in all, nothing does.
         return Hole(position, following - position, fault, messages, is_counted=False), following
 
     def _next_chunk(self, stream: BinaryIO, position: int) -> int:
-        for start in resync.candidates(stream, resync.CHUNK, position, self._size):
+        for start in candidates(stream, CHUNK, position, self._size):
             _, length = RECORD.unpack(read_at(stream, start, RECORD.size))
             if length > MAX_CHUNK or start + RECORD.size + length > self._size:
                 continue
@@ -219,8 +325,8 @@ class Salvage:
         if read_at(stream, position, 1) == bytes([Opcode.CHUNK]):
             return self._size  # what lies in a damaged chunk is no better than the chunk
         channels = set(self.catalogue.channels)
-        for start in resync.candidates(stream, resync.MESSAGES, position + 1, self._size):
-            if resync.message_chain(stream, start, self._size, channels):
+        for start in candidates(stream, MESSAGES, position + 1, self._size):
+            if message_chain(stream, start, self._size, channels):
                 return start
         return self._size
 

@@ -14,9 +14,8 @@ from rosbags.rosbag2.metadata import parse_qos
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.base import TypesysError
 
-from symbid_ros.bags.container.framing import Buffer
-from symbid_ros.bags.metadata import OfferedQos
-from symbid_ros.messages.layout import typestore
+from symbid_ros.bags.container.mcap_records import Buffer
+from symbid_ros.messages.layout import CDR, typestore
 from symbid_ros.messages.limits import (
     MAX_CATALOGUE,
     MAX_CHANNELS,
@@ -26,11 +25,10 @@ from symbid_ros.messages.limits import (
     MAX_YAML_NODES,
     within,
 )
-from symbid_ros.messages.topics import ENCODED
+from symbid_ros.messages.topics import ENCODED, OfferedQos
 from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, ODOMETRY, TRAJECTORY, WRENCH
 from symbid_ros.safe_yaml import parse_yaml
 
-CDR = "cdr"
 ROS2_TEXT = "ros2msg"
 READ = frozenset({JOINT_STATE, IMU, WRENCH, TRAJECTORY, ODOMETRY, ACCEL})
 

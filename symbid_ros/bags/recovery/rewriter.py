@@ -9,18 +9,18 @@ from typing import BinaryIO, Self
 
 from mcap.records import Channel, Metadata
 
-from symbid_ros.bags.container.attachment import Attachment
-from symbid_ros.bags.container.catalogue import Catalogue
+from symbid_ros.bags.container.mcap_records import Attachment
+from symbid_ros.bags.container.schema_registry import Catalogue
 from symbid_ros.bags.metadata import (
     FileMetadata,
-    OfferedQos,
     TopicMetadata,
     bag_information,
     metadata_record,
     write_metadata,
 )
-from symbid_ros.bags.writing.chunks import ChunkWriter
+from symbid_ros.bags.writing.mcap_writer import ChunkWriter
 from symbid_ros.messages.limits import MIB
+from symbid_ros.messages.topics import OfferedQos
 
 CHUNK_SIZE = MIB
 ROSBAG2 = "rosbag2"  # name of the metadata record that rosbag2 keeps about a file

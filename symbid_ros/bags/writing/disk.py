@@ -1,4 +1,4 @@
-"""A new bag's folder, which is there as a whole or not at all."""
+"""Disk operations of bag writers: reserve space, sync a folder, create a folder in one step."""
 
 import os
 import shutil
@@ -7,8 +7,34 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from symbid_ros.bags.writing.segment import sync_folder
 from symbid_ros.errors import BagError
+
+STEP = 64 * 1024
+
+
+class Reserve:
+    """Holds disk space in a file without a name, which not even a kill leaves behind.
+
+    Parameters
+    ----------
+    folder : Path
+        On whose file system the space is held.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
+        self._held = 0
+
+    def hold(self, size: int) -> None:
+        """Hold at least ``size`` bytes; raise OSError where the disk has no such room."""
+        if size > self._held:
+            held = size + size // 2 + STEP
+            os.posix_fallocate(self._file.fileno(), 0, held)
+            self._held = held
+
+    def release(self) -> None:
+        """Give the space back, for good."""
+        self._file.close()
 
 
 @contextmanager
@@ -38,3 +64,12 @@ def new_folder(path: Path) -> Iterator[Path]:
     finally:
         if hidden is not None:
             shutil.rmtree(hidden, ignore_errors=True)
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the disk holds the names in a folder."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from symbid_ros.bags.writing.gap_count import BLOCK, GapCount
+from symbid_ros.messages.single_message import BLOCK, GapCounter
 from symbid_ros.signals.gaps import Gaps, find_gaps
 
 
@@ -12,7 +12,7 @@ def test_blocks_tell_what_the_whole_tells(count: int) -> None:
     draw = np.random.default_rng(count)
     stamps = np.arange(count) * 1_000_000 + draw.integers(-50_000, 50_000, count)
     stamps = stamps[draw.random(count) > 0.01]
-    gap_count = GapCount()
+    gap_count = GapCounter()
     for stamp in stamps:
         gap_count.add(int(stamp))
     found, whole = gap_count.gaps, find_gaps(stamps)
@@ -26,7 +26,7 @@ def test_blocks_tell_what_the_whole_tells(count: int) -> None:
 
 
 def test_gap_between_blocks_is_counted_once() -> None:
-    gap_count = GapCount()
+    gap_count = GapCounter()
     for stamp in [*range(BLOCK + 1), *range(BLOCK + 5, BLOCK + 100)]:
         gap_count.add(stamp)
     assert gap_count.gaps == Gaps(period=1, gaps=1, missing=4, longest=5, disordered=0)

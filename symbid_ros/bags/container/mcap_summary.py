@@ -12,14 +12,14 @@ from typing import BinaryIO
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, DataEnd, Footer, Statistics
 
-from symbid_ros.bags.container.catalogue import Catalogue, UnknownSchemaError, parsed
-from symbid_ros.bags.container.framing import (
+from symbid_ros.bags.container.mcap_records import (
     FOOTER_SIZE,
     MAGIC,
     RECORD,
     checked_size,
     quoted,
 )
+from symbid_ros.bags.container.schema_registry import Catalogue, UnknownSchemaError, parsed
 from symbid_ros.messages.limits import MAX_CATALOGUE, MAX_EXTENTS, MAX_RECORD, within
 
 DATA_END_SIZE = RECORD.size + 4

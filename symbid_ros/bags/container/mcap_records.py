@@ -1,0 +1,316 @@
+"""MCAP's records: how they begin, and how a file begins and ends."""
+
+import shlex
+import struct
+import zlib
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import AttachmentIndex
+
+from symbid_ros.errors import BagError
+from symbid_ros.messages.limits import (
+    MAX_CHUNK,
+    MAX_EXPANSION,
+    MAX_RECORD,
+    MIB,
+    UNSUSPICIOUS,
+    OverLimitError,
+    unpacked_zstd,
+    within,
+)
+
+Buffer = bytes | memoryview
+MAGIC = b"\x89MCAP0\r\n"
+RECORD = struct.Struct("<BQ")
+MESSAGE = struct.Struct("<HIQQ")
+PAYLOAD = RECORD.size + MESSAGE.size
+INDEX_HEAD = struct.Struct("<HI")
+INDEX_ENTRY = 16
+FOOTER_SIZE = RECORD.size + 20
+LONGEST_MAGIC = 16
+TO_ROS2 = "--src-typestore ros1_noetic --dst-typestore ros2_jazzy"  # headers lost a field
+PRIVATE = 0x80  # opcodes from here on are applications' own; readers pass them over
+
+
+@contextmanager
+def damage_named(file: Path) -> Iterator[None]:
+    """Turn what reading damaged records raises into one line that names the file."""
+    try:
+        yield
+    except OverLimitError as error:
+        raise BagError(
+            f"{file}: {error}, as of a damaged or hostile file; "
+            f"run `symbid bag recover {quoted(file)}` or record in smaller chunks"
+        ) from error
+    except (
+        struct.error,
+        ValueError,
+        McapError,
+        zstandard.ZstdError,
+        RuntimeError,  # lz4's, and recursion
+        MemoryError,
+    ) as error:
+        detail = " ".join(str(error).split())[:200]
+        if isinstance(error, struct.error) or not detail:
+            detail = "it ends early"
+        raise BagError(
+            f"{file}: damaged MCAP file: {detail}; take another copy or run "
+            f"`symbid bag recover {quoted(file)}`"
+        ) from error
+    except OSError as error:
+        raise BagError(f"{file}: cannot read: {error.strerror}") from error
+
+
+def quoted(path: Path) -> str:
+    """Return a path as a shell takes it."""
+    return shlex.quote(str(path))
+
+
+def other_kind(file: Path) -> str:
+    """Return what a file is by its first bytes, if no MCAP file, and what to do with it."""
+    with file.open("rb") as stream:
+        head = stream.read(LONGEST_MAGIC)
+    conversion = (
+        f"rosbags-convert --src {quoted(file)} --dst {quoted(file.with_suffix(''))} "
+        "--dst-storage mcap"
+    )
+    if head.startswith(b"#ROSBAG"):
+        return f"a bag of ROS 1; convert it with `{conversion} {TO_ROS2}`"
+    if head.startswith(b"SQLite format 3\0"):
+        return "an SQLite file; give it the ending .db3"
+    if head.startswith(b"\x28\xb5\x2f\xfd"):
+        return f"compressed as a whole; unpack it with `zstd -d {quoted(file)}`"
+    if head.startswith(b"\x04\x22\x4d\x18"):
+        return f"compressed as a whole; unpack it with `lz4 -d {quoted(file)}`"
+    return "" if head else "empty; record it again, or give the bag's other files alone"
+
+
+def checked_size(file: Path) -> int:
+    """Return the size of an MCAP file that has its beginning and its end."""
+    with file.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            known = other_kind(file)
+            raise BagError(f"{file}: {known or 'not an MCAP file; give a bag or one of its files'}")
+        end = stream.seek(0, 2)
+        stream.seek(max(0, end - FOOTER_SIZE - len(MAGIC)))
+        ending = stream.read()
+    if ending[-len(MAGIC) :] != MAGIC or ending[0] != Opcode.FOOTER:
+        raise BagError(
+            f"{file}: the recording was interrupted, the file has no footer; "
+            f"run `symbid bag recover {quoted(file)}`"
+        )
+    return end
+
+
+def message_starts(data: Buffer, announce: Callable[[int, Buffer], None]) -> "array[int]":
+    """Return where message records begin in the records of a chunk.
+
+    Parameters
+    ----------
+    data : bytes-like
+        Whole records, one after the other.
+    announce : callable
+        Takes opcode and body of the schemas and channels among them.
+    """
+    starts = array("q")
+    position, end = 0, len(data)
+    unpack = RECORD.unpack_from
+    while position < end:
+        opcode, length = unpack(data, position)
+        following = position + RECORD.size + length
+        if following > end:
+            raise ValueError("a record reaches beyond its chunk")
+        if opcode == Opcode.MESSAGE:
+            if length < MESSAGE.size:
+                raise ValueError("a message record is too short")
+            starts.append(position)
+        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            announce(opcode, data[position + RECORD.size : following])
+        else:
+            raise ValueError(f"a record of kind {opcode} is in a chunk")
+        position = following
+    return starts
+
+
+HEAD = struct.Struct("<QQQII")
+LENGTH = struct.Struct("<Q")
+
+
+class ChunkRecord(NamedTuple):
+    """A chunk as it lies in the file.
+
+    Attributes
+    ----------
+    start, end : int
+        First and last log time as stated, nanoseconds.
+    size : int
+        Stated bytes of the records inside.
+    crc : int
+        CRC-32 of the records inside; 0 where the writer gave none.
+    compression : str
+        ``zstd``, ``lz4`` or nothing.
+    data : memoryview
+        The packed records.
+    """
+
+    start: int
+    end: int
+    size: int
+    crc: int
+    compression: str
+    data: memoryview
+
+    @classmethod
+    def of(cls, body: Buffer) -> "ChunkRecord":
+        """Parse the body of a chunk record; nothing is copied."""
+        view = memoryview(body)
+        start, end, size, crc, length = HEAD.unpack_from(view)
+        if length > 16:
+            raise ValueError("a chunk names no compression")
+        name = HEAD.size + length
+        (packed,) = LENGTH.unpack_from(view, name)
+        data = view[name + LENGTH.size :][:packed]
+        if len(data) != packed:
+            raise ValueError("a chunk's size is not what its record says")
+        return cls(start, end, size, crc, str(view[HEAD.size : name], "utf-8"), data)
+
+    def records(self) -> Buffer:
+        """Return the records inside, checked against the stated size and checksum."""
+        within("a chunk", self.size, MAX_CHUNK)
+        if self.size > UNSUSPICIOUS:
+            within("an expansion", self.size // max(len(self.data), 1), MAX_EXPANSION)
+        data = self._unpacked()
+        if len(data) != self.size:
+            raise ValueError("a chunk's size is not what its record says")
+        if self.crc and zlib.crc32(data) != self.crc:
+            raise ValueError("a chunk does not match its checksum")
+        return data
+
+    def _unpacked(self) -> Buffer:
+        """Return at most one byte more than the stated size."""
+        if self.compression == "":
+            return self.data
+        if not self.size:
+            return b""
+        if self.compression == "zstd":
+            return unpacked_zstd(self.data, self.size)
+        if self.compression == "lz4":
+            return _unpacked_lz4(self.data, self.size)
+        raise ValueError(f"unknown compression {self.compression!r}")
+
+
+def _unpacked_lz4(data: memoryview, size: int) -> bytes:
+    # The one-call function would allocate whatever the frame states, and drops further frames.
+    parts: list[bytes] = []
+    left = size + 1
+    rest: Buffer | None = data
+    while rest and left:
+        frame = lz4.frame.LZ4FrameDecompressor()
+        part = frame.decompress(rest, max_length=left)
+        parts.append(part)
+        left -= len(part)
+        if not frame.eof:
+            break
+        rest = frame.unused_data
+    return parts[0] if len(parts) == 1 else b"".join(parts)
+
+
+TIMES = struct.Struct("<QQ")
+TEXT = struct.Struct("<I")
+SIZE = struct.Struct("<Q")
+CHECKSUM = struct.Struct("<I")
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """An attachment as it lies in a file; its content may be larger than memory.
+
+    Attributes
+    ----------
+    offset, length : int
+        Bytes of its record, head included.
+    log_time, create_time : int
+        Nanoseconds.
+    name, media_type : str
+    data_size : int
+        Bytes of its content.
+    """
+
+    offset: int
+    length: int
+    log_time: int
+    create_time: int
+    name: str
+    media_type: str
+    data_size: int
+
+    @classmethod
+    def at(cls, stream: BinaryIO, offset: int, length: int) -> "Attachment":
+        """Return the one whose record of ``length`` bytes begins at ``offset``, checked.
+
+        Raises
+        ------
+        ValueError, struct.error
+            When it is no attachment or does not match its checksum.
+        """
+        stream.seek(offset + RECORD.size)
+        log_time, create_time = TIMES.unpack(stream.read(TIMES.size))
+        name, media_type = _text(stream), _text(stream)
+        (size,) = SIZE.unpack(stream.read(SIZE.size))
+        start, stop = offset + RECORD.size, stream.tell() + size
+        if stop + CHECKSUM.size > offset + length:
+            raise ValueError("an attachment's size is not what its record says")
+        crc = 0
+        for part in record_parts(stream, start, stop - start):
+            crc = zlib.crc32(part, crc)
+        (told,) = CHECKSUM.unpack(stream.read(CHECKSUM.size))
+        if told not in (0, crc):
+            raise ValueError("an attachment does not match its checksum")
+        return cls(offset, length, log_time, create_time, name, media_type, size)
+
+    def record(self, stream: BinaryIO) -> Iterator[bytes]:
+        """Yield the bytes of its record, some at a time."""
+        return record_parts(stream, self.offset, self.length)
+
+    def index(self, offset: int) -> AttachmentIndex:
+        """Return the index record of a copy that begins at ``offset``."""
+        return AttachmentIndex(
+            offset=offset,
+            length=self.length,
+            log_time=self.log_time,
+            create_time=self.create_time,
+            data_size=self.data_size,
+            name=self.name,
+            media_type=self.media_type,
+        )
+
+
+def _text(stream: BinaryIO) -> str:
+    (length,) = TEXT.unpack(stream.read(TEXT.size))
+    return stream.read(within("a name", length, MAX_RECORD)).decode()
+
+
+def record_parts(stream: BinaryIO, offset: int, length: int) -> Iterator[bytes]:
+    """Yield bytes of a file that may be more than memory holds.
+
+    Raises
+    ------
+    ValueError
+        When the file ends before them.
+    """
+    stream.seek(offset)
+    while length:
+        part = stream.read(min(length, MIB))
+        if not part:
+            raise ValueError("it became shorter while it was read")
+        length -= len(part)
+        yield part

@@ -1,1 +1,0 @@
-"""Whole bags from damaged ones."""

@@ -1,0 +1,143 @@
+"""Single messages of one topic, decoded as they arrive."""
+
+import struct
+from array import array
+from collections.abc import Iterable
+
+import numpy as np
+
+from symbid_ros.errors import DataError
+from symbid_ros.messages.decoder import MAX_LAYOUTS, MAX_TRAILING, TopicDecoder
+from symbid_ros.messages.layout import Layout, Records
+from symbid_ros.messages.topics import Topic
+from symbid_ros.signals.gaps import Gaps, find_gaps
+
+
+class SingleMessages:
+    """Decodes messages of one topic, one at a time.
+
+    A message laid out like one of the recent ones costs a comparison of bytes.
+
+    Parameters
+    ----------
+    topic : Topic
+        Name and type.
+    """
+
+    def __init__(self, topic: Topic) -> None:
+        self._topic = topic
+        self._layouts: list[Layout] = []
+
+    def decode(self, payload: bytes) -> tuple[Layout, Records]:
+        """Return the layout of a serialised message and its numbers, a record array of one.
+
+        Raises
+        ------
+        DataError
+            When the bytes are not a message of the topic's type.
+        """
+        for place, layout in enumerate(self._layouts):
+            size = len(layout.template)
+            if 0 <= len(payload) - size <= MAX_TRAILING:
+                row = np.frombuffer(payload, dtype=np.uint8, count=size)
+                if layout.matches(row[None, :])[0]:
+                    if place:
+                        self._layouts.insert(0, self._layouts.pop(place))
+                    return layout, row.view(layout.dtype)
+        return self._learn(payload)
+
+    def _learn(self, payload: bytes) -> tuple[Layout, Records]:
+        known = self._layouts[: MAX_LAYOUTS - 1]
+        decoder = TopicDecoder(self._topic.name, self._topic, layouts=known)
+        try:
+            decoder.add(np.frombuffer(payload, dtype=np.uint8), np.array([[0, len(payload)]]))
+        except DataError as error:
+            raise DataError(
+                f"{self._topic.name}: a message is not a valid {self._topic.msgtype}; "
+                "check its publisher"
+            ) from error
+        (piece,) = decoder.pieces
+        # Big-endian messages have the layout of little-endian ones, but not their bytes.
+        others = [layout for layout in known if layout is not piece.layout]
+        self._layouts = [piece.layout, *others]
+        return piece.layout, piece.records
+
+
+class MessagePattern:
+    """Recognises messages of a layout and reads some of their numbers, without NumPy.
+
+    Parameters
+    ----------
+    layout : Layout
+        Of messages that begin with a header.
+    fields : iterable of str
+        Paths of the arrays of float64 to read.
+    """
+
+    def __init__(self, layout: Layout, fields: Iterable[str]) -> None:
+        edges = np.flatnonzero(np.diff(layout.constant, prepend=False, append=False)).tolist()
+        self._constant = tuple(
+            (slice(start, stop), layout.template[start:stop])
+            for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        )
+        self._size = len(layout.template)
+        places = dict(layout.dtype.fields or {})
+        self._fields: dict[str, tuple[struct.Struct, int]] = {}
+        for path in fields:
+            form, offset = places[path][:2]
+            count = form.itemsize // np.dtype(np.float64).itemsize
+            self._fields[path] = struct.Struct(f"<{count}d"), offset
+        self._stamp = struct.Struct("<iI"), places["header.stamp.sec"][1]
+
+    def matches(self, payload: bytes) -> bool:
+        """Tell whether a serialised message is of this layout."""
+        if not 0 <= len(payload) - self._size <= MAX_TRAILING:
+            return False
+        return all(payload[place] == expected for place, expected in self._constant)
+
+    def stamp(self, payload: bytes) -> tuple[int, int]:
+        """Return seconds and nanoseconds of the header's stamp."""
+        form, offset = self._stamp
+        seconds, nanoseconds = form.unpack_from(payload, offset)
+        return int(seconds), int(nanoseconds)
+
+    def field_beyond(self, payload: bytes, largest: float) -> str:
+        """Return the path of a field with a larger absolute value, empty if there is none.
+
+        NaN is not larger.
+        """
+        for path, (form, offset) in self._fields.items():
+            if any(map(largest.__lt__, map(abs, form.unpack_from(payload, offset)))):
+                return path
+        return ""
+
+
+BLOCK = 65536  # stamps
+
+
+class GapCounter:
+    """Judges the stamps of one topic block by block."""
+
+    def __init__(self) -> None:
+        self._stamps = array("q")
+        self._blocks: list[Gaps] = []
+
+    def add(self, stamp: int) -> None:
+        """Count a message; its stamp in nanoseconds, in order of arrival."""
+        self._stamps.append(stamp)
+        if len(self._stamps) > BLOCK:
+            self._blocks.append(find_gaps(np.array(self._stamps)))
+            del self._stamps[:-1]  # the next block's first distance begins here
+
+    @property
+    def gaps(self) -> Gaps:
+        """What the stamps tell so far; the period is the blocks' median."""
+        blocks = [*self._blocks, find_gaps(np.array(self._stamps, dtype=np.int64))]
+        periods = [block.period for block in blocks if block.period]
+        return Gaps(
+            period=int(np.median(periods)) if periods else 0,
+            gaps=sum(block.gaps for block in blocks),
+            missing=sum(block.missing for block in blocks),
+            longest=max(block.longest for block in blocks),
+            disordered=sum(block.disordered for block in blocks),
+        )
