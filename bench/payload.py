@@ -34,7 +34,7 @@ from symbid_ros.offline.job import Job
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.payload import Payload
+from symbid_ros.simulation.body_inertia import Payload
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 

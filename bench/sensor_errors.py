@@ -28,9 +28,9 @@ from symbid_ros.offline.job import Job
 from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.sensor_errors import KINDS
-from symbid_ros.simulation.errors import ERRORS, TYPICAL
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.simulation.systematic_errors import ERRORS, TYPICAL
 
 MODEL = config_file("symbitron.xml")
 MASS = (41.05, 0.02)

@@ -78,8 +78,7 @@ def _identify(
     from symbid_ros.offline.identify import prepare
     from symbid_ros.offline.job import Job
     from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
-    from symbid_ros.report.compose import OWN_Z, TITLES, Reference, compose
-    from symbid_ros.report.facts import bag_facts
+    from symbid_ros.report.compose import OWN_Z, TITLES, Reference, bag_facts, compose
     from symbid_ros.report.page import write_report
     from symbid_ros.report.table import metrics_table
     from symbid_ros.signals.filters import LowPass

@@ -33,8 +33,7 @@ def report(
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
     from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
-    from symbid_ros.report.compose import TITLES, Reference, compose
-    from symbid_ros.report.facts import bag_facts, estimate_facts
+    from symbid_ros.report.compose import TITLES, Reference, bag_facts, compose, estimate_facts
     from symbid_ros.report.page import write_report
 
     if realistic and truth is None:

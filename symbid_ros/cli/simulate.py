@@ -67,7 +67,7 @@ def simulate(
     from symbid_ros.atomic_write import write_text
     from symbid_ros.cli.overwriting import clear_folder, is_simulated_bag
     from symbid_ros.errors import SimulationError
-    from symbid_ros.simulation.payload import Payload
+    from symbid_ros.simulation.body_inertia import Payload
     from symbid_ros.simulation.recording import record
     from symbid_ros.simulation.simulator import Simulator
 

@@ -32,7 +32,7 @@ def udp_client(
     """
     stop = stop_on_signals()
 
-    from symbid_ros.simulation.standing import StandingController
+    from symbid_ros.simulation.standing_controller import StandingController
     from symbid_ros.simulation.udp_client import UdpClient
 
     controller = StandingController(

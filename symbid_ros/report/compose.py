@@ -1,9 +1,11 @@
 """From estimates and, where there is one, a true motion to a report's content."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.evaluation import (
@@ -202,3 +204,27 @@ def prediction_series(
         linear_momentum=prediction.momentum[:, 3:],
         angular_momentum=prediction.momentum[:, :3],
     )
+
+
+def bag_facts(bags: Sequence[Path]) -> dict[str, str]:
+    """Return what a bag holds, read from its sensor topics."""
+    streams = read_streams(bags)
+    stamp = streams.joints.stamp
+    seconds = (stamp[-1] - stamp[0]) * 1e-9
+    sensors = [streams.joints.topic]
+    sensors += [imu.topic for imu in streams.imus] + [w.topic for w in streams.wrenches]
+    return {
+        "Bag": ", ".join(str(bag) for bag in bags),
+        "Duration": f"{seconds:.1f} s, {len(stamp)} joint states",
+        "Sensors": ", ".join(sensors),
+    }
+
+
+def estimate_facts(estimate: Estimate) -> dict[str, str]:
+    """Return what an identification used."""
+    cut = "" if estimate.rank is None else f"{estimate.rank} singular values, "
+    return {
+        "Rows": f"{estimate.samples} of each coordinate, {cut}condition {estimate.condition:.3g}",
+        "Inputs": ", ".join(estimate.inputs),
+        "Software": estimate.software,
+    }

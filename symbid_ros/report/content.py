@@ -1,5 +1,6 @@
 """What a report is made of: arrays and facts, no markup."""
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -45,6 +46,26 @@ REALISTIC_METRICS = (
     Metric("com_position_rmse_mm", "CoM", "mm"),
     Metric("com_momentum_rmse", "Momentum", "Ns, Nms"),
 )
+
+
+def best_labels(
+    rows: Mapping[str, Mapping[str, float]], metrics: Iterable[Metric]
+) -> dict[str, frozenset[str]]:
+    """Return, by metric key, the labels with the smallest value.
+
+    The truth competes with nobody; the prior does, so that a method which made
+    things worse is seen to have done so.
+    """
+    best = {}
+    for metric in metrics:
+        values = {
+            label: row[metric.key]
+            for label, row in rows.items()
+            if metric.key in row and label != TRUTH
+        }
+        smallest = min(values.values(), default=0.0)
+        best[metric.key] = frozenset(label for label, v in values.items() if v == smallest)
+    return best
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,14 @@ from pathlib import Path
 import jinja2
 
 from symbid_ros.atomic_write import write_text
-from symbid_ros.report.content import METRICS, REALISTIC_METRICS, ReportContent
+from symbid_ros.report.content import (
+    METRICS,
+    PRIOR,
+    REALISTIC_METRICS,
+    ReportContent,
+    best_labels,
+)
+from symbid_ros.report.data_summary import parameter_groups, told_by
 from symbid_ros.report.figures import (
     Panel,
     com_panels,
@@ -14,11 +21,8 @@ from symbid_ros.report.figures import (
     momentum_panels,
     torque_panels,
 )
-from symbid_ros.report.numerals import significant
-from symbid_ros.report.parameters import parameter_groups
-from symbid_ros.report.style import Style, styles
-from symbid_ros.report.told import told_by
-from symbid_ros.report.verdict import best_labels, headline, impossible_links
+from symbid_ros.report.formatting import significant
+from symbid_ros.report.plotting import Style, styles
 
 
 @dataclass(frozen=True)
@@ -120,3 +124,31 @@ def _figures(content: ReportContent) -> tuple[FigureSection, ...]:
             )
         )
     return tuple(sections)
+
+
+def impossible_links(consistent: dict[str, bool]) -> tuple[str, ...]:
+    """Return the links whose mass or pseudo-inertia no body can have."""
+    return tuple(link for link, possible in consistent.items() if not possible)
+
+
+def headline(content: ReportContent) -> str:
+    """Return the verdict on the chosen method, computed from its numbers."""
+    estimate = content.estimate
+    clauses = []
+    own, prior = content.metrics_of(content.chosen), content.metrics_of(PRIOR)
+    key = "com_position_rmse_mm"
+    if own is not None and key in own:
+        error = own[key]
+        clause = f"CoM error {significant(error)} mm"
+        if prior is not None and key in prior:
+            against = "against" if error < prior[key] else "no better than"
+            clause += f" {against} {significant(prior[key])} mm of the prior"
+        clauses.append(clause)
+    if estimate.determined is not None:
+        clauses.append(
+            f"{int(estimate.determined.sum())} of {len(estimate.names)} parameters "
+            "determined by the data"
+        )
+    possible = len(estimate.consistent) - len(impossible_links(estimate.consistent))
+    clauses.append(f"{possible} of {len(estimate.consistent)} links physically possible")
+    return f"{content.chosen}: {'; '.join(clauses)}."

@@ -6,9 +6,8 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from symbid_ros.report.content import METRICS, MethodResult
-from symbid_ros.report.numerals import significant
-from symbid_ros.report.verdict import best_labels
+from symbid_ros.report.content import METRICS, MethodResult, best_labels
+from symbid_ros.report.formatting import significant
 
 
 def metrics_table(methods: Sequence[MethodResult]) -> Table:

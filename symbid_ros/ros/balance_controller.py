@@ -19,8 +19,8 @@ from symbid_ros.ros.health import OK, WARN, Health, HealthPublisher
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import built, run_node
 from symbid_ros.ros.readings import Readings, ReadingsIntake
-from symbid_ros.simulation.breakdown import BreakdownError
-from symbid_ros.simulation.standing import StandingController
+from symbid_ros.simulation.plant import BreakdownError
+from symbid_ros.simulation.standing_controller import StandingController
 
 LISTEN = 0.05  # s; how soon a signal to stop is seen
 SILENCE = 0.5  # s without a measurement after which that is said

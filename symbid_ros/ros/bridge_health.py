@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 
 from symbid_ros.ros.commands import TopicCounts
 from symbid_ros.ros.health import ERROR, OK, WARN, Health
+from symbid_ros.simulation.body_inertia import Payload
 from symbid_ros.simulation.command import CommandCounts
-from symbid_ros.simulation.payload import Payload
 
 
 @dataclass

@@ -5,7 +5,7 @@ from typing import Any
 
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros.parameters import Parameter, Values
-from symbid_ros.simulation.payload import Payload, link_index
+from symbid_ros.simulation.body_inertia import Payload, link_index
 from symbid_ros.simulation.plant import load_model
 from symbid_ros.simulation.simulator import Simulator
 

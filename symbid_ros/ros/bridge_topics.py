@@ -12,7 +12,7 @@ from symbid_ros.ros.publishing import (
     clock_topic,
     subscribers,
 )
-from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.topics import sensor_topics, truth_topics
 

@@ -10,9 +10,9 @@ from symbid_ros.ros.bridge_topics import BridgeTopics
 from symbid_ros.ros.commands import TopicCommands, TopicCounts
 from symbid_ros.ros.parameters import ParameterError, Values
 from symbid_ros.simulation.command import Command, CommandCounts, Drives
-from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.udp_commands import UdpCommands
+from symbid_ros.simulation.udp_server import UdpCommands
 
 
 class CommandSource(Protocol):

@@ -16,7 +16,7 @@ from symbid_ros.ros.mailbox import Letter, Mailbox, wait_for_any
 from symbid_ros.ros.messages import message_class, reliable
 from symbid_ros.ros.publishing import await_settled
 from symbid_ros.simulation.command import Command, Drives
-from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.sensors import Instant
 
 TOPIC = "joint_command"
 DEPTH = 100  # commands; at most one of them answers the newest measurement

@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.report.numerals import ABSENT, fixed, measured
+from symbid_ros.report.formatting import ABSENT, fixed, measured
 from symbid_ros.ros.monitor_messages import Health, LinkEstimate, RobotEstimate, Stream
 
 QUIET = 3.0  # s without a word after which it is said so; the identifier speaks every second

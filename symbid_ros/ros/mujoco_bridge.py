@@ -24,8 +24,8 @@ from symbid_ros.ros.health import Health, HealthPublisher
 from symbid_ros.ros.pacing import Schedule
 from symbid_ros.ros.parameters import watch
 from symbid_ros.ros.process import built, run_node
-from symbid_ros.simulation.breakdown import BreakdownError
-from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.plant import BreakdownError
+from symbid_ros.simulation.sensors import Instant
 
 LOOK_PERIOD = 0.02  # s between two looks at whether a pause is over
 WARNING_PERIOD = 5.0  # s between two warnings of one kind

@@ -12,7 +12,7 @@ from rclpy.publisher import Publisher
 from symbid_ros.messages.layout import Columns, Records
 from symbid_ros.messages.types import clock_layout, fill_stamp
 from symbid_ros.ros.messages import message_class, reliable
-from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.topics import SimulatedTopic
 
 SETTLE = 0.5  # s; discovery of the remaining subscribers after the needed ones are there

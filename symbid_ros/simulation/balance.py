@@ -8,12 +8,10 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.believed import believed_model
-from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.controller import BalanceController, BalanceGains
-from symbid_ros.simulation.plant import Plant
-from symbid_ros.simulation.run import Run
-from symbid_ros.simulation.scenario import SOLES, Scenario, require_seed, standing_task
+from symbid_ros.simulation.controller_model import believed_model
+from symbid_ros.simulation.plant import BreakdownError, Plant
+from symbid_ros.simulation.scenario import SOLES, Run, Scenario, require_seed, standing_task
 
 # Periods between two looks at the torques that come from the model alone: each costs a programme.
 FEED_FORWARD_EVERY = 10

@@ -1,6 +1,9 @@
 """Balance by control of the centroidal dynamics, one quadratic programme per period."""
 
+import sys
+from collections import deque
 from dataclasses import dataclass, replace
+from types import ModuleType
 from typing import Protocol
 
 import mujoco
@@ -8,11 +11,25 @@ import numpy as np
 import scipy.linalg
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.simulation.belief import Belief
-from symbid_ros.simulation.breakdown import BreakdownError
-from symbid_ros.simulation.plant import State
-from symbid_ros.simulation.programme import proxqp
-from symbid_ros.simulation.reference import Reference
+from symbid_ros.simulation.controller_model import Belief
+from symbid_ros.simulation.plant import BreakdownError, State
+from symbid_ros.simulation.trajectory import Reference
+
+
+class _NarrowInstructions(ModuleType):
+    """Stands in for the module that proxsuite asks about the processor, during its import.
+
+    proxsuite's builds for AVX round differently when a vector is not aligned to 32 or 64 bytes, and
+    alignment differs between processes: runs with equal seeds would differ by 1e-6 Nm. Problems
+    with twenty unknowns are solved just as fast without AVX.
+    """
+
+    has_AVX2 = has_AVX512F = staticmethod(lambda: False)  # noqa: N815 (proxsuite's names)
+
+
+sys.modules.setdefault("proxsuite.instructionset", _NarrowInstructions("proxsuite.instructionset"))
+
+from proxsuite import proxqp  # noqa: E402 (the stand-in above must come first)
 
 # r @ CROSS is the matrix [r ×], row by row.
 CROSS = np.array(
@@ -293,3 +310,48 @@ def _contact_cone(bounds: FloatArray, gains: BalanceGains) -> FloatArray:
             [0, 0, -1, 0, 0, -twist],
         ]
     )
+
+
+class PoorFeedback:
+    """Gives a controller states that are late and whose joint velocities are noisy.
+
+    With a stiff controller this makes the legs vibrate as they do in the thesis's data
+    (chapter 4). The noise belongs to the motion, not to the sensors.
+
+    Parameters
+    ----------
+    controller : Controller
+        Who gets the states.
+    delay : int
+        Periods.
+    velocity_noise : float
+        Standard deviation, rad/s: the difference of two noisy encoder readings a period apart,
+        hence mostly of high frequency.
+    joints : int
+        Number of joints.
+    random : numpy.random.Generator
+        Source of the noise.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        delay: int,
+        velocity_noise: float,
+        joints: int,
+        random: np.random.Generator,
+    ) -> None:
+        self._controller = controller
+        self._states: deque[State] = deque(maxlen=delay + 1)
+        self._sigma = velocity_noise
+        self._random = random
+        self._last = np.zeros(joints)
+
+    def torques(self, state: State) -> FloatArray:
+        """Return the controller's torques for a state ``delay`` periods ago."""
+        velocity = state.velocity.copy()
+        reading = self._random.standard_normal(len(velocity) - 6)
+        velocity[6:] += self._sigma / np.sqrt(2.0) * (reading - self._last)
+        self._last = reading
+        self._states.append(replace(state, velocity=velocity))
+        return self._controller.torques(self._states[0])

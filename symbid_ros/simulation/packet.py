@@ -11,7 +11,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.command import Rejection
-from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.sensors import Instant
 
 HEADER = struct.Struct("<IHHIIII")  # magic, version, kind, sequence, seconds, nanoseconds, count
 MAGIC = 0x44424D53  # the bytes "SMBD"

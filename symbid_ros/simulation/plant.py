@@ -10,8 +10,27 @@ import numpy as np
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import ModelError, SimulationError
 from symbid_ros.model.mjcf_source import require_files_inside
-from symbid_ros.simulation.inertia import copy_inertias
-from symbid_ros.simulation.payload import Payload, add_payload
+from symbid_ros.simulation.body_inertia import Payload, add_payload, copy_inertias
+
+
+class BreakdownError(SimulationError):
+    """A robot that cannot go on: fallen, at an end stop, or without a command.
+
+    Parameters
+    ----------
+    cause : str
+        What happened, without time and remedy.
+    time : float
+        When, s; negative while the robot settles.
+    remedy : str
+        What to do about it.
+    """
+
+    def __init__(self, cause: str, time: float, remedy: str) -> None:
+        super().__init__(f"{cause} at {time:.3f} s; {remedy}")
+        self.cause = cause
+        self.time = time
+
 
 # MuJoCo has quaternions as wxyz and wrenches as (moment; force); messages the other way round.
 SCALAR_LAST = np.array([1, 2, 3, 0])

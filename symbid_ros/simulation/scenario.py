@@ -1,7 +1,7 @@
 """The motions that can be simulated, and what each of them needs."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +13,12 @@ from symbid_ros.simulation.controller import (
     BalanceGains,
     BalanceTask,
     Controller,
+    PoorFeedback,
 )
-from symbid_ros.simulation.feedback import PoorFeedback
-from symbid_ros.simulation.hoist import Hoist, JointController
-from symbid_ros.simulation.plant import Plant
-from symbid_ros.simulation.reference import MoveRange, Reference, draw_reference
-from symbid_ros.simulation.stance import gravity_torques, plumb_pose
+from symbid_ros.simulation.initial_pose import gravity_torques, plumb_pose
+from symbid_ros.simulation.overhead_support import Hoist, JointController
+from symbid_ros.simulation.plant import BreakdownError, Plant, Truth
+from symbid_ros.simulation.trajectory import MoveRange, Reference, draw_reference
 
 SOLES = ("left_sole", "right_sole")
 HOIST_FRAME = "suspension"
@@ -220,3 +220,79 @@ SCENARIOS: dict[str, Callable[[Plant, int, int], Scenario]] = {
     "suspended": _suspended,
     "tare": _tare,
 }
+
+
+# Long enough for feet and hoist to take the load; none of it counts.
+SETTLING = 1.0  # s
+# A robot whose base has come down this far does not stand any more.
+FALLEN = 0.7  # of the height at the start
+
+
+class Run:
+    """A plant under the command of a scenario.
+
+    Parameters
+    ----------
+    plant : Plant
+        Robot, in the pose in which it starts.
+    motion : Scenario
+        What it does.
+
+    Attributes
+    ----------
+    steps : int
+        Number of periods of the motion, those of settling not counted.
+    torques : (n_actuated,) float64
+        Of the drives in the period last taken, as commanded, Nm.
+    """
+
+    def __init__(self, plant: Plant, motion: Scenario) -> None:
+        self._plant, self._motion = plant, motion
+        self._lowest = FALLEN * float(plant.data.qpos[2])
+        self.steps = round(motion.duration / plant.period)
+        self.torques = np.zeros(plant.model.nu)
+
+    def settle(self) -> Iterator[Truth]:
+        """Yield the instants before the motion, at negative times.
+
+        Raises
+        ------
+        BreakdownError
+            As `advance` does.
+        """
+        for step in range(-round(SETTLING / self._plant.period), 0):
+            yield self.advance(step)
+
+    def advance(self, step: int, torques: FloatArray | None = None) -> Truth:
+        """Take one period and return the truth of the instant at its beginning.
+
+        Parameters
+        ----------
+        step : int
+            Periods since the motion's beginning.
+        torques : (n_actuated,) float64 or None
+            Of the drives, Nm; None for those of the scenario's controller.
+
+        Raises
+        ------
+        BreakdownError
+            When the robot falls, a joint runs into its end stop, or the controller has no torques.
+        """
+        plant, motion = self._plant, self._motion
+        # Time is counted, not summed up: sums drift off the stamps.
+        time = plant.data.time = step * plant.period
+        state = plant.observe()
+        self.torques = motion.controller.torques(state) if torques is None else torques
+        if motion.hoist is not None:
+            motion.hoist.pull(time)
+        truth = plant.advance(self.torques)
+        if state.position[2] < self._lowest:
+            raise BreakdownError("the robot fell", time, "ask for slower or smaller moves")
+        joint = plant.joint_at_limit
+        if joint is not None:
+            raise BreakdownError(
+                f"joint {joint} ran into its end stop",
+                time,
+                "no sensor sees the force there: widen its range or ask for smaller moves",
+            )
+        return truth

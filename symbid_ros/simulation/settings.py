@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -56,3 +57,97 @@ def _number(value: object, name: str, where: str) -> float:
         if math.isfinite(number) and number >= 0.0:
             return number
     raise SimulationError(f"{where}: {name} is {value!r}; give a finite number, 0 or more")
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Standard deviations of white Gaussian noise, per channel and period.
+
+    Attributes
+    ----------
+    joint_position, joint_velocity : float
+        rad, rad/s.
+    joint_effort : float
+        Nm, of joints with a drive.
+    angular_velocity, linear_acceleration : float
+        Of the IMU: rad/s, m/s².
+    force, moment : float
+        Of every wrench sensor: N, Nm.
+    """
+
+    joint_position: float
+    joint_velocity: float
+    joint_effort: float
+    angular_velocity: float
+    linear_acceleration: float
+    force: float
+    moment: float
+
+    def scaled(self, factor: float) -> "SensorNoise":
+        """Return the noise with every deviation times ``factor``.
+
+        Raises
+        ------
+        SimulationError
+            When the factor is negative or not finite.
+        """
+        if not (math.isfinite(factor) and factor >= 0.0):
+            raise SimulationError(f"noise factor {factor:g}; give a finite number, 0 or more")
+        return SensorNoise(**{name: factor * value for name, value in asdict(self).items()})
+
+
+def load_noise(path: Path) -> SensorNoise:
+    """Read and check a noise file.
+
+    Parameters
+    ----------
+    path : Path
+        YAML mapping of every field of `SensorNoise` to a number, and nothing else.
+
+    Raises
+    ------
+    SimulationError
+        When the file is missing, is not such a mapping, or a value is no standard deviation.
+    """
+    names = [field.name for field in fields(SensorNoise)]
+    return SensorNoise(**numbers(read_mapping(path), names, str(path)))
+
+
+@dataclass(frozen=True)
+class JointFriction:
+    """Friction and reflected inertia of one joint, named as MJCF names them.
+
+    Attributes
+    ----------
+    damping : float
+        Viscous friction, Nm s/rad or N s/m.
+    frictionloss : float
+        Coulomb friction, Nm or N.
+    armature : float
+        Inertia that turns with the joint alone, kg m² or kg.
+    """
+
+    damping: float
+    frictionloss: float
+    armature: float
+
+
+def load_friction(path: Path) -> dict[str, JointFriction]:
+    """Read and check a friction file.
+
+    Parameters
+    ----------
+    path : Path
+        YAML mapping of joint names to mappings of every field of `JointFriction` to a number.
+        Joints it does not name keep what the robot's file gives them.
+
+    Raises
+    ------
+    SimulationError
+        When the file is missing or not of that form.
+    """
+    names = [field.name for field in fields(JointFriction)]
+    return {
+        joint: JointFriction(**numbers(content, names, f"{path}, joint {joint}"))
+        for joint, content in read_mapping(path).items()
+    }

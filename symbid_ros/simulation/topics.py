@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from symbid_ros.arrays import IntArray
 from symbid_ros.messages import types as messages
 from symbid_ros.messages.layout import Columns, Layout
-from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.scenario import HOIST_FRAME
+from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
 
 WORLD = "world"

@@ -10,7 +10,6 @@ from threading import Event
 import numpy as np
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.packet import (
     COMMAND,
     HELLO,
@@ -24,7 +23,8 @@ from symbid_ros.simulation.packet import (
     is_before,
     measurement,
 )
-from symbid_ros.simulation.standing import StandingController
+from symbid_ros.simulation.plant import BreakdownError
+from symbid_ros.simulation.standing_controller import StandingController
 
 HELLO_PERIOD = 0.1  # s of silence after which the client says hello, again and again
 

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 
 from symbid_ros.errors import StudyError
 from symbid_ros.report.content import METRICS
-from symbid_ros.report.style import INK, Style, scale_errors
+from symbid_ros.report.plotting import INK, Style, scale_errors
 from symbid_ros.study.drawing import LABELS, Drawing, curve, legend, looks, marks, stack
 from symbid_ros.study.scores import METRICS as KEYS
 from symbid_ros.study.scores import Case, Scores

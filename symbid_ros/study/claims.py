@@ -3,7 +3,7 @@
 Every function returns None where a method, prior or filter that the claim is about is missing.
 """
 
-from symbid_ros.report.numerals import significant
+from symbid_ros.report.formatting import significant
 from symbid_ros.study.comparison import (
     COM,
     MARGIN,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.report.content import METRICS as TITLED
-from symbid_ros.report.numerals import significant
+from symbid_ros.report.formatting import significant
 from symbid_ros.study.scores import METRICS
 from symbid_ros.study.thesis import TITLES
 

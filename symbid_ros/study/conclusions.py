@@ -8,7 +8,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import StudyError
 from symbid_ros.report.content import TRUTH, LinkErrors
-from symbid_ros.report.numerals import significant
+from symbid_ros.report.formatting import significant
 from symbid_ros.simulation.balance import BalanceRun
 from symbid_ros.study import claims, prior_claims
 from symbid_ros.study.comparison import TIE, leads, listed, order, share, unless

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from symbid_ros.report.numerals import significant
+from symbid_ros.report.formatting import significant
 from symbid_ros.study.plan import Plan
 from symbid_ros.study.scores import METRICS, REFERENCE, Scores
 from symbid_ros.study.thesis import TITLES

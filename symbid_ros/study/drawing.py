@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from symbid_ros.atomic_write import write_through
-from symbid_ros.report.style import Style, assigned, house_style
-from symbid_ros.report.vector import page_svg
+from symbid_ros.report.plotting import Style, assigned, house_style, page_svg
 from symbid_ros.study.scores import REFERENCE
 from symbid_ros.study.thesis import TITLES
 

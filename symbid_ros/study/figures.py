@@ -11,11 +11,9 @@ from matplotlib.axes import Axes
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import StudyError
 from symbid_ros.report.content import LinkErrors
-from symbid_ros.report.decimation import thin
-from symbid_ros.report.figures import link_error_figure, link_means
-from symbid_ros.report.numerals import significant
-from symbid_ros.report.quantities import POINTS
-from symbid_ros.report.style import INK, Style, house_style, scale_errors
+from symbid_ros.report.figures import POINTS, link_error_figure, link_means
+from symbid_ros.report.formatting import significant
+from symbid_ros.report.plotting import INK, Style, house_style, scale_errors, thin
 from symbid_ros.simulation.balance import BalanceRun
 from symbid_ros.study.drawing import WIDTH, Drawing, legend, looks, settle, stack
 from symbid_ros.study.series import Setting

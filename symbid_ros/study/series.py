@@ -11,14 +11,14 @@ from symbid_ros.identification.prediction import RealisticMotion, RealisticPredi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.compose import prediction_series
 from symbid_ros.report.content import TRUTH, PredictionSeries
-from symbid_ros.report.numerals import significant
-from symbid_ros.report.quantities import (
+from symbid_ros.report.figures import (
     Quantity,
     com_quantities,
     draw,
     momentum_quantities,
     torque_quantities,
 )
+from symbid_ros.report.formatting import significant
 from symbid_ros.study.drawing import Drawing, curve, legend, looks, stack
 
 TORQUES_SHOWN = 4

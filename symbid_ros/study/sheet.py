@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from symbid_ros.report.numerals import ABSENT, significant
+from symbid_ros.report.formatting import ABSENT, significant
 
 BESIDE = " Second, where it has one, the thesis's figure and the ratio of ours to it."
 

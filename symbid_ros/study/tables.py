@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from symbid_ros.report.content import METRICS as TITLED
-from symbid_ros.report.numerals import ABSENT
+from symbid_ros.report.formatting import ABSENT
 from symbid_ros.study import thesis
 from symbid_ros.study.comparison import filtered, listed
 from symbid_ros.study.parameter_table import Draw, parameters

@@ -7,9 +7,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from symbid_ros.simulation.errors import SampleRates
-from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.sensors import Instant
+from symbid_ros.simulation.systematic_errors import SampleRates
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from report_pages import Page
 
 from symbid_ros.bags.streams.reader import topic_counts
 from symbid_ros.estimation.truncated_svd import METHODS
-from symbid_ros.report.numerals import measured
+from symbid_ros.report.formatting import measured
 
 TITLES = ("prior", "OLS", "WLS-R", "WLS-C", "WLS-RC", "WLS-RC, own z", "MAP", "MAP-LMI", "truth")
 FOLDERS = {method: method for method in (*METHODS, "map", "map_lmi")} | {"wls_rc_own_z": "wls_rc"}

@@ -12,8 +12,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.simulation.errors import ERRORS
 from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.simulation.systematic_errors import ERRORS
 
 
 def test_help_names_every_scenario_and_error(symbid):

@@ -13,7 +13,7 @@ from symbid_ros.offline.job import Job
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.payload import Payload
+from symbid_ros.simulation.body_inertia import Payload
 
 MODEL = config_file("symbitron.xml")
 BEGUN, MASS = 15.5, 2.0

@@ -26,8 +26,8 @@ from symbid_ros.model.parameters import TERMS, ParameterSet
 from symbid_ros.offline.identify import prepare
 from symbid_ros.offline.job import Job
 from symbid_ros.signals.weak_form import BLOCK, WindowedRows
-from symbid_ros.simulation.friction import load_friction
 from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.settings import load_friction
 from symbid_ros.simulation.simulator import Simulator
 
 MODEL = CONFIG / "symbitron.xml"

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from symbid_ros.report.content import METRICS, MethodResult
-from symbid_ros.report.decimation import thin
-from symbid_ros.report.numerals import fixed, shared_decimals, significant
+from symbid_ros.report.formatting import fixed, shared_decimals, significant
+from symbid_ros.report.plotting import thin
 from symbid_ros.report.table import metrics_table
 
 

@@ -21,9 +21,9 @@ from symbid_ros.report.content import (
     ReportContent,
     TruncationChoice,
 )
-from symbid_ros.report.numerals import ABSENT, measured
+from symbid_ros.report.data_summary import told_by
+from symbid_ros.report.formatting import ABSENT, measured
 from symbid_ros.report.page import render
-from symbid_ros.report.told import told_by
 
 
 def judged(*, truth: bool = False, **fields: object) -> ReportContent:

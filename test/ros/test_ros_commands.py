@@ -16,7 +16,7 @@ from symbid_ros.messages.types import JOINT_STATE
 from symbid_ros.ros.commands import CommandPublisher, TopicCommands
 from symbid_ros.ros.mailbox import wait_for_any
 from symbid_ros.simulation.command import Drives
-from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.sensors import Instant
 
 JOINTS = ("hip", "knee", "ankle")
 DRIVES = ("knee", "hip")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator, WrenchSensor
 
 

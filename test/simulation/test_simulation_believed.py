@@ -19,10 +19,8 @@ from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.belief import Belief
-from symbid_ros.simulation.believed import believed_model
-from symbid_ros.simulation.breakdown import BreakdownError
-from symbid_ros.simulation.plant import State
+from symbid_ros.simulation.controller_model import Belief, believed_model
+from symbid_ros.simulation.plant import BreakdownError, State
 from symbid_ros.simulation.scenario import SOLES
 
 ROBOT = config_file("symbitron.xml")

@@ -8,15 +8,15 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.errors import (
+from symbid_ros.simulation.recording import record
+from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.simulation.systematic_errors import (
     ERRORS,
     TYPICAL,
     Resolution,
     draw_errors,
     parse_errors,
 )
-from symbid_ros.simulation.recording import record
-from symbid_ros.simulation.simulator import Simulator
 
 STEPS = 60
 SENSOR_ERRORS = [name for name in ERRORS if name != "link_length"]

@@ -7,7 +7,7 @@ import yaml
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.friction import load_friction
+from symbid_ros.simulation.settings import load_friction
 from symbid_ros.simulation.simulator import Simulator
 
 STEPS = 4000

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from udp_packets import MEASUREMENT, command, hello, measurement, sequence_and_stamp
 
 from symbid_ros.simulation.command import Drives
-from symbid_ros.simulation.command_gate import CommandGate
-from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.packet import LARGEST_SEQUENCE, is_before, next_sequence
+from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.simulation.udp_server import CommandGate
 
 CLIENT, OTHER = ("127.0.0.1", 40001), ("127.0.0.1", 40002)
 TORQUES = [float(value) for value in range(-4, 4)]

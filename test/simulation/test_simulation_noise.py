@@ -6,7 +6,7 @@ import yaml
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.noise import load_noise
+from symbid_ros.simulation.settings import load_noise
 from symbid_ros.simulation.simulator import Simulator
 
 SAMPLES = 2500

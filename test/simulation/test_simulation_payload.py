@@ -10,7 +10,7 @@ import pytest
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.payload import Payload
+from symbid_ros.simulation.body_inertia import Payload
 from symbid_ros.simulation.plant import Plant
 from symbid_ros.simulation.scenario import SCENARIOS, SOLES
 from symbid_ros.simulation.simulator import Simulator

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.simulation.reference import MoveRange, draw_reference
+from symbid_ros.simulation.trajectory import MoveRange, draw_reference
 
 START = np.array([0.1, -0.2, 0.9])
 SPAN = MoveRange(

@@ -11,7 +11,7 @@ import scipy.signal
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.programme import proxqp
+from symbid_ros.simulation.controller import proxqp
 from symbid_ros.simulation.scenario import COM_MOVES, SCENARIOS, SQUAT_MOVES
 from symbid_ros.simulation.simulator import Simulator
 
@@ -220,9 +220,11 @@ def test_bad_options_are_refused(options, message):
         Simulator(**options)
 
 
-def test_programmes_are_solved_alike_in_every_process():
-    """Wider builds round otherwise where memory happens to be aligned otherwise."""
-    script = "from symbid_ros.simulation.programme import proxqp; print(proxqp.dense.QP.__module__)"
+def test_quadratic_programs_are_solved_without_avx_in_every_process():
+    """The AVX builds round differently depending on how memory is aligned."""
+    script = (
+        "from symbid_ros.simulation.controller import proxqp; print(proxqp.dense.QP.__module__)"
+    )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert "avx" not in ran.stdout.lower()
     assert proxqp.dense.QP.__module__ == ran.stdout.strip()

@@ -8,12 +8,11 @@ import pytest
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.leg_odometry import LegOdometry
-from symbid_ros.simulation.measurement import Instant
 from symbid_ros.simulation.plant import Plant
 from symbid_ros.simulation.scenario import SOLES
+from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.standing import StandingController
+from symbid_ros.simulation.standing_controller import LegOdometry, StandingController
 
 
 def odometry() -> LegOdometry:

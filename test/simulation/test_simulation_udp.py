@@ -20,7 +20,7 @@ from udp_packets import command, hello, measurement, sequence_and_stamp
 from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.command import Drives
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.udp_commands import UdpCommands
+from symbid_ros.simulation.udp_server import UdpCommands
 
 PATIENCE = 300.0  # s, before a test that hangs is given up
 SUPPORT = Path(__file__).parents[1] / "support"

@@ -19,7 +19,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.truth import read_realistic_motion
 from symbid_ros.report.content import METRICS, LinkErrors
-from symbid_ros.report.numerals import significant
+from symbid_ros.report.formatting import significant
 from symbid_ros.simulation.balance import BalanceRun
 from symbid_ros.simulation.recording import record
 from symbid_ros.study.charts import comparison_drawing, grid_drawing

@@ -5,10 +5,10 @@ import sys
 from dataclasses import asdict
 from threading import Event
 
-from symbid_ros.simulation.breakdown import BreakdownError
 from symbid_ros.simulation.command import Drives
+from symbid_ros.simulation.plant import BreakdownError
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.udp_commands import UdpCommands
+from symbid_ros.simulation.udp_server import UdpCommands
 
 
 def main(steps: int, options: dict[str, object]) -> None:

@@ -7,8 +7,8 @@ import numpy as np
 
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
-from symbid_ros.simulation.errors import SampleRates
-from symbid_ros.simulation.measurement import Instant
+from symbid_ros.simulation.sensors import Instant
+from symbid_ros.simulation.systematic_errors import SampleRates
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,50 @@
 """Colours, dashes, markers, type and scales that mean the same in every figure."""
 
+import io
+import re
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from xml.etree import ElementTree
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.report.content import PRIOR, TRUTH, ReportContent
+
+
+def thin(time: FloatArray, value: FloatArray, points: int) -> tuple[FloatArray, FloatArray]:
+    """Keep the smallest and the largest sample of every stretch, in the order of time.
+
+    Parameters
+    ----------
+    time, value : (N,) float64
+        The series.
+    points : int
+        At most so many samples are kept, two of each stretch.
+
+    Returns
+    -------
+    time, value : (M,) float64
+        M is at most ``points``; the series itself when it is short enough.
+    """
+    samples = len(time)
+    if samples <= points:
+        return time, value
+    stretches = points // 2
+    length = -(-samples // stretches)
+    # The last stretch repeats the last sample: no peak is invented by it.
+    index = np.minimum(np.arange(stretches * length), samples - 1).reshape(stretches, length)
+    block = value[index]
+    rows = np.arange(stretches)
+    extremes = np.stack([index[rows, block.argmin(axis=1)], index[rows, block.argmax(axis=1)]])
+    kept = np.unique(extremes)
+    return time[kept], value[kept]
+
 
 INK = "#3a3a3a"
 _RC = {
@@ -117,3 +151,62 @@ def scale_errors(axes: Axes, name: str, values: FloatArray, logarithmic_above: f
     axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.10g}"))
     # Between decades they would not be seen, and take most of the time.
     axis.set_minor_locator(NullLocator())
+
+
+_XLINK = "{http://www.w3.org/1999/xlink}href"
+_LONG_DECIMALS = re.compile(r"(\.\d\d)\d+")
+
+
+def inline_svg(figure: Figure, name: str, description: str) -> str:
+    """Return the figure as an ``<svg>`` element for a page of HTML.
+
+    Parameters
+    ----------
+    figure : matplotlib.figure.Figure
+        What to draw; text stays text.
+    name : str
+        Unique on the page; prefixes every id, which are one space for all SVGs of a page.
+    description : str
+        What the figure shows, for those who hear the page.
+    """
+    buffer = io.BytesIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    figure.savefig(buffer, format="svg", metadata=nothing)
+    return page_svg(buffer.getvalue(), name, description)
+
+
+def page_svg(svg: bytes, name: str, description: str) -> str:
+    """Return an SVG file that Matplotlib wrote as such an element."""
+    root = ElementTree.fromstring(svg)
+    used = set(re.findall(r'(?:url\(|")#([^)"]+)', ElementTree.tostring(root, encoding="unicode")))
+    for element in root.iter():
+        _make_local(element, name, used)
+    for parent in list(root.iter()):
+        for child in list(parent):
+            # A style element inside an SVG would rule the whole page: the page's own sheet does.
+            if child.tag in {"style", "metadata"}:
+                parent.remove(child)
+    root.attrib.pop("width")
+    root.attrib.pop("height")
+    root.attrib |= {"role": "img", "aria-label": description}
+    return ElementTree.tostring(root, encoding="unicode", short_empty_elements=True)
+
+
+def _make_local(element: ElementTree.Element, name: str, used: set[str]) -> None:
+    """Strip namespaces, prefix the ids in use, drop the others and shorten coordinates."""
+    element.tag = element.tag.rpartition("}")[2]
+    element.tail = None
+    attributes = element.attrib
+    if _XLINK in attributes:
+        attributes["href"] = attributes.pop(_XLINK)
+    identifier = attributes.pop("id", None)
+    if identifier in used:
+        attributes["id"] = f"{name}-{identifier}"
+    if attributes.get("href", "").startswith("#"):
+        attributes["href"] = f"#{name}-{attributes['href'][1:]}"
+    if "clip-path" in attributes:
+        attributes["clip-path"] = attributes["clip-path"].replace("url(#", f"url(#{name}-")
+    for key in ("d", "x", "y", "transform"):
+        if key in attributes:
+            # A hundredth of a point is finer than any screen.
+            attributes[key] = _LONG_DECIMALS.sub(r"\1", " ".join(attributes[key].split()))

@@ -5,7 +5,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.simulation.plant import Plant, State, site_ids
-from symbid_ros.simulation.reference import Reference
+from symbid_ros.simulation.trajectory import Reference
 
 
 class Hoist:
