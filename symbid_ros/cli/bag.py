@@ -18,7 +18,7 @@ from symbid_ros.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from symbid_ros.diagnosis.diagnosis import Diagnosis
+    from symbid_ros.diagnosis.findings import Diagnosis
 
 app = typer.Typer(help="Look into bags, judge them and recover damaged ones.", no_args_is_help=True)
 

@@ -4,8 +4,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from symbid_ros.diagnosis.diagnosis import Diagnosis
-from symbid_ros.diagnosis.finding import Finding, Severity
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 
 STYLES = {Severity.CLEAN: "green", Severity.WARNING: "yellow", Severity.UNUSABLE: "bold red"}
 

@@ -3,12 +3,10 @@
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from symbid_ros.diagnosis.diagnosis import Diagnosis
-from symbid_ros.diagnosis.finding import Finding, Kind, Severity
-from symbid_ros.diagnosis.mending import beyond_mending
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
 from symbid_ros.diagnosis.model_checks import ModelChecks, check_model
-from symbid_ros.diagnosis.model_watch import ModelWatch
-from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
+from symbid_ros.diagnosis.model_statistics import ModelWatch
+from symbid_ros.diagnosis.stream_checks import StreamChecks, beyond_mending, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import cut_to, warned_once

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.gains import Gains
-from symbid_ros.diagnosis.model_watch import ModelWatch
-from symbid_ros.diagnosis.mounting import reversed_finding
-from symbid_ros.diagnosis.turned import Turned, nearest_turn
+from symbid_ros.diagnosis.model_statistics import ModelWatch
+from symbid_ros.diagnosis.rotation_fit import Turned, nearest_turn
 
 # Gains beside the others' that ±25 % of every inertia can bring about and calibration leave,
 # readings over what they ought to be: one may be low by 0.75/1.25, another high by its inverse.
@@ -260,4 +259,31 @@ def _contradiction(topics: Sequence[str]) -> Finding:
         f"{', '.join(topics)}: forces, efforts and motion contradict one another and no fault of "
         "one sensor explains it; look for exchanged topics, a contact without a sensor, a wrench "
         "in world axes, a joint's position with a wrong sign or zero, or another robot's model",
+    )
+
+
+def turned_finding(topic: str, turn: Turned, evidence: float) -> Finding:
+    """Return that only a turned accelerometer makes forces and efforts agree."""
+    angle = float(np.degrees(turn.angle))
+    return Finding(
+        Kind.IMU_MOUNTING,
+        topic,
+        Severity.UNUSABLE,
+        f"{topic}: linear_acceleration is given in axes turned by {angle:.0f} degrees "
+        "from its frame in the model, as wrenches and efforts show together; correct the frame's "
+        "orientation in the model, or header.frame_id",
+        {"angle_deg": angle, "evidence": evidence},
+    )
+
+
+def reversed_finding(imus: Sequence[str]) -> Finding:
+    """Return that gravity is upside down."""
+    return Finding(
+        Kind.IMU_MOUNTING,
+        imus[0] if len(imus) == 1 else "",
+        Severity.UNUSABLE,
+        f"{', '.join(imus)}: linear_acceleration is reversed, forces and efforts contradict it; "
+        "at rest an accelerometer reads +9.81 upwards (REP-145), correct the driver's sign or "
+        "the frame's orientation in the model",
+        {"gain": -1.0},
     )

@@ -13,16 +13,18 @@ model's inertias and its joints' friction may be wrong by is φ's to say, not th
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import lapack
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.kinematics import LinkPoses, joint_axes, link_poses
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.readings import Readings, at_base
@@ -201,3 +203,73 @@ def gain_rows(parameters: ParameterSet, gains: SensorGains) -> RowBuilder:
             yield valid_rows(part.stamp, Rows(K, rows.y), valid)
 
     return build
+
+
+@dataclass
+class CoordinateRows:
+    """Triangular factors of [K_i y_i], one for each of n coordinates.
+
+    Attributes
+    ----------
+    coordinates : tuple of str
+        Their names.
+    structure : (n, q) bool
+        Which of q unknowns each of them feels.
+    samples : int
+        Rows folded into each factor.
+    """
+
+    coordinates: tuple[str, ...]
+    structure: BoolArray
+    samples: int = 0
+    _columns: list[IntArray] = field(init=False)
+    _factors: list[FloatArray] = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin without data."""
+        self._columns = [np.flatnonzero(row) for row in self.structure]
+        widths = [len(columns) + 1 for columns in self._columns]
+        self._factors = [np.zeros((width, width), order="F") for width in widths]
+
+    def fold(self, rows: Rows) -> None:
+        """Take N more rows of every coordinate."""
+        for index, columns in enumerate(self._columns):
+            block = np.empty((len(rows.y), len(columns) + 1), order="F")
+            block[:, :-1] = rows.K[:, index, columns]
+            block[:, -1] = rows.y[:, index]
+            # LAPACK's tpqrt leaves the zeros of the triangle alone.
+            self._factors[index], _, _, _ = lapack.dtpqrt(
+                0, min(32, len(columns) + 1), self._factors[index], block, True, True
+            )
+        self.samples += len(rows.y)
+
+    def whitened(self, deviation: FloatArray) -> FloatArray:
+        """Return the triangle (q + 1, q + 1) of all rows over deviations (n,)."""
+        q = self.structure.shape[1]
+        stacked = np.zeros((sum(map(len, self._factors)), q + 1))
+        first = 0
+        for columns, factor, scale in zip(self._columns, self._factors, deviation, strict=True):
+            rows = slice(first, first + len(factor))
+            stacked[rows, columns] = factor[:, :-1] / scale
+            stacked[rows, q] = factor[:, -1] / scale
+            first += len(factor)
+        return stacked_factor(stacked)
+
+    def residual_squares(self, unknowns: FloatArray) -> FloatArray:
+        """Return the mean squares (n,) of y - K x for x (q,)."""
+        squares = [
+            np.sum((factor[:, -1] - factor[:, :-1] @ unknowns[columns]) ** 2)
+            for columns, factor in zip(self._columns, self._factors, strict=True)
+        ]
+        return np.array(squares) / max(self.samples, 1)
+
+    @property
+    def target_squares(self) -> FloatArray:
+        """Mean squares (n,) of y."""
+        return self.residual_squares(np.zeros(self.structure.shape[1]))
+
+    def column_squares(self, coordinate: int, unknown: int) -> float:
+        """Return the mean square of one unknown's column in one coordinate's rows."""
+        place = int(np.searchsorted(self._columns[coordinate], unknown))
+        column = self._factors[coordinate][:, place]
+        return float(column @ column) / max(self.samples, 1)

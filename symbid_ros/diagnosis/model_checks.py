@@ -4,26 +4,86 @@ An IMU's mounting is seen by kinematics alone, so it comes first. Signs, frames 
 forces are found together. Delays and excitation are asked of what is right so far.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from symbid_ros.diagnosis.excitation import FEWEST, excitation
-from symbid_ros.diagnosis.finding import Finding, Kind, Severity
-from symbid_ros.diagnosis.forces import FURTHEST, PLAINER, judge_forces
-from symbid_ros.diagnosis.gains import Gains, Problem, find_delays, find_gains, find_turn
-from symbid_ros.diagnosis.lateness import late_streams
-from symbid_ros.diagnosis.model_watch import ModelWatch
-from symbid_ros.diagnosis.mounting import (
-    LARGEST_ANGLE,
-    delay_finding,
-    is_told,
-    mounting_findings,
+from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.diagnosis.forces import (
+    FURTHEST,
+    PLAINER,
+    judge_forces,
     reversed_finding,
     turned_finding,
 )
-from symbid_ros.diagnosis.standing_rate import agreement
+from symbid_ros.diagnosis.gains import (
+    Gains,
+    Problem,
+    find_delays,
+    find_gains,
+    find_turn,
+    late_streams,
+    loads,
+)
+from symbid_ros.diagnosis.model_statistics import ModelWatch
+from symbid_ros.diagnosis.stance_gyro_check import (
+    DEVIATIONS,
+    LARGEST_ANGLE,
+    agreement,
+    is_told,
+    mounting_findings,
+)
+from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.signals.weak_form import INFLATION
+
+# Identification's windows see no shift below this, s.
+LARGEST_DELAY = 3e-3
+
+# Share of a load that a good sensor cannot tell: what moves less is no motion, noise or none.
+RESOLUTION = 5e-3
+# So few directions beyond those of a single pose are next to nothing.
+FEWEST_DIRECTIONS = 3
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What a log determines.
+
+    Attributes
+    ----------
+    determined : int
+        Directions of the parameters of which more than half the prior's variance goes.
+    at_rest : int
+        As many of them as the mean pose tells without any motion.
+    gain : float
+        Information over the prior, bit.
+    """
+
+    determined: int
+    at_rest: int
+    gain: float
+
+
+def excitation(watch: ModelWatch, left: FloatArray) -> Excitation:
+    """Judge rows of which (n,) variances are left when their gains are known."""
+    rows_, prior = watch.rows, watch.prior
+    p = len(prior.names)
+    scale = loads(rows_, watch.problem.expected)
+    deviation = np.sqrt(INFLATION * (left + (RESOLUTION * scale) ** 2))
+    L = prior.covariance_factor()
+    rows = rows_.whitened(deviation)[:, :p] @ L
+    at_rest = np.sqrt(rows_.samples) * (watch.mean_row / deviation[:, None]) @ L
+    singular = np.linalg.svd(rows, compute_uv=False)
+    # Rows s and a prior of one leave a deviation of 1/√(1 + s²).
+    least = np.sqrt(1 / DETERMINED**2 - 1)
+    return Excitation(
+        determined=int(np.sum(singular > least)),
+        at_rest=int(np.sum(np.linalg.svd(at_rest, compute_uv=False) > least)),
+        gain=float(np.sum(np.log2(1 + singular**2)) / 2),
+    )
+
 
 # Delays that differ by no more than this share of themselves are one delay.
 ALIKE = 0.5
@@ -197,7 +257,7 @@ def _check_excitation(checks: ModelChecks, watch: ModelWatch, gains: Gains) -> N
         "information_bit": found.gain,
     }
     moved = found.determined - found.at_rest
-    if moved < FEWEST:
+    if moved < FEWEST_DIRECTIONS:
         checks.findings.append(
             Finding(
                 Kind.EXCITATION,
@@ -209,3 +269,20 @@ def _check_excitation(checks: ModelChecks, watch: ModelWatch, gains: Gains) -> N
                 {"determined": found.determined, "at_rest": found.at_rest},
             )
         )
+
+
+def delay_finding(
+    topic: str, delay: float, std: float, others: str, what: str = ""
+) -> Iterator[Finding]:
+    """Yield whether a stream, or what of it is named, is late or early, s."""
+    if abs(delay) <= LARGEST_DELAY or abs(delay) <= DEVIATIONS * std:
+        return
+    which = "late" if delay > 0 else "early"
+    yield Finding(
+        Kind.DELAY,
+        topic,
+        Severity.WARNING,
+        f"{topic}: {f'{what} are' if what else 'is'} {1e3 * abs(delay):.1f} ± {1e3 * std:.1g} ms "
+        f"{which} against {others}; let drivers stamp the time of the measurement",
+        {"delay_ms": 1e3 * delay, "delay_std_ms": 1e3 * std},
+    )

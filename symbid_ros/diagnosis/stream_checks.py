@@ -3,18 +3,16 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from symbid_ros.diagnosis.finding import Finding, Kind, Severity
-from symbid_ros.diagnosis.freezing import Freezing
-from symbid_ros.diagnosis.inertial import Inertial
-from symbid_ros.diagnosis.joint_motion import JointMotion
-from symbid_ros.diagnosis.mending import mended
-from symbid_ros.diagnosis.naming import check_names
-from symbid_ros.diagnosis.orientation import Orientation
-from symbid_ros.diagnosis.saturation import Saturation
+from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.diagnosis.imu_checks import Inertial, Orientation
+from symbid_ros.diagnosis.joint_checks import JointMotion
+from symbid_ros.diagnosis.sensor_faults import Freezing, Saturation
 from symbid_ros.diagnosis.timing import Timing
+from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.defects import Tally
+from symbid_ros.signals.defects import Defect, DefectError, Tally
 from symbid_ros.signals.slices import Slice
+from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
 
 
 @dataclass
@@ -115,3 +113,107 @@ class StreamChecks:
 def unusable(findings: Iterable[Finding]) -> Sequence[Finding]:
     """Return the findings that make a log unusable."""
     return [one for one in findings if one.severity is Severity.UNUSABLE]
+
+
+def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
+    """Compare joint names and frames with a model's."""
+    joints = streams.joints
+    found = []
+    missing = [name for name in model.measured_joint_names if name not in joints.names]
+    if missing:
+        found.append(
+            Finding(
+                Kind.MISSING_JOINT,
+                joints.topic,
+                Severity.UNUSABLE,
+                f"{joints.topic}: lacks {', '.join(missing)} of model {model.source}; record all "
+                "of its joints or give the model of this robot",
+                {"joints": len(missing)},
+            )
+        )
+    unknown = [name for name in joints.names if name not in model.joint_names]
+    if unknown:
+        found.append(
+            Finding(
+                Kind.UNKNOWN_JOINT,
+                joints.topic,
+                Severity.WARNING,
+                f"{joints.topic}: names {', '.join(unknown)}, which model {model.source} does not "
+                "have: taken to be rigid; give a model that has what moves",
+                {"joints": len(unknown)},
+            )
+        )
+    sensors: list[ImuStream | WrenchStream] = [
+        *(streams.imus if model.floating else ()),
+        *streams.wrenches,
+    ]
+    for sensor in sensors:
+        try:
+            model.frame(sensor.frame_id)
+        except ModelError as error:
+            found.append(
+                Finding(
+                    Kind.UNKNOWN_FRAME, sensor.topic, Severity.UNUSABLE, f"{sensor.topic}: {error}"
+                )
+            )
+    if model.floating and not streams.imus:
+        found.append(
+            Finding(
+                Kind.SILENT,
+                "",
+                Severity.UNUSABLE,
+                f"{streams.source}: the base of {model.source} floats, but no topic is of type "
+                "sensor_msgs/msg/Imu; record the IMU, or give --base fixed if it is bolted down",
+            )
+        )
+    return found
+
+
+KINDS = {
+    Defect.DISORDER: Kind.DISORDER,
+    Defect.DUPLICATE: Kind.DUPLICATE,
+    Defect.NOT_FINITE: Kind.NOT_FINITE,
+    Defect.UNKNOWN_JOINT: Kind.UNKNOWN_JOINT,
+    Defect.OTHER_JOINTS: Kind.UNKNOWN_JOINT,
+    Defect.REORDERED_JOINTS: Kind.REORDERED_JOINTS,
+    Defect.NO_NAMES: Kind.MISSING_JOINT,
+    Defect.NO_ORIENTATION: Kind.QUATERNION_NORM,
+    Defect.LATE: Kind.DISORDER,
+    Defect.OTHER_LAYOUT: Kind.LAYOUT,
+    Defect.CLOCK_JUMP: Kind.CLOCK_JUMP,
+    Defect.OTHER_FRAME: Kind.UNKNOWN_FRAME,
+    Defect.ABSENT: Kind.NOT_FINITE,
+    Defect.NAMED_TWICE: Kind.UNKNOWN_JOINT,
+}
+REMEDIES = {
+    Defect.DISORDER: "let one publisher speak for one sensor",
+    Defect.DUPLICATE: "let the driver stamp every message anew",
+    Defect.NOT_FINITE: "repair the driver",
+    Defect.UNKNOWN_JOINT: "let one driver speak for all joints",
+    Defect.OTHER_JOINTS: "if the robot has these too, let one driver speak for all joints",
+    Defect.REORDERED_JOINTS: "let one driver speak for all joints",
+    Defect.NO_ORIENTATION: "let the driver fill it always or mark it absent always",
+    Defect.LATE: "stop the clocks from drifting apart, or record the topics together",
+    Defect.OTHER_LAYOUT: "none is lost; reading is slow",
+}
+
+
+def mended(tallies: Iterable[Tally]) -> list[Finding]:
+    """Return what was mended in each topic."""
+    return [
+        Finding(
+            KINDS[defect],
+            tally.topic,
+            Severity.WARNING,
+            f"{tally.topic}: {count} of {tally.messages} messages {tally.told(defect)}; "
+            f"{REMEDIES[defect]}",
+            {"messages": count, "share": count / max(tally.messages, 1)},
+        )
+        for tally in tallies
+        for defect, count in tally.counts.items()
+    ]
+
+
+def beyond_mending(error: DefectError) -> Finding:
+    """Return the finding that ended the reading of a log."""
+    return Finding(KINDS[error.defect], error.topic, Severity.UNUSABLE, str(error))

@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.diagnosis.diagnosis import StreamFigures
-from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import Finding, Kind, Severity, StreamFigures
 from symbid_ros.signals.gaps import find_gaps
 
 # Periods that vary by more than this share of themselves are arrival times, no sampling times.

@@ -4,8 +4,8 @@ import logging
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
-from symbid_ros.diagnosis.finding import Finding
-from symbid_ros.diagnosis.masking import masked
+from symbid_ros.diagnosis.findings import Finding
+from symbid_ros.diagnosis.sensor_faults import masked
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel

@@ -3,9 +3,9 @@
 import logging
 from collections.abc import Sequence
 
-from symbid_ros.diagnosis.finding import Finding, Kind
+from symbid_ros.diagnosis.findings import Finding, Kind
 from symbid_ros.diagnosis.model_checks import check_model
-from symbid_ros.diagnosis.model_watch import ModelWatch
+from symbid_ros.diagnosis.model_statistics import ModelWatch
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.prior import Prior

@@ -9,8 +9,7 @@ from bag_surgery import Messages, operate
 from random_robots import CONFIG
 
 from symbid_ros.cli.bag import print_verdict
-from symbid_ros.diagnosis.diagnosis import Diagnosis, StreamFigures
-from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, StreamFigures
 
 MODEL = CONFIG / "symbitron.xml"
 LEFT = "/left_foot/wrench"

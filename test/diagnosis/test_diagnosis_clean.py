@@ -6,7 +6,7 @@ from tree_simulation import TreeSimulation
 
 from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.diagnosis.finding import Kind, Severity
+from symbid_ros.diagnosis.findings import Kind, Severity
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model

@@ -6,10 +6,10 @@ from analytic_log import analytic_segment
 from random_robots import random_robot, random_rotation
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.diagnosis.excitation import RESOLUTION, excitation
 from symbid_ros.diagnosis.gains import loads
-from symbid_ros.diagnosis.model_watch import WINDOWS, ModelWatch
-from symbid_ros.diagnosis.turned import nearest_turn
+from symbid_ros.diagnosis.model_checks import RESOLUTION, excitation
+from symbid_ros.diagnosis.model_statistics import WINDOWS, ModelWatch
+from symbid_ros.diagnosis.rotation_fit import nearest_turn
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 

@@ -11,9 +11,8 @@ from random_robots import CONFIG
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.bags.streams.reader import bag_log
-from symbid_ros.diagnosis.diagnosis import Diagnosis
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model

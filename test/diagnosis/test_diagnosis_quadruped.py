@@ -10,10 +10,9 @@ from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.bags.streams.reader import bag_log, read_streams
-from symbid_ros.diagnosis.diagnosis import Diagnosis
 from symbid_ros.diagnosis.doctor import diagnose
-from symbid_ros.diagnosis.finding import Kind, Severity
-from symbid_ros.diagnosis.standing_rate import StandingRate, agreement
+from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
+from symbid_ros.diagnosis.stance_gyro_check import StandingRate, agreement
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

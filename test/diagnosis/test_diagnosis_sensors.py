@@ -7,9 +7,9 @@ import pytest
 from random_robots import random_robot
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.diagnosis.finding import Kind, Severity
-from symbid_ros.diagnosis.inertial import Inertial
-from symbid_ros.diagnosis.joint_motion import JointMotion
+from symbid_ros.diagnosis.findings import Kind, Severity
+from symbid_ros.diagnosis.imu_checks import Inertial
+from symbid_ros.diagnosis.joint_checks import JointMotion
 from symbid_ros.signals.streams import ImuStream, JointStream
 
 TIME = np.arange(0, 6, 0.005)

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from log_fuzz import run
 from random_logs import LogPlan, random_streams, small_robot
 
-from symbid_ros.diagnosis.masking import masked
 from symbid_ros.diagnosis.model_checks import check_model
-from symbid_ros.diagnosis.model_watch import ModelWatch
+from symbid_ros.diagnosis.model_statistics import ModelWatch
+from symbid_ros.diagnosis.sensor_faults import masked
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.identification.dataset import Processing, Record, fold_record

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from symbid_ros.diagnosis.finding import Kind
-from symbid_ros.diagnosis.masking import masked
+from symbid_ros.diagnosis.findings import Kind
+from symbid_ros.diagnosis.sensor_faults import masked
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 COUNT = 2000

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.diagnosis.standing_rate import turning_over
+from symbid_ros.diagnosis.stance_gyro_check import turning_over
 from symbid_ros.model.load import load_model
 from symbid_ros.signals.readings import Readings
 

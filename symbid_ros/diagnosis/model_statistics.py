@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.diagnosis.coordinate_rows import CoordinateRows
-from symbid_ros.diagnosis.gain_rows import SensorGains, gain_rows
+from symbid_ros.diagnosis.gain_rows import CoordinateRows, SensorGains, gain_rows
 from symbid_ros.diagnosis.gains import Problem
-from symbid_ros.diagnosis.standing_rate import StandingRate
+from symbid_ros.diagnosis.stance_gyro_check import StandingRate
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import Prior, model_prior
 from symbid_ros.model.parameters import TERMS, ParameterSet

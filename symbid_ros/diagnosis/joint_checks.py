@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.diagnosis.finding import Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import JointStream

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import JointTable, Posture, link_poses, link_velocity
 from symbid_ros.dynamics.spatial import component_first
@@ -13,6 +14,18 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.readings import Readings, smoothed
+
+# Calibration leaves tenths of a degree, a wrong axis ninety.
+LARGEST_ANGLE = np.radians(5.0)
+# A rotation that is known no better says nothing.
+LARGEST_DOUBT = np.radians(2.0)
+# More of the joints' rate than this is not followed where the foot does not stand.
+MOST_LEFT = 0.3
+# Mirrored, a gyroscope must follow so many times better to be called so.
+MIRRORED = 3.0
+# A point that rolls, and a floor that gives, leave a rate of turn within these of itself.
+SCALES = 0.6, 1.6
+DEVIATIONS = 5.0
 
 # Hz; above it the compliance of floors and soles turns a foot that stands.
 CUTOFF = 20.0
@@ -259,3 +272,47 @@ def _peak(values: FloatArray, best: int) -> float:
     before, at, after = values[best - 1 : best + 2]
     bend = before - 2 * at + after
     return best + (0.5 * (before - after) / bend if bend < 0 else 0.0)
+
+
+def is_told(found: Agreement) -> bool:
+    """Tell whether a foot stood still while the robot turned."""
+    return min(found.left, found.mirrored) < MOST_LEFT
+
+
+def mounting_findings(topic: str, found: Agreement) -> Iterator[Finding]:
+    """Yield what is wrong with an IMU's mounting, or with its unit."""
+    if not SCALES[0] < found.scale < SCALES[1]:
+        yield Finding(
+            Kind.UNIT,
+            topic,
+            Severity.UNUSABLE,
+            f"{topic}: angular_velocity is {found.scale:.3g} times the rate at which the joints "
+            "turn the robot above its feet; give rad/s",
+            {"rate_ratio": found.scale},
+        )
+        return
+    if found.mirrored * MIRRORED < found.left and found.mirrored < MOST_LEFT:
+        yield Finding(
+            Kind.IMU_MOUNTING,
+            topic,
+            Severity.UNUSABLE,
+            f"{topic}: angular_velocity follows the joints only if an axis has its sign reversed "
+            f"({100 * found.left:.0f} % of the rate is left over as it is, "
+            f"{100 * found.mirrored:.1f} % then); repair the driver",
+            {"left": found.left, "left_if_mirrored": found.mirrored},
+        )
+    elif (
+        found.left < MOST_LEFT
+        and found.angle_std < LARGEST_DOUBT
+        and found.angle > LARGEST_ANGLE + DEVIATIONS * found.angle_std
+    ):
+        angle, doubt = np.degrees([found.angle, found.angle_std]).tolist()
+        yield Finding(
+            Kind.IMU_MOUNTING,
+            topic,
+            Severity.UNUSABLE,
+            f"{topic}: reports in axes turned by {angle:.1f} ± {doubt:.1g} degrees from its frame "
+            "in the model, as the joints show above a standing foot; correct the frame's "
+            "orientation in the model, or header.frame_id",
+            {"angle_deg": angle, "angle_std_deg": doubt},
+        )
