@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
 from symbid_ros.diagnosis.model_checks import ModelChecks, check_model
-from symbid_ros.diagnosis.model_statistics import ModelWatch
+from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, beyond_mending, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
@@ -52,7 +52,7 @@ class _LogDiagnoser:
     model: RobotModel | None
     streams: StreamChecks = field(init=False)
     fatal: list[Finding] = field(default_factory=list)
-    watch: ModelWatch | None = None
+    watch: ModelStatistics | None = None
     first: Streams | None = None
 
     def __post_init__(self) -> None:
@@ -67,7 +67,7 @@ class _LogDiagnoser:
         if self.first is None:
             self.first = streams
             if not unusable(self.streams.named):
-                self.watch = ModelWatch(
+                self.watch = ModelStatistics(
                     model,
                     [one.frame_id for one in streams.wrenches],
                     [one.frame_id for one in streams.imus],

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
-from symbid_ros.diagnosis.gains import Gains
-from symbid_ros.diagnosis.model_statistics import ModelWatch
-from symbid_ros.diagnosis.rotation_fit import Turned, nearest_turn
+from symbid_ros.diagnosis.gains import GainEstimate
+from symbid_ros.diagnosis.model_statistics import ModelStatistics
+from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
 
 # Gains beside the others' that ±25 % of every inertia can bring about and calibration leave,
 # readings over what they ought to be: one may be low by 0.75/1.25, another high by its inverse.
@@ -31,7 +31,7 @@ MOST_FAULTS = 2
 
 
 @dataclass(frozen=True)
-class Judged:
+class ForceVerdict:
     """What the forces of a log amount to.
 
     Attributes
@@ -50,16 +50,20 @@ class Judged:
     left_out: tuple[str, ...] = ()
 
 
-def judge_forces(
-    watch: ModelWatch, gains: Gains, joints: str, imus: Sequence[str], topics: Mapping[str, str]
-) -> Judged:
+def check_forces(
+    watch: ModelStatistics,
+    gains: GainEstimate,
+    joints: str,
+    imus: Sequence[str],
+    topics: Mapping[str, str],
+) -> ForceVerdict:
     """Return what is wrong with signs, frames and gains.
 
     Parameters
     ----------
-    watch : ModelWatch
+    watch : ModelStatistics
         What was gathered.
-    gains : Gains
+    gains : GainEstimate
         Of its observations.
     joints, imus : str, sequence of str
         Topics.
@@ -68,7 +72,7 @@ def judge_forces(
     """
     frames = gains.sensors.wrench_frames
     loaded = np.flatnonzero(watch.is_loaded).tolist()
-    turned = {index: nearest_turn(*gains.matrix(gains.sensors.wrench(index))) for index in loaded}
+    turned = {index: fit_rotation(*gains.matrix(gains.sensors.wrench(index))) for index in loaded}
     efforts = {name: gains.effort(index) for index, name in enumerate(gains.sensors.joint_names)}
     known = {name: told for name, told in efforts.items() if _is_known(*told)}
     middle = _middle(turned, known)
@@ -83,11 +87,11 @@ def judge_forces(
     for name, (gain, std) in efforts.items():
         figures[f"{name}/effort_gain"], figures[f"{name}/effort_gain_std"] = gain, std
     if watch.model.floating and _is_reversed(watch, gains, turned, known):
-        return Judged((reversed_finding(imus),), figures, Kind.IMU_MOUNTING.value)
+        return ForceVerdict((reversed_finding(imus),), figures, Kind.IMU_MOUNTING.value)
     if watch.model.floating and gains.before > MOST_LEFT * watch.weight:
         far = any(turn.cost > FURTHEST for turn in turned.values())
         if far or not loaded or not EXPLAINED[0] < middle < EXPLAINED[1]:
-            return Judged((_unexplained(watch, gains, frames),), figures, Kind.WEIGHT.value)
+            return ForceVerdict((_unexplained(watch, gains, frames),), figures, Kind.WEIGHT.value)
     # Without a single effort the wrenches' gains shrink together with the inertias.
     is_anchored = bool(known) or not gains.sensors.driven
     found = [
@@ -105,7 +109,7 @@ def judge_forces(
     if several or vanishing:
         found = [_contradiction([joints, *topics.values()])]
     left_out = () if is_anchored else ("wrench_gain: no joint's effort is known to compare with",)
-    return Judged(tuple(found), figures, found[0].kind.value if found else "", left_out)
+    return ForceVerdict(tuple(found), figures, found[0].kind.value if found else "", left_out)
 
 
 def _is_known(gain: float, std: float) -> bool:
@@ -113,7 +117,7 @@ def _is_known(gain: float, std: float) -> bool:
     return DEVIATIONS * std < max(abs(gain), 0.5)
 
 
-def _middle(turned: Mapping[int, Turned], known: Mapping[str, tuple[float, float]]) -> float:
+def _middle(turned: Mapping[int, RotationFit], known: Mapping[str, tuple[float, float]]) -> float:
     """Return the median gain: by how much the whole model is too light, if it is no more.
 
     Two could as well share a fault.
@@ -122,7 +126,7 @@ def _middle(turned: Mapping[int, Turned], known: Mapping[str, tuple[float, float
     return float(np.median(sizes)) if len(sizes) > 2 else 1.0
 
 
-def _common(turned: Mapping[int, Turned], known: Mapping[str, tuple[float, float]]) -> float:
+def _common(turned: Mapping[int, RotationFit], known: Mapping[str, tuple[float, float]]) -> float:
     """Return the gain that counts as right.
 
     Gains that wrenches and efforts share say by how much the whole model is too light, or shrink
@@ -141,9 +145,9 @@ def _common(turned: Mapping[int, Turned], known: Mapping[str, tuple[float, float
 
 
 def _is_reversed(
-    watch: ModelWatch,
-    gains: Gains,
-    turned: Mapping[int, Turned],
+    watch: ModelStatistics,
+    gains: GainEstimate,
+    turned: Mapping[int, RotationFit],
     known: Mapping[str, tuple[float, float]],
 ) -> bool:
     """Tell whether every force and effort looks reversed: then gravity is."""
@@ -155,7 +159,7 @@ def _is_reversed(
     return all(forces[i] @ gains.matrix(gains.sensors.wrench(i))[0] @ forces[i] < 0 for i in turned)
 
 
-def _unexplained(watch: ModelWatch, gains: Gains, frames: Sequence[str]) -> Finding:
+def _unexplained(watch: ModelStatistics, gains: GainEstimate, frames: Sequence[str]) -> Finding:
     left = gains.before / watch.weight
     return Finding(
         Kind.WEIGHT,
@@ -168,7 +172,7 @@ def _unexplained(watch: ModelWatch, gains: Gains, frames: Sequence[str]) -> Find
     )
 
 
-def _of_wrench(topic: str, frame: str, turn: Turned, common: float) -> Iterator[Finding]:
+def _of_wrench(topic: str, frame: str, turn: RotationFit, common: float) -> Iterator[Finding]:
     told = turn.plain - turn.cost
     if turn.sign < 0 and told > PLAINER:
         yield Finding(
@@ -262,7 +266,7 @@ def _contradiction(topics: Sequence[str]) -> Finding:
     )
 
 
-def turned_finding(topic: str, turn: Turned, evidence: float) -> Finding:
+def turned_finding(topic: str, turn: RotationFit, evidence: float) -> Finding:
     """Return that only a turned accelerometer makes forces and efforts agree."""
     angle = float(np.degrees(turn.angle))
     return Finding(

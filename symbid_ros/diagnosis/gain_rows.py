@@ -35,7 +35,7 @@ PER_SENSOR = 10  # unknowns of a wrench sensor or an IMU: its matrix row by row,
 
 
 @dataclass(frozen=True)
-class SensorGains:
+class GainLayout:
     """The unknowns of a log's sensors: wrenches, IMUs, efforts of driven joints, their delay.
 
     Attributes
@@ -56,7 +56,7 @@ class SensorGains:
     @classmethod
     def of(
         cls, model: RobotModel, wrench_frames: tuple[str, ...], imu_frames: tuple[str, ...]
-    ) -> "SensorGains":
+    ) -> "GainLayout":
         """Return those of the sensors that a log has; a fixed base needs no IMU."""
         driven = tuple(place for place, joint in enumerate(model.joints) if joint.effort > 0)
         names = tuple(model.joint_names[place] for place in driven)
@@ -190,7 +190,7 @@ def _late_imu(
     return replace(readings, velocity=nothing, acceleration=nothing, imus=tuple(imus))
 
 
-def gain_rows(parameters: ParameterSet, gains: SensorGains) -> RowBuilder:
+def gain_rows(parameters: ParameterSet, gains: GainLayout) -> RowBuilder:
     """Return what builds rows of [K, -C] [φ; θ] = y from readings."""
     model = parameters.model
 

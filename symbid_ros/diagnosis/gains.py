@@ -6,8 +6,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.diagnosis.gain_rows import CoordinateRows, SensorGains
-from symbid_ros.diagnosis.rotation_fit import Turned, nearest_turn
+from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
+from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.model.parameters import ParameterSet, Term
 from symbid_ros.signals.weak_form import INFLATION
@@ -31,7 +31,7 @@ DRIVE: dict[Term, float] = {"viscous": 0.3, "coulomb": 0.3, "armature": 0.3, "of
 
 
 @dataclass(frozen=True)
-class Problem:
+class GainProblem:
     """Rows of [K, -C] [φ; θ] = y and what is believed of the unknowns.
 
     Attributes
@@ -40,19 +40,19 @@ class Problem:
         Of n coordinates.
     mean, std : (p,) float64
         Of the parameters φ alone.
-    gains : SensorGains
+    gains : GainLayout
         What the r unknowns θ after them are.
     """
 
     rows: CoordinateRows
     mean: FloatArray
     std: FloatArray
-    gains: SensorGains
+    gains: GainLayout
 
     @classmethod
     def of(
-        cls, rows: CoordinateRows, parameters: ParameterSet, std: FloatArray, gains: SensorGains
-    ) -> "Problem":
+        cls, rows: CoordinateRows, parameters: ParameterSet, std: FloatArray, gains: GainLayout
+    ) -> "GainProblem":
         """Believe inertias to deviations (inertial,), and of drives that they are no load."""
         mean = parameters.values
         std = np.concatenate([std, np.zeros(len(mean) - len(std))])
@@ -92,12 +92,12 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Gains:
+class GainEstimate:
     """Gains, delays and inertias that make the equation of motion hold.
 
     Attributes
     ----------
-    sensors : SensorGains
+    sensors : GainLayout
         What the unknowns are.
     mean : (r,) float64
         Each unknown, less what it should be.
@@ -110,7 +110,7 @@ class Gains:
         all gains one, and with these.
     """
 
-    sensors: SensorGains
+    sensors: GainLayout
     mean: FloatArray
     covariance: FloatArray
     left: FloatArray
@@ -131,7 +131,7 @@ class Gains:
         return 1 + float(self.mean[place]), float(np.sqrt(self.covariance[place, place]))
 
 
-def find_gains(problem: Problem) -> Gains:
+def estimate_gains(problem: GainProblem) -> GainEstimate:
     """Return the most probable gains of wrenches and efforts; IMUs are believed.
 
     Rows of one coordinate are weighed by what is left of them, no less than `FLOOR` of the load:
@@ -149,7 +149,7 @@ def find_gains(problem: Problem) -> Gains:
     return _gains(problem, at, deviation, left)
 
 
-def find_delays(problem: Problem) -> Gains:
+def estimate_delays(problem: GainProblem) -> GainEstimate:
     """Return the most probable delays with gains that are one.
 
     As no gain can shrink, what is left weighs the rows as it is.
@@ -164,7 +164,7 @@ def find_delays(problem: Problem) -> Gains:
     return _gains(problem, at, deviation, left)
 
 
-def find_turn(problem: Problem, gains: Gains, index: int) -> Turned:
+def fit_imu_rotation(problem: GainProblem, gains: GainEstimate, index: int) -> RotationFit:
     """Return the rotation, or its reverse, of an IMU that explains the forces best.
 
     How long its readings are is known from gravity, and left as it is: gains that all shrink
@@ -180,7 +180,7 @@ def find_turn(problem: Problem, gains: Gains, index: int) -> Turned:
     for _ in range(TURNS):
         at, deviation = problem.solve(std, left + (FLOOR * scale) ** 2)
         own = _gains(problem, at, deviation, left)
-        turn = nearest_turn(*own.matrix(place), is_scaled=False)
+        turn = fit_rotation(*own.matrix(place), is_scaled=False)
         held = at.copy()
         held[len(problem.mean) :][place] = (turn.sign * turn.rotation - np.eye(3)).ravel()
         # What the others are if the IMU is turned like that.
@@ -205,15 +205,17 @@ def loads(rows: CoordinateRows, expected: FloatArray) -> FloatArray:
     return np.sqrt(mean) if mean.any() else np.ones(len(mean))
 
 
-def _free(gains: SensorGains) -> FloatArray:
+def _free(gains: GainLayout) -> FloatArray:
     return np.where(gains.is_delay, DELAY_STD, GAIN_STD)
 
 
-def _gains(problem: Problem, at: FloatArray, deviation: FloatArray, left: FloatArray) -> Gains:
+def _gains(
+    problem: GainProblem, at: FloatArray, deviation: FloatArray, left: FloatArray
+) -> GainEstimate:
     p = len(problem.mean)
     before = problem.rows.residual_squares(problem.expected)
     forces = [name.startswith("base/force") for name in problem.rows.coordinates]
-    return Gains(
+    return GainEstimate(
         problem.gains,
         at[p:],
         deviation[p:] @ deviation[p:].T,
@@ -228,7 +230,7 @@ EVIDENCE = 25.0
 SHARE = 0.1
 
 
-def late_streams(delays: Gains) -> dict[int, tuple[float, float]]:
+def find_late_streams(delays: GainEstimate) -> dict[int, tuple[float, float]]:
     """Return places of the delays that are not zero, and each with its standard deviation, s.
 
     Delays are known against each other better than by themselves, so that one late stream may

@@ -15,7 +15,7 @@ TOLERANCE = 1e-3
 
 
 @dataclass
-class Orientation:
+class QuaternionCheck:
     """The quaternions of one IMU's topic.
 
     Attributes
@@ -79,7 +79,7 @@ BETTER = 3.0
 
 
 @dataclass
-class Turning:
+class RateComparison:
     """Moments of the rates that a quaternion and a gyroscope tell."""
 
     cross: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
@@ -115,7 +115,7 @@ class Turning:
 
 
 @dataclass
-class Inertial:
+class ImuCheck:
     """What one IMU says of itself, slice by slice.
 
     Attributes
@@ -129,8 +129,8 @@ class Inertial:
     _seconds: float = 0.0
     _count: int = 0
     _read: float = 0.0
-    _plain: Turning = field(default_factory=Turning)
-    _rolled: Turning = field(default_factory=Turning)
+    _plain: RateComparison = field(default_factory=RateComparison)
+    _rolled: RateComparison = field(default_factory=RateComparison)
 
     def add(self, imu: ImuStream) -> None:
         """Take messages in the order of their stamps."""

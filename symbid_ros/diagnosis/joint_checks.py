@@ -27,7 +27,7 @@ MOST_MISSING = 0.5
 
 
 @dataclass
-class JointMotion:
+class JointCheck:
     """Moments of velocities and of positions' changes, and the positions' range.
 
     Attributes

@@ -14,24 +14,24 @@ from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.forces import (
     FURTHEST,
     PLAINER,
-    judge_forces,
+    check_forces,
     reversed_finding,
     turned_finding,
 )
 from symbid_ros.diagnosis.gains import (
-    Gains,
-    Problem,
-    find_delays,
-    find_gains,
-    find_turn,
-    late_streams,
+    GainEstimate,
+    GainProblem,
+    estimate_delays,
+    estimate_gains,
+    find_late_streams,
+    fit_imu_rotation,
     loads,
 )
-from symbid_ros.diagnosis.model_statistics import ModelWatch
+from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stance_gyro_check import (
     DEVIATIONS,
     LARGEST_ANGLE,
-    agreement,
+    fit_gyro,
     is_told,
     mounting_findings,
 )
@@ -66,7 +66,7 @@ class Excitation:
     gain: float
 
 
-def excitation(watch: ModelWatch, left: FloatArray) -> Excitation:
+def excitation(watch: ModelStatistics, left: FloatArray) -> Excitation:
     """Judge rows of which (n,) variances are left when their gains are known."""
     rows_, prior = watch.rows, watch.prior
     p = len(prior.names)
@@ -103,13 +103,13 @@ class ModelChecks:
 
 
 def check_model(
-    watch: ModelWatch, joints: str, imus: Sequence[str], wrenches: Mapping[str, str]
+    watch: ModelStatistics, joints: str, imus: Sequence[str], wrenches: Mapping[str, str]
 ) -> ModelChecks:
     """Judge what was gathered.
 
     Parameters
     ----------
-    watch : ModelWatch
+    watch : ModelStatistics
         Of a whole log.
     joints : str
         Topic of the joint states.
@@ -130,8 +130,8 @@ def check_model(
         )
         return checks
     problem = watch.problem
-    gains = find_gains(problem)
-    judged = judge_forces(watch, gains, joints, imus, wrenches)
+    gains = estimate_gains(problem)
+    judged = check_forces(watch, gains, joints, imus, wrenches)
     if judged.findings and checks.findings:
         checks.left_out.append(
             "wrench_sign, wrench_frame, torque_sign, torque_gain, excitation: they rest on the "
@@ -154,9 +154,9 @@ def check_model(
     return checks
 
 
-def _check_imus(checks: ModelChecks, watch: ModelWatch, imus: Sequence[str]) -> None:
+def _check_imus(checks: ModelChecks, watch: ModelStatistics, imus: Sequence[str]) -> None:
     for topic, rates in zip(imus, watch.standing, strict=False):
-        found = agreement(rates)
+        found = fit_gyro(rates)
         if found is None or not is_told(found):
             checks.left_out.append(
                 f"imu_mounting of {topic} by its rate of turn: no foot stands that turns"
@@ -177,10 +177,12 @@ def _check_imus(checks: ModelChecks, watch: ModelWatch, imus: Sequence[str]) -> 
             )
 
 
-def _check_turns(checks: ModelChecks, problem: Problem, gains: Gains, imus: Sequence[str]) -> None:
+def _check_turns(
+    checks: ModelChecks, problem: GainProblem, gains: GainEstimate, imus: Sequence[str]
+) -> None:
     """Judge the accelerometers' axes by the forces that seem wrong."""
     for index in range(len(problem.gains.imu_frames)):
-        turn = find_turn(problem, gains, index)
+        turn = fit_imu_rotation(problem, gains, index)
         topic, told = imus[index], turn.plain - turn.cost
         checks.figures[f"{topic}/force_angle_deg"] = float(np.degrees(turn.angle))
         if told <= PLAINER or turn.cost > FURTHEST:
@@ -193,14 +195,14 @@ def _check_turns(checks: ModelChecks, problem: Problem, gains: Gains, imus: Sequ
 
 def _check_delays(
     checks: ModelChecks,
-    watch: ModelWatch,
+    watch: ModelStatistics,
     joints: str,
     imus: Sequence[str],
     wrenches: Mapping[str, str],
 ) -> None:
     """Judge the delays of efforts, IMUs and of wrench sensors that carry something."""
-    delays, gains = find_delays(watch.problem), watch.gains
-    late = late_streams(delays)
+    delays, gains = estimate_delays(watch.problem), watch.gains
+    late = find_late_streams(delays)
     streams = {joints: ("the efforts", gains.effort_delay)} if gains.driven else {}
     for index in range(len(gains.imu_frames)):
         # Above a foot that stands the rates of turn tell it better.
@@ -249,7 +251,7 @@ def _blame_the_joints(checks: ModelChecks, joints: str, others: set[str]) -> Non
     )
 
 
-def _check_excitation(checks: ModelChecks, watch: ModelWatch, gains: Gains) -> None:
+def _check_excitation(checks: ModelChecks, watch: ModelStatistics, gains: GainEstimate) -> None:
     found = excitation(watch, gains.left)
     checks.figures |= {
         "directions_determined": found.determined,

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.diagnosis.gain_rows import CoordinateRows, SensorGains, gain_rows
-from symbid_ros.diagnosis.gains import Problem
-from symbid_ros.diagnosis.stance_gyro_check import StandingRate
+from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, gain_rows
+from symbid_ros.diagnosis.gains import GainProblem
+from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import Prior, model_prior
 from symbid_ros.model.parameters import TERMS, ParameterSet
@@ -35,7 +35,7 @@ LEAST_LOAD, LEAST_SHARE = 0.1, 0.01
 DENSE = 25
 
 
-class ModelWatch:
+class ModelStatistics:
     """Gathers what the checks against a model need, in memory that does not grow.
 
     Parameters
@@ -51,11 +51,11 @@ class ModelWatch:
         Of the model's links, and of its joints' drives: friction, rotors and offsets.
     prior : Prior
         Of the links: the model's values, each to ±25 %.
-    gains : SensorGains
+    gains : GainLayout
         Unknowns beside them.
     rows : CoordinateRows
         In which all are unknown.
-    standing : tuple of StandingRate
+    standing : tuple of StanceGyroMoments
         One for each IMU.
     """
 
@@ -65,13 +65,14 @@ class ModelWatch:
         self.model = model
         self.parameters = ParameterSet(model, TERMS)
         self.prior: Prior = model_prior(ParameterSet(model))
-        self.gains = SensorGains.of(model, tuple(wrench_frames), tuple(imu_frames))
+        self.gains = GainLayout.of(model, tuple(wrench_frames), tuple(imu_frames))
         structure = RowLayout.of(self.parameters).structure
         self.rows = CoordinateRows(
             model.coordinates, np.hstack([structure, self.gains.structure(model)])
         )
         self.standing = tuple(
-            StandingRate(model, index) for index in range(len(imu_frames) if model.floating else 0)
+            StanceGyroMoments(model, index)
+            for index in range(len(imu_frames) if model.floating else 0)
         )
         self._build = gain_rows(self.parameters, self.gains)
         self._row_sum = np.zeros((model.dof, len(self.prior.names)))
@@ -102,9 +103,9 @@ class ModelWatch:
                     self._row_sum += rows.mean.K[:, :, : len(self.prior.names)].sum(axis=0)
 
     @property
-    def problem(self) -> Problem:
+    def problem(self) -> GainProblem:
         """What there is to solve."""
-        return Problem.of(self.rows, self.parameters, self.prior.std, self.gains)
+        return GainProblem.of(self.rows, self.parameters, self.prior.std, self.gains)
 
     @property
     def weight(self) -> float:

@@ -15,7 +15,7 @@ ALIKE = 9.0
 
 
 @dataclass(frozen=True)
-class Turned:
+class RotationFit:
     """A ≈ scale · sign · rotation.
 
     Attributes
@@ -42,7 +42,9 @@ class Turned:
     plain: float
 
 
-def nearest_turn(matrix: FloatArray, covariance: FloatArray, *, is_scaled: bool = True) -> Turned:
+def fit_rotation(
+    matrix: FloatArray, covariance: FloatArray, *, is_scaled: bool = True
+) -> RotationFit:
     """Return the rotation and sign nearest to A (3, 3) under its rows' covariance (9, 9).
 
     And the scale, unless it is known to be one.
@@ -57,11 +59,11 @@ def nearest_turn(matrix: FloatArray, covariance: FloatArray, *, is_scaled: bool 
         return scale, float(np.sum((scale * row - target) ** 2))
 
     plain_scale, plain = scaled(np.eye(3))
-    found = [Turned(1, np.eye(3), 0.0, plain_scale, plain, plain)]
+    found = [RotationFit(1, np.eye(3), 0.0, plain_scale, plain, plain)]
     if plain < ALIKE:
         return found[0]
     scale, cost = scaled(-np.eye(3))
-    found.append(Turned(-1, np.eye(3), 0.0, scale, cost, plain))
+    found.append(RotationFit(-1, np.eye(3), 0.0, scale, cost, plain))
     for sign in (1, -1):
         starts = sorted(_cube(), key=lambda turn: scaled(sign * turn)[1])[:STARTS]
         for start in starts:
@@ -77,7 +79,7 @@ def nearest_turn(matrix: FloatArray, covariance: FloatArray, *, is_scaled: bool 
             turn = Rotation.from_rotvec(fit.x[:3]).as_matrix() @ start
             size = float(np.exp(fit.x[3])) if is_scaled else 1.0
             angle = float(Rotation.from_matrix(turn).magnitude())
-            found.append(Turned(sign, turn, angle, size, 2 * float(fit.cost), plain))
+            found.append(RotationFit(sign, turn, angle, size, 2 * float(fit.cost), plain))
     # The plainest of those that explain the data alike: what the data do not tell is not turned.
     best = min(one.cost for one in found)
     alike = [one for one in found if one.cost < best + ALIKE]

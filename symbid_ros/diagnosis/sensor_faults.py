@@ -24,7 +24,7 @@ MOVING = 0.5
 
 
 @dataclass(frozen=True)
-class Reading:
+class ChannelChanges:
     """What one sensor reads.
 
     Attributes
@@ -47,7 +47,7 @@ class Reading:
 
 
 @dataclass
-class Stillness:
+class ChangeCounts:
     """How often one reading changed, and when it did not although others did.
 
     Attributes
@@ -73,16 +73,16 @@ class Stillness:
 
 
 @dataclass
-class Freezing:
+class FreezeDetector:
     """Looks for frozen readings, slice by slice."""
 
-    readings: dict[tuple[str, str], Stillness] = field(default_factory=dict)
+    readings: dict[tuple[str, str], ChangeCounts] = field(default_factory=dict)
 
     def add(self, streams: Streams, during: tuple[int, int] = ALWAYS) -> None:
         """Take what was stamped from the first up to the second, ns."""
         readings = list(_readings(streams, during))
         for reading in readings:
-            still = self.readings.setdefault((reading.topic, reading.name), Stillness())
+            still = self.readings.setdefault((reading.topic, reading.name), ChangeCounts())
             still.messages += len(reading.stamp)
             still.changes += int(np.count_nonzero(reading.changed))
             for first, stop in _runs(reading):
@@ -114,7 +114,7 @@ class Freezing:
         return found
 
 
-def _readings(streams: Streams, during: tuple[int, int]) -> Iterator[Reading]:
+def _readings(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelChanges]:
     joints = streams.joints
     for field_name in ("position", "effort"):
         values = getattr(joints, field_name)
@@ -135,13 +135,13 @@ def _readings(streams: Streams, during: tuple[int, int]) -> Iterator[Reading]:
 
 def _reading(
     name: tuple[str, str], stamp: IntArray, values: FloatArray, during: tuple[int, int]
-) -> Reading:
+) -> ChannelChanges:
     inside = slice(*np.searchsorted(stamp, during).tolist())
     changed = np.ones(len(stamp), dtype=bool)
     changed[1:] = np.any(differs(values[1:], values[:-1]), axis=1)
     # Zeros, or NaN: what nobody measures does not freeze.
     is_blank = ~np.any(np.nan_to_num(values), axis=1)
-    return Reading(*name, stamp[inside], changed[inside], is_blank[inside])
+    return ChannelChanges(*name, stamp[inside], changed[inside], is_blank[inside])
 
 
 def differs(later: FloatArray, earlier: FloatArray) -> BoolArray:
@@ -152,7 +152,7 @@ def differs(later: FloatArray, earlier: FloatArray) -> BoolArray:
     return differs
 
 
-def _runs(reading: Reading) -> Iterator[tuple[int, int]]:
+def _runs(reading: ChannelChanges) -> Iterator[tuple[int, int]]:
     """Yield first and last but one of the messages of every run that is long enough."""
     edges = np.append(np.flatnonzero(reading.changed), len(reading.stamp))
     if len(edges) == 1 or edges[0] > 0:
@@ -164,7 +164,9 @@ def _runs(reading: Reading) -> Iterator[tuple[int, int]]:
             yield first, stop
 
 
-def _others_move(readings: Sequence[Reading], own: Reading, begin: int, end: int) -> bool:
+def _others_move(
+    readings: Sequence[ChannelChanges], own: ChannelChanges, begin: int, end: int
+) -> bool:
     for other in readings:
         if other is own:
             continue
@@ -186,7 +188,7 @@ VALUES = 50
 
 
 @dataclass
-class Extreme:
+class ExtremeCounts:
     """How often a channel was at its outermost values.
 
     Attributes
@@ -229,10 +231,10 @@ class Extreme:
 
 
 @dataclass
-class Saturation:
+class SaturationDetector:
     """Looks for saturated channels, slice by slice."""
 
-    extremes: dict[tuple[str, str, int], Extreme] = field(default_factory=dict)
+    extremes: dict[tuple[str, str, int], ExtremeCounts] = field(default_factory=dict)
     values: Counter[tuple[str, str]] = field(default_factory=Counter)
 
     def add(self, streams: Streams, during: tuple[int, int] = ALWAYS) -> None:
@@ -251,7 +253,7 @@ class Saturation:
         distinct = np.unique(values)
         self.values[topic, name] = max(self.values[topic, name], len(distinct))
         for sign, outermost in ((1, distinct[::-1][: NEXT + 1]), (-1, distinct[: NEXT + 1])):
-            extreme = self.extremes.setdefault((topic, name, sign), Extreme())
+            extreme = self.extremes.setdefault((topic, name, sign), ExtremeCounts())
             extreme.add(values, outermost)
             extreme.keep(sign)
 
@@ -305,12 +307,12 @@ def channels(streams: Streams) -> Iterator[tuple[str, list[str], IntArray, Float
 S = TypeVar("S", JointStream, ImuStream, WrenchStream)
 
 
-def masked(streams: Streams) -> tuple[Streams, tuple[Finding, ...]]:
+def mask_faulty_messages(streams: Streams) -> tuple[Streams, tuple[Finding, ...]]:
     """Return what is left of a stretch of a log, and why messages were left out.
 
     A gap is left where they were, across which nothing is interpolated.
     """
-    freezing, saturation = Freezing(), Saturation()
+    freezing, saturation = FreezeDetector(), SaturationDetector()
     freezing.add(streams)
     saturation.add(streams)
     limits = saturation.limits

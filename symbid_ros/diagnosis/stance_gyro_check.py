@@ -41,7 +41,7 @@ LEAST_SPREAD = 0.01
 
 
 @dataclass
-class StandingRate:
+class StanceGyroMoments:
     """Moments of one IMU's rate of turn and of the joints', gathered stretch by stretch.
 
     Both are in the IMU's axes, less their means over each stretch: a gyroscope's bias is no
@@ -108,7 +108,7 @@ class StandingRate:
             if self.model.frame(frame).link
         ]
         imu_frame = readings.imu_frames[self.imu]
-        motion = Motion.of(self.model, readings.position, readings.velocity)
+        motion = LinkMotion.of(self.model, readings.position, readings.velocity)
         if len(feet) < FEWEST_POINTS:
             for foot in feet:
                 link = self.model.frame(readings.wrench_frames[foot]).link
@@ -122,7 +122,7 @@ class StandingRate:
 
 
 @dataclass(frozen=True)
-class Motion:
+class LinkMotion:
     """Links as the joints move them under a base at rest, component first.
 
     Attributes
@@ -137,7 +137,7 @@ class Motion:
     rotation: FloatArray
 
     @classmethod
-    def of(cls, model: RobotModel, position: FloatArray, velocity: FloatArray) -> "Motion":
+    def of(cls, model: RobotModel, position: FloatArray, velocity: FloatArray) -> "LinkMotion":
         """Move joints at positions and velocities (N, J)."""
         posture = Posture.at(JointTable.of(model.joints), component_first(position))
         rest = np.zeros((3, len(position)))
@@ -183,7 +183,7 @@ def turning_over(
 
 
 @dataclass(frozen=True)
-class Agreement:
+class GyroFit:
     """How an IMU's rate of turn and the joints' agree best.
 
     Attributes
@@ -215,7 +215,7 @@ class Agreement:
     scale: float
 
 
-def agreement(rates: StandingRate) -> Agreement | None:
+def fit_gyro(rates: StanceGyroMoments) -> GyroFit | None:
     """Return how they agree best over rotations and delays; None where no foot stands."""
     if rates.count == 0 or not rates.told.any():
         return None
@@ -244,7 +244,7 @@ def agreement(rates: StandingRate) -> Agreement | None:
     spread = np.linalg.eigvalsh(rates.told)
     # A turn about one axis alone leaves rounding on the others.
     across = np.sqrt(max(float(spread[0] + spread[1]), 0.0) / rates.count)
-    return Agreement(
+    return GyroFit(
         rotation=rotation,
         angle=float(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))),
         angle_std=float(error / max(across, 1e-12) / np.sqrt(independent)),
@@ -274,12 +274,12 @@ def _peak(values: FloatArray, best: int) -> float:
     return best + (0.5 * (before - after) / bend if bend < 0 else 0.0)
 
 
-def is_told(found: Agreement) -> bool:
+def is_told(found: GyroFit) -> bool:
     """Tell whether a foot stood still while the robot turned."""
     return min(found.left, found.mirrored) < MOST_LEFT
 
 
-def mounting_findings(topic: str, found: Agreement) -> Iterator[Finding]:
+def mounting_findings(topic: str, found: GyroFit) -> Iterator[Finding]:
     """Yield what is wrong with an IMU's mounting, or with its unit."""
     if not SCALES[0] < found.scale < SCALES[1]:
         yield Finding(

@@ -4,10 +4,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
-from symbid_ros.diagnosis.imu_checks import Inertial, Orientation
-from symbid_ros.diagnosis.joint_checks import JointMotion
-from symbid_ros.diagnosis.sensor_faults import Freezing, Saturation
-from symbid_ros.diagnosis.timing import Timing
+from symbid_ros.diagnosis.imu_checks import ImuCheck, QuaternionCheck
+from symbid_ros.diagnosis.joint_checks import JointCheck
+from symbid_ros.diagnosis.sensor_faults import FreezeDetector, SaturationDetector
+from symbid_ros.diagnosis.timing import TimingCheck
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import Defect, DefectError, Tally
@@ -23,7 +23,7 @@ class StreamChecks:
     ----------
     model : RobotModel or None
         Whose names and limits they are compared with.
-    timings : dict of str to Timing
+    timings : dict of str to TimingCheck
         By topic.
     named : tuple of Finding
         What is wrong with names and frames under the model.
@@ -34,17 +34,17 @@ class StreamChecks:
     """
 
     model: RobotModel | None
-    timings: dict[str, Timing] = field(default_factory=dict)
+    timings: dict[str, TimingCheck] = field(default_factory=dict)
     named: tuple[Finding, ...] = ()
     has_streams: bool = False
     joint_topic: str = ""
     imu_topics: tuple[str, ...] = ()
     wrench_topics: tuple[str, ...] = ()
-    _orientations: dict[str, Orientation] = field(default_factory=dict)
-    _inertials: dict[str, Inertial] = field(default_factory=dict)
-    _motion: JointMotion | None = None
-    _freezing: Freezing = field(default_factory=Freezing)
-    _saturation: Saturation = field(default_factory=Saturation)
+    _orientations: dict[str, QuaternionCheck] = field(default_factory=dict)
+    _inertials: dict[str, ImuCheck] = field(default_factory=dict)
+    _motion: JointCheck | None = None
+    _freezing: FreezeDetector = field(default_factory=FreezeDetector)
+    _saturation: SaturationDetector = field(default_factory=SaturationDetector)
     _tallies: tuple[Tally, ...] = ()
     _faults: list[str] = field(default_factory=list)
 
@@ -52,16 +52,16 @@ class StreamChecks:
         """Check the slice of the log that follows."""
         self._tallies = piece.tallies
         for topic, stamps in piece.stamps.items():
-            self.timings.setdefault(topic, Timing(topic)).add(stamps)
+            self.timings.setdefault(topic, TimingCheck(topic)).add(stamps)
         if piece.streams is None:
             self._faults.append(piece.fault)
             return
         streams, during = piece.streams, (piece.start, piece.stop)
         for imu in streams.imus:
-            self._orientations.setdefault(imu.topic, Orientation(imu.topic)).add(piece)
-            self._inertials.setdefault(imu.topic, Inertial(imu.topic)).add(imu)
+            self._orientations.setdefault(imu.topic, QuaternionCheck(imu.topic)).add(piece)
+            self._inertials.setdefault(imu.topic, ImuCheck(imu.topic)).add(imu)
         if self._motion is None:
-            self._motion = JointMotion(streams.joints.topic, streams.joints.names)
+            self._motion = JointCheck(streams.joints.topic, streams.joints.names)
         self._motion.add(streams.joints, during)
         self._freezing.add(streams, during)
         self._saturation.add(streams, during)

@@ -19,7 +19,7 @@ MOST_MISSING = 0.5
 
 
 @dataclass
-class Timing:
+class TimingCheck:
     """The stamps of one topic.
 
     Attributes

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 from symbid_ros.diagnosis.findings import Finding
-from symbid_ros.diagnosis.sensor_faults import masked
+from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
@@ -96,7 +96,7 @@ class AlignedLog:
                 if piece.streams is None:
                     coverage.lose(DataError(piece.fault))
                     continue
-                streams, findings = masked(piece.streams)
+                streams, findings = mask_faulty_messages(piece.streams)
                 if tell:
                     _warn_once(findings, told)
                 try:

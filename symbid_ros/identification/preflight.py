@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from symbid_ros.diagnosis.findings import Finding, Kind
 from symbid_ros.diagnosis.model_checks import check_model
-from symbid_ros.diagnosis.model_statistics import ModelWatch
+from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.prior import Prior
@@ -43,11 +43,11 @@ def examine(
     source = record.source
     of_streams = checks.findings(source)
     _refuse(source, of_streams)
-    watch: ModelWatch | None = None
+    watch: ModelStatistics | None = None
     for segment in record.segments:
         if watch is None:
             robot = parameters.apply(prior.mean)
-            watch = ModelWatch(robot, segment.wrench_frames, segment.imu_frames)
+            watch = ModelStatistics(robot, segment.wrench_frames, segment.imu_frames)
         watch.add(segment)
     if watch is None:
         return

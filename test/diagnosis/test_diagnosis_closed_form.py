@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.diagnosis.gains import loads
 from symbid_ros.diagnosis.model_checks import RESOLUTION, excitation
-from symbid_ros.diagnosis.model_statistics import WINDOWS, ModelWatch
-from symbid_ros.diagnosis.rotation_fit import nearest_turn
+from symbid_ros.diagnosis.model_statistics import WINDOWS, ModelStatistics
+from symbid_ros.diagnosis.rotation_fit import fit_rotation
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 
@@ -22,7 +22,7 @@ def test_the_nearest_rotation_is_found(seed, sign) -> None:
     rng = np.random.default_rng(seed)
     rotation, scale, deviation = random_rotation(rng), rng.uniform(0.5, 2.0), 1e-3
     matrix = sign * scale * rotation + deviation * rng.normal(size=(3, 3))
-    found = nearest_turn(matrix, deviation**2 * np.eye(9))
+    found = fit_rotation(matrix, deviation**2 * np.eye(9))
     # White noise: the polar factor is the nearest rotation (Kabsch), its scale the mean stretch.
     U, singular, Vt = np.linalg.svd(sign * matrix)
     assert found.sign == sign
@@ -39,7 +39,7 @@ def test_the_nearest_rotation_is_found(seed, sign) -> None:
 def test_what_is_determined_has_lost_half_of_its_variance(floating) -> None:
     model = random_robot(4, links=4, floating=floating, wrench_frames=1)
     segment = analytic_segment(ParameterSet(model), 4.0, 4, rate=100.0)
-    watch = ModelWatch(model, segment.wrench_frames, segment.imu_frames)
+    watch = ModelStatistics(model, segment.wrench_frames, segment.imu_frames)
     watch.add(segment)
     rows = [
         part.mean.K

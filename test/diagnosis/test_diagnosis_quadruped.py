@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.bags.streams.reader import bag_log, read_streams
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
-from symbid_ros.diagnosis.stance_gyro_check import StandingRate, agreement
+from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments, fit_gyro
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -74,21 +74,21 @@ def test_a_gyroscopes_constant_bias_is_no_fault_of_its_mounting(log, model, tmp_
     size = np.sqrt(np.mean(np.sum(biased[IMU]["angular_velocity"] ** 2, axis=1)))
     biased[IMU]["angular_velocity"] += 2 * size * np.array([0.6, -0.8, 0.0])
     streams = read_streams([record_log(biased, model, tmp_path / "bag")])
-    standing = StandingRate(model, 0)
+    standing = StanceGyroMoments(model, 0)
     for segment in moving_segments(streams, model):
         standing.add(segment)
-    found = agreement(standing)
+    found = fit_gyro(standing)
     assert found is not None
     assert np.degrees(found.angle) < 1
     assert abs(found.delay) < 1e-3
     assert found.left < 0.1
     assert found.scale == pytest.approx(1, abs=0.05)
-    # Motion a hundred thousand times calmer says the same: nothing depends on the unit of rates.
+    # LinkMotion a hundred thousand times calmer says the same: nothing depends on the unit of rates.
     standing.cross *= 1e-10
     standing.read *= 1e-10
     standing.told *= 1e-10
     standing.slope_square *= 1e-10
-    calm = agreement(standing)
+    calm = fit_gyro(standing)
     assert calm is not None
     assert calm.delay == pytest.approx(found.delay, abs=1e-9)
     assert (calm.angle, calm.left) == pytest.approx((found.angle, found.left), rel=1e-6)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.diagnosis.findings import Kind
-from symbid_ros.diagnosis.sensor_faults import masked
+from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 COUNT = 2000
@@ -26,7 +26,7 @@ def streams() -> Streams:
 
 
 def test_whole_streams_pass_untouched(streams) -> None:
-    left, findings = masked(streams)
+    left, findings = mask_faulty_messages(streams)
     assert left is streams
     assert findings == ()
 
@@ -35,7 +35,7 @@ def test_a_frozen_sensor_leaves_a_gap(streams) -> None:
     (imu,) = streams.imus
     imu.angular_velocity[500:700] = imu.angular_velocity[500]
     imu.linear_acceleration[500:700] = imu.linear_acceleration[500]
-    left, (finding,) = masked(streams)
+    left, (finding,) = mask_faulty_messages(streams)
     assert (finding.kind, finding.stream) == (Kind.FROZEN, "/imu")
     kept = np.delete(np.arange(COUNT), np.arange(500, 700))
     np.testing.assert_array_equal(left.imus[0].stamp, imu.stamp[kept])
@@ -47,7 +47,7 @@ def test_a_frozen_sensor_leaves_a_gap(streams) -> None:
 def test_messages_at_a_limit_are_left_out(streams) -> None:
     (wrench,) = streams.wrenches
     wrench.force[300:320, 2] = wrench.force[900:930, 2] = 4.0
-    left, (finding,) = masked(streams)
+    left, (finding,) = mask_faulty_messages(streams)
     assert (finding.kind, finding.stream) == (Kind.SATURATED, "/wrench")
     assert finding.figures == {"limit": 4.0, "messages": 50}
     assert len(left.wrenches[0].stamp) == COUNT - 50
@@ -56,13 +56,13 @@ def test_messages_at_a_limit_are_left_out(streams) -> None:
 
 def test_an_encoder_that_counts_slow_steps_is_not_frozen(streams) -> None:
     streams.joints.position[:, 0] = np.round(np.linspace(0, 5, COUNT))
-    assert masked(streams)[1] == ()
+    assert mask_faulty_messages(streams)[1] == ()
 
 
 def test_an_unloaded_sensor_without_noise_is_not_frozen(streams) -> None:
     (wrench,) = streams.wrenches
     wrench.force[400:600] = wrench.torque[400:600] = 0.0
-    assert masked(streams)[1] == ()
+    assert mask_faulty_messages(streams)[1] == ()
 
 
 def test_a_robot_at_rest_without_noise_is_not_frozen(streams) -> None:
@@ -71,14 +71,14 @@ def test_a_robot_at_rest_without_noise_is_not_frozen(streams) -> None:
     everything += [streams.wrenches[0].force, streams.wrenches[0].torque]
     for values in everything:
         values[800:1200] = values[800]
-    assert masked(streams)[1] == ()
+    assert mask_faulty_messages(streams)[1] == ()
 
 
 @pytest.mark.parametrize("step", [0.5, 0.01])
 def test_a_coarse_sensor_is_not_saturated(streams, step) -> None:
     (wrench,) = streams.wrenches
     wrench.force[:] = step * np.round(wrench.force / step)
-    assert masked(streams)[1] == ()
+    assert mask_faulty_messages(streams)[1] == ()
 
 
 def test_a_channel_of_nan_does_not_make_the_others_look_frozen(streams) -> None:
@@ -90,4 +90,4 @@ def test_a_channel_of_nan_does_not_make_the_others_look_frozen(streams) -> None:
     for values in everything:
         values[800:1200] = values[800]
     streams.joints.effort[800:1200, 1] = streams.joints.effort[:, 1].max() + 1
-    assert masked(streams)[1] == ()
+    assert mask_faulty_messages(streams)[1] == ()

@@ -8,8 +8,8 @@ from random_robots import random_robot
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.diagnosis.findings import Kind, Severity
-from symbid_ros.diagnosis.imu_checks import Inertial
-from symbid_ros.diagnosis.joint_checks import JointMotion
+from symbid_ros.diagnosis.imu_checks import ImuCheck
+from symbid_ros.diagnosis.joint_checks import JointCheck
 from symbid_ros.signals.streams import ImuStream, JointStream
 
 TIME = np.arange(0, 6, 0.005)
@@ -36,7 +36,7 @@ def imu() -> dict[str, np.ndarray]:
 
 
 def told(columns):
-    watch = Inertial("/imu")
+    watch = ImuCheck("/imu")
     for part in (slice(0, 600), slice(600, None)):
         watch.add(ImuStream("/imu", "imu", STAMP[part], **{k: v[part] for k, v in columns.items()}))
     return watch.findings()
@@ -105,7 +105,7 @@ def joints() -> JointStream:
 
 
 def of(joints: JointStream, model=None):
-    motion = JointMotion(joints.topic, joints.names)
+    motion = JointCheck(joints.topic, joints.names)
     motion.add(joints)
     return motion.findings(model)
 

@@ -8,8 +8,8 @@ from log_fuzz import run
 from random_logs import LogPlan, random_streams, small_robot
 
 from symbid_ros.diagnosis.model_checks import check_model
-from symbid_ros.diagnosis.model_statistics import ModelWatch
-from symbid_ros.diagnosis.sensor_faults import masked
+from symbid_ros.diagnosis.model_statistics import ModelStatistics
+from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.identification.dataset import Processing, Record, fold_record
@@ -27,7 +27,7 @@ ARM, LEGGED = (ParameterSet(small_robot(3, floating=floating)) for floating in (
 
 def record_of(parameters: ParameterSet, plan: LogPlan, windows: tuple[float, ...] = ()) -> Record:
     """Take a random log as far as its rows, cut into minutes as that of a bag is."""
-    streams, _ = masked(random_streams(parameters.model, plan, 1))
+    streams, _ = mask_faulty_messages(random_streams(parameters.model, plan, 1))
     whole = moving_segments(streams, parameters.model)
     first, last = int(whole[0].stamp[0]) // SPAN, int(whole[-1].stamp[-1]) // SPAN
     segments = [
@@ -43,7 +43,7 @@ def identified(parameters: ParameterSet, plan: LogPlan) -> Identification:
     """Do all that an offline run does with a log but read it."""
     record = record_of(parameters, plan)
     first = next(iter(record.segments))
-    watch = ModelWatch(parameters.model, first.wrench_frames, first.imu_frames)
+    watch = ModelStatistics(parameters.model, first.wrench_frames, first.imu_frames)
     for segment in record.segments:
         watch.add(segment)
     topics = {frame: frame for frame in first.wrench_frames}
