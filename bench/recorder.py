@@ -43,7 +43,7 @@ from paced_feed import SENSORS, Feed, await_subscribers, feed, kill_recorder
 from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.messages.types import stamp_of
-from symbid_ros.ros.messages import reliable
+from symbid_ros.ros.endpoints import reliable
 
 TICKS = os.sysconf("SC_CLK_TCK")
 BOUND = 0.1  # s

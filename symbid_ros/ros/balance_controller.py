@@ -1,4 +1,4 @@
-"""Balance over topics: measurements in, torques out, nothing shared with the plant."""
+"""Balance control over topics: measurements in, torques out, no state shared with the plant."""
 
 import json
 import sys
@@ -9,23 +9,31 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+import numpy as np
 from rclpy.node import Node
 from threadpoolctl import threadpool_limits
 
+from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
+from symbid_ros.messages.layout import Layout
+from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.ros.bridge_parameters import robot_name
 from symbid_ros.ros.commands import CommandPublisher
-from symbid_ros.ros.health import OK, WARN, Health, HealthPublisher
+from symbid_ros.ros.diagnostics import OK, WARN, Health, HealthPublisher
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import built, run_node
-from symbid_ros.ros.readings import Readings, ReadingsIntake
+from symbid_ros.ros.raw_subscription import Letter, Mailbox, wait_for_any
 from symbid_ros.simulation.plant import BreakdownError
 from symbid_ros.simulation.standing_controller import StandingController
 
+DEPTH = 1000  # messages
+KEPT = 100  # stamps of one topic that the other may lag behind
+# Beyond these no robot works, and a single such value would spoil the controller's filters.
+LARGEST_POSITION, LARGEST_RATE = 1e6, 1e3  # rad, rad/s
+UNIT = 0.9, 1.1  # norms of quaternions that are taken for orientations
 LISTEN = 0.05  # s; how soon a signal to stop is seen
 SILENCE = 0.5  # s without a measurement after which that is said
 WARNING_PERIOD = 5.0  # s between two warnings of one kind
-
 PARAMETERS = (
     Parameter("scenario", "smooth", "What the robot does.", choices=("smooth", "squat")),
     Parameter("moves", 20, "Number of moves of the centre of mass.", minimum=1, maximum=100_000),
@@ -34,6 +42,157 @@ PARAMETERS = (
         "model", "", "MJCF that the robot is believed to be; empty for the package's Symbitron."
     ),
 )
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Joints and IMU of one instant.
+
+    Attributes
+    ----------
+    stamp : int
+        ns.
+    joint_position, joint_velocity : (J,) float64
+        rad and rad/s.
+    imu_orientation : (4,) float64
+        Quaternion xyzw of the IMU in the world.
+    imu_angular_velocity : (3,) float64
+        In the IMU's axes, rad/s.
+    """
+
+    stamp: int
+    joint_position: FloatArray
+    joint_velocity: FloatArray
+    imu_orientation: FloatArray
+    imu_angular_velocity: FloatArray
+
+
+class ReadingsIntake:
+    """Subscribes to ``joint_states`` and ``imu/data`` and pairs them by their stamps.
+
+    Parameters
+    ----------
+    node : Node
+    joint_names : sequence of str
+        Order of joint arrays; messages are read by name.
+
+    Attributes
+    ----------
+    passed_over : int
+        Instants that were never the newest: others came with them.
+    refused : int
+        Messages dropped as malformed or of another robot, and readings that are not finite.
+    """
+
+    def __init__(self, node: Node, joint_names: Sequence[str]) -> None:
+        self._node, self._joint_names = node, tuple(joint_names)
+        self._joints = Mailbox(node, "joint_states", JOINT_STATE, DEPTH)
+        self._imu = Mailbox(node, "imu/data", IMU, DEPTH)
+        self._waiting: tuple[dict[int, Letter], dict[int, Letter]] = ({}, {})
+        self._layout: Layout | None = None
+        self._refusal: DataError | None = None
+        self.passed_over = self.refused = 0
+        self._places: IntArray = np.arange(len(self._joint_names))
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until a message comes, for so many seconds at most."""
+        wait_for_any(self._node, [self._joints, self._imu], seconds)
+
+    def newest(self) -> Readings | None:
+        """Return the readings last stamped of those that have arrived, if they are new.
+
+        Those stamped before and after a clock that jumped back are never mixed up: whatever
+        arrived before the last jump is forgotten.
+
+        Raises
+        ------
+        DataError
+            When a message was dropped since the last call because it is malformed, of another
+            robot, or because its values are not finite. The next call returns what came with it.
+        """
+        self._take()
+        if self._refusal is not None:
+            refusal, self._refusal = self._refusal, None
+            raise refusal
+        joints, imu = self._waiting
+        stamp = max(joints.keys() & imu.keys(), default=None)
+        if stamp is None:
+            return None
+        pair = joints[stamp], imu[stamp]
+        self.passed_over += sum(each < stamp for each in joints)
+        for waiting in self._waiting:
+            for done in [each for each in waiting if each <= stamp]:
+                del waiting[done]
+        return self._readings(stamp, *pair)
+
+    def _take(self) -> None:
+        """Keep what has arrived and could be of use; foreign messages displace nothing."""
+        for mailbox, waiting in zip((self._joints, self._imu), self._waiting, strict=True):
+            for payload in mailbox.payloads():
+                try:
+                    letter = mailbox.read(payload)
+                    if mailbox is self._joints and letter.layout is not self._layout:
+                        self._places, self._layout = self._find(letter.layout), letter.layout
+                except DataError as error:
+                    self.refused += 1
+                    self._refusal = error
+                else:
+                    _keep(waiting, letter)
+
+    def _readings(self, stamp: int, joints: Letter, imu: Letter) -> Readings:
+        if joints.layout is not self._layout:  # another one came in between
+            self._places, self._layout = self._find(joints.layout), joints.layout
+        readings = Readings(
+            stamp,
+            joints.record["position"][0, self._places],
+            joints.record["velocity"][0, self._places],
+            imu.record["orientation"][0],
+            imu.record["angular_velocity"][0],
+        )
+        fault = _fault(readings)
+        if fault:
+            self.refused += 1
+            raise DataError(f"joint_states, imu/data: {fault} at {stamp / 1e9:.3f} s")
+        return readings
+
+    def _find(self, layout: Layout) -> IntArray:
+        """Return where each joint lies in messages of a layout."""
+        names = layout.text["name"]
+        missing = sorted(set(self._joint_names) - set(names))
+        if missing:
+            raise DataError(
+                f"joint_states: no joint {', '.join(missing)}; publish it or choose another model"
+            )
+        if {layout.dtype[field].shape for field in ("position", "velocity")} != {(len(names),)}:
+            raise DataError(
+                "joint_states: positions and velocities are not one for each name; publish both"
+            )
+        return np.array([names.index(name) for name in self._joint_names])
+
+
+def _fault(readings: Readings) -> str:
+    """Return what is wrong with the values; empty if nothing is."""
+    rates = np.concatenate([readings.joint_velocity, readings.imu_angular_velocity])
+    norm = float(np.linalg.norm(readings.imu_orientation))
+    values = (*readings.joint_position, *rates, norm)
+    if not np.isfinite(values).all():
+        return "NaN or infinite values"
+    if np.abs(readings.joint_position).max() > LARGEST_POSITION:
+        return f"positions above {LARGEST_POSITION:g} rad"
+    if np.abs(rates).max() > LARGEST_RATE:
+        return f"rates above {LARGEST_RATE:g} rad/s"
+    if not UNIT[0] <= norm <= UNIT[1]:
+        return f"orientation is not a unit quaternion (norm {norm:.3g})"
+    return ""
+
+
+def _keep(waiting: dict[int, Letter], letter: Letter) -> None:
+    stamp = letter.stamp
+    if waiting and stamp < max(waiting):
+        waiting.clear()
+    waiting[stamp] = letter
+    if len(waiting) > KEPT:
+        del waiting[min(waiting)]
 
 
 @dataclass

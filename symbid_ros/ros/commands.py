@@ -1,9 +1,10 @@
-"""Torques for a robot in lockstep, as they come over the topic ``joint_command``."""
+"""Commands for the simulated drives from an external controller: a topic or UDP datagrams."""
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from threading import Event
+from typing import Protocol
 
 import numpy as np
 from rclpy.node import Node
@@ -12,11 +13,15 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
 from symbid_ros.messages.layout import Layout, typestore
 from symbid_ros.messages.types import JOINT_STATE, fill_stamp
-from symbid_ros.ros.mailbox import Letter, Mailbox, wait_for_any
-from symbid_ros.ros.messages import message_class, reliable
-from symbid_ros.ros.publishing import await_settled
-from symbid_ros.simulation.command import Command, Drives
+from symbid_ros.ros.bridge_parameters import INTERNAL, UDP
+from symbid_ros.ros.bridge_topics import BridgeTopics
+from symbid_ros.ros.endpoints import await_settled, message_class, reliable
+from symbid_ros.ros.parameters import ParameterError, Values
+from symbid_ros.ros.raw_subscription import Letter, Mailbox, wait_for_any
+from symbid_ros.simulation.command import Command, CommandCounts, Drives
 from symbid_ros.simulation.sensors import Instant
+from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.simulation.udp_server import UdpCommands
 
 TOPIC = "joint_command"
 DEPTH = 100  # commands; at most one of them answers the newest measurement
@@ -243,3 +248,83 @@ class TopicCommands:
         if layout.dtype["effort"].shape != (len(names),):
             raise RefusedCommandError("length")
         return np.array([names.index(drive) for drive in self._drive_names])
+
+
+class CommandSource(Protocol):
+    """A controller elsewhere, asked in lockstep."""
+
+    @property
+    def place(self) -> str:
+        """Where it is listened to."""
+        ...
+
+    @property
+    def controllers(self) -> tuple[str, ...]:
+        """Who may be heard there now."""
+        ...
+
+    @property
+    def counts(self) -> TopicCounts | CommandCounts:
+        """What has come in so far."""
+        ...
+
+    def await_controller(self, stop: Event) -> bool:
+        """Wait until there is a controller and tell whether it came to that before the stop."""
+        ...
+
+    def exchange(self, instant: Instant, stop: Event) -> Command:
+        """Return the command that answers an instant just published, or a safe one."""
+        ...
+
+
+class UdpSource(UdpCommands):
+    """Datagrams as a command source."""
+
+    @property
+    def place(self) -> str:
+        """Where it is listened to."""
+        return "udp {}:{}".format(*self.address)
+
+    @property
+    def controllers(self) -> tuple[str, ...]:
+        """Address of who is in control."""
+        return () if self.controller is None else ("{}:{}".format(*self.controller),)
+
+
+def command_source(
+    node: Node, robot: Simulator, topics: BridgeTopics, values: Values
+) -> CommandSource | None:
+    """Return what a node's parameters ask for, None for the scenario's own controller.
+
+    Raises
+    ------
+    SimulationError
+        When the address for datagrams cannot be had.
+    ParameterError
+        When no controller could answer every instant.
+    """
+    source, timeout = values["command_source"], values["command_timeout"]
+    if source == INTERNAL:
+        return None
+    drives = Drives(robot.joint_names, robot.drive_names, robot.torque_limits)
+    if source == UDP:
+        return UdpSource(
+            values["udp_host"],
+            values["udp_port"],
+            drives,
+            command_timeout=timeout,
+            reply_port=values["udp_reply_port"],
+        )
+    if not topics.has_feedback:
+        raise ParameterError(
+            "parameter errors: sample_rates leaves instants without IMU, which no controller can "
+            "answer; leave it out or choose another command_source"
+        )
+    return TopicCommands(
+        node,
+        drives,
+        robot.drive_names,
+        audience=lambda: topics.audience,
+        repeat=topics.repeat_feedback,
+        timeout=timeout,
+    )

@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.definitions import find_definition
-from symbid_ros.ros.intake import Intake, Polled, subscribe
+from symbid_ros.ros.raw_subscription import Intake, Polled, subscribe
 
 
 @dataclass(frozen=True)

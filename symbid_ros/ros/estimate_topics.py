@@ -1,19 +1,151 @@
-"""The topics on which an identifier publishes what it found."""
+"""The latched topics that carry an estimate, in messages that any ROS tool can display."""
 
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from builtin_interfaces.msg import Time
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import InertiaStamped, WrenchStamped
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Inertia, InertiaStamped, WrenchStamped
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.model.inertia import PARAMETERS, com_from_phi
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.ros import estimate_messages as messages
-from symbid_ros.ros.messages import latched
+from symbid_ros.ros.diagnostics import OK, WARN, Health
+from symbid_ros.ros.endpoints import latched
+
+# How far a parameter is stepped, in its own deviations, to find the slope of a message's fields.
+STEP = 1e-4
+
+
+def topic_token(link: str) -> str:
+    """Return a link's name as one token of a topic name."""
+    token = re.sub(r"[^A-Za-z0-9_]", "_", link)
+    return f"_{token}" if token[:1].isdigit() else token
+
+
+def inertia_message(estimate: Estimate, link: str, stamp: Time) -> InertiaStamped:
+    """Return a link's inertia: centre of mass in the link's frame, tensor about that centre."""
+    return _inertia_stamped(_central(_of_link(estimate.value, estimate, link)), link, stamp)
+
+
+def inertia_stddev_message(estimate: Estimate, link: str, stamp: Time) -> InertiaStamped:
+    """Return the deviations of the same ten numbers, NaN where the data do not determine them.
+
+    First order, from the deviations of the link's parameters taken as independent.
+    """
+    phi = _of_link(estimate.value, estimate, link)
+    if estimate.std is None or estimate.determined is None:
+        return _inertia_stamped(np.full(10, np.nan), link, stamp)
+    std = _of_link(estimate.std, estimate, link)
+    determined = _of_link(estimate.determined.astype(float), estimate, link) > 0
+    centre = _central(phi)
+    slopes = np.array([_central(phi + STEP * std * unit) - centre for unit in np.eye(10)]) / STEP
+    deviation = np.sqrt(np.sum(slopes**2, axis=0))
+    return _inertia_stamped(np.where(determined, deviation, np.nan), link, stamp)
+
+
+def estimate_health(
+    estimate: Estimate, alarms: Sequence[str], facts: Mapping[str, object]
+) -> Health:
+    """Return the health of an estimate, with further facts about it."""
+    impossible = [link for link, possible in estimate.consistent.items() if not possible]
+    faults = [f"physically impossible: {', '.join(impossible)}"] if impossible else []
+    figures: dict[str, object] = {"method": estimate.method, "samples": estimate.samples}
+    if estimate.determined is not None:
+        count = int(estimate.determined.sum())
+        figures["determined"] = f"{count} of {len(estimate.determined)}"
+    faults += alarms
+    if estimate.rank is not None:
+        figures["rank"] = estimate.rank
+    figures["condition"] = f"{estimate.condition:.6g}"
+    return Health(
+        "estimate",
+        WARN if faults else OK,
+        "; ".join(faults) or "estimate published",
+        figures | dict(facts),
+    )
+
+
+def _of_link(values: FloatArray, estimate: Estimate, link: str) -> FloatArray:
+    first = estimate.names.index(f"{link}/{PARAMETERS[0]}")
+    return values[first : first + 10]
+
+
+def _central(phi: FloatArray) -> FloatArray:
+    """Return mass, centre of mass and central inertia (10,) of φ."""
+    mass, com, inertia = com_from_phi(phi)
+    return np.concatenate([[mass], com, inertia[np.triu_indices(3)]])
+
+
+def _inertia_stamped(numbers: FloatArray, link: str, stamp: Time) -> InertiaStamped:
+    message = InertiaStamped()
+    message.header.stamp, message.header.frame_id = stamp, link
+    mass, x, y, z, *tensor = map(float, numbers)
+    inertia = Inertia(m=mass)
+    inertia.com.x, inertia.com.y, inertia.com.z = x, y, z
+    inertia.ixx, inertia.ixy, inertia.ixz, inertia.iyy, inertia.iyz, inertia.izz = tensor
+    message.inertia = inertia
+    return message
+
+
+def estimate_message(estimate: Estimate, stamp: Time) -> DiagnosticArray:
+    """Return one status per link with every parameter and deviation by name, joints' terms last."""
+    message = DiagnosticArray()
+    message.header.stamp = stamp
+    groups: dict[str, list[int]] = {}
+    for index, name in enumerate(estimate.names):
+        groups.setdefault(name.rsplit("/", 1)[0], []).append(index)
+    message.status = [_status(estimate, group, indices) for group, indices in groups.items()]
+    return message
+
+
+def _status(estimate: Estimate, group: str, indices: Sequence[int]) -> DiagnosticStatus:
+    status = DiagnosticStatus(name=group, hardware_id=estimate.model, level=DiagnosticStatus.OK)
+    status.message = "physically possible"
+    if group not in estimate.consistent:
+        status.message = "joint terms"
+    elif not estimate.consistent[group]:
+        status.level = DiagnosticStatus.WARN
+        status.message = "physically impossible: no mass density has these parameters"
+    for index in indices:
+        key = estimate.names[index].rsplit("/", 1)[1]
+        status.values.append(KeyValue(key=key, value=repr(float(estimate.value[index]))))
+        if estimate.std is not None:
+            deviation = repr(float(estimate.std[index]))
+            status.values.append(KeyValue(key=f"{key}/std", value=deviation))
+        if estimate.determined is not None:
+            word = "true" if estimate.determined[index] else "false"
+            status.values.append(KeyValue(key=f"{key}/determined", value=word))
+    return status
+
+
+def effort_residual_message(estimate: Estimate, stamp: Time) -> JointState:
+    """Return the root mean square of each joint's effort residual, Nm or N."""
+    message = JointState()
+    message.header.stamp = stamp
+    joints = {name: rmse for name, rmse in estimate.residual_rmse.items() if "base/" not in name}
+    message.name, message.effort = list(joints), list(joints.values())
+    # They may be empty by their definition, but plotters index all arrays by the joint.
+    message.position = message.velocity = [float("nan")] * len(joints)
+    return message
+
+
+def wrench_residual_message(estimate: Estimate, base: str, stamp: Time) -> WrenchStamped:
+    """Return the root mean square of a floating base's wrench residual."""
+    residual = estimate.residual_rmse
+    message = WrenchStamped()
+    message.header.stamp, message.header.frame_id = stamp, base
+    for axis in "xyz":
+        setattr(message.wrench.torque, axis, residual[f"base/moment_{axis}"])
+        setattr(message.wrench.force, axis, residual[f"base/force_{axis}"])
+    return message
 
 
 class EstimateTopics:
@@ -35,7 +167,7 @@ class EstimateTopics:
         self._base = model.links[0].name
         self._inertia, self._inertia_stddev = (
             {
-                link: publisher(InertiaStamped, f"{name}/{messages.topic_token(link)}")
+                link: publisher(InertiaStamped, f"{name}/{topic_token(link)}")
                 for link in parameters.link_names
             }
             for name in ("inertia", "inertia_stddev")
@@ -50,15 +182,13 @@ class EstimateTopics:
     def publish(self, estimate: Estimate, stamp: Time) -> None:
         """Publish all but the robot description, ``stamp`` being the newest data's."""
         for link, publisher in self._inertia.items():
-            publisher.publish(messages.inertia_message(estimate, link, stamp))
+            publisher.publish(inertia_message(estimate, link, stamp))
         for link, publisher in self._inertia_stddev.items():
-            publisher.publish(messages.inertia_stddev_message(estimate, link, stamp))
-        self._effort_residual.publish(messages.effort_residual_message(estimate, stamp))
+            publisher.publish(inertia_stddev_message(estimate, link, stamp))
+        self._effort_residual.publish(effort_residual_message(estimate, stamp))
         if self._wrench_residual is not None:
-            self._wrench_residual.publish(
-                messages.wrench_residual_message(estimate, self._base, stamp)
-            )
-        self._estimate.publish(messages.estimate_message(estimate, stamp))
+            self._wrench_residual.publish(wrench_residual_message(estimate, self._base, stamp))
+        self._estimate.publish(estimate_message(estimate, stamp))
 
     def describe(self, urdf: str) -> None:
         """Publish the identified robot."""

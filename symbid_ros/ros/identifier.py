@@ -1,18 +1,135 @@
-"""The identifier: topics or a bag in, an estimate on latched topics out."""
+"""The node identifier: from topics or bags to an estimate on latched topics."""
 
 import sys
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from queue import Empty, SimpleQueue
 from threading import Event
 from typing import Any
 
 from rclpy.node import Node
+from std_msgs.msg import String
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.ros.identifier_parameters import PARAMETERS, is_online
-from symbid_ros.ros.offline_identifier import OfflineIdentifier
+from symbid_ros.errors import SymbidError
+from symbid_ros.identification.export import export_urdf, write_identification
+from symbid_ros.model.load import load_model
+from symbid_ros.offline.identify import prepare
+from symbid_ros.ros.diagnostics import HealthPublisher
+from symbid_ros.ros.endpoints import latched
+from symbid_ros.ros.estimate_topics import EstimateTopics, estimate_health
+from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, is_online, job_from
+from symbid_ros.ros.node_logging import Notices
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.process import built, run_node
-from symbid_ros.ros.robot_description import with_model
+from symbid_ros.shutdown import interruptible
+
+TOPIC = "robot_description"
+LOOK = 0.1  # s
+
+
+@contextmanager
+def with_model(node: Node, values: dict[str, Any], stop: Event) -> Iterator[dict[str, Any] | None]:
+    """Provide parameter values in which ``model`` names a file.
+
+    Where none is given, the text of the parameter ``robot_description`` is written to a temporary
+    file, else that of the first usable message on the topic of that name. The file lasts as long
+    as the context: exports are written into a copy of it.
+
+    Parameters
+    ----------
+    node : Node
+    values : dict
+        Of the identifier's parameters; not changed.
+    stop : Event
+        Ends the wait for a message; None is provided then.
+
+    Raises
+    ------
+    ModelError
+        When the parameter's text is not a usable model.
+    """
+    if values["model"]:
+        yield values
+        return
+    with tempfile.TemporaryDirectory(prefix="symbid_") as folder:
+        file = Path(folder) / f"{TOPIC}.urdf"
+        found: dict[str, Any] | None = values | {"model": str(file)}
+        if values[TOPIC]:
+            file.write_text(values[TOPIC])
+        elif not _awaited(node, file, values["base"], stop):
+            found = None
+        yield found
+
+
+def _awaited(node: Node, file: Path, base: Any, stop: Event) -> bool:
+    """Write the first usable message to a file; return False when stopped before."""
+    texts: SimpleQueue[str] = SimpleQueue()
+    subscription = node.create_subscription(
+        String, TOPIC, lambda message: texts.put(message.data), latched()
+    )
+    topic = subscription.topic_name
+    notices = Notices(node)
+    fault = (
+        f"waiting for the robot's model on topic {topic} (std_msgs/msg/String, latched); start "
+        "robot_state_publisher, or give -p model:=FILE"
+    )
+    try:
+        while not stop.is_set():
+            notices.update({topic: fault})
+            try:
+                text = texts.get(timeout=LOOK)
+            except Empty:
+                continue
+            file.write_text(text)
+            try:
+                model = load_model(file, base)
+            except SymbidError as error:
+                fault = (
+                    f"topic {topic}: no usable model ({error}); publish another, or give "
+                    "-p model:=FILE"
+                )
+                notices = Notices(node)  # a new fault is reported at once
+                continue
+            node.get_logger().info(f"model {model.name} from topic {topic}")
+            return True
+    finally:
+        node.destroy_subscription(subscription)
+    return False
+
+
+class OfflineIdentifier:
+    """Solves a job and keeps its result on the topics until stopped."""
+
+    def __init__(self, node: Node, values: dict[str, Any]) -> None:
+        self._node = node
+        self._job = job_from(values)
+        self._out = given_path(values["out"])
+
+    def run(self, stop: Event) -> None:
+        """Identify, publish, and say once a second that the estimate stands."""
+        with interruptible(stop):  # it takes minutes where the bag is long
+            prepared = prepare(self._job, self._out)
+            found = prepared.solve(self._job.method)
+        estimate = found.estimate
+        if self._out is not None:
+            write_identification(found, prepared.parameters, self._out)
+        topics = EstimateTopics(self._node, prepared.parameters)
+        topics.publish(estimate, self._node.get_clock().now().to_msg())
+        topics.describe(export_urdf(estimate, prepared.parameters))
+        self._node.get_logger().info(
+            f"estimate of {estimate.model} by {estimate.method}: {estimate.samples} rows per "
+            "coordinate"
+        )
+        verdict = estimate.verdict
+        alarms = () if verdict is None else verdict.alarms
+        facts = {} if verdict is None else {"window": f"{verdict.window:g}"}
+        HealthPublisher(
+            self._node, lambda: [estimate_health(estimate, alarms, facts)], estimate.model
+        )
+        stop.wait()
 
 
 def identify(node: Node, values: dict[str, Any], stop: Event) -> None:

@@ -1,34 +1,47 @@
-"""The monitor: what an identifier knows now, in the terminal."""
+"""The node monitor: what an identifier currently knows, in the terminal."""
 
+import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event, Lock
+from types import TracebackType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
-from rich.console import Console
+from rich import box
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SymbidError
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.ros.messages import latched, reliable
-from symbid_ros.ros.monitor_display import Screen, View
+from symbid_ros.report.formatting import ABSENT, fixed, measured
+from symbid_ros.ros.endpoints import latched, reliable
 from symbid_ros.ros.monitor_messages import (
+    Health,
     LinkEstimate,
     RobotEstimate,
+    Stream,
     read_estimate,
     read_health,
 )
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import run_node
 
+QUIET = 3.0  # s without a word after which it is said so; the identifier speaks every second
+LEGEND = "known: by the data; σ ÷: shrunk since first seen"
+LEGEND_OF_ERRORS = "; error: rms of the ten"
+IMPOSSIBLE = "physically impossible"
 POLL = 0.1  # s
 REFRESH = 1.0  # s; how long the silence has lasted counts on without a message
-
 PARAMETERS = (
     Parameter("identifier", "identifier", "Name of the node to watch."),
     Parameter("truth", "", "True model, URDF or MJCF, to show the errors; empty for none."),
@@ -37,6 +50,216 @@ PARAMETERS = (
         "timeout", 0.0, "Fail after so many seconds without an estimate; 0: never.", minimum=0.0
     ),
 )
+
+
+@dataclass(frozen=True)
+class View:
+    """What there is to show at one moment.
+
+    Attributes
+    ----------
+    identifier : str
+        Fully qualified name of the node watched.
+    estimate : RobotEstimate or None
+        The newest; None before the first.
+    first : mapping of str to LinkEstimate
+        Each link as it was seen first.
+    health : Health
+    silence : float
+        Seconds since the identifier's last word, or since somebody listens.
+    truth : mapping of str to (10,) float64
+        True parameters by link; empty where they are not known.
+    """
+
+    identifier: str
+    estimate: RobotEstimate | None
+    first: Mapping[str, LinkEstimate]
+    health: Health
+    silence: float
+    truth: Mapping[str, FloatArray]
+
+
+class Screen:
+    """Shows views in place on a terminal; elsewhere a line for each estimate, a table at the end.
+
+    Parameters
+    ----------
+    console : Console
+        Where to.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._live = Live(console=console, auto_refresh=False) if console.is_interactive else None
+        self._last: View | None = None
+
+    def __enter__(self) -> "Screen":
+        if self._live is not None:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if self._live is not None:
+            self._live.stop()
+        elif self._last is not None and self._last.estimate is not None:
+            self._console.print(page(self._last, self._console))
+
+    def show(self, view: View) -> None:
+        """Show a view; the estimate of the one before is not repeated in a log."""
+        is_new = self._last is None or view.estimate is not self._last.estimate
+        self._last = view
+        if self._live is not None:
+            self._live.update(page(view, self._console), refresh=True)
+        elif view.estimate is not None and is_new:
+            self._console.print(
+                line(view, view.estimate),
+                soft_wrap=True,
+                highlight=False,
+                markup=False,
+                emoji=False,
+            )
+
+
+def page(view: View, console: Console) -> RenderableType:
+    """Return head, table of the links and verdicts, as wide as the console."""
+    if view.estimate is None:
+        waiting = Text(f"waiting for {view.identifier}/estimate", style="dim")
+        return Group(waiting, *(Text(warning) for warning in view.health.warnings))
+    return Group(
+        _head(view, view.estimate),
+        _links(view, view.estimate, console),
+        *_verdicts(view, view.estimate),
+    )
+
+
+def line(view: View, estimate: RobotEstimate) -> str:
+    """Return an estimate in one line."""
+    said = [
+        _count(estimate),
+        f"σ ÷ {_factor(_overall_shrinkage(view, estimate))}",
+        f"{fixed(sum(link.phi[0] for link in estimate.links), 3)} kg in all",
+    ]
+    if view.truth:
+        said.append(f"error {fixed(_overall_error(view, estimate), 2)} σ")
+    said += _age(view.health)
+    warnings = "; ".join(view.health.warnings) or "no warning"
+    return f"data to {_clock(estimate.stamp)}: {', '.join(said)}; {warnings}"
+
+
+def _head(view: View, estimate: RobotEstimate) -> Text:
+    health = view.health
+    said = [health.facts["method"]] if "method" in health.facts else []
+    said.append(f"data to {_clock(estimate.stamp)}")
+    said += _age(health)
+    if math.isfinite(samples := health.number("samples")):
+        said.append(f"{samples:.0f} rows")
+    if (window := health.number("window")) > 0:
+        said.append(f"windows of {1e3 * window:.0f} ms")
+    return Text.assemble((estimate.model, "bold"), " ", ", ".join(said))
+
+
+def _links(view: View, estimate: RobotEstimate, console: Console) -> Table:
+    """Return the fullest table that the console has room for."""
+    boundless = console.options.update(max_width=1000)  # or rich would say that all of them fit
+    for has_com, gap in ((True, " "), (True, ""), (False, " "), (False, "")):
+        table = _table(view, estimate, has_com=has_com, gap=gap)
+        if console.measure(table, options=boundless).maximum <= console.width:
+            break
+    return table
+
+
+def _table(view: View, estimate: RobotEstimate, *, has_com: bool, gap: str) -> Table:
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        padding=(0, 1 + len(gap), 0, 0),
+        caption=LEGEND + LEGEND_OF_ERRORS * bool(view.truth),
+        caption_justify="left",
+    )
+    table.add_column("link", no_wrap=True)
+    com_headers = ("CoM x\nmm", "y\nmm", "z\nmm") if has_com else ()
+    headers = ["mass\nkg", *com_headers, "known\nof 10", "σ ÷\n"]
+    for header in [*headers, "error\nin σ"] if view.truth else headers:
+        table.add_column(header, justify="right", no_wrap=True)
+    for link in estimate.links:
+        com = zip(1e3 * link.com, 1e3 * link.com_std, strict=True) if has_com else ()
+        pairs = ((link.phi[0], link.std[0]), *com)
+        cells = [_measured(*pair).replace(" ", gap) for pair in pairs]
+        cells.append(ABSENT if link.determined is None else str(link.determined))
+        cells.append(_factor(link.shrinkage(view.first[link.name])))
+        if view.truth:
+            truth = view.truth.get(link.name)
+            cells.append(ABSENT if truth is None else fixed(link.error(truth), 1))
+        table.add_row(Text(link.name, style="" if link.is_possible else "red"), *cells)
+    return table
+
+
+def _verdicts(view: View, estimate: RobotEstimate) -> list[RenderableType]:
+    health = view.health
+    lines = [Text(_count(estimate))]
+    if health.streams:
+        lines.append(Text(", ".join(map(_stream, health.streams))))
+    warnings = list(health.warnings)
+    impossible = [link.name for link in estimate.links if not link.is_possible]
+    # The diagnostics say it too, a second later.
+    if impossible and not any(IMPOSSIBLE in warning for warning in warnings):
+        warnings.append(f"warning: {IMPOSSIBLE}: {', '.join(impossible)}")
+    if view.silence > QUIET:
+        warnings.append(f"error: no diagnostics of {view.identifier} for {view.silence:.0f} s")
+    if not warnings:
+        return [*lines, Text("no warning", style="green")]
+    return [*lines, *(Text(warning, style="bold red") for warning in warnings)]
+
+
+def _clock(stamp: int) -> str:
+    seconds = stamp * 1e-9
+    # Simulations count from their start, robots from 1970.
+    if seconds < 1e9:
+        return f"{seconds:.1f} s"
+    return datetime.fromtimestamp(seconds, UTC).strftime("%H:%M:%S UTC")
+
+
+def _count(estimate: RobotEstimate) -> str:
+    known = ABSENT if estimate.determined is None else str(estimate.determined)
+    return f"{known} of {estimate.parameters} parameters determined by the data"
+
+
+def _stream(stream: Stream) -> str:
+    rate = f" {stream.rate:.0f} Hz" if math.isfinite(stream.rate) else ""
+    faults = "".join(f" ({count} {what})" for what, count in stream.faults.items())
+    return f"{stream.topic}{rate}{faults}"
+
+
+def _age(health: Health) -> list[str]:
+    age = health.number("age")
+    return [f"{age:.1f} s old"] if math.isfinite(age) else []
+
+
+def _overall_shrinkage(view: View, estimate: RobotEstimate) -> float:
+    factors = [link.shrinkage(view.first[link.name]) for link in estimate.links]
+    told = [math.log(factor) for factor in factors if 0 < factor < math.inf]
+    return math.exp(sum(told) / len(told)) if told else math.nan
+
+
+def _overall_error(view: View, estimate: RobotEstimate) -> float:
+    known = (link for link in estimate.links if link.name in view.truth)
+    errors = [link.error(view.truth[link.name]) for link in known]
+    told = [error**2 for error in errors if math.isfinite(error)]
+    return math.sqrt(sum(told) / len(told)) if told else math.nan
+
+
+def _measured(value: float, std: float) -> str:
+    return measured(value, std) if math.isfinite(value) else ABSENT
+
+
+def _factor(value: float) -> str:
+    return fixed(value, 1 if value < 100 else 0)
 
 
 class Monitor:

@@ -2,7 +2,9 @@
 
 import json
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from queue import SimpleQueue
 from threading import Event
 from typing import Any
@@ -11,7 +13,6 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.ros.bridge_health import BridgeRecord, describe, figures
 from symbid_ros.ros.bridge_parameters import (
     PARAMETERS,
     PayloadParameters,
@@ -19,16 +20,163 @@ from symbid_ros.ros.bridge_parameters import (
     simulator_from,
 )
 from symbid_ros.ros.bridge_topics import BridgeTopics
-from symbid_ros.ros.command_source import CommandSource, command_source
-from symbid_ros.ros.health import Health, HealthPublisher
-from symbid_ros.ros.pacing import Schedule
+from symbid_ros.ros.commands import CommandSource, TopicCounts, command_source
+from symbid_ros.ros.diagnostics import ERROR, OK, WARN, Health, HealthPublisher
 from symbid_ros.ros.parameters import watch
 from symbid_ros.ros.process import built, run_node
+from symbid_ros.simulation.body_inertia import Payload
+from symbid_ros.simulation.command import CommandCounts
 from symbid_ros.simulation.plant import BreakdownError
 from symbid_ros.simulation.sensors import Instant
 
+CATCH_UP = 0.1  # s; a schedule further behind than this is not made up for
 LOOK_PERIOD = 0.02  # s between two looks at whether a pause is over
 WARNING_PERIOD = 5.0  # s between two warnings of one kind
+
+
+@dataclass
+class Schedule:
+    """Deadlines of equal periods on the monotonic clock; ROS timers would skip ticks.
+
+    What is a little late catches up. What was held up for longer, by a pause, a new start or a
+    slow controller, goes on at its pace instead of racing.
+
+    Attributes
+    ----------
+    period_ns : float
+        Real nanoseconds from one deadline to the next.
+    late : int
+        Deadlines missed by a period or more.
+    elapsed_ns : int
+        From restarts to the deadlines after them, what lay before the restarts left out.
+    """
+
+    period_ns: float
+    late: int = 0
+    elapsed_ns: int = 0
+    _next: float = field(init=False)
+    _last: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.restart()
+
+    def restart(self) -> None:
+        """Make now the next deadline."""
+        self._next = self._last = time.monotonic_ns()
+
+    def wait(self) -> None:
+        """Sleep until the next deadline, unless it has passed."""
+        ahead = self._next - time.monotonic_ns()
+        if ahead > 0:
+            time.sleep(ahead / 1e9)
+        elif -ahead >= self.period_ns:
+            self.late += 1
+            if -ahead > CATCH_UP * 1e9:
+                self._next = time.monotonic_ns()
+        self._next += self.period_ns
+        now = time.monotonic_ns()
+        self.elapsed_ns += now - self._last
+        self._last = now
+
+
+@dataclass
+class BridgeRecord:
+    """How the simulation has gone.
+
+    Attributes
+    ----------
+    starts, falls : int
+        How often the motion has begun, and been broken off by the robot.
+    steps, safe_steps : int
+        Periods taken, of these with safe torques for want of a command.
+    time : float
+        Simulated, s.
+    last_fall : str
+        What happened then.
+    payload : Payload or None
+        What the robot carries.
+    is_waiting, is_paused, is_safe : bool
+        Whether time stands still for want of a controller or on demand, and whether the drives
+        only brake.
+    """
+
+    starts: int = 0
+    falls: int = 0
+    steps: int = 0
+    safe_steps: int = 0
+    time: float = 0.0
+    last_fall: str = ""
+    payload: Payload | None = None
+    is_waiting: bool = False
+    is_paused: bool = False
+    is_safe: bool = False
+
+    def simulation(self, scenario: str, late_steps: int) -> Health:
+        """Return the status of the simulation."""
+        message = "running"
+        if self.is_paused:
+            message = "paused"
+        elif self.is_waiting:
+            message = "time stands still until a controller commands"
+        if self.last_fall:
+            message += f"; began anew as {self.last_fall}"
+        values = {
+            "scenario": scenario,
+            "time": f"{self.time:.3f}",
+            "steps": self.steps,
+            "late_steps": late_steps,
+            "starts": self.starts,
+            "falls": self.falls,
+            "payload": describe(self.payload),
+        }
+        return Health("simulation", WARN if self.last_fall else OK, message, values)
+
+    def commands(
+        self, source: str, controllers: Sequence[str], counts: TopicCounts | CommandCounts
+    ) -> Health:
+        """Return the status of the commands from outside.
+
+        Parameters
+        ----------
+        source : str
+            Topic or datagrams.
+        controllers : sequence of str
+            Who sends them.
+        counts : TopicCounts or CommandCounts
+            What came in.
+        """
+        level, message = OK, "commands are followed"
+        if self.is_waiting:
+            level, message = WARN, "waiting for a controller"
+        elif self.is_safe:
+            level, message = ERROR, "no command: the drives only brake"
+        elif len(controllers) > 1:
+            level, message = WARN, "several controllers command; stop all but one"
+        values = {
+            "source": source,
+            "controllers": ", ".join(controllers) or "none",
+            "safe_steps": self.safe_steps,
+        }
+        return Health("commands", level, message, values | figures(counts))
+
+
+def figures(counts: TopicCounts | CommandCounts) -> dict[str, int]:
+    """Return counts by name, rejections as ``rejected/<reason>``."""
+    found: dict[str, int] = {}
+    for name, value in asdict(counts).items():
+        if isinstance(value, Mapping):
+            found |= {f"{name}/{reason}": number for reason, number in value.items()}
+        else:
+            found[name] = value
+    return found
+
+
+def describe(payload: Payload | None) -> str:
+    """Return a payload in words."""
+    if payload is None:
+        return "none"
+    place = ", ".join(f"{coordinate:g}" for coordinate in payload.position)
+    return f"{payload.mass:g} kg on {payload.link} at ({place}) m"
 
 
 class MujocoBridge:

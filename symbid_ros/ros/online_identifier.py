@@ -19,13 +19,13 @@ from symbid_ros.identification.export import check_output, export_urdf, write_id
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
+from symbid_ros.ros.diagnostics import HealthPublisher
 from symbid_ros.ros.estimate_topics import EstimateTopics
-from symbid_ros.ros.health import HealthPublisher
-from symbid_ros.ros.identifier_health import IdentifierHealth
+from symbid_ros.ros.identifier_diagnostics import IdentifierHealth
 from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, job_from
-from symbid_ros.ros.intake import Intake
-from symbid_ros.ros.notices import Notices
+from symbid_ros.ros.node_logging import Notices
 from symbid_ros.ros.parameters import ParameterError, watch
+from symbid_ros.ros.raw_subscription import Intake
 from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
 
 POLL = 0.005  # s; far below what fills a queue

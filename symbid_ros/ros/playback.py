@@ -13,10 +13,11 @@ from symbid_ros.bags.container.file_index import RecordedTopic
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.layout import CDR
 from symbid_ros.messages.types import CLOCK, clock_layout, fill_stamp
-from symbid_ros.ros.messages import message_class, reliable
+from symbid_ros.ros.endpoints import message_class, reliable
 
 POLL = 0.02  # s; how soon a pause, a restart or the end is noticed
 GIVEN_UP = 60.0  # s; the middleware itself forgets a subscriber that has died after 20 s
+CLOCK_TOPIC = RecordedTopic(name="/clock", msgtype=CLOCK, encoding=CDR, qos=())
 
 
 def replay_profile(topic: RecordedTopic, depth: int, *, patient: bool) -> QoSProfile:
@@ -105,9 +106,6 @@ class ReplayPublisher:
         while not (self._stop.is_set() or wait(Duration(seconds=POLL))):
             if time.monotonic() > deadline:
                 return
-
-
-CLOCK_TOPIC = RecordedTopic(name="/clock", msgtype=CLOCK, encoding=CDR, qos=())
 
 
 class ReplayClock:

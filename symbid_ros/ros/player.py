@@ -20,7 +20,7 @@ from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.messages.layout import typestore
 from symbid_ros.messages.topics import Selector, Topic, TopicSelection
 from symbid_ros.messages.types import has_stamp, stamp_of
-from symbid_ros.ros.messages import message_class, reliable
+from symbid_ros.ros.endpoints import await_acknowledgement, await_settled, message_class, reliable
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.playback import (
     CLOCK_TOPIC,
@@ -30,7 +30,6 @@ from symbid_ros.ros.playback import (
     Transport,
 )
 from symbid_ros.ros.process import run_node
-from symbid_ros.ros.publishing import await_acknowledgement, await_settled
 from symbid_ros.shutdown import interruptible
 
 LATE = 1.0  # s behind schedule, worth a warning

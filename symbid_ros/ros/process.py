@@ -1,30 +1,77 @@
-"""The frame of every node's process: start, stop on signals, one line for an error."""
+"""The process of every node: start, executor, stop on signals, one-line errors."""
 
 import argparse
 import os
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Coroutine, MutableMapping, Sequence
 from typing import Any, TypeVar
 
 import rclpy
+from rclpy.context import Context
 from rclpy.exceptions import InvalidParameterTypeException, NameValidationException
+from rclpy.executors import SingleThreadedExecutor, await_or_execute
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
-from symbid_ros.errors import SymbidError
-from symbid_ros.ros.log_bridge import python_logs_of
-from symbid_ros.ros.message_executor import MessageExecutor
+from symbid_ros.errors import DataError, SymbidError
+from symbid_ros.package_paths import config_file
+from symbid_ros.ros.node_logging import python_logs_of
 from symbid_ros.ros.parameters import Parameter, declare
-from symbid_ros.ros.transport import use_udp
 from symbid_ros.shutdown import interruptible, stop_on_signals
 
+PROFILE, TRANSPORTS = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"
+RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
+OLD_RANGE = "ROS_LOCALHOST_ONLY"  # deprecated; "1" outweighs the others
+PEERS = "ROS_STATIC_PEERS"
 FAILURE = 2
-
 Built = TypeVar("Built")
 Work = Callable[[Node, dict[str, Any], threading.Event], None]
+WARNING_PERIOD = 5.0  # s between two warnings
+Callback = Callable[[], Coroutine[Any, Any, None]]
+
+
+def use_udp(environment: MutableMapping[str, str], middleware: str) -> None:
+    """Have Fast DDS send by UDP alone and not through shared memory as well.
+
+    Who publishes into memory that is shared with a subscriber is held up for seconds when that
+    subscriber is killed, and at times hangs for ever (Fast DDS 2.14,
+    https://github.com/eProsima/Fast-DDS/issues/6485). A robot's driver must outlive an
+    identifier or a recorder.
+
+    What the user has chosen stays: a profile or transports, another middleware, and peers on
+    other machines beside the range ``LOCALHOST``, which a profile of the loopback would cut off.
+
+    Parameters
+    ----------
+    environment : mutable mapping of str to str
+        That of the process, before its first node. The discovery range ``LOCALHOST`` is taken
+        out of it: the middleware would add shared memory to any profile. The profile that
+        replaces it is narrower, its sockets are bound to 127.0.0.1.
+    middleware : str
+        Name of the RMW implementation.
+    """
+    is_chosen = environment.get(PROFILE) or environment.get(TRANSPORTS)
+    if is_chosen or not middleware.startswith("rmw_fastrtps"):
+        return
+    if _is_local(environment):
+        if environment.get(PEERS):
+            return
+        environment.pop(RANGE, None)
+        environment.pop(OLD_RANGE, None)
+        environment[PROFILE] = str(config_file("fastdds_localhost.xml"))
+    else:
+        environment[PROFILE] = str(config_file("fastdds_udp.xml"))
+
+
+def _is_local(environment: MutableMapping[str, str]) -> bool:
+    return environment.get(OLD_RANGE) == "1" or environment.get(RANGE) == LOCALHOST
 
 
 def run_node(
@@ -149,3 +196,61 @@ def _is_argument_error(error: Exception) -> bool:
         "RCLInvalidROSArgsError",
         "UnknownROSArgsError",
     }
+
+
+class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
+    """Drops and counts the messages that do not decode or that their callback cannot use.
+
+    rclpy lets such an exception end the thread that spins: a negative time on ``/clock`` ends
+    every node that follows it. Malformed bytes are dropped by the middleware without a word to the
+    node, therefore they are decoded here. Exceptions of timers and services still end the node.
+
+    Attributes
+    ----------
+    dropped : Counter of str
+        Messages dropped, by topic.
+    """
+
+    def __init__(self, *, context: Context | None = None) -> None:
+        super().__init__(context=context)
+        self.dropped: Counter[str] = Counter()
+
+    def _take_subscription(self, subscription: Subscription) -> Callback | None:
+        try:
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, True)
+        except rclpy_implementation.InvalidHandle:  # destroyed meanwhile
+            return None
+        if taken is None:
+            return None
+        payload, details = taken
+
+        async def work() -> None:
+            try:
+                message = payload if subscription.raw else _decoded(payload, subscription.msg_type)
+                wants_details = (
+                    subscription._callback_type is not Subscription.CallbackType.MessageOnly
+                )
+                arguments = (message, details) if wants_details else (message,)
+                await await_or_execute(subscription.callback, *arguments)
+            except Exception as error:
+                self._drop(subscription, error)
+
+        return work
+
+    def _drop(self, subscription: Subscription, error: Exception) -> None:
+        topic = str(subscription.topic_name)
+        self.dropped[topic] += 1
+        for node in self.get_nodes():
+            node.get_logger().warning(
+                f"{topic}: a message was dropped ({self.dropped[topic]} so far): {error}; "
+                "check its publisher",
+                throttle_duration_sec=WARNING_PERIOD,
+            )
+
+
+def _decoded(payload: bytes, kind: type[Any]) -> Any:
+    try:
+        return deserialize_message(payload, kind)
+    except Exception as error:  # of no common base: rmw's own, or Unicode's
+        raise DataError(f"it is not a valid {kind.__name__}") from error

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 
 from symbid_ros.messages.types import JOINT_STATE
 from symbid_ros.ros.commands import CommandPublisher, TopicCommands
-from symbid_ros.ros.mailbox import wait_for_any
+from symbid_ros.ros.raw_subscription import wait_for_any
 from symbid_ros.simulation.command import Drives
 from symbid_ros.simulation.sensors import Instant
 

@@ -23,8 +23,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rich.console import Console
 
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.monitor import PARAMETERS
-from symbid_ros.ros.monitor_display import Screen, View, page
+from symbid_ros.ros.monitor import PARAMETERS, Screen, View, page
 from symbid_ros.ros.monitor_messages import Health, read_estimate, read_health
 
 NAMES = ("m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")

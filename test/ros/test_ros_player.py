@@ -30,7 +30,7 @@ from symbid_ros.messages.types import (
     imu_layout,
     joint_state_layout,
 )
-from symbid_ros.ros.intake import Polled
+from symbid_ros.ros.raw_subscription import Polled
 
 MILLISECOND = 1_000_000
 RECORDED = 1_700_000_000 * 10**9  # when the recording was made; its robot's clock began at 0

@@ -8,8 +8,8 @@ from rich.console import Console
 
 from symbid_ros.bags.writing.background import WriterState
 from symbid_ros.errors import BagError
-from symbid_ros.ros.health import ERROR, OK, WARN
-from symbid_ros.ros.recorder_progress import LATE_SYNC, REFRESH, RecordingProgress
+from symbid_ros.ros.diagnostics import ERROR, OK, WARN
+from symbid_ros.ros.recorder import LATE_SYNC, REFRESH, RecordingProgress
 
 STATE = WriterState(messages=12_345, size=67_800_000, queued=4321, dropped={}, sync_age=0.2)
 LOSING = WriterState(

@@ -16,8 +16,8 @@ from std_msgs.msg import String
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.messages import latched
-from symbid_ros.ros.robot_description import with_model
+from symbid_ros.ros.endpoints import latched
+from symbid_ros.ros.identifier import with_model
 
 DEADLINE = 120.0  # s; only a hang takes as long
 URDF = config_file("symbitron.urdf")

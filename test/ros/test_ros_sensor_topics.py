@@ -15,7 +15,7 @@ from std_msgs.msg import String
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.intake import Polled, subscribe
+from symbid_ros.ros.raw_subscription import Polled, subscribe
 from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
 
 OWN = {

@@ -23,7 +23,7 @@ from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, JointState
 
-from symbid_ros.ros.messages import message_class, reliable
+from symbid_ros.ros.endpoints import message_class, reliable
 
 RATE = 100.0  # Hz, of each foreign topic
 JUNK_RATE = 20.0  # Hz, of each topic of the robot

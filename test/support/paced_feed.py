@@ -24,7 +24,7 @@ from symbid_ros.cli.domain import unused_domain
 from symbid_ros.cli.processes import NodeProcess
 from symbid_ros.messages.layout import ENCAPSULATION, Layout
 from symbid_ros.messages.types import imu_layout, joint_state_layout, stamp_of, wrench_layout
-from symbid_ros.ros.messages import message_class, reliable
+from symbid_ros.ros.endpoints import message_class, reliable
 
 STAMP = struct.Struct("<iI")
 JOINTS = tuple(f"joint_{number}" for number in range(10))

@@ -13,7 +13,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
-from symbid_ros.ros.log_bridge import python_logs_of
+from symbid_ros.ros.node_logging import python_logs_of
 
 MARK = "the last of these messages"
 DEADLINE = 120.0  # s; only a hang takes as long

@@ -1,4 +1,4 @@
-"""What a node says of itself on ``/diagnostics``, once a second."""
+"""The status of a node on ``/diagnostics``, published once a second."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from symbid_ros.ros.messages import reliable
+from symbid_ros.ros.endpoints import reliable
 
 PERIOD = 1.0  # s
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR

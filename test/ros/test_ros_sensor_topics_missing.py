@@ -20,12 +20,12 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.online.live_streams import LiveStreams
+from symbid_ros.ros.identifier_diagnostics import StreamFaults
 from symbid_ros.ros.identifier_parameters import PARAMETERS
-from symbid_ros.ros.log_bridge import python_logs_of
-from symbid_ros.ros.missing_topics import missing_topics
+from symbid_ros.ros.node_logging import python_logs_of
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.parameters import declare
-from symbid_ros.ros.stream_faults import StreamFaults
+from symbid_ros.ros.sensor_topics import missing_topics
 
 DEADLINE = 240.0  # s; only a hang takes as long
 ARM = """<robot name="arm"><link name="world"/><link name="base"/><link name="rod"><inertial>

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.transport import use_udp
+from symbid_ros.ros.process import use_udp
 
 ANY = "00000000"
 LOOPBACK = "0100007F"  # 127.0.0.1, as /proc/net/udp writes it

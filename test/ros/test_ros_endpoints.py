@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSHistoryPolicy, QoSProfile
 from std_msgs.msg import String
 
-from symbid_ros.ros import publishing
+from symbid_ros.ros import endpoints
 
 KEEP_ALL = QoSProfile(history=QoSHistoryPolicy.KEEP_ALL)
 
@@ -36,7 +36,7 @@ def test_a_stop_ends_the_wait_for_a_subscriber_that_takes_nothing(
     with suppress(RuntimeError):  # the queue is full
         while True:
             publisher.publish(String(data="more"))
-    monkeypatch.setattr(publishing, "ACKNOWLEDGE", float("inf"))
+    monkeypatch.setattr(endpoints, "ACKNOWLEDGE", float("inf"))
     stop = Event()
     stop.set()
-    publishing.await_acknowledgement([publisher], stop)
+    endpoints.await_acknowledgement([publisher], stop)

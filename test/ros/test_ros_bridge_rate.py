@@ -2,8 +2,8 @@
 
 import pytest
 
-from symbid_ros.ros import pacing
-from symbid_ros.ros.pacing import Schedule
+from symbid_ros.ros import mujoco_bridge
+from symbid_ros.ros.mujoco_bridge import Schedule
 
 MILLISECOND = 1_000_000
 
@@ -24,7 +24,7 @@ class ManualClock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> ManualClock:
     manual = ManualClock()
-    monkeypatch.setattr(pacing, "time", manual)
+    monkeypatch.setattr(mujoco_bridge, "time", manual)
     return manual
 
 

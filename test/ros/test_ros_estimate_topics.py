@@ -10,7 +10,7 @@ from random_robots import random_robot
 
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.ros import estimate_messages as messages
+from symbid_ros.ros import estimate_topics
 
 STAMP = Time(sec=7, nanosec=8)
 LINK = "link_1"
@@ -59,7 +59,7 @@ def numbers(message) -> np.ndarray:
 
 
 def test_an_inertia_is_about_the_centre_of_mass(estimate) -> None:
-    message = messages.inertia_message(estimate, LINK, STAMP)
+    message = estimate_topics.inertia_message(estimate, LINK, STAMP)
     m, mx, my, mz, xx, xy, xz, yy, yz, zz = of_link(estimate, estimate.value)
     about_centre = [
         *(xx - (my**2 + mz**2) / m, xy + mx * my / m, xz + mx * mz / m),
@@ -88,7 +88,7 @@ def test_deviations_of_an_inertia_are_those_of_its_parameters_carried_over(estim
     slopes[4:, 4:] = np.eye(6)
     expected = np.sqrt(np.sum((slopes * std) ** 2, axis=1))
     assert len(set(np.round(expected, 6))) == 10  # no two alike: a wrong axis shows
-    message = messages.inertia_stddev_message(estimate, LINK, STAMP)
+    message = estimate_topics.inertia_stddev_message(estimate, LINK, STAMP)
     np.testing.assert_allclose(numbers(message), expected, rtol=1e-4)
     assert (message.header.frame_id, message.header.stamp) == (LINK, STAMP)
 
@@ -97,21 +97,23 @@ def test_what_the_data_do_not_determine_has_no_deviation(estimate) -> None:
     first = estimate.names.index(f"{LINK}/m")
     determined = estimate.determined.copy()
     determined[[first + 2, first + 6]] = False
-    some = messages.inertia_stddev_message(replace(estimate, determined=determined), LINK, STAMP)
+    some = estimate_topics.inertia_stddev_message(
+        replace(estimate, determined=determined), LINK, STAMP
+    )
     assert np.flatnonzero(np.isnan(numbers(some))).tolist() == [2, 6]
     for unknown in ({"std": None}, {"determined": None}):
-        none = messages.inertia_stddev_message(replace(estimate, **unknown), LINK, STAMP)
+        none = estimate_topics.inertia_stddev_message(replace(estimate, **unknown), LINK, STAMP)
         assert np.isnan(numbers(none)).all()
 
 
 def test_residuals_are_told_joint_by_joint_and_axis_by_axis(estimate, parameters) -> None:
     residual = estimate.residual_rmse
-    effort = messages.effort_residual_message(estimate, STAMP)
+    effort = estimate_topics.effort_residual_message(estimate, STAMP)
     assert tuple(effort.name) == parameters.model.joint_names
     assert list(effort.effort) == [residual[name] for name in effort.name]
     assert len(effort.position) == len(effort.velocity) == len(effort.name)
     assert np.isnan([*effort.position, *effort.velocity]).all()
-    wrench = messages.wrench_residual_message(estimate, "link_0", STAMP)
+    wrench = estimate_topics.wrench_residual_message(estimate, "link_0", STAMP)
     torque, force = wrench.wrench.torque, wrench.wrench.force
     found = [torque.x, torque.y, torque.z, force.x, force.y, force.z]
     assert found == [residual[name] for name in BASE]
@@ -122,7 +124,7 @@ def test_residuals_are_told_joint_by_joint_and_axis_by_axis(estimate, parameters
 
 def test_every_number_stands_under_its_name(estimate, parameters) -> None:
     determined = np.arange(len(parameters)) % 3 > 0
-    message = messages.estimate_message(replace(estimate, determined=determined), STAMP)
+    message = estimate_topics.estimate_message(replace(estimate, determined=determined), STAMP)
     assert message.header.stamp == STAMP
     told = {
         f"{status.name}/{entry.key}": json.loads(entry.value)

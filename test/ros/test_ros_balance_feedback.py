@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from symbid_ros.errors import DataError
-from symbid_ros.ros.readings import KEPT, Readings, ReadingsIntake
+from symbid_ros.ros.balance_controller import KEPT, Readings, ReadingsIntake
 
 JOINTS = ("hip", "knee")
 MILLISECOND = 1_000_000

@@ -1,9 +1,13 @@
 """Message classes and qualities of service by the names that bags use."""
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
+from threading import Event
 from typing import Any
 
+from rclpy.duration import Duration
+from rclpy.publisher import Publisher
 from rclpy.qos import (
     QoSDurabilityPolicy,
     QoSHistoryPolicy,
@@ -13,6 +17,11 @@ from rclpy.qos import (
 
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.topics import OfferedQos
+
+SETTLE = 0.5  # s; discovery of the remaining subscribers after the needed ones are there
+POLL = 0.02  # s
+ACKNOWLEDGE = 20.0  # s; a subscriber that takes longer is given up, as by the middleware
+FAREWELL = 0.5  # s; the same for a node that was asked to end
 
 
 def message_class(msgtype: str) -> type[Any]:
@@ -90,3 +99,36 @@ def latched() -> QoSProfile:
         reliability=QoSReliabilityPolicy.RELIABLE,
         durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
     )
+
+
+def await_settled(
+    needed: Callable[[], Sequence[int]],
+    stop: Event,
+    others: Callable[[], Sequence[int]] = tuple,
+) -> None:
+    """Wait until no count is 0 that is needed, and none has changed for a while."""
+    seen: tuple[int, ...] = ()
+    since = time.monotonic()
+    while not stop.is_set():
+        wanted = needed()
+        counts = (*wanted, *others())
+        if counts != seen or not all(wanted):
+            seen, since = counts, time.monotonic()
+        elif time.monotonic() - since >= SETTLE:
+            return
+        stop.wait(POLL)
+
+
+def await_acknowledgement(publishers: Iterable[Publisher], stop: Event) -> None:
+    """Give reliable subscribers time to fetch what is still on its way; little once stopped."""
+    begun = time.monotonic()
+    stopped: float | None = None
+    for publisher in publishers:
+        while not publisher.wait_for_all_acked(Duration(seconds=POLL)):
+            now = time.monotonic()
+            if stop.is_set():
+                stopped = stopped or now
+                if now - stopped > FAREWELL:
+                    return
+            if now - begun > ACKNOWLEDGE:
+                return

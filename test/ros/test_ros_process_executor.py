@@ -12,8 +12,8 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
-from symbid_ros.ros.message_executor import MessageExecutor
-from symbid_ros.ros.messages import reliable
+from symbid_ros.ros.endpoints import reliable
+from symbid_ros.ros.process import MessageExecutor
 
 
 @pytest.fixture
