@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
-from symbid_ros.cli.domain import unused_domain
+from symbid_ros.cli.processes import unused_domain
 
 # A busy machine is slow, which is no fault of what is tested; equal runs test equal examples.
 settings.register_profile(
@@ -45,7 +45,7 @@ LONGEST = (
     "test_cli_evaluate.py",
     "test_simulation_scenarios.py",
     "test_identification_trees.py",
-    "test_study_sensing.py",
+    "test_study_sensor_subsets.py",
     "test_study_figures.py",
     "test_simulation_balance.py",
     "test_estimation_posterior.py",

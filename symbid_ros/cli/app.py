@@ -16,9 +16,8 @@ from symbid_ros.cli.evaluate import evaluate
 from symbid_ros.cli.identify import identify
 from symbid_ros.cli.prior import prior
 from symbid_ros.cli.report import report
-from symbid_ros.cli.simulate import simulate
+from symbid_ros.cli.simulate import simulate, udp_client
 from symbid_ros.cli.study import study
-from symbid_ros.cli.udp_client import udp_client
 from symbid_ros.errors import SymbidError
 from symbid_ros.package_paths import package_version
 

@@ -30,7 +30,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 def info(bag: Bag, as_json: Json = False) -> None:
     """Show files, topics and times of a bag, finished or not."""
     from symbid_ros.bags.info import bag_info
-    from symbid_ros.cli.bag_tables import print_info
+    from symbid_ros.cli.tables import print_info
 
     found = bag_info(bag)
     if as_json:
@@ -56,7 +56,7 @@ def recover(
     The bag itself is left as it is. Exit status: 0 nothing lost, 1 something, 2 everything.
     """
     from symbid_ros.bags.recovery import recover as recovering
-    from symbid_ros.cli.bag_tables import print_recovery
+    from symbid_ros.cli.tables import print_recovery
 
     found = recovering.recover(bag, out)
     if as_json:
@@ -114,7 +114,7 @@ def doctor(
 
 def print_verdict(diagnosis: "Diagnosis", *, as_json: bool) -> None:
     """Print what the doctor found, as JSON or as tables."""
-    from symbid_ros.cli.doctor_tables import print_diagnosis
+    from symbid_ros.cli.tables import print_diagnosis
 
     if as_json:
         typer.echo(json.dumps(diagnosis.as_dict(), indent=1))

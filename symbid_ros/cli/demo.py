@@ -1,9 +1,22 @@
 """``symbid demo``: the whole loop on one machine, from a standing robot to a report."""
 
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from symbid_ros.cli.overwriting import clear_folder
+from symbid_ros.cli.processes import NodeProcess, private_graph
+
+if TYPE_CHECKING:
+    from symbid_ros.estimation.estimate import Estimate
+    from symbid_ros.identification.solver import Identification
+    from symbid_ros.offline.identify import Prepared
 
 
 def demo(
@@ -20,11 +33,6 @@ def demo(
     ] = False,
 ) -> None:
     """Simulate, publish, record and identify the Symbitron, and report on it."""
-    from rich.console import Console
-
-    from symbid_ros.cli.demo_setting import draw_demo_prior, prepare_folder
-    from symbid_ros.cli.offline_demo import demonstrate_offline
-    from symbid_ros.cli.online_demo import demonstrate_online
     from symbid_ros.package_paths import config_file
 
     console = Console()
@@ -34,3 +42,302 @@ def demo(
     demonstrate = demonstrate_online if online else demonstrate_offline
     demonstrate(out, model, moves, seed, console)
     console.print(f"\n[bold]{out}/report.html[/bold] shows it all; the rest of {out}/ made it.")
+
+
+MOTION_SEED, VALIDATION_SEED = 1, 2
+
+
+def progress_bars(console: Console) -> Progress:
+    """Return the bars that a demo shows its stages with."""
+    return Progress(
+        TextColumn("{task.description:<34}"),
+        BarColumn(bar_width=None),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        console=console,
+    )
+
+
+def prepare_folder(out: Path, *, overwrite: bool) -> None:
+    """Make an empty folder, in place of an earlier demo's only if that is wanted."""
+    clear_folder(
+        out,
+        lambda folder: (folder / "prior.json").is_file(),
+        "the folder of a demo",
+        overwrite=overwrite,
+    )
+    out.mkdir(parents=True)
+
+
+def draw_demo_prior(out: Path, model: Path, percent: float, seed: int) -> None:
+    """Write ``prior.json``, every parameter drawn within so many % of the truth.
+
+    First of all, as it marks the folder as a demo's: one that was interrupted can be replaced.
+    """
+    from symbid_ros.estimation.prior import draw_prior
+    from symbid_ros.model.load import load_model
+    from symbid_ros.model.parameters import ParameterSet
+
+    draw_prior(ParameterSet(load_model(model)), "percent", percent, seed).write(out / "prior.json")
+
+
+def simulate_validation(bag: Path, moves: int, progress: Progress) -> None:
+    """Write an ideal bag of other moves."""
+    from symbid_ros.simulation.recording import record
+    from symbid_ros.simulation.simulator import Simulator
+
+    simulator = Simulator("smooth", moves=moves, motion_seed=VALIDATION_SEED, ideal=True)
+    task = progress.add_task("ideal validation bag", total=simulator.steps)
+    record(simulator, bag, progress=lambda done, _: progress.update(task, completed=done))
+
+
+def recording_facts(played: Mapping[str, Any], recorded: Mapping[str, Any]) -> dict[str, str]:
+    """Return how the recording went, from what bridge and recorder say at their end."""
+    kept = sum(recorded["recorded"].values())
+    # The clock is published too, but not recorded: only topics of both count.
+    published = sum(played["published"].get(topic, 0) for topic in recorded["recorded"])
+    missing = sum(gap["missing"] for gap in recorded["gaps"].values())
+    return {
+        "Real-time factor": f"{played['real_time_factor']:.3f}, {played['late_steps']} late steps",
+        "Messages": f"{kept} recorded of {published} published, {missing} missing by stamp",
+    }
+
+
+def demonstrate_offline(out: Path, model: Path, moves: int, seed: int, console: Console) -> None:
+    """Record, identify and report into the demo's folder, which holds a prior already."""
+    with progress_bars(console) as progress:
+        facts = _record(out, moves, seed, progress)
+        simulate_validation(out / "validation", moves, progress)
+        _identify_offline(out, model, facts, progress, console)
+
+
+def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, str]:
+    """Let bridge and recorder run as processes, and return what they say."""
+    from symbid_ros.simulation.simulator import Simulator
+
+    motion = {
+        "scenario": "smooth",
+        "moves": moves,
+        "motion_seed": MOTION_SEED,
+        "noise_seed": seed,
+        "wait_for_subscribers": True,
+    }
+    simulator = Simulator("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
+    seconds = simulator.steps * simulator.period_ns * 1e-9
+    task = progress.add_task("robot moves, topics are recorded", total=seconds)
+    logs = out / "log"
+    logs.mkdir()
+    bag = {"bag": str(out / "bag")}
+    with (
+        private_graph() as graph,
+        NodeProcess(
+            "recorder", bag, graph, logs / "recorder.log", file="recorder.yaml"
+        ) as recorder,
+        NodeProcess(
+            "mujoco_bridge", motion, graph, logs / "bridge.log", file="bridge.yaml"
+        ) as bridge,
+    ):
+        while not bridge.wait(0.2):
+            recorder.require_running()
+            progress.update(task, completed=min(progress.tasks[task].elapsed or 0, seconds))
+        played = bridge.finish()
+        recorded = recorder.finish(stop=True)
+    progress.update(task, completed=seconds)
+    return recording_facts(played, recorded)
+
+
+def _identify_offline(
+    out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
+) -> None:
+    """Identify with every method, write what each found, and report on all of them."""
+    from symbid_ros.estimation.truncated_svd import METHODS
+    from symbid_ros.identification.dataset import Processing
+    from symbid_ros.identification.export import write_identification
+    from symbid_ros.identification.prior_information import PriorChoice
+    from symbid_ros.model.load import load_model
+    from symbid_ros.model.parameters import ParameterSet
+    from symbid_ros.offline.identify import prepare
+    from symbid_ros.offline.job import Job
+    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
+    from symbid_ros.report.compose import OWN_Z, TITLES, Reference, bag_facts, compose
+    from symbid_ros.report.page import write_report
+    from symbid_ros.report.table import metrics_table
+    from symbid_ros.signals.filters import LowPass
+
+    task = progress.add_task("identification and a report", total=6)
+    validation = out / "validation"
+    job = Job((out / "bag",), model, prior=PriorChoice(out / "prior.json"))
+    by_thesis = prepare(
+        replace(job, method="wls_rc", processing=Processing(LowPass()), validation=validation)
+    )
+    progress.advance(task)
+    by_windows = prepare(job)
+    progress.advance(task)
+    chosen = by_windows.solve("map_lmi")
+    found: dict[str, tuple[str, Identification]] = {
+        TITLES[method]: (method, by_thesis.solve(method)) for method in METHODS
+    }
+    found[OWN_Z] = ("wls_rc_own_z", by_windows.solve("wls_rc"))
+    found[TITLES["map"]] = ("map", by_windows.solve("map"))
+    found[TITLES["map_lmi"]] = ("map_lmi", chosen)
+    exports = logging.getLogger(write_identification.__module__)
+    exports.setLevel(logging.ERROR)  # impossible links of most methods are what the report shows
+    try:
+        for name, identified in found.values():
+            write_identification(identified, by_windows.parameters, out / name)
+    finally:
+        exports.setLevel(logging.NOTSET)
+    progress.advance(task)
+    truncations = _truncations(by_windows, validation)
+    progress.advance(task)
+    robot = load_model(model)
+    reference = Reference(
+        read_true_motion([validation], robot),
+        ParameterSet(robot).values,
+        read_realistic_motion([out / "bag"], robot),
+    )
+    progress.advance(task)
+    described = bag_facts([out / "bag"]) | facts
+    described |= {
+        "Prior": f"{by_windows.prior.kind}, seed {by_windows.prior.seed}",
+        "MAP, MAP-LMI": f"{by_windows.job.processing}, no validation data",
+        OWN_Z: "the same rows, no validation data",
+        "OLS to WLS-RC": f"{by_thesis.job.processing}; z chosen on {validation}",
+        "Judged on": f"{validation}, ideal, other moves",
+        "Software": chosen.estimate.software,
+    }
+    content = compose(
+        {title: identified.estimate for title, (_, identified) in found.items()},
+        by_windows.parameters,
+        chosen=TITLES["map_lmi"],
+        facts=described,
+        reference=reference,
+        deviation_factor=chosen.deviation_factor,
+        truncations=truncations,
+    )
+    write_report(content, out / "report.html")
+    progress.advance(task)
+    console.print(metrics_table(content.methods))
+
+
+def _truncations(prepared: "Prepared", validation: Path) -> "dict[tuple[str, str], Estimate]":
+    """Return the thesis's methods on the prepared rows, z chosen without and with validation."""
+    from symbid_ros.bags.streams.reader import bag_log
+    from symbid_ros.estimation.truncated_svd import METHODS
+    from symbid_ros.identification.dataset import Processing, read_record
+    from symbid_ros.report.compose import TITLES
+
+    # The other windows' rows of an ideal bag would be built for nothing.
+    log = bag_log([validation], prepared.parameters.model)
+    only = Processing(windows=(prepared.solver.chosen.window,))
+    judge = replace(prepared, validation=read_record(log, prepared.parameters, only))
+    return {
+        (TITLES[method], chosen_by): source.solve(method).estimate
+        for method in METHODS
+        for chosen_by, source in (("the log itself", prepared), ("the ideal bag", judge))
+    }
+
+
+POLL = 0.2  # s
+SAVING_TIME = 120.0  # s; on a slow machine the identifier may be behind
+
+
+def demonstrate_online(out: Path, model: Path, moves: int, seed: int, console: Console) -> None:
+    """Identify live and report into the demo's folder, which holds a prior already."""
+    facts = _identify_online(out, model, moves, seed, console)
+    with progress_bars(console) as progress:
+        simulate_validation(out / "validation", moves, progress)
+        _report(out, model, facts, progress, console)
+
+
+def _identify_online(
+    out: Path, model: Path, moves: int, seed: int, console: Console
+) -> dict[str, str]:
+    """Let the nodes run until the motion has ended and the estimate is saved."""
+    from symbid_ros.simulation.simulator import Simulator
+
+    motion = {"scenario": "smooth", "moves": moves, "motion_seed": MOTION_SEED, "noise_seed": seed}
+    simulator = Simulator("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
+    seconds = simulator.steps * simulator.period_ns * 1e-9
+    console.print(f"The robot moves for {seconds:.0f} s; Ctrl-C ends it all.\n")
+    logs = out / "log"
+    logs.mkdir()
+    identifier_parameters = {
+        "mode": "online",
+        "model": str(model),
+        "prior": str(out / "prior.json"),
+        "out": str(out / "online"),
+    }
+
+    with private_graph() as graph:
+
+        def node(
+            name: str,
+            parameters: Mapping[str, object],
+            file: str | None = None,
+            *,
+            is_shown: bool = False,
+        ) -> NodeProcess:
+            log = logs / f"{name}.log"
+            return NodeProcess(name, parameters, graph, log, file=file, is_shown=is_shown)
+
+        # The robot waits for recorder and identifier, so that both get everything.
+        awaited = {"wait_for_subscribers": True, "subscribers": 2}
+        with (
+            node("identifier", identifier_parameters, "identifier.yaml") as identifier,
+            node("recorder", {"bag": str(out / "bag")}, "recorder.yaml") as recorder,
+            node("monitor", {"truth": str(model)}, is_shown=True) as monitor,
+            node("mujoco_bridge", motion | awaited, "bridge.yaml") as bridge,
+        ):
+            while not bridge.wait(POLL):
+                for other in (identifier, recorder, monitor):
+                    other.require_running()
+            played = bridge.finish()
+            # Asked to end, it works on what is left and saves; the monitor sees that too.
+            identified = identifier.finish(stop=True, patience=SAVING_TIME)
+            monitor.stop()
+            recorded = recorder.finish(stop=True)
+    received, missing = (sum(identified[key].values()) for key in ("received", "missing"))
+    return recording_facts(played, recorded) | {
+        "Identified live": f"{identified['solves']} estimates, the last of {received} messages, "
+        f"{missing} missing by stamp",
+    }
+
+
+def _report(
+    out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
+) -> None:
+    """Judge the saved estimate by the truth and write the page."""
+    from symbid_ros.errors import EstimateError
+    from symbid_ros.identification.loaded_model import load_subject
+    from symbid_ros.model.load import load_model
+    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
+    from symbid_ros.report.compose import TITLES, Reference, bag_facts, compose, estimate_facts
+    from symbid_ros.report.page import write_report
+    from symbid_ros.report.table import metrics_table
+
+    task = progress.add_task("a report", total=2)
+    robot = load_model(model)
+    subject = load_subject(out / "online", robot)
+    estimate = subject.estimate
+    if estimate is None:
+        raise EstimateError(f"{out / 'online'}: holds no estimate; see {out / 'log'}")
+    reference = Reference(
+        read_true_motion([out / "validation"], robot),
+        subject.parameters.values,
+        read_realistic_motion([out / "bag"], robot),
+    )
+    progress.advance(task)
+    title = f"{TITLES[estimate.method]}, online"
+    described = bag_facts([out / "bag"]) | facts | estimate_facts(estimate)
+    content = compose(
+        {title: estimate},
+        subject.parameters,
+        chosen=title,
+        facts=described | {"Judged on": f"{out / 'validation'}, ideal, other moves"},
+        reference=reference,
+        deviation_factor=subject.deviation_factor,
+    )
+    write_report(content, out / "report.html")
+    progress.advance(task)
+    console.print(metrics_table(content.methods))

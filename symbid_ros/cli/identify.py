@@ -204,7 +204,7 @@ def identify(
     Exit status: 0 written, 1 written with alarms: do not trust the numbers yet, 2 nothing written.
     """
     from symbid_ros.cli.overwriting import require_no_files
-    from symbid_ros.cli.summary import print_estimate
+    from symbid_ros.cli.tables import print_estimate
     from symbid_ros.estimation.truncated_svd import SensorDeviation
     from symbid_ros.identification.dataset import processing
     from symbid_ros.identification.export import RESULT_FILES, write_identification

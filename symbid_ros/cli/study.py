@@ -41,7 +41,7 @@ def study(
     from symbid_ros.study.plan_file import load_plan
     from symbid_ros.study.publication import publish
     from symbid_ros.study.stages import stages
-    from symbid_ros.study.work import Task, Workers
+    from symbid_ros.study.task_runner import Task, Workers
     from symbid_ros.study.workspace import Workspace
 
     wanted, _ = load_plan(plan)

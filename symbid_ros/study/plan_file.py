@@ -8,11 +8,13 @@ from pydantic import ValidationError
 from symbid_ros.errors import StudyError
 from symbid_ros.package_paths import config_file, share_directory
 from symbid_ros.safe_yaml import load_yaml
-from symbid_ros.study.data_set import DataSet, Log, Part
 from symbid_ros.study.plan import (
     Accelerations,
     ClosedLoop,
+    DataSet,
     Figures,
+    Log,
+    Part,
     Plan,
     Selection,
     Spread,

@@ -1,18 +1,21 @@
 """A study's results as people read them: a page, tables and figures."""
 
+import re
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 
+import jinja2
 import yaml
 
+import symbid_ros.report
 from symbid_ros.atomic_write import write_text
 from symbid_ros.package_paths import package_version
-from symbid_ros.study.data_claims import headline
-from symbid_ros.study.drawing import save
-from symbid_ros.study.page import Page, Section, render
+from symbid_ros.study.conclusions import headline
+from symbid_ros.study.draws import Results
 from symbid_ros.study.plan import Plan
-from symbid_ros.study.results import Results
-from symbid_ros.study.sections import sections
+from symbid_ros.study.plotting import inline, save
+from symbid_ros.study.sections import Section, sections
 from symbid_ros.study.workspace import Workspace
 
 
@@ -77,3 +80,55 @@ def _facts(plan: Plan) -> dict[str, str]:
         facts["Filters"] = f"{filters}; second-order Butterworth, zero phase"
         facts["z"] = f"chosen {chosen}, to predict {plan.z.by}"
     return facts
+
+
+_UNIT = re.compile(r"(?<=\d) (?=(?:%|mm|Nm|Nms|Ns|N|Hz|s|kg|rad/s²|ms|times)(?!\w))")
+_METHOD = re.compile(r"(WLS|MAP)-(?=[A-Z])")
+
+
+@dataclass(frozen=True)
+class Page:
+    """All that a study shows.
+
+    Attributes
+    ----------
+    title, about, headline : str
+        At the head of the page; the headline is the outcome in a sentence.
+    sections : tuple of Section
+    facts : dict of str to str
+        What was done, in the order shown.
+    plan : str
+        The study's file, for those who want to do it again.
+    software : str
+    """
+
+    title: str
+    about: str
+    headline: str
+    sections: tuple[Section, ...]
+    facts: dict[str, str]
+    plan: str
+    software: str
+
+
+def render(page: Page) -> str:
+    """Return the page: no script, no address outside itself."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("symbid_ros", "study"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"inline": inline, "unbroken": unbroken}
+    report = Path(symbid_ros.report.__file__).parent
+    return environment.get_template("study.html").render(
+        page=page,
+        css=(report / "report.css").read_text(encoding="utf-8")
+        + Path(__file__).with_name("study.css").read_text(encoding="utf-8"),
+    )
+
+
+def unbroken(text: str) -> str:
+    """Return a sentence whose figures stay with their units, and methods' names whole."""
+    return _METHOD.sub("\\1\N{NON-BREAKING HYPHEN}", _UNIT.sub("\N{NO-BREAK SPACE}", text))

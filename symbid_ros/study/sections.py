@@ -1,49 +1,75 @@
 """The parts of a study's page, in the order in which they are read."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.report.content import TRUTH, LinkErrors
 from symbid_ros.simulation.balance import BalanceRun
 from symbid_ros.study import thesis
-from symbid_ros.study.charts import comparison_drawing, grid_drawing
-from symbid_ros.study.check_tables import (
-    acceleration_table,
-    balance_table,
-    closure_table,
-    realistic_table,
-)
-from symbid_ros.study.checks import check_accelerations, load_closures, load_realistic
+from symbid_ros.study.checks import check_accelerations, load_closures, load_realistic, load_runs
 from symbid_ros.study.conclusions import (
     Links,
     closed_loop_conclusions,
     conclusions,
+    data_sentences,
     realistic_conclusion,
 )
-from symbid_ros.study.data_claims import data_sentences
-from symbid_ros.study.drawing import LABELS
-from symbid_ros.study.examination import Conclusion, Evidence
+from symbid_ros.study.draws import Results
+from symbid_ros.study.evidence import Conclusion, Evidence
 from symbid_ros.study.figures import (
     AccelerationLog,
     acceleration_drawing,
     closed_loop_drawing,
+    comparison_drawing,
+    grid_drawing,
     link_drawing,
 )
-from symbid_ros.study.loops import load_runs
-from symbid_ros.study.page import Section
-from symbid_ros.study.parameter_table import Draw
 from symbid_ros.study.plan import Accelerations, ClosedLoop, Figures
-from symbid_ros.study.predictions import ideal_drawings, realistic_drawings
-from symbid_ros.study.results import Results
+from symbid_ros.study.plotting import LABELS, Drawing
+from symbid_ros.study.prediction_figures import Setting, ideal_drawings, realistic_drawings
 from symbid_ros.study.scores import REFERENCE
-from symbid_ros.study.series import Setting
-from symbid_ros.study.sheet import Sheet
-from symbid_ros.study.tables import tables
+from symbid_ros.study.table import Sheet
+from symbid_ros.study.tables import (
+    Draw,
+    acceleration_table,
+    balance_table,
+    closure_table,
+    realistic_table,
+    tables,
+)
 
 RUN_LABELS = {**LABELS, TRUTH: TRUTH}
 
 # Tables longer than this open only when asked for.
 LONG = 30
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page; what it has none of is left out.
+
+    Attributes
+    ----------
+    anchor, title, caption : str
+        Fragment of the address, heading, and the sentence under it.
+    conclusions : tuple of Conclusion
+    sentences : tuple of str
+        What the numbers say beside these.
+    sheets : tuple of Sheet
+    drawings : tuple of Drawing
+    folded : bool
+        Whether its tables open only when asked for: long ones.
+    """
+
+    anchor: str
+    title: str
+    caption: str = ""
+    conclusions: tuple[Conclusion, ...] = ()
+    sentences: tuple[str, ...] = ()
+    sheets: tuple[Sheet, ...] = ()
+    drawings: tuple[Drawing, ...] = ()
+    folded: bool = False
 
 
 def sections(results: Results) -> tuple[Section, ...]:

@@ -4,14 +4,11 @@ from dataclasses import dataclass
 
 from symbid_ros.identification.problem import GAUSSIAN
 from symbid_ros.report.content import TRUTH
-from symbid_ros.study.checks import check_equation, check_realistic
-from symbid_ros.study.data_set import Log
+from symbid_ros.study.checks import believers, check_equation, check_realistic, run_loop, run_truth
 from symbid_ros.study.draws import solve_draw
-from symbid_ros.study.logs import record_log, record_tare
-from symbid_ros.study.loops import believers, run_loop, run_truth
-from symbid_ros.study.plan import Plan
-from symbid_ros.study.rows import fold_rows
-from symbid_ros.study.work import Task
+from symbid_ros.study.logs import fold_rows, record_log, record_tare
+from symbid_ros.study.plan import Log, Plan
+from symbid_ros.study.task_runner import Task
 from symbid_ros.study.workspace import Workspace
 
 

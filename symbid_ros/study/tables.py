@@ -1,17 +1,23 @@
 """The thesis's tables with our figures in them, and one for studies that it did not make."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import StudyError
 from symbid_ros.report.content import METRICS as TITLED
+from symbid_ros.report.content import REALISTIC_METRICS, TRUTH
 from symbid_ros.report.formatting import ABSENT
+from symbid_ros.simulation.balance import BalanceRun
 from symbid_ros.study import thesis
-from symbid_ros.study.comparison import filtered, listed
-from symbid_ros.study.parameter_table import Draw, parameters
-from symbid_ros.study.plan import Plan
+from symbid_ros.study.checks import AccelerationCheck, Closure
+from symbid_ros.study.evidence import filtered, listed
+from symbid_ros.study.plan import Plan, Spread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Scores
-from symbid_ros.study.sheet import Cell, Column, Row, Sheet, beside
-from symbid_ros.study.thesis import TITLES
+from symbid_ros.study.table import Cell, Column, Row, Sheet, beside
+from symbid_ros.study.thesis import ACCELERATION_ERRORS, CLOSURES, TITLES
 
 COUNT = Column("Singular values")
 COLUMNS = (*(Column(metric.title, metric.unit) for metric in TITLED), COUNT)
@@ -32,6 +38,50 @@ TECHNIQUES: Mapping[str, tuple[str, str, str, str]] = {
     "map": ("full residual covariance", "prior deviation", "weighed against the prior", "no"),
     "map_lmi": ("full residual covariance", "prior deviation", "weighed against the prior", "yes"),
 }
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One draw of the prior, and what the methods made of it.
+
+    Attributes
+    ----------
+    data : str
+        The data set.
+    prior : Spread
+        How the prior was drawn.
+    filter : float
+        Hz, cutoff of the truncated methods' rows.
+    names, units : tuple of str
+        Of the p parameters.
+    real : (p,) float64
+        The truth.
+    estimates : dict of str to (p,) float64
+        By method, "ref" for the prior itself.
+
+    Raises
+    ------
+    StudyError
+        When the sizes do not agree.
+    """
+
+    data: str
+    prior: Spread
+    filter: float
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    real: FloatArray
+    estimates: Mapping[str, FloatArray]
+
+    def __post_init__(self) -> None:
+        sizes = {"units": len(self.units), "real": len(self.real)}
+        sizes |= {method: len(values) for method, values in self.estimates.items()}
+        for what, size in sizes.items():
+            if size != len(self.names):
+                raise StudyError(
+                    f"draw on {self.data}: {what} has {size} entries for {len(self.names)} "
+                    "parameters; give one for each"
+                )
 
 
 def tables(plan: Plan, scores: Scores, draw: Draw | None = None) -> tuple[Sheet, ...]:
@@ -212,3 +262,175 @@ def _filter(method: str, cutoff: float | None) -> Cell:
 
 def _stem(data: str) -> str:
     return data.replace(" ", "_")
+
+
+def parameters(draw: Draw) -> Sheet:
+    """Return Table D.1: every parameter, what each method made of it, and how far off that is."""
+    printed = thesis.table_d1()
+    methods = [method for method in TITLES if method in draw.estimates]
+    rows = []
+    for index, (name, unit) in enumerate(zip(draw.names, draw.units, strict=True)):
+        real = float(draw.real[index])
+        # The thesis's robot had no friction and its columns came first, in the same order.
+        known = index < len(printed.real) and np.isclose(real, printed.real[index])
+        cells = [Cell(real)]
+        for method in methods:
+            own = float(draw.estimates[method][index])
+            theirs = (
+                float(printed.estimates[method][index])
+                if known and method in printed.estimates
+                else None
+            )
+            cells += [Cell(own, theirs, rated=False), Cell(_off(own, real), _off(theirs, real))]
+        rows.append(Row((Cell(words=name), Cell(words=unit)), tuple(cells)))
+    columns = [Column("Real")]
+    for method in methods:
+        columns += [Column(TITLES[method]), Column(f"{TITLES[method]} error", "%")]
+    return Sheet(
+        name="table_d1",
+        title=f"Table D.1: parameters, {draw.data}",
+        caption=(
+            f"One draw of a {draw.prior} prior, rows of the truncated methods filtered at "
+            f"{draw.filter:g} Hz; errors relative to the real value." + beside(rows)
+        ),
+        headings=(Column("Parameter"), Column("Unit")),
+        columns=tuple(columns),
+        rows=tuple(rows),
+        notes=(
+            "The thesis's figures are one draw of a ±25 % prior at 50 Hz, another one than ours: "
+            "single ratios tell of the draws as much as of the methods.",
+        )
+        if beside(rows)
+        else (),
+    )
+
+
+def _off(value: float | None, real: float) -> float | None:
+    return None if value is None or real == 0 else 100 * abs(value - real) / abs(real)
+
+
+LABELS = {**TITLES, TRUTH: "Truth"}
+
+
+def closure_table(closures: Sequence[Closure]) -> Sheet:
+    """Return Appendix B's check of the equation of motion."""
+    return Sheet(
+        name="appendix_b",
+        title="Appendix B: does the equation of motion close?",
+        caption=(
+            "Root mean square of y − K φ at the true parameters on noise-free logs, norm per "
+            "sample; with friction at instants at which no joint may stick. Second the order of "
+            "magnitude that the thesis states."
+        ),
+        headings=(Column("Robot"), Column("Model"), Column("Contact forces")),
+        columns=(Column("RMSE", "N, Nm"),),
+        rows=tuple(
+            Row(
+                (Cell(words=one.robot), Cell(words=one.model), Cell(words=one.wrenches)),
+                (Cell(one.rmse, CLOSURES.get((one.robot, one.model, one.wrenches))),),
+            )
+            for one in closures
+        ),
+        notes=(
+            "The thesis reaches 1e-14 with friction in Simscape, whose contact forces are exact; "
+            "in MuJoCo it takes recorded contact forces and no friction columns (order 1), then "
+            "contact forces rebuilt by Eq. 4.1.",
+        ),
+    )
+
+
+def acceleration_table(checks: Mapping[str, AccelerationCheck], cutoff: float) -> Sheet:
+    """Return what a filter does to joint accelerations (Eq. 4.2)."""
+    return Sheet(
+        name="accelerations",
+        title="Filtered joint accelerations",
+        caption=(
+            f"True joint accelerations, and the error e_a of those differentiated from positions "
+            f"filtered at {cutoff:g} Hz (thesis, Eq. 4.2); root mean square of the norm."
+        ),
+        headings=(Column("Log"),),
+        columns=(Column("Acceleration", "rad/s²"), Column("e_a", "rad/s²")),
+        rows=tuple(
+            Row(
+                (Cell(words=name),),
+                (Cell(one.rms), Cell(one.error, ACCELERATION_ERRORS.get(name))),
+            )
+            for name, one in checks.items()
+        ),
+    )
+
+
+def realistic_table(means: Mapping[str, Mapping[str, float]]) -> Sheet:
+    """Return the errors of predictions as a robot could make them, by method."""
+    judged = {method: found for method, found in means.items() if method != TRUTH}
+    least = {
+        metric.key: min(found[metric.key] for found in judged.values())
+        for metric in REALISTIC_METRICS
+    }
+    return Sheet(
+        name="realistic",
+        title="Errors of realistic predictions",
+        caption=(
+            "Means over the draws: velocities filtered in real time, accelerations as desired, "
+            "contact forces predicted by Eq. 4.1; “by wrenches”: torques from the measured contact "
+            "forces instead. Bold: the least."
+        ),
+        headings=(Column("Method"),),
+        columns=tuple(Column(metric.title, metric.unit) for metric in REALISTIC_METRICS),
+        rows=tuple(
+            Row(
+                (Cell(words=LABELS[method]),),
+                tuple(
+                    Cell(
+                        means[method][metric.key],
+                        best=method != TRUTH and means[method][metric.key] == least[metric.key],
+                    )
+                    for metric in REALISTIC_METRICS
+                ),
+            )
+            for method in LABELS
+            if method in means
+        ),
+    )
+
+
+def balance_table(prior: str, runs: Mapping[str, Sequence[BalanceRun]]) -> Sheet:
+    """Return how the balance controller did with each method's models."""
+    return Sheet(
+        name=f"closed_loop_{prior.replace(' ', '').replace('%', 'percent').replace('±', '')}",
+        title=f"Closed loop, priors {prior}",
+        caption=(
+            "CoM tracking and the feed-forward share of the torques over the runs that lasted; "
+            "a run ends with a fall, at a joint’s end stop, or when its model allows no torques."
+        ),
+        headings=(Column("Model"),),
+        columns=(
+            Column("Stood"),
+            Column("CoM tracking, median", "mm"),
+            Column("worst", "mm"),
+            Column("Feed-forward", "%"),
+            Column("Ended by"),
+        ),
+        rows=tuple(
+            _balanced(LABELS[method], runs[method])
+            for method in (*LABELS,)
+            if method in runs and (method == REFERENCE or runs[method])
+        ),
+    )
+
+
+def _balanced(name: str, runs: Sequence[BalanceRun]) -> Row:
+    lasting = [run for run in runs if not run.failure]
+    tracking = [run.com_rmse_mm for run in lasting]
+    share = [100 * run.feed_forward_share for run in lasting]
+    causes = sorted({run.failure for run in runs if run.failure})
+    return Row(
+        (Cell(words=name),),
+        (
+            Cell(words=f"{len(lasting)} of {len(runs)}"),
+            Cell(float(np.median(tracking)) if tracking else None),
+            Cell(max(tracking) if tracking else None),
+            Cell(float(np.median(share)) if share else None),
+            Cell(words="; ".join(causes) or "—"),
+        ),
+    )

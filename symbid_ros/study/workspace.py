@@ -7,9 +7,8 @@ from pathlib import Path
 from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import StudyError
 from symbid_ros.package_paths import package_version
-from symbid_ros.study.data_set import Log
-from symbid_ros.study.plan import Plan, Spread
-from symbid_ros.study.sensing import Sensing
+from symbid_ros.study.plan import Log, Plan, Spread
+from symbid_ros.study.sensor_subsets import Sensing
 
 
 @dataclass(frozen=True)

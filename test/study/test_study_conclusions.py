@@ -9,7 +9,7 @@ import pytest
 from symbid_ros.errors import StudyError
 from symbid_ros.report.content import LinkErrors
 from symbid_ros.simulation.balance import BalanceRun
-from symbid_ros.study import claims, prior_claims, thesis
+from symbid_ros.study import claims, thesis
 from symbid_ros.study.conclusions import (
     Links,
     closed_loop_conclusions,
@@ -17,7 +17,7 @@ from symbid_ros.study.conclusions import (
     link_accuracy,
     realistic_conclusion,
 )
-from symbid_ros.study.examination import Conclusion, Evidence, Examination
+from symbid_ros.study.evidence import Conclusion, Evidence, Examination
 from symbid_ros.study.plan import Spread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case, Scores
 
@@ -61,10 +61,10 @@ def claimed(scores: Scores) -> set[str]:
         claims.row_scaling_alone,
         claims.unfiltered_order,
         claims.absolute_errors,
-        prior_claims.prior_dependence,
-        prior_claims.worse_than_prior,
-        prior_claims.better_than_prior,
-        prior_claims.growing_gap,
+        claims.prior_dependence,
+        claims.worse_than_prior,
+        claims.better_than_prior,
+        claims.growing_gap,
     ],
 )
 def test_what_the_thesis_concludes_holds_in_its_own_tables(claim: Claim) -> None:
@@ -106,8 +106,8 @@ def test_figures_of_a_sentence_are_those_of_the_table() -> None:
         (claims.column_scaling, "Scaled columns lower 0 of 20 errors"),
         (claims.singular_values, "0 of 16 comparisons"),
         (claims.absolute_errors, "none of 5 errors, behind OLS in generalised force and CoM"),
-        (prior_claims.prior_dependence, "Parameter error over the prior's"),
-        (prior_claims.better_than_prior, "behind Ref. in joint torque and parameters"),
+        (claims.prior_dependence, "Parameter error over the prior's"),
+        (claims.better_than_prior, "behind Ref. in joint torque and parameters"),
     ],
 )
 def test_reversed_order_reverses_the_sentences(claim: Claim, said: str) -> None:
@@ -149,7 +149,7 @@ def test_gap_that_shrinks_is_said_to_shrink() -> None:
             means,
         )
     )
-    found = examined(prior_claims.growing_gap, scores)
+    found = examined(claims.growing_gap, scores)
     assert found.holds is False
     assert "0 of 5 steps" in found.sentence
     assert "does not in every error at ±12.5 % to ±25 %" in found.because

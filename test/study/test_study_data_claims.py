@@ -2,7 +2,7 @@
 
 import pytest
 
-from symbid_ros.study.data_claims import data_sentences, headline
+from symbid_ros.study.conclusions import data_sentences, headline
 from symbid_ros.study.plan import Plan
 from symbid_ros.study.scores import METRICS, Case, Scores
 

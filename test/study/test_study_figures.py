@@ -22,16 +22,16 @@ from symbid_ros.report.content import METRICS, LinkErrors
 from symbid_ros.report.formatting import significant
 from symbid_ros.simulation.balance import BalanceRun
 from symbid_ros.simulation.recording import record
-from symbid_ros.study.charts import comparison_drawing, grid_drawing
-from symbid_ros.study.drawing import inline, looks, save
 from symbid_ros.study.figures import (
     AccelerationLog,
     acceleration_drawing,
     closed_loop_drawing,
+    comparison_drawing,
+    grid_drawing,
     link_drawing,
 )
-from symbid_ros.study.scores import Case, Scores
-from symbid_ros.study.series import (
+from symbid_ros.study.plotting import inline, looks, save
+from symbid_ros.study.prediction_figures import (
     Setting,
     com_drawing,
     momentum_drawing,
@@ -39,6 +39,7 @@ from symbid_ros.study.series import (
     realistic_truth,
     torque_drawing,
 )
+from symbid_ros.study.scores import Case, Scores
 from symbid_ros.study.thesis import table_c1
 
 SVG = "{http://www.w3.org/2000/svg}"

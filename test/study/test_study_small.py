@@ -29,7 +29,7 @@ from symbid_ros.signals.filters import LowPass
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.study.stages import stages
-from symbid_ros.study.work import Workers
+from symbid_ros.study.task_runner import Workers
 from symbid_ros.study.workspace import Workspace
 
 KINDS = {"±25 %": ("percent", 25.0), "±0.125": ("absolute", 0.125)}

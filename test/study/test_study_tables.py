@@ -9,13 +9,11 @@ import pytest
 
 from symbid_ros.errors import StudyError
 from symbid_ros.study import thesis
-from symbid_ros.study.charts import grid_drawing
-from symbid_ros.study.data_set import DataSet
-from symbid_ros.study.parameter_table import Draw, parameters
-from symbid_ros.study.plan import Plan, Spread
+from symbid_ros.study.figures import grid_drawing
+from symbid_ros.study.plan import DataSet, Plan, Spread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case, Scores
-from symbid_ros.study.sheet import Cell, Column, Row, Sheet
-from symbid_ros.study.tables import comparison, tables
+from symbid_ros.study.table import Cell, Column, Row, Sheet
+from symbid_ros.study.tables import Draw, comparison, parameters, tables
 
 PERCENT, ABSOLUTE = Spread(percent=25.0), Spread(absolute=0.125)
 METHODS = ["map_lmi", "ols", "wls_rc"]

@@ -20,8 +20,7 @@ from mcap.stream_reader import StreamReader
 from rclpy.context import Context
 from rclpy.node import Node
 
-from symbid_ros.cli.domain import unused_domain
-from symbid_ros.cli.processes import NodeProcess
+from symbid_ros.cli.processes import NodeProcess, unused_domain
 from symbid_ros.messages.layout import ENCAPSULATION, Layout
 from symbid_ros.messages.types import imu_layout, joint_state_layout, stamp_of, wrench_layout
 from symbid_ros.ros.endpoints import message_class, reliable

@@ -6,9 +6,9 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from symbid_ros.study.draws import Results
 from symbid_ros.study.plan import Plan
 from symbid_ros.study.plan_file import load_plan
-from symbid_ros.study.results import Results
 from symbid_ros.study.workspace import Workspace
 
 PLAN = """\

@@ -28,7 +28,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
-from symbid_ros.cli.domain import unused_domain
+from symbid_ros.cli.processes import unused_domain
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record

@@ -13,7 +13,7 @@ import study_tasks
 
 from symbid_ros.errors import StudyError
 from symbid_ros.study.plan import Plan
-from symbid_ros.study.work import Task, Workers
+from symbid_ros.study.task_runner import Task, Workers
 from symbid_ros.study.workspace import Workspace
 
 
@@ -62,7 +62,7 @@ import sys
 from pathlib import Path
 sys.path.append({str(Path(study_tasks.__file__).parent)!r})
 import study_tasks
-from symbid_ros.study.work import Task, Workers
+from symbid_ros.study.task_runner import Task, Workers
 if __name__ == "__main__":
     working, waiting = map(Path, {list(map(str, places))!r})
     with Workers(2) as team:

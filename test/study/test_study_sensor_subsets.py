@@ -23,7 +23,7 @@ from symbid_ros.model.tree import Frame
 from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
-from symbid_ros.study.sensing import Annihilator, SensedRows, Sensing, observe_sensed
+from symbid_ros.study.sensor_subsets import Annihilator, SensedRows, Sensing, observe_sensed
 
 PARTS = {"base_rows": slice(0, 6), "joint_rows": slice(6, 16)}
 

@@ -4,7 +4,7 @@ import pytest
 import rclpy
 from rclpy.context import Context
 
-from symbid_ros.cli.domain import unused_domain
+from symbid_ros.cli.processes import unused_domain
 from symbid_ros.errors import SymbidError
 
 

@@ -2,14 +2,18 @@
 
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from pathlib import Path
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from symbid_ros.bags.info import BagInfo, FileInfo
 from symbid_ros.bags.recovery.report import LostStretch, Recovery
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.messages.topics import OfferedQos
 
 SHOWN = 20  # holes; a list of thousands tells no more, --json has them all
@@ -131,3 +135,118 @@ def _size(size: int) -> str:
             return f"{number:.4g} {unit}"
         number /= 1000
     return f"{number:.4g} GB"
+
+
+STYLES = {Severity.CLEAN: "green", Severity.WARNING: "yellow", Severity.UNUSABLE: "bold red"}
+
+
+def print_diagnosis(diagnosis: Diagnosis) -> None:
+    """Print a log's streams, what is wrong with them and the verdict."""
+    console = Console(highlight=False)
+    table = Table(pad_edge=False)
+    table.add_column("stream", overflow="fold")
+    for name in ("count", "Hz", "gaps", "gap s"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("verdict", overflow="fold")
+    for stream in diagnosis.streams:
+        table.add_row(
+            Text(stream.topic),
+            str(stream.messages),
+            f"{stream.rate_hz:.4g}",
+            str(stream.gaps),
+            f"{stream.longest_gap_s:.3g}",
+            _verdict(diagnosis.of(stream.topic)),
+        )
+    console.print(table)
+    # Long lines are left to the terminal to wrap: whoever reads them from a pipe gets them whole.
+    for finding in diagnosis.findings:
+        told = Text(f"{finding.kind.value}: ", style=STYLES[finding.severity])
+        console.print(told.append(finding.message, style=""), soft_wrap=True)
+    for reason in diagnosis.left_out:
+        console.print(Text(f"left out: {reason}", style="dim"), soft_wrap=True)
+    severity = diagnosis.severity
+    number = len(diagnosis.findings)
+    verdict = "clean" if not number else f"{severity.name.lower()}, {number} found"
+    console.print(Text(verdict, style=STYLES[severity]))
+
+
+def _verdict(findings: tuple[Finding, ...]) -> Text:
+    """Return the kinds of what is wrong with one stream."""
+    if not findings:
+        return Text("clean", style="green")
+    worst = max(one.severity for one in findings)
+    return Text(", ".join(dict.fromkeys(one.kind.value for one in findings)), style=STYLES[worst])
+
+
+def print_estimate(estimate: Estimate, out: Path) -> None:
+    """Print alarms, masses, verdicts and where the files are.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        What was found.
+    out : Path
+        Folder that its files were written to.
+    """
+    console = Console(highlight=False)
+    # Long lines are left to the terminal to wrap: whoever reads them from a pipe gets them whole.
+    for alarm in estimate.verdict.alarms if estimate.verdict is not None else ():
+        console.print(Text(f"alarm: {alarm}", style="bold red"), soft_wrap=True)
+    console.print(links_table(estimate))
+    for line in _lines(estimate, out):
+        console.print(line, soft_wrap=True)
+
+
+def links_table(estimate: Estimate) -> Table:
+    """Return mass, count of determined parameters and possibility of every link."""
+    table = Table(title=f"{estimate.model}, {estimate.method}", title_justify="left")
+    table.add_column("link")
+    for header in ("prior kg", "mass kg", "± kg", "determined", "possible"):
+        table.add_column(header, justify="right")
+    position = {name: index for index, name in enumerate(estimate.names)}
+    for link, possible in estimate.consistent.items():
+        mass = position[f"{link}/m"]
+        verdicts = "–"
+        if estimate.determined is not None:
+            verdicts = f"{int(estimate.determined[mass : mass + 10].sum())} of 10"
+        std = "–" if estimate.std is None else f"{estimate.std[mass]:.3f}"
+        table.add_row(
+            Text(link),
+            f"{estimate.prior[mass]:.3f}",
+            f"{estimate.value[mass]:.3f}",
+            std,
+            verdicts,
+            "yes" if possible else Text("no", style="red"),
+        )
+    return table
+
+
+def _lines(estimate: Estimate, out: Path) -> list[RenderableType]:
+    verdict = estimate.verdict
+    windows = ""
+    if verdict is not None and verdict.window > 0:
+        windows = f", averaged over windows of {1e3 * verdict.window:g} ms"
+    cut = "" if estimate.rank is None else f", {estimate.rank} singular values"
+    lines: list[RenderableType] = [
+        f"{estimate.samples} rows of each coordinate{windows}{cut}, condition "
+        f"{estimate.condition:.3g}"
+    ]
+    if verdict is not None:
+        lines += _verdict_lines(verdict, len(estimate.names))
+    files = "estimate.json, information.npz, model.urdf, model.xml"
+    return [*lines, Text(f"wrote {out}/: {files}")]
+
+
+def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
+    lines: list[RenderableType] = [
+        f"{len(verdict.directions)} of {parameters} directions determined, "
+        f"{verdict.gain:.0f} bit gained"
+    ]
+    if verdict.sensors:
+        known = sum(error.determined for error in verdict.sensors)
+        lines.append(f"{known} of {len(verdict.sensors)} sensor errors determined")
+    if not verdict.alarms:
+        return [*lines, Text("no alarm", style="green")]
+    count = len(verdict.alarms)
+    told = "1 alarm" if count == 1 else f"{count} alarms"
+    return [*lines, Text(f"{told}: do not trust these numbers yet", style="bold red")]

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from report_pages import SENSORS, VERDICT, estimate
 
-from symbid_ros.cli.summary import print_estimate
+from symbid_ros.cli.tables import print_estimate
 
 ALARMS = ("the data would have the prior 9.0 times wider: a sensor's calibration is wrong",)
 
