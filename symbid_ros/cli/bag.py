@@ -97,7 +97,7 @@ def doctor(
     from symbid_ros.diagnosis.doctor import diagnose
     from symbid_ros.messages.topics import TopicSelection
     from symbid_ros.model.load import load_model
-    from symbid_ros.signals.slices import TimeRange
+    from symbid_ros.signals.streams import TimeRange
 
     topics = TopicSelection(
         joints=tuple(joint_topic) if joint_topic else None,

@@ -40,7 +40,7 @@ def evaluate(
     from symbid_ros.identification.prediction import evaluate_realistic
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
-    from symbid_ros.signals.causal import CausalLowPass
+    from symbid_ros.signals.filters import CausalLowPass
 
     low_pass = CausalLowPass(velocity_cutoff)
     if json_file is not None:

@@ -214,7 +214,7 @@ def identify(
     from symbid_ros.offline.identify import prepare
     from symbid_ros.offline.job import Job, chosen_filter
     from symbid_ros.signals.sensor_errors import parse_kinds
-    from symbid_ros.signals.slices import TimeRange
+    from symbid_ros.signals.streams import TimeRange
 
     require_no_files(out, RESULT_FILES, overwrite=overwrite)
     topics = TopicSelection(

@@ -9,12 +9,11 @@ from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, beyond_mending, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import cut_to, warned_once
+from symbid_ros.signals.alignment import moving_segments, warned_once
 from symbid_ros.signals.defects import Defect, DefectError
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.samples import moving_segments
-from symbid_ros.signals.slices import Slice
-from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
+from symbid_ros.signals.segments import cut_to
+from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 from symbid_ros.signals.weak_form import BLOCK
 
 SPAN = 15 * BLOCK  # ns of a log that are in memory at a time

@@ -7,8 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
-from symbid_ros.signals.slices import Slice
-from symbid_ros.signals.streams import ImuStream
+from symbid_ros.signals.streams import ImuStream, Slice
 
 # Four decimals of a quaternion, the fewest that drivers print, leave its norm this near to one.
 TOLERANCE = 1e-3

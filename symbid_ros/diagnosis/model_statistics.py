@@ -14,8 +14,8 @@ from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import Prior, model_prior
 from symbid_ros.model.parameters import TERMS, ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import Segment, cut_to
 from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.segments import Segment, cut_to
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     block_length,

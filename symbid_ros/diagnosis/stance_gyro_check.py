@@ -11,9 +11,9 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import JointTable, Posture, link_poses, link_velocity
 from symbid_ros.dynamics.spatial import component_first
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.readings import Readings, smoothed
+from symbid_ros.signals.segments import Segment
 
 # Calibration leaves tenths of a degree, a wrong axis ninety.
 LARGEST_ANGLE = np.radians(5.0)

@@ -11,8 +11,7 @@ from symbid_ros.diagnosis.timing import TimingCheck
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import Defect, DefectError, Tally
-from symbid_ros.signals.slices import Slice
-from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
+from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 
 
 @dataclass

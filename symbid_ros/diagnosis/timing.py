@@ -6,7 +6,7 @@ import numpy as np
 
 from symbid_ros.arrays import IntArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity, StreamFigures
-from symbid_ros.signals.gaps import find_gaps
+from symbid_ros.signals.stamps import find_gaps
 
 # Periods that vary by more than this share of themselves are arrival times, no sampling times.
 JITTER = 0.25

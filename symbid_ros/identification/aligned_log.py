@@ -9,9 +9,9 @@ from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import Segment, cut_to, warned_once
+from symbid_ros.signals.alignment import moving_segments, warned_once
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.samples import moving_segments
+from symbid_ros.signals.segments import Segment, cut_to
 from symbid_ros.signals.weak_form import BLOCK
 
 # Slices are of whole blocks, over which no window reaches: where they are cut makes no difference.

@@ -4,9 +4,8 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from symbid_ros.signals.alignment import Segment
-from symbid_ros.signals.fingerprint import fingerprint
 from symbid_ros.signals.noise_floor import MOTION, Channel
+from symbid_ros.signals.segments import Segment, fingerprint
 from symbid_ros.signals.weak_form import (
     RowBuilder,
     WindowedRows,

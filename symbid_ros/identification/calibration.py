@@ -13,10 +13,9 @@ from symbid_ros.estimation.posterior import SoftRows, posterior
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Record, observe
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.calibration import Pilot, calibrating_rows
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import FORCES, MOTION
-from symbid_ros.signals.sensor_errors import SensorErrors
+from symbid_ros.signals.sensor_errors import Pilot, SensorErrors, calibrating_rows
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
 
 logger = logging.getLogger(__name__)

@@ -14,7 +14,6 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import (
     Channels,
     LowPass,
@@ -22,11 +21,10 @@ from symbid_ros.signals.filters import (
     Smoothing,
     row_inflation,
 )
-from symbid_ros.signals.fingerprint import fingerprint
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import MOTION, Channel
-from symbid_ros.signals.readings import at_base, smoothed
-from symbid_ros.signals.samples import build_samples, joined
+from symbid_ros.signals.readings import at_base, build_samples, joined, smoothed
+from symbid_ros.signals.segments import Segment, fingerprint
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     RowBuilder,

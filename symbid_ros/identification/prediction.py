@@ -22,8 +22,9 @@ from symbid_ros.errors import BagError, DataError
 from symbid_ros.identification.evaluation import BLOCK, TrueMotion, predict, true_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import Segment, align
-from symbid_ros.signals.causal import CausalLowPass
+from symbid_ros.signals.alignment import align
+from symbid_ros.signals.filters import CausalLowPass
+from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.streams import Streams, TruthStreams
 
 # A combination of wrenches that the coordinates feel less than this share of the best felt one is

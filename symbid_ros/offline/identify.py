@@ -24,7 +24,7 @@ from symbid_ros.identification.problem import Method, Problem, Truncation
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.job import Job, check, load_parameters
-from symbid_ros.signals.slices import ALL_OF_IT, TimeRange
+from symbid_ros.signals.streams import ALL_OF_IT, TimeRange
 
 logger = logging.getLogger(__name__)
 

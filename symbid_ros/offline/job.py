@@ -14,7 +14,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet, Term
 from symbid_ros.model.urdf import Base
 from symbid_ros.signals.filters import Channels
-from symbid_ros.signals.slices import ALL_OF_IT, TimeRange
+from symbid_ros.signals.streams import ALL_OF_IT, TimeRange
 
 logger = logging.getLogger(__name__)
 

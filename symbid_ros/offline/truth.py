@@ -7,7 +7,7 @@ from symbid_ros.bags.streams.reader import read_streams, read_truth
 from symbid_ros.identification.evaluation import TrueMotion, true_motion
 from symbid_ros.identification.prediction import RealisticMotion, realistic_motion
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.causal import CausalLowPass
+from symbid_ros.signals.filters import CausalLowPass
 
 
 def read_true_motion(bags: Sequence[Path], model: RobotModel) -> TrueMotion:

@@ -14,10 +14,10 @@ from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.signals.alignment import (
     LONGEST_MARGIN,
     SHORTEST_SEGMENT,
-    cut_to,
+    moving_segments,
     resampling_margin,
 )
-from symbid_ros.signals.samples import moving_segments
+from symbid_ros.signals.segments import cut_to
 from symbid_ros.signals.weak_form import block_length, prefilter
 
 # So many times as long as what a filter loses at one end must a piece be to be worth its while.

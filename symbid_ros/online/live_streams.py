@@ -13,8 +13,7 @@ from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.sensor_streams import sensor_streams
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.signals.defects import Tally
-from symbid_ros.signals.gaps import find_gaps
-from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
+from symbid_ros.signals.stamps import CLOCK_JUMP, find_gaps, seconds
 from symbid_ros.signals.streams import Streams
 
 # Nobody works on data this much older than the topic's newest, ns, nor looks for it more often than

@@ -13,7 +13,7 @@ from symbid_ros.offline.job import Job, chosen_filter
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sensor_errors import parse_kinds
-from symbid_ros.signals.slices import TimeRange
+from symbid_ros.signals.streams import TimeRange
 
 CUTOFF = LowPass().cutoff
 

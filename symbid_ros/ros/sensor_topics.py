@@ -14,7 +14,7 @@ from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.message_check import known_frames
 from symbid_ros.ros.raw_subscription import Intake, Polled, subscribe
-from symbid_ros.signals.samples import suggested_prefix
+from symbid_ros.signals.alignment import suggested_prefix
 
 JOINTS, IMU_DATA = "joint_states", "imu/data"
 Graph = Mapping[str, Sequence[str]]

@@ -8,8 +8,7 @@ across a gap: there the record is cut into segments.
 import logging
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -18,6 +17,7 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
+from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
 
 logger = logging.getLogger(__name__)
@@ -31,82 +31,6 @@ SHORTEST_SEGMENT = 50
 MARGIN = 100_000_000
 LONGEST_MARGIN = 1_000_000_000
 SAMPLES_PER_MARGIN = 20
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A stretch of M uniformly spaced instants at which every sensor spoke.
-
-    Attributes
-    ----------
-    stamp : (M,) int64
-        Nanoseconds.
-    rate : float
-        Hz.
-    position, effort : (M, J) float64
-        Columns in the model's joint order; the effort is NaN where a driven joint's was not
-        measured.
-    angular_velocity, linear_acceleration : (M, I, 3) float64
-        Per IMU, in its own frame.
-    wrenches : (M, F, 6) float64
-        Per sensor (moment; force) in its own frame.
-    imu_frames, wrench_frames : tuple of str
-        The I and F frames.
-    """
-
-    stamp: IntArray
-    rate: float
-    position: FloatArray
-    effort: FloatArray
-    angular_velocity: FloatArray
-    linear_acceleration: FloatArray
-    wrenches: FloatArray
-    imu_frames: tuple[str, ...]
-    wrench_frames: tuple[str, ...]
-
-    def __len__(self) -> int:
-        return len(self.stamp)
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Where the sensors are, IMUs first."""
-        return (*self.imu_frames, *self.wrench_frames)
-
-    @property
-    def nbytes(self) -> int:
-        """Size of the arrays."""
-        return sum(
-            value.nbytes
-            for entry in fields(self)
-            if isinstance(value := getattr(self, entry.name), np.ndarray)
-        )
-
-    def is_continued_by(self, later: "Segment") -> bool:
-        """Tell whether another stretch begins where this one ends."""
-        step = int(later.stamp[0] - self.stamp[-1])
-        return self.frames == later.frames and 0 < step * self.rate < 1.5e9
-
-    def joined(self, later: "Segment") -> "Segment":
-        """Return this stretch and the one that continues it as one."""
-        arrays: dict[str, Any] = {
-            entry.name: np.concatenate([value, getattr(later, entry.name)])
-            for entry in fields(self)
-            if isinstance(value := getattr(self, entry.name), np.ndarray)
-        }
-        return replace(self, **arrays)
-
-    def cut(self, start: int, stop: int) -> "Segment":
-        """Return the instants from ``start`` up to ``stop``."""
-        part = slice(start, stop)
-        return replace(
-            self,
-            stamp=self.stamp[part],
-            position=self.position[part],
-            effort=self.effort[part],
-            angular_velocity=self.angular_velocity[part],
-            linear_acceleration=self.linear_acceleration[part],
-            wrenches=self.wrenches[part],
-        )
 
 
 @dataclass(frozen=True)
@@ -159,20 +83,59 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     return segments
 
 
+def moving_segments(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
+    """Return the aligned stretches of a recording that can tell how the base moves.
+
+    Raises
+    ------
+    DataError
+        When a floating robot has no IMU or the record is too short.
+    ModelError
+        When a joint or a sensor's frame is not in the model.
+    """
+    if model.floating and not streams.imus:
+        raise DataError(
+            f"{streams.source}: the base of {model.source} floats, but the bag has no "
+            "sensor_msgs/msg/Imu topic; record the IMU, or give --base fixed if it is bolted down"
+        )
+    sensors: list[ImuStream | WrenchStream] = [
+        *(streams.imus if model.floating else ()),
+        *streams.wrenches,
+    ]
+    for sensor in sensors:
+        _check_frame(sensor, model, streams.source)
+    return align(streams, model)
+
+
+def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: str) -> None:
+    """Refuse a sensor whose frame the model lacks, and suggest the prefix that it may have."""
+    frame = sensor.frame_id
+    try:
+        model.frame(frame)
+    except ModelError as error:
+        prefix = suggested_prefix(frame, model)
+        if not prefix:
+            raise ModelError(f"{source}: {sensor.topic}: {error}") from error
+        raise ModelError(
+            f"{source}: {sensor.topic}: frame {frame!r} is not in model {model.source}, but "
+            f"{frame.removeprefix(prefix)!r} is; give --frame-prefix {prefix} (parameter "
+            f"frame_prefix:={prefix})"
+        ) from error
+
+
+def suggested_prefix(frame: str, model: RobotModel) -> str:
+    """Return what to remove from a sensor's frame to get one of the model's; empty if nothing."""
+    known = {*(one.name for one in model.frames), *model.link_names}
+    cuts = [index + 1 for index, letter in enumerate(frame) if letter == "/"]
+    return next((frame[:cut] for cut in cuts if frame[cut:] in known), "")
+
+
 def resampling_margin(topics: Iterable[IntArray]) -> int:
     """Return how far beyond a stretch's ends its topics must reach, ns, by their stamps (N,)."""
     steps = [np.diff(np.unique(stamp)) for stamp in topics]
     periods = [float(np.median(each)) for each in steps if len(each)]
     needed = round(SAMPLES_PER_MARGIN * max(periods, default=0.0))
     return min(max(MARGIN, needed), LONGEST_MARGIN)
-
-
-def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segment]:
-    """Yield what of stretches lies between two stamps, ns."""
-    for segment in segments:
-        first, last = np.searchsorted(segment.stamp, [start, stop]).tolist()
-        if last > first:
-            yield segment.cut(first, last)
 
 
 def _period(joints: _Channel, streams: Streams) -> float:

@@ -13,9 +13,16 @@ from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import resampling_margin
 from symbid_ros.signals.defects import Defect, Tally
-from symbid_ros.signals.slices import ALL_OF_IT, Slice, TimeRange
 from symbid_ros.signals.stamps import kept_in_order, seconds
-from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
+from symbid_ros.signals.streams import (
+    ALL_OF_IT,
+    ImuStream,
+    JointStream,
+    Slice,
+    Streams,
+    TimeRange,
+    WrenchStream,
+)
 
 SliceReader = Callable[[int | None, bool], Iterator[Slice]]
 S = TypeVar("S", JointStream, ImuStream, WrenchStream)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.signals.alignment import Segment
+from symbid_ros.signals.segments import Segment
 
 Channel = Literal["position", "angular_velocity", "effort", "wrenches"]
 # What is differentiated, and thereby brings noise into the regressor. The accelerometer is left

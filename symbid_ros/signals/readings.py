@@ -1,15 +1,18 @@
 """What the sensors of one stretch say once smoothed, with the derivatives that are needed."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.samples import Samples
+from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import Smoothing
+from symbid_ros.signals.segments import Segment
 
 
 @dataclass(frozen=True)
@@ -171,3 +174,62 @@ def _base(readings: Readings, model: RobotModel) -> BaseMotion:
             for field in fields(BaseMotion)
         )
     )
+
+
+def build_samples(
+    segments: Sequence[Segment], model: RobotModel, smoothing: Smoothing, source: str
+) -> Samples:
+    """Return the samples that the equation of motion is written for.
+
+    Parameters
+    ----------
+    segments : sequence of Segment
+        Aligned stretches of one recording.
+    model : RobotModel
+        Kinematics and frames; its inertias are not looked at.
+    smoothing : Smoothing
+        Filter and differentiator of the measured channels.
+    source : str
+        The recording's name, for messages.
+
+    Raises
+    ------
+    DataError
+        When the record is too short.
+    ModelError
+        When a sensor's frame is not in the model.
+    """
+    parts = []
+    for segment in segments:
+        for part in _by_measured_efforts(segment, 2 * smoothing.settling(segment.rate)):
+            samples = at_base(smoothed(part, smoothing), model)
+            parts.append(samples[:: smoothing.stride(segment.rate)])
+    samples = joined(parts)
+    if len(samples) == 0:
+        raise DataError(
+            f"{source}: the log is too short for this filter ({smoothing}), nothing is "
+            "left once it has settled; raise its cutoff, shorten it or record longer"
+        )
+    return samples
+
+
+def _by_measured_efforts(segment: Segment, shortest: int) -> Iterator[Segment]:
+    """Cut a stretch where the joints change whose effort was measured: no filter passes NaN."""
+    lost = np.isnan(segment.effort)
+    changes = np.flatnonzero(np.any(lost[1:] != lost[:-1], axis=1)) + 1
+    if not len(changes):
+        yield segment
+        return
+    for start, stop in pairwise([0, *changes.tolist(), len(segment)]):
+        if stop - start > shortest:
+            yield segment.cut(start, stop)
+
+
+def joined(parts: Sequence[Samples]) -> Samples:
+    """Return the samples of several stretches one after the other."""
+    arrays = {
+        field.name: np.concatenate([getattr(part, field.name) for part in parts])
+        for field in fields(Samples)
+        if field.name != "wrench_frames"
+    }
+    return Samples(**arrays, wrench_frames=parts[0].wrench_frames)

@@ -1,12 +1,13 @@
 """What sensors said, one array per field and topic, before anything is aligned."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.errors import DataError
+from symbid_ros.signals.defects import Tally
 
 
 @dataclass(frozen=True)
@@ -143,3 +144,47 @@ class TruthStreams:
     base_angular_velocity: FloatArray
     base_linear_acceleration: FloatArray
     base_angular_acceleration: FloatArray
+
+
+@dataclass(frozen=True)
+class TimeRange:
+    """A part of a recording, in seconds after its first joint state."""
+
+    start: float = 0.0
+    stop: float = np.inf
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.start < self.stop:
+            raise DataError(
+                f"from {self.start:g} s to {self.stop:g} s is no part of a recording; give a start "
+                "from 0 on and a later stop, seconds after the first joint state"
+            )
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A slice of a recording.
+
+    Attributes
+    ----------
+    start, stop : int
+        From where up to where, ns of header.stamp.
+    streams : Streams or None
+        Of that time, and of a margin at both ends; None where a topic was silent.
+    stamps : dict of str to (N,) int64
+        By topic the stamps of that time as they were recorded, ns.
+    tallies : tuple of Tally
+        What was mended so far, one for each topic; they go on counting.
+    fault : str
+        Which was silent; empty where none was.
+    """
+
+    start: int
+    stop: int
+    streams: Streams | None
+    stamps: Mapping[str, IntArray]
+    tallies: tuple[Tally, ...]
+    fault: str = ""
+
+
+ALL_OF_IT = TimeRange()

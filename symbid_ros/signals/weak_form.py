@@ -21,10 +21,10 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion, slips
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.noise_floor import MOTION, Channel, with_more_noise
 from symbid_ros.signals.readings import Readings, at_base, smoothed
+from symbid_ros.signals.segments import Segment
 
 # Seconds. Short windows follow brisk motion, long ones leave less noise in the regressor of calm
 # motion; which of them serves a log best is decided by the data.

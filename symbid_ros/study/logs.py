@@ -13,8 +13,8 @@ from symbid_ros.identification.dataset import Processing, fold_record
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet, joint_terms
 from symbid_ros.package_paths import config_file
-from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.filters import Channels, LowPass
+from symbid_ros.signals.segments import Segment
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.study.plan import Log

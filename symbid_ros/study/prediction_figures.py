@@ -24,7 +24,7 @@ from symbid_ros.report.figures import (
     torque_quantities,
 )
 from symbid_ros.report.formatting import significant
-from symbid_ros.signals.causal import CausalLowPass
+from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.study.draws import Results
 from symbid_ros.study.plan import Figures
 from symbid_ros.study.plotting import LABELS, Drawing, curve, legend, looks, stack

@@ -8,7 +8,7 @@ from foreign_bags import IMU, JOINT_STATE, imu, joint_state, write_rosbags
 
 from symbid_ros.bags.streams import slices
 from symbid_ros.bags.streams.slices import iterate_slices
-from symbid_ros.signals.slices import TimeRange
+from symbid_ros.signals.streams import TimeRange
 
 SECOND = 10**9
 SPAN = 4 * SECOND

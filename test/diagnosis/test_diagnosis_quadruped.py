@@ -16,7 +16,7 @@ from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments, fit_gyro
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.samples import moving_segments
+from symbid_ros.signals.alignment import moving_segments
 
 JOINTS, IMU, FIRST, SECOND = "/joint_states", "/imu", "/LF_foot/wrench", "/RF_foot/wrench"
 
@@ -83,7 +83,7 @@ def test_a_gyroscopes_constant_bias_is_no_fault_of_its_mounting(log, model, tmp_
     assert abs(found.delay) < 1e-3
     assert found.left < 0.1
     assert found.scale == pytest.approx(1, abs=0.05)
-    # LinkMotion a hundred thousand times calmer says the same: nothing depends on the unit of rates.
+    # Motion a hundred thousand times calmer says the same: nothing depends on the unit of rates.
     standing.cross *= 1e-10
     standing.read *= 1e-10
     standing.told *= 1e-10

@@ -22,7 +22,7 @@ from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.alignment import Segment
+from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 from symbid_ros.simulation.settings import load_noise
 from symbid_ros.simulation.simulator import Simulator

@@ -13,8 +13,8 @@ from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
-from symbid_ros.signals.alignment import Segment
-from symbid_ros.signals.slices import TimeRange
+from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.streams import TimeRange
 from symbid_ros.signals.weak_form import BLOCK
 
 ALL = TopicSelection()

@@ -17,7 +17,7 @@ from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
-from symbid_ros.signals.causal import CausalLowPass
+from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.simulation.recording import record
 
 

@@ -16,8 +16,8 @@ from symbid_ros.identification.dataset import Processing, Record, fold_record
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.alignment import cut_to
-from symbid_ros.signals.samples import moving_segments
+from symbid_ros.signals.alignment import moving_segments
+from symbid_ros.signals.segments import cut_to
 from symbid_ros.signals.weak_form import BLOCKS, block_length
 
 START = 1_723_456_789_012_345_678

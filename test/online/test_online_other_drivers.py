@@ -17,7 +17,7 @@ from symbid_ros.messages.types import IMU, stamp_of
 from symbid_ros.model.load import load_model
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.package_paths import config_file
-from symbid_ros.signals.samples import moving_segments
+from symbid_ros.signals.alignment import moving_segments
 
 ALL = TopicSelection()
 APART = TopicSelection(joints=("/left/joint_states", "/right/joint_states"))

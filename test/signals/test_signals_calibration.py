@@ -12,10 +12,18 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import DataError
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.calibration import Pilot, calibrating_rows, error_columns
 from symbid_ros.signals.noise_floor import FORCES, MOTION
 from symbid_ros.signals.readings import Readings, at_base
-from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, UNITS, SensorErrors, parse_kinds
+from symbid_ros.signals.sensor_errors import (
+    DEVIATIONS,
+    KINDS,
+    UNITS,
+    Pilot,
+    SensorErrors,
+    calibrating_rows,
+    error_columns,
+    parse_kinds,
+)
 from symbid_ros.signals.weak_form import BLOCK, equation_rows, windowed_rows
 from symbid_ros.simulation.simulator import Simulator
 

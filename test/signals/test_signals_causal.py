@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.errors import DataError
-from symbid_ros.signals.causal import CausalLowPass
+from symbid_ros.signals.filters import CausalLowPass
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from symbid_ros.signals.alignment import Segment
-from symbid_ros.signals.fingerprint import fingerprint
+from symbid_ros.signals.segments import Segment, fingerprint
 
 SECOND = 1_000_000_000
 TODAY = 1_790_000_000 * SECOND + 123_456_789

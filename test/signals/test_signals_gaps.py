@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from symbid_ros.messages.types import has_stamp, stamp_of
-from symbid_ros.signals.gaps import find_gaps
+from symbid_ros.signals.stamps import find_gaps
 
 PERIOD = 1_000_000
 

@@ -10,7 +10,7 @@ from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.slices import TimeRange
+from symbid_ros.signals.streams import TimeRange
 
 SPAN = 1_000_000_000
 

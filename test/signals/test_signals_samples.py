@@ -11,9 +11,9 @@ from tree_simulation import TreeSimulation, streams_of
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.alignment import align
+from symbid_ros.signals.alignment import align, moving_segments
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.samples import build_samples, moving_segments
+from symbid_ros.signals.readings import build_samples
 
 UNFILTERED = LowPass(cutoff=0)
 

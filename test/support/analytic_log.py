@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.signals.alignment import Segment
 from symbid_ros.signals.readings import Readings
+from symbid_ros.signals.segments import Segment
 
 SLOWEST, FASTEST = 0.3, 1.5  # Hz
 

@@ -19,9 +19,8 @@ from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import Tally
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.slices import ALL_OF_IT, Slice, TimeRange
 from symbid_ros.signals.stamps import kept_in_order
-from symbid_ros.signals.streams import Streams, TruthStreams
+from symbid_ros.signals.streams import ALL_OF_IT, Slice, Streams, TimeRange, TruthStreams
 
 TRUTH_TYPES = {"joints": TRAJECTORY, "odom": ODOMETRY, "base_accel": ACCEL}
 

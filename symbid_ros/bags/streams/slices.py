@@ -14,8 +14,8 @@ from symbid_ros.messages.sensor_streams import joint_groups, sensor_streams, sta
 from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSelection
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
 from symbid_ros.signals.defects import ALWAYS, Defect
-from symbid_ros.signals.slices import ALL_OF_IT, Slice, TimeRange
 from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
+from symbid_ros.signals.streams import ALL_OF_IT, Slice, TimeRange
 
 # Bytes that may wait for a topic that lags; it is silent or recorded behind the others.
 MOST_WAITING = 256 << 20

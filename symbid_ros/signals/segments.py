@@ -1,0 +1,122 @@
+"""Uniformly sampled stretches of a log, and fingerprints of their seconds."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray, IntArray
+
+SECOND = 1_000_000_000  # ns
+# Stamps from here on, in September 2001, are those of a wall clock, which shows each second once.
+# Simulated time, and the clock of a computer that has not been set, begin at 0 in every run.
+WALL_CLOCK = SECOND * SECOND
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of M uniformly spaced instants at which every sensor spoke.
+
+    Attributes
+    ----------
+    stamp : (M,) int64
+        Nanoseconds.
+    rate : float
+        Hz.
+    position, effort : (M, J) float64
+        Columns in the model's joint order; the effort is NaN where a driven joint's was not
+        measured.
+    angular_velocity, linear_acceleration : (M, I, 3) float64
+        Per IMU, in its own frame.
+    wrenches : (M, F, 6) float64
+        Per sensor (moment; force) in its own frame.
+    imu_frames, wrench_frames : tuple of str
+        The I and F frames.
+    """
+
+    stamp: IntArray
+    rate: float
+    position: FloatArray
+    effort: FloatArray
+    angular_velocity: FloatArray
+    linear_acceleration: FloatArray
+    wrenches: FloatArray
+    imu_frames: tuple[str, ...]
+    wrench_frames: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Where the sensors are, IMUs first."""
+        return (*self.imu_frames, *self.wrench_frames)
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the arrays."""
+        return sum(
+            value.nbytes
+            for entry in fields(self)
+            if isinstance(value := getattr(self, entry.name), np.ndarray)
+        )
+
+    def is_continued_by(self, later: "Segment") -> bool:
+        """Tell whether another stretch begins where this one ends."""
+        step = int(later.stamp[0] - self.stamp[-1])
+        return self.frames == later.frames and 0 < step * self.rate < 1.5e9
+
+    def joined(self, later: "Segment") -> "Segment":
+        """Return this stretch and the one that continues it as one."""
+        arrays: dict[str, Any] = {
+            entry.name: np.concatenate([value, getattr(later, entry.name)])
+            for entry in fields(self)
+            if isinstance(value := getattr(self, entry.name), np.ndarray)
+        }
+        return replace(self, **arrays)
+
+    def cut(self, start: int, stop: int) -> "Segment":
+        """Return the instants from ``start`` up to ``stop``."""
+        part = slice(start, stop)
+        return replace(
+            self,
+            stamp=self.stamp[part],
+            position=self.position[part],
+            effort=self.effort[part],
+            angular_velocity=self.angular_velocity[part],
+            linear_acceleration=self.linear_acceleration[part],
+            wrenches=self.wrenches[part],
+        )
+
+
+def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segment]:
+    """Yield what of stretches lies between two stamps, ns."""
+    for segment in segments:
+        first, last = np.searchsorted(segment.stamp, [start, stop]).tolist()
+        if last > first:
+            yield segment.cut(first, last)
+
+
+def fingerprint(segment: Segment) -> frozenset[int]:
+    """Return a number for each whole second of a segment.
+
+    Equal seconds of one log have equal numbers however the log was cut, split or copied: the
+    second itself by a wall clock, else a hash of the joint states at its beginning.
+    """
+    if len(segment) == 0:
+        return frozenset()
+    slack = int(1.5 * SECOND / segment.rate)
+    first = -((slack - int(segment.stamp[0])) // SECOND)
+    last = (int(segment.stamp[-1]) + slack) // SECOND
+    if segment.stamp[0] >= WALL_CLOCK:
+        return frozenset(range(first, last))
+    begins = np.searchsorted(segment.stamp, SECOND * np.arange(first, last))
+    return frozenset(_hash(segment, index) for index in begins.tolist())
+
+
+def _hash(segment: Segment, index: int) -> int:
+    parts = segment.stamp[index], segment.position[index], segment.effort[index]
+    content = b"".join(np.asarray(part).tobytes() for part in parts)
+    return int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
