@@ -58,7 +58,7 @@ LONGEST = (
     "test_ros_process_udp.py",
     "test_cli_bag.py",
     "test_bags_fuzz.py",
-    "test_signals_readings.py",
+    "test_signals_sensor_samples.py",
 )
 
 

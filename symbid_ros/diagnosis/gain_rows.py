@@ -27,7 +27,7 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.readings import Readings, at_base
+from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import RowBuilder, SampledRows, valid_rows
 
 CHUNK = 512
@@ -117,7 +117,7 @@ class GainLayout:
         driven = np.array(self.driven, dtype=np.int64)
         return 6 * model.floating + driven, self.efforts.start + np.arange(len(driven))
 
-    def columns(self, parameters: ParameterSet, readings: Readings) -> FloatArray:
+    def columns(self, parameters: ParameterSet, readings: SensorSamples) -> FloatArray:
         """Return C (N, n, r): what a unit of each unknown adds to y."""
         model, count, sensors = parameters.model, len(readings), len(self.wrench_frames)
         C = np.zeros((count, model.dof, len(self)))
@@ -179,8 +179,8 @@ def pull(parameters: ParameterSet, poses: LinkPoses) -> FloatArray:
 
 
 def _late_imu(
-    readings: Readings, index: int, slope: Callable[[FloatArray], FloatArray]
-) -> Readings:
+    readings: SensorSamples, index: int, slope: Callable[[FloatArray], FloatArray]
+) -> SensorSamples:
     """Return what changes in a second of an IMU's accelerations, all else at rest."""
     nothing = np.zeros_like(readings.position)
     still = np.zeros_like(readings.imus[index].specific_force)
@@ -194,7 +194,7 @@ def gain_rows(parameters: ParameterSet, gains: GainLayout) -> RowBuilder:
     """Return what builds rows of [K, -C] [φ; θ] = y from readings."""
     model = parameters.model
 
-    def build(readings: Readings) -> Iterator[SampledRows]:
+    def build(readings: SensorSamples) -> Iterator[SampledRows]:
         for start in range(0, len(readings), CHUNK):
             part = readings[start : start + CHUNK]
             rows = equation_of_motion(parameters, at_base(part, model))

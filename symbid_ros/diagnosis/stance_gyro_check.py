@@ -12,8 +12,8 @@ from symbid_ros.dynamics.kinematics import JointTable, Posture, link_poses, link
 from symbid_ros.dynamics.spatial import component_first
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.readings import Readings, smoothed
 from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_samples import SensorSamples, smoothed
 
 # Calibration leaves tenths of a degree, a wrong axis ninety.
 LARGEST_ANGLE = np.radians(5.0)
@@ -97,7 +97,7 @@ class StanceGyroMoments:
             self.slope_square += float(np.sum((np.diff(swing, axis=0) / self.step) ** 2))
             self.count += int(stands.sum())
 
-    def _told(self, readings: Readings) -> Iterator[tuple[FloatArray, BoolArray]]:
+    def _told(self, readings: SensorSamples) -> Iterator[tuple[FloatArray, BoolArray]]:
         """Yield rates of turn (N, 3) of the IMU, in its axes, and where (N,) they hold."""
         weight = float(np.linalg.norm(self.model.gravity) * self.model.phi[:, 0].sum())
         share = np.linalg.norm(readings.wrenches[:, :, 3:], axis=2) / weight
@@ -153,7 +153,7 @@ class LinkMotion:
 
 
 def turning_over(
-    model: RobotModel, feet: tuple[str, ...], readings: Readings, is_loaded: BoolArray
+    model: RobotModel, feet: tuple[str, ...], readings: SensorSamples, is_loaded: BoolArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return how the base turns over feet whose origins stay where they are.
 

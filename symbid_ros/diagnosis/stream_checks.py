@@ -10,7 +10,7 @@ from symbid_ros.diagnosis.sensor_faults import FreezeDetector, SaturationDetecto
 from symbid_ros.diagnosis.timing import TimingCheck
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.defects import Defect, DefectError, Tally
+from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 
 
@@ -44,7 +44,7 @@ class StreamChecks:
     _motion: JointCheck | None = None
     _freezing: FreezeDetector = field(default_factory=FreezeDetector)
     _saturation: SaturationDetector = field(default_factory=SaturationDetector)
-    _tallies: tuple[Tally, ...] = ()
+    _tallies: tuple[DefectCounts, ...] = ()
     _faults: list[str] = field(default_factory=list)
 
     def take(self, piece: Slice) -> None:
@@ -197,7 +197,7 @@ REMEDIES = {
 }
 
 
-def mended(tallies: Iterable[Tally]) -> list[Finding]:
+def mended(tallies: Iterable[DefectCounts]) -> list[Finding]:
     """Return what was mended in each topic."""
     return [
         Finding(

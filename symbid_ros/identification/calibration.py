@@ -15,7 +15,7 @@ from symbid_ros.identification.dataset import Record, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import FORCES, MOTION
-from symbid_ros.signals.sensor_errors import Pilot, SensorErrors, calibrating_rows
+from symbid_ros.signals.sensor_errors import LinearizationPoint, SensorErrors, calibrating_rows
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
 
 logger = logging.getLogger(__name__)
@@ -151,7 +151,7 @@ def calibrate(
     extended = prior.extended(errors.names, mean, std)
     layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
     p = len(parameters)
-    pilot = Pilot(prior.mean, mean)
+    pilot = LinearizationPoint(prior.mean, mean)
     rows = _padded(known, len(errors))
     # Sensor errors and slow motion are told apart over long windows only.
     suited = suited_windows(ALL_WINDOWS, segment.rate)
@@ -162,7 +162,7 @@ def calibrate(
         found = posterior(
             observations, extended, rows, count=parameters.inertial, settled=PILOT_SETTLED
         )
-        pilot = Pilot(found.mean[:p], found.mean[p:])
+        pilot = LinearizationPoint(found.mean[:p], found.mean[p:])
     build = calibrating_rows(parameters, errors, pilot)
     observed = observe(record.segments, build, layout, (shortest, longest), MOTION + FORCES)
     return Calibrated(errors, extended, observed, rows)

@@ -23,8 +23,8 @@ from symbid_ros.signals.filters import (
 )
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import MOTION, Channel
-from symbid_ros.signals.readings import at_base, build_samples, joined, smoothed
 from symbid_ros.signals.segments import Segment, fingerprint
+from symbid_ros.signals.sensor_samples import at_base, build_samples, joined, smoothed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     RowBuilder,

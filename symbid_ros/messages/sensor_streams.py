@@ -11,7 +11,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.messages.decoder import Piece, TopicDecoder
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import read_stamp
-from symbid_ros.signals.defects import Defect, DefectError, Tally
+from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 from symbid_ros.signals.joint_merging import merged_joints
 from symbid_ros.signals.stamps import kept_in_order, seconds
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
@@ -21,7 +21,7 @@ SIMILAR = 0.5
 
 
 def joint_parts(
-    decoder: TopicDecoder, needed: frozenset[str], tally: Tally
+    decoder: TopicDecoder, needed: frozenset[str], tally: DefectCounts
 ) -> tuple[TopicDecoder, ...]:
     """Return the messages of a topic, one decoder for each group of joints published together.
 
@@ -32,7 +32,7 @@ def joint_parts(
     needed : frozenset of str
         Joints of the model; messages that name none of them are counted and ignored. Where it is
         empty, groups that about as many messages name as the most frequent one are parts.
-    tally : Tally
+    tally : DefectCounts
         Of the topic.
     """
     groups = joint_groups(decoder, needed)
@@ -99,7 +99,7 @@ def sensor_streams(
     source: str,
     chosen: SelectedTopics,
     decoders: Mapping[Topic, TopicDecoder],
-    tallies: Mapping[Topic, Tally],
+    tallies: Mapping[Topic, DefectCounts],
 ) -> Streams:
     """Return the streams of a robot's topics, none of which may be silent.
 
@@ -154,7 +154,7 @@ def _rows(piece: Piece) -> IntArray | slice:
     return piece.index
 
 
-def joint_stream(decoder: TopicDecoder, tally: Tally) -> JointStream:
+def joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
     """Return joint states of the joints that most messages name, as the first of these orders them.
 
     Messages of other joints alone, as a gripper's driver may publish beside an arm's, are left out.
@@ -203,7 +203,7 @@ def joint_stream(decoder: TopicDecoder, tally: Tally) -> JointStream:
     return JointStream(topic=topic, names=names, stamp=stamp[kept], **ordered)
 
 
-def imu_stream(decoder: TopicDecoder, tally: Tally) -> ImuStream:
+def imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
     """Return an IMU's messages; the orientation is None where REP-145 says it is absent."""
     topic = decoder.topic.name
     frame_id = _frame_id(decoder)
@@ -234,7 +234,7 @@ def imu_stream(decoder: TopicDecoder, tally: Tally) -> ImuStream:
     )
 
 
-def wrench_stream(decoder: TopicDecoder, tally: Tally) -> WrenchStream:
+def wrench_stream(decoder: TopicDecoder, tally: DefectCounts) -> WrenchStream:
     """Return a wrench sensor's messages."""
     topic = decoder.topic.name
     frame_id = _frame_id(decoder)
@@ -280,14 +280,16 @@ def _frame_id(decoder: TopicDecoder) -> str:
     return frames.pop()
 
 
-def _usable_vectors(tally: Tally, stamp: IntArray, readings: dict[str, FloatArray]) -> IntArray:
+def _usable_vectors(
+    tally: DefectCounts, stamp: IntArray, readings: dict[str, FloatArray]
+) -> IntArray:
     finite = np.hstack([np.isfinite(values) for values in readings.values()])
     labels = [f"{name}.{axis}" for name in readings for axis in AXES]
     return _usable(tally, stamp, finite, lambda: np.hstack(list(readings.values())), labels)
 
 
 def _usable(
-    tally: Tally,
+    tally: DefectCounts,
     stamp: IntArray,
     finite: BoolArray,
     values: Callable[[], FloatArray],
@@ -312,7 +314,7 @@ def _usable(
     return places
 
 
-def _in_order(usable: IntArray, stamp: IntArray, tally: Tally) -> IntArray | slice:
+def _in_order(usable: IntArray, stamp: IntArray, tally: DefectCounts) -> IntArray | slice:
     """Return which messages to keep in which order; of a clean log all, without a copy."""
     kept = usable[kept_in_order(stamp[usable], tally)]
     if len(kept) == len(stamp) and np.all(np.diff(kept) == 1):

@@ -7,7 +7,7 @@ from threading import Event
 
 from symbid_ros.identification.accumulator import Whole
 from symbid_ros.identification.block_rows import TimeSpan, block_rows
-from symbid_ros.signals.readings import Readings
+from symbid_ros.signals.sensor_samples import SensorSamples
 from symbid_ros.signals.weak_form import RowBuilder, SampledRows
 
 
@@ -71,7 +71,7 @@ class BlockWorker:
         self._whole = self._whole.with_block(rows)
         return self._whole
 
-    def _paced(self, readings: Readings) -> Iterator[SampledRows]:
+    def _paced(self, readings: SensorSamples) -> Iterator[SampledRows]:
         began = time.thread_time()
         for part in self._build(readings):
             yield part

@@ -12,7 +12,7 @@ from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.sensor_streams import sensor_streams
 from symbid_ros.messages.topics import SelectedTopics, Topic
-from symbid_ros.signals.defects import Tally
+from symbid_ros.signals.defects import DefectCounts
 from symbid_ros.signals.stamps import CLOCK_JUMP, find_gaps, seconds
 from symbid_ros.signals.streams import Streams
 
@@ -227,7 +227,7 @@ class LiveStreams:
                     f"{self.source}: {topic.name} was silent from {seconds(start)} to "
                     f"{seconds(stop)}; look after its driver"
                 )
-        tallies = {topic: Tally(self.source, topic.name) for topic in decoders}
+        tallies = {topic: DefectCounts(self.source, topic.name) for topic in decoders}
         streams = sensor_streams(self.source, self.selected, decoders, tallies)
         streams = replace(streams, is_live=True)
         for topic, tally in tallies.items():

@@ -49,7 +49,7 @@ class DefectError(DataError):
 
 
 @dataclass
-class Tally:
+class DefectCounts:
     """Counts of one topic.
 
     Attributes

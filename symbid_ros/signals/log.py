@@ -12,7 +12,7 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import resampling_margin
-from symbid_ros.signals.defects import Defect, Tally
+from symbid_ros.signals.defects import Defect, DefectCounts
 from symbid_ros.signals.stamps import kept_in_order, seconds
 from symbid_ros.signals.streams import (
     ALL_OF_IT,
@@ -125,7 +125,7 @@ class Log:
             When the robot has no frame of that name.
         """
         stamp = _stamps(time, name)
-        tallies = [Tally(name, "time")]
+        tallies = [DefectCounts(name, "time")]
         tallies[0].see(stamp)
         kept = kept_in_order(stamp, tallies[0])
         names = robot.measured_joint_names
@@ -144,7 +144,7 @@ class Log:
             """Return the stamps and rows that hold no NaN, as a bag's messages are treated."""
             read = rows(topic, values, 6)
             usable = np.isfinite(read).all(axis=1)
-            tally = Tally(name, topic)
+            tally = DefectCounts(name, topic)
             tally.see(stamp[kept])
             tally.add(Defect.NOT_FINITE, stamp[kept], np.asarray(~usable), ["value"])
             tallies.append(tally)
@@ -191,7 +191,7 @@ class Log:
 
     @classmethod
     def from_streams(
-        cls, streams: Streams, part: TimeRange = ALL_OF_IT, tallies: tuple[Tally, ...] = ()
+        cls, streams: Streams, part: TimeRange = ALL_OF_IT, tallies: tuple[DefectCounts, ...] = ()
     ) -> "Log":
         """Make a log of streams in memory, each with stamps that increase strictly."""
 
@@ -221,7 +221,7 @@ def _stamps(time: ArrayLike, name: str) -> IntArray:
 
 
 def _slices(
-    streams: Streams, span: int | None, part: TimeRange, tallies: tuple[Tally, ...]
+    streams: Streams, span: int | None, part: TimeRange, tallies: tuple[DefectCounts, ...]
 ) -> Iterator[Slice]:
     """Cut streams as `bags.streams.slices` cuts a bag."""
     stamp = streams.joints.stamp

@@ -15,7 +15,7 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.readings import Readings, at_base
+from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import RowBuilder, SampledRows, sticking_left_out, valid_rows
 
 # What calibration usually leaves: standard deviations per component.
@@ -172,7 +172,7 @@ class SensorErrors:
                     reach[first + self.joints.index(owner), columns] = True
         return reach
 
-    def corrected(self, readings: Readings, theta: FloatArray) -> Readings:
+    def corrected(self, readings: SensorSamples, theta: FloatArray) -> SensorSamples:
         """Return the readings as they would be without the errors θ (r,)."""
         gain = np.zeros(len(self.joints))
         gain[self.driven] = self.of_kind("torque_gain", theta)[:, 0]
@@ -214,7 +214,7 @@ STEP = 1e-4  # of a finite difference, rad, rad/s or m/s²
 
 
 @dataclass(frozen=True)
-class Pilot:
+class LinearizationPoint:
     """Where the rows are linearised: φ₀ (p,) and θ₀ (r,)."""
 
     phi: FloatArray
@@ -222,7 +222,10 @@ class Pilot:
 
 
 def error_columns(
-    parameters: ParameterSet, errors: SensorErrors, pilot: Pilot, readings: Readings
+    parameters: ParameterSet,
+    errors: SensorErrors,
+    pilot: LinearizationPoint,
+    readings: SensorSamples,
 ) -> FloatArray:
     """Return C = ∂(y - K φ)/∂θ (N, n, r) at the pilot."""
     theta = pilot.theta
@@ -252,7 +255,11 @@ def error_columns(
 
 
 def _fill_plates(
-    C: FloatArray, errors: SensorErrors, model: RobotModel, readings: Readings, theta: FloatArray
+    C: FloatArray,
+    errors: SensorErrors,
+    model: RobotModel,
+    readings: SensorSamples,
+    theta: FloatArray,
 ) -> None:
     """Write the columns of the wrench sensors' errors: y is linear in the wrenches."""
     frames = errors.wrench_frames
@@ -283,10 +290,12 @@ def _fill_plates(
             C[:, :, errors.places[kind]] = change.reshape(len(readings), model.dof, -1)
 
 
-def calibrating_rows(parameters: ParameterSet, errors: SensorErrors, pilot: Pilot) -> RowBuilder:
+def calibrating_rows(
+    parameters: ParameterSet, errors: SensorErrors, pilot: LinearizationPoint
+) -> RowBuilder:
     """Return what builds the rows of a robot's parameters and its sensors' errors."""
 
-    def build(readings: Readings) -> Iterator[SampledRows]:
+    def build(readings: SensorSamples) -> Iterator[SampledRows]:
         for start in range(0, len(readings), CHUNK):
             part = readings[start : start + CHUNK]
             samples = at_base(errors.corrected(part, pilot.theta), parameters.model)
@@ -302,7 +311,10 @@ def calibrating_rows(parameters: ParameterSet, errors: SensorErrors, pilot: Pilo
 
 
 def _interpolated_columns(
-    parameters: ParameterSet, errors: SensorErrors, pilot: Pilot, readings: Readings
+    parameters: ParameterSet,
+    errors: SensorErrors,
+    pilot: LinearizationPoint,
+    readings: SensorSamples,
 ) -> FloatArray:
     starts = np.flatnonzero(
         np.diff(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.signals.defects import Defect, DefectError, Tally
+from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 
 CLOCK_JUMP = 1_000_000_000  # ns; messages overtake each other by milliseconds, clocks jump further
 
@@ -35,7 +35,7 @@ def check_clock(source: str, topic: str, stamp: IntArray) -> None:
         )
 
 
-def kept_in_order(stamp: IntArray, tally: Tally) -> IntArray:
+def kept_in_order(stamp: IntArray, tally: DefectCounts) -> IntArray:
     """Return the places of the messages to keep, by strictly increasing stamp.
 
     Messages that overtook each other are sorted, repeated stamps dropped behind
@@ -45,7 +45,7 @@ def kept_in_order(stamp: IntArray, tally: Tally) -> IntArray:
     ----------
     stamp : (N,) int64
         Nanoseconds, in order of recording.
-    tally : Tally
+    tally : DefectCounts
         Of their topic.
 
     Returns

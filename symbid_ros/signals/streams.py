@@ -7,7 +7,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
-from symbid_ros.signals.defects import Tally
+from symbid_ros.signals.defects import DefectCounts
 
 
 @dataclass(frozen=True)
@@ -173,7 +173,7 @@ class Slice:
         Of that time, and of a margin at both ends; None where a topic was silent.
     stamps : dict of str to (N,) int64
         By topic the stamps of that time as they were recorded, ns.
-    tallies : tuple of Tally
+    tallies : tuple of DefectCounts
         What was mended so far, one for each topic; they go on counting.
     fault : str
         Which was silent; empty where none was.
@@ -183,7 +183,7 @@ class Slice:
     stop: int
     streams: Streams | None
     stamps: Mapping[str, IntArray]
-    tallies: tuple[Tally, ...]
+    tallies: tuple[DefectCounts, ...]
     fault: str = ""
 
 

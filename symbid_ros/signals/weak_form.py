@@ -23,8 +23,8 @@ from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.noise_floor import MOTION, Channel, with_more_noise
-from symbid_ros.signals.readings import Readings, at_base, smoothed
 from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_samples import SensorSamples, at_base, smoothed
 
 # Seconds. Short windows follow brisk motion, long ones leave less noise in the regressor of calm
 # motion; which of them serves a log best is decided by the data.
@@ -84,7 +84,7 @@ class SampledRows:
     valid: BoolArray
 
 
-RowBuilder = Callable[[Readings], Iterator[SampledRows]]
+RowBuilder = Callable[[SensorSamples], Iterator[SampledRows]]
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class WindowedRows:
 def equation_rows(parameters: ParameterSet) -> RowBuilder:
     """Return what builds the rows of a robot's parameters from readings."""
 
-    def build(readings: Readings) -> Iterator[SampledRows]:
+    def build(readings: SensorSamples) -> Iterator[SampledRows]:
         model = parameters.model
         for start in range(0, len(readings), CHUNK):
             yield sampled_rows(parameters, at_base(readings[start : start + CHUNK], model))
@@ -225,13 +225,13 @@ def windowed_rows(
         yield tuple(_combined(*parts) for parts in zip(mean, noisy, strict=True))
 
 
-def _centres(readings: Readings, windows: Sequence[float]) -> list[FloatArray]:
+def _centres(readings: SensorSamples, windows: Sequence[float]) -> list[FloatArray]:
     """Return the middles of half overlapping windows, s after the first reading."""
     last = (readings.stamp[-1] - readings.stamp[0]) * 1e-9
     return [np.arange(length / 2, last - length / 2 + 1e-9, length / 2) for length in windows]
 
 
-def _hann(readings: Readings, centres: FloatArray, length: float) -> csr_array:
+def _hann(readings: SensorSamples, centres: FloatArray, length: float) -> csr_array:
     """Return the weights (W, N) of readings in Hann windows about the centres (W,), s."""
     time = (readings.stamp - readings.stamp[0]) * 1e-9
     first = np.searchsorted(time, centres - length / 2, side="right")

@@ -23,7 +23,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.dataset import BLOCK, Record, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.readings import Readings, at_base
+from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import CHUNK, SampledRows, sticking_left_out
 
 Sensing = Literal["all", "base_rows", "joint_rows", "no_plates"]
@@ -181,7 +181,7 @@ class SensedRows:
         slipping: BoolArray = np.repeat(valid.all(axis=1, keepdims=True), N.shape[1], axis=1)
         return SampledRows(samples.stamp, left, slipping)
 
-    def build(self, readings: Readings) -> Iterator[SampledRows]:
+    def build(self, readings: SensorSamples) -> Iterator[SampledRows]:
         """Yield the rows of readings: a :data:`symbid_ros.signals.weak_form.RowBuilder`."""
         for start in range(0, len(readings), CHUNK):
             yield self.at(at_base(readings[start : start + CHUNK], self.parameters.model))

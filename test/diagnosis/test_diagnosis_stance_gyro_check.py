@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.diagnosis.stance_gyro_check import turning_over
 from symbid_ros.model.load import load_model
-from symbid_ros.signals.readings import Readings
+from symbid_ros.signals.sensor_samples import SensorSamples
 
 FEET = ("foot_0", "foot_1", "foot_2")
 LINK = """<link name="{name}"><inertial><mass value="1"/>
@@ -53,7 +53,7 @@ def stood_on(tripod, feet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     order = [tripod.joint_names.index(f"{axis}_{foot}") for foot in range(3) for axis in "xyz"]
     joints = np.zeros((2, len(time), 9))
     joints[0][:, order], joints[1][:, order] = position, velocity
-    readings = Readings(
+    readings = SensorSamples(
         stamp=np.round(time * 1e9).astype(np.int64),
         position=joints[0],
         velocity=joints[1],

@@ -10,7 +10,7 @@ from random_robots import random_robot
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import align
-from symbid_ros.signals.readings import at_base
+from symbid_ros.signals.sensor_samples import at_base
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 MILLISECOND = 1_000_000

@@ -11,8 +11,8 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import align
 from symbid_ros.signals.efforts import SPAN
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.readings import build_samples
 from symbid_ros.signals.segments import cut_to
+from symbid_ros.signals.sensor_samples import build_samples
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 

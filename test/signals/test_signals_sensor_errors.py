@@ -13,17 +13,17 @@ from symbid_ros.errors import DataError
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.noise_floor import FORCES, MOTION
-from symbid_ros.signals.readings import Readings, at_base
 from symbid_ros.signals.sensor_errors import (
     DEVIATIONS,
     KINDS,
     UNITS,
-    Pilot,
+    LinearizationPoint,
     SensorErrors,
     calibrating_rows,
     error_columns,
     parse_kinds,
 )
+from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import BLOCK, equation_rows, windowed_rows
 from symbid_ros.simulation.simulator import Simulator
 
@@ -66,7 +66,7 @@ def test_columns_are_the_slopes_of_the_residual(robot, kinds):
     rng = np.random.default_rng(0)
     theta = errors.std * rng.standard_normal(len(errors))
     phi = parameters.values * rng.uniform(0.8, 1.2, len(parameters))
-    C = error_columns(parameters, errors, Pilot(phi, theta), readings)
+    C = error_columns(parameters, errors, LinearizationPoint(phi, theta), readings)
     assert C.shape == (5, parameters.model.dof, len(errors))
     for column, name in enumerate(errors.names):
         step = np.zeros(len(errors))
@@ -86,9 +86,9 @@ def test_the_structure_covers_all_that_an_error_reaches(robot):
     readings = exact_readings(parameters, 6, 5, step=150_000_000)
     errors = all_errors(parameters, readings)
     theta = errors.std * np.random.default_rng(1).standard_normal(len(errors))
-    C = np.abs(error_columns(parameters, errors, Pilot(parameters.values, theta), readings)).max(
-        axis=0
-    )
+    C = np.abs(
+        error_columns(parameters, errors, LinearizationPoint(parameters.values, theta), readings)
+    ).max(axis=0)
     reach = errors.structure(parameters.model)
     assert reach.shape == C.shape
     assert not np.any(C[~reach] > 1e-9 * C.max())
@@ -164,7 +164,7 @@ def simulated_readings(errors):
 
     wrenches, gyroscope = column("wrenches"), column("imu_angular_velocity")
     alpha = np.gradient(gyroscope, 1e-3, axis=0)
-    return simulator.errors, Readings(
+    return simulator.errors, SensorSamples(
         stamp=column("stamp"),
         position=column("joint_position"),
         velocity=column("joint_velocity"),
@@ -229,14 +229,14 @@ def test_rows_close_at_the_true_parameters_and_errors(robot):
         return np.linalg.norm(left) / np.linalg.norm(rows.mean.y)
 
     none = np.zeros(len(errors))
-    exact = closure(none, Pilot(phi, none))
+    exact = closure(none, LinearizationPoint(phi, none))
     assert exact < 1e-4
     # About the truth, whatever the errors; about no errors, to second order in them.
-    assert closure(draw, Pilot(phi, draw)) < exact + 1e-5
+    assert closure(draw, LinearizationPoint(phi, draw)) < exact + 1e-5
     ignored = np.linalg.norm(uncorrected(spoilt(segment, errors, draw), parameters))
-    linearised = closure(draw, Pilot(phi, none))
+    linearised = closure(draw, LinearizationPoint(phi, none))
     assert linearised < 0.1 * ignored
-    assert closure(draw / 4, Pilot(phi, none)) < linearised / 10 + exact
+    assert closure(draw / 4, LinearizationPoint(phi, none)) < linearised / 10 + exact
 
 
 def test_noise_in_the_columns_of_gains_is_known():
@@ -247,7 +247,9 @@ def test_noise_in_the_columns_of_gains_is_known():
     kinds = ("plate_gain", "torque_gain")
     errors = SensorErrors.of(kinds, parameters.model, segment.wrench_frames, segment.imu_frames)
     p, truth = len(parameters), np.append(parameters.values, np.zeros(len(errors)))
-    build = calibrating_rows(parameters, errors, Pilot(parameters.values, np.zeros(len(errors))))
+    build = calibrating_rows(
+        parameters, errors, LinearizationPoint(parameters.values, np.zeros(len(errors)))
+    )
 
     def gradient(rows):
         """How a least-squares fit would leave the truth, per gain (r,)."""

@@ -12,7 +12,7 @@ from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, Rows
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.readings import smoothed
+from symbid_ros.signals.sensor_samples import smoothed
 from symbid_ros.signals.weak_form import (
     BLOCK,
     INFLATION,

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.signals.readings import Readings
 from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_samples import SensorSamples
 
 SLOWEST, FASTEST = 0.3, 1.5  # Hz
 
@@ -99,7 +99,7 @@ def _carried(omega, alpha, force, rotation, arm):
 
 def readings_of(model, samples, imu_frames=("imu_link",)):
     """Return the readings of perfect sensors, with exact derivatives."""
-    return Readings(
+    return SensorSamples(
         stamp=samples.stamp,
         position=samples.position,
         velocity=samples.velocity,

@@ -17,7 +17,7 @@ from symbid_ros.messages.sensor_streams import column, stamps
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, listing
 from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.defects import Tally
+from symbid_ros.signals.defects import DefectCounts
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.stamps import kept_in_order
 from symbid_ros.signals.streams import ALL_OF_IT, Slice, Streams, TimeRange, TruthStreams
@@ -130,7 +130,7 @@ def truth_streams(
     kept, stamp = [], []
     for decoder in decoders:
         recorded = stamps(decoder)
-        tally = Tally(source, decoder.topic.name)
+        tally = DefectCounts(source, decoder.topic.name)
         tally.see(recorded)
         places = kept_in_order(recorded, tally)
         tally.report()

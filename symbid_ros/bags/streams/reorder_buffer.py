@@ -10,7 +10,7 @@ from symbid_ros.messages.decoder import Piece, TopicDecoder
 from symbid_ros.messages.layout import ByteArray
 from symbid_ros.messages.topics import Topic
 from symbid_ros.messages.types import read_stamp
-from symbid_ros.signals.defects import ALWAYS, Defect, Tally
+from symbid_ros.signals.defects import ALWAYS, Defect, DefectCounts
 from symbid_ros.signals.stamps import check_clock
 
 
@@ -22,7 +22,7 @@ class Backlog:
     ----------
     decoder : TopicDecoder
         Decodes them; what it has decoded is taken from it at once.
-    tally : Tally
+    tally : DefectCounts
         What is wrong with them.
     newest : int or None
         Largest stamp so far, ns; None before the first message.
@@ -31,7 +31,7 @@ class Backlog:
     """
 
     decoder: TopicDecoder
-    tally: Tally
+    tally: DefectCounts
     newest: int | None = None
     size: int = 0
     _last: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
@@ -40,7 +40,7 @@ class Backlog:
     @classmethod
     def of(cls, source: str, topic: Topic) -> "Backlog":
         """Return that of a topic before its first message."""
-        return cls(TopicDecoder(source, topic), Tally(source, topic.name))
+        return cls(TopicDecoder(source, topic), DefectCounts(source, topic.name))
 
     def add(
         self,

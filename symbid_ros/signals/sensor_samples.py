@@ -16,7 +16,7 @@ from symbid_ros.signals.segments import Segment
 
 
 @dataclass(frozen=True)
-class Readings:
+class SensorSamples:
     """N instants of smoothed sensor channels, each in its sensor's own frame.
 
     Attributes
@@ -46,7 +46,7 @@ class Readings:
     def __len__(self) -> int:
         return len(self.stamp)
 
-    def __getitem__(self, index: slice | IntArray) -> "Readings":
+    def __getitem__(self, index: slice | IntArray) -> "SensorSamples":
         """Return the readings of some of the instants."""
         return replace(
             self,
@@ -62,7 +62,7 @@ class Readings:
             wrenches=self.wrenches[index],
         )
 
-    def averaged(self, starts: IntArray) -> "Readings":
+    def averaged(self, starts: IntArray) -> "SensorSamples":
         """Return the means of the stretches that begin at ``starts``."""
         counts = np.diff(starts, append=len(self))
 
@@ -87,7 +87,7 @@ class Readings:
         )
 
 
-def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) -> Readings:
+def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) -> SensorSamples:
     """Return a stretch's readings, less ``edge`` of them at its ends, which feel the edge."""
     rate = segment.rate
     if edge is None:
@@ -100,7 +100,7 @@ def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) ->
         omega, alpha = smoothing.motion(segment.angular_velocity[:, index], rate, 1)
         force = smoothing.force(segment.linear_acceleration[:, index], rate)
         imus.append(BaseMotion(omega, alpha, force))
-    readings = Readings(
+    readings = SensorSamples(
         stamp=segment.stamp,
         position=position,
         velocity=velocity,
@@ -114,11 +114,11 @@ def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) ->
     return readings[edge : len(readings) - edge]
 
 
-def _no_readings(segment: Segment) -> Readings:
+def _no_readings(segment: Segment) -> SensorSamples:
     """Return what is left of a stretch that is all edge, which filters may refuse."""
     nothing = segment.cut(0, 0)
     imu = BaseMotion(*(np.zeros((0, 3)) for _ in fields(BaseMotion)))
-    return Readings(
+    return SensorSamples(
         stamp=nothing.stamp,
         position=nothing.position,
         velocity=nothing.position,
@@ -131,7 +131,7 @@ def _no_readings(segment: Segment) -> Readings:
     )
 
 
-def at_base(readings: Readings, model: RobotModel) -> Samples:
+def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
     """Return the samples of the equation of motion that the readings make.
 
     Raises
@@ -154,7 +154,7 @@ def at_base(readings: Readings, model: RobotModel) -> Samples:
     )
 
 
-def _base(readings: Readings, model: RobotModel) -> BaseMotion:
+def _base(readings: SensorSamples, model: RobotModel) -> BaseMotion:
     if not model.floating:
         nothing = np.zeros((len(readings), 3))
         return BaseMotion(nothing, nothing, np.broadcast_to(-model.gravity, nothing.shape))

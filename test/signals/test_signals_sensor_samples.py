@@ -13,7 +13,7 @@ from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import align, moving_segments
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.readings import build_samples
+from symbid_ros.signals.sensor_samples import build_samples
 
 UNFILTERED = LowPass(cutoff=0)
 
