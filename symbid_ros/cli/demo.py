@@ -159,7 +159,7 @@ def _identify_offline(
     from symbid_ros.offline.identify import prepare
     from symbid_ros.offline.job import Job
     from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
-    from symbid_ros.report.compose import OWN_Z, TITLES, Reference, bag_facts, compose
+    from symbid_ros.report.compose import METHOD_TITLES, OWN_Z, GroundTruth, compose, describe_bags
     from symbid_ros.report.page import write_report
     from symbid_ros.report.table import metrics_table
     from symbid_ros.signals.filters import LowPass
@@ -175,11 +175,11 @@ def _identify_offline(
     progress.advance(task)
     chosen = by_windows.solve("map_lmi")
     found: dict[str, tuple[str, Identification]] = {
-        TITLES[method]: (method, by_thesis.solve(method)) for method in METHODS
+        METHOD_TITLES[method]: (method, by_thesis.solve(method)) for method in METHODS
     }
     found[OWN_Z] = ("wls_rc_own_z", by_windows.solve("wls_rc"))
-    found[TITLES["map"]] = ("map", by_windows.solve("map"))
-    found[TITLES["map_lmi"]] = ("map_lmi", chosen)
+    found[METHOD_TITLES["map"]] = ("map", by_windows.solve("map"))
+    found[METHOD_TITLES["map_lmi"]] = ("map_lmi", chosen)
     exports = logging.getLogger(write_identification.__module__)
     exports.setLevel(logging.ERROR)  # impossible links of most methods are what the report shows
     try:
@@ -191,13 +191,13 @@ def _identify_offline(
     truncations = _truncations(by_windows, validation)
     progress.advance(task)
     robot = load_model(model)
-    reference = Reference(
+    ground_truth = GroundTruth(
         read_true_motion([validation], robot),
         ParameterSet(robot).values,
         read_realistic_motion([out / "bag"], robot),
     )
     progress.advance(task)
-    described = bag_facts([out / "bag"]) | facts
+    described = describe_bags([out / "bag"]) | facts
     described |= {
         "Prior": f"{by_windows.prior.kind}, seed {by_windows.prior.seed}",
         "MAP, MAP-LMI": f"{by_windows.job.processing}, no validation data",
@@ -209,9 +209,9 @@ def _identify_offline(
     content = compose(
         {title: identified.estimate for title, (_, identified) in found.items()},
         by_windows.parameters,
-        chosen=TITLES["map_lmi"],
+        chosen=METHOD_TITLES["map_lmi"],
         facts=described,
-        reference=reference,
+        ground_truth=ground_truth,
         deviation_factor=chosen.deviation_factor,
         truncations=truncations,
     )
@@ -225,14 +225,14 @@ def _truncations(prepared: "Prepared", validation: Path) -> "dict[tuple[str, str
     from symbid_ros.bags.streams.reader import bag_log
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing, read_record
-    from symbid_ros.report.compose import TITLES
+    from symbid_ros.report.compose import METHOD_TITLES
 
     # The other windows' rows of an ideal bag would be built for nothing.
     log = bag_log([validation], prepared.parameters.model)
     only = Processing(windows=(prepared.solver.chosen.window,))
     judge = replace(prepared, validation=read_record(log, prepared.parameters, only))
     return {
-        (TITLES[method], chosen_by): source.solve(method).estimate
+        (METHOD_TITLES[method], chosen_by): source.solve(method).estimate
         for method in METHODS
         for chosen_by, source in (("the log itself", prepared), ("the ideal bag", judge))
     }
@@ -312,7 +312,13 @@ def _report(
     from symbid_ros.identification.loaded_model import load_subject
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
-    from symbid_ros.report.compose import TITLES, Reference, bag_facts, compose, estimate_facts
+    from symbid_ros.report.compose import (
+        METHOD_TITLES,
+        GroundTruth,
+        compose,
+        describe_bags,
+        describe_estimate,
+    )
     from symbid_ros.report.page import write_report
     from symbid_ros.report.table import metrics_table
 
@@ -322,20 +328,20 @@ def _report(
     estimate = subject.estimate
     if estimate is None:
         raise EstimateError(f"{out / 'online'}: holds no estimate; see {out / 'log'}")
-    reference = Reference(
+    ground_truth = GroundTruth(
         read_true_motion([out / "validation"], robot),
         subject.parameters.values,
         read_realistic_motion([out / "bag"], robot),
     )
     progress.advance(task)
-    title = f"{TITLES[estimate.method]}, online"
-    described = bag_facts([out / "bag"]) | facts | estimate_facts(estimate)
+    title = f"{METHOD_TITLES[estimate.method]}, online"
+    described = describe_bags([out / "bag"]) | facts | describe_estimate(estimate)
     content = compose(
         {title: estimate},
         subject.parameters,
         chosen=title,
         facts=described | {"Judged on": f"{out / 'validation'}, ideal, other moves"},
-        reference=reference,
+        ground_truth=ground_truth,
         deviation_factor=subject.deviation_factor,
     )
     write_report(content, out / "report.html")

@@ -33,7 +33,13 @@ def report(
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
     from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
-    from symbid_ros.report.compose import TITLES, Reference, bag_facts, compose, estimate_facts
+    from symbid_ros.report.compose import (
+        METHOD_TITLES,
+        GroundTruth,
+        compose,
+        describe_bags,
+        describe_estimate,
+    )
     from symbid_ros.report.page import write_report
 
     if realistic and truth is None:
@@ -45,22 +51,22 @@ def report(
     for folder, subject in subjects.items():
         if subject.estimate is None:
             raise EstimateError(f"{folder}: a prior is no identification; name a folder of one")
-        title = TITLES.get(subject.estimate.method, subject.estimate.method)
+        title = METHOD_TITLES.get(subject.estimate.method, subject.estimate.method)
         label = title if title not in estimates else f"{title}, {folder}"
         estimates[label] = subject.estimate
     chosen, subject = list(estimates)[-1], list(subjects.values())[-1]
-    reference = None
+    ground_truth = None
     if truth is not None:
         true_robot = load_model(truth, base)
         noisy = read_realistic_motion(realistic, true_robot) if realistic else None
         values = ParameterSet(true_robot, subject.parameters.terms).values
-        reference = Reference(read_true_motion(bag, true_robot), values, noisy)
+        ground_truth = GroundTruth(read_true_motion(bag, true_robot), values, noisy)
     content = compose(
         estimates,
         subject.parameters,
         chosen=chosen,
-        facts=bag_facts(bag) | estimate_facts(estimates[chosen]),
-        reference=reference,
+        facts=describe_bags(bag) | describe_estimate(estimates[chosen]),
+        ground_truth=ground_truth,
         deviation_factor=subject.deviation_factor,
     )
     write_report(content, out)

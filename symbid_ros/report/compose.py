@@ -28,7 +28,7 @@ from symbid_ros.report.content import (
     TruncationChoice,
 )
 
-TITLES = {
+METHOD_TITLES = {
     "ols": "OLS",
     "wls_r": "WLS-R",
     "wls_c": "WLS-C",
@@ -41,7 +41,7 @@ OWN_Z = "WLS-RC, own z"
 
 
 @dataclass(frozen=True)
-class Reference:
+class GroundTruth:
     """What estimates are judged against.
 
     Attributes
@@ -65,7 +65,7 @@ def compose(
     *,
     chosen: str,
     facts: Mapping[str, str],
-    reference: Reference | None = None,
+    ground_truth: GroundTruth | None = None,
     deviation_factor: FloatArray | None = None,
     truncations: Mapping[tuple[str, str], Estimate] | None = None,
 ) -> ReportContent:
@@ -81,13 +81,13 @@ def compose(
         Label of the estimate that is shown in full.
     facts : mapping of str to str
         What was done to which data.
-    reference : Reference, optional
+    ground_truth : GroundTruth, optional
         The truth; without it nothing is judged and no prediction drawn.
     deviation_factor : (p, r) float64, optional
         L of the chosen estimate's covariance L Lᵀ.
     truncations : mapping of (str, str) to Estimate, optional
         Truncated estimates from the same rows, by method and by what chose z; shown where
-        there is a reference.
+        there is a ground_truth.
 
     Raises
     ------
@@ -103,8 +103,8 @@ def compose(
             )
     vectors = {PRIOR: estimates[chosen].prior}
     vectors |= {label: estimate.value for label, estimate in estimates.items()}
-    if reference is not None:
-        vectors[TRUTH] = reference.values
+    if ground_truth is not None:
+        vectors[TRUTH] = ground_truth.values
     content = ReportContent(
         title=f"Identification of {model.name}",
         model=model.name,
@@ -113,13 +113,13 @@ def compose(
         joint_names=model.joint_names,
         facts=dict(facts),
     )
-    if reference is None:
+    if ground_truth is None:
         return content
     return _judged(
         content,
         parameters,
         vectors,
-        reference,
+        ground_truth,
         truncations=truncations or {},
         deviation_factor=deviation_factor,
     )
@@ -129,13 +129,13 @@ def _judged(
     content: ReportContent,
     parameters: ParameterSet,
     vectors: Mapping[str, FloatArray],
-    reference: Reference,
+    ground_truth: GroundTruth,
     *,
     truncations: Mapping[tuple[str, str], Estimate],
     deviation_factor: FloatArray | None,
 ) -> ReportContent:
     """Return the content with all that follows from the truth."""
-    truth, motion = reference.values, reference.motion
+    truth, motion = ground_truth.values, ground_truth.motion
     candidates = dict(vectors)
     candidates |= {" ".join(key): found.value for key, found in truncations.items()}
     judged = evaluate(parameters, candidates, truth, motion)
@@ -156,11 +156,11 @@ def _judged(
                 if label != TRUTH
             },
         ),
-        intervals=_intervals(parameters, vectors[content.chosen], reference, deviation_factor),
+        intervals=_intervals(parameters, vectors[content.chosen], ground_truth, deviation_factor),
         realistic=_realistic(
             parameters,
             {label: vectors[label] for label in (PRIOR, content.chosen, TRUTH)},
-            reference,
+            ground_truth,
         ),
         truncations=tuple(
             TruncationChoice(*key, found.rank, asdict(judged[" ".join(key)]))
@@ -171,19 +171,22 @@ def _judged(
 
 
 def _intervals(
-    parameters: ParameterSet, values: FloatArray, reference: Reference, factor: FloatArray | None
+    parameters: ParameterSet,
+    values: FloatArray,
+    ground_truth: GroundTruth,
+    factor: FloatArray | None,
 ) -> IntervalSummary | None:
     if factor is None:
         return None
-    return summarise_intervals(parameters, values, factor, reference.values, reference.motion)
+    return summarise_intervals(parameters, values, factor, ground_truth.values, ground_truth.motion)
 
 
 def _realistic(
-    parameters: ParameterSet, vectors: Mapping[str, FloatArray], reference: Reference
+    parameters: ParameterSet, vectors: Mapping[str, FloatArray], ground_truth: GroundTruth
 ) -> dict[str, dict[str, float]]:
-    if reference.realistic is None:
+    if ground_truth.realistic is None:
         return {}
-    judged = evaluate_realistic(parameters, vectors, reference.values, reference.realistic)
+    judged = evaluate_realistic(parameters, vectors, ground_truth.values, ground_truth.realistic)
     return {label: asdict(figures) for label, figures in judged.items()}
 
 
@@ -206,7 +209,7 @@ def prediction_series(
     )
 
 
-def bag_facts(bags: Sequence[Path]) -> dict[str, str]:
+def describe_bags(bags: Sequence[Path]) -> dict[str, str]:
     """Return what a bag holds, read from its sensor topics."""
     streams = read_streams(bags)
     stamp = streams.joints.stamp
@@ -220,7 +223,7 @@ def bag_facts(bags: Sequence[Path]) -> dict[str, str]:
     }
 
 
-def estimate_facts(estimate: Estimate) -> dict[str, str]:
+def describe_estimate(estimate: Estimate) -> dict[str, str]:
     """Return what an identification used."""
     cut = "" if estimate.rank is None else f"{estimate.rank} singular values, "
     return {

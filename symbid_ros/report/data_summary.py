@@ -16,19 +16,19 @@ from symbid_ros.estimation.verdict import (
 )
 from symbid_ros.identification.intervals import IntervalSummary
 from symbid_ros.model.inertia import PARAMETERS
-from symbid_ros.report.formatting import ABSENT, fixed, measured, shared_decimals, significant
+from symbid_ros.report.formatting import ABSENT, fixed, shared_decimals, significant, with_std
 
 _COEFFICIENT = re.compile(r"([+-])(\d\S*) ")
 
 
 @dataclass(frozen=True)
-class Fact:
+class SummaryEntry:
     """One figure of the verdict: what it is called, its value and what to make of it."""
 
     name: str
     value: str
     meaning: str
-    alarming: bool = False
+    is_alarm: bool = False
 
 
 @dataclass(frozen=True)
@@ -62,14 +62,14 @@ class IntervalRow:
 
 
 @dataclass(frozen=True)
-class Told:
+class DataSummary:
     """Everything the page says of what the data tell.
 
     Attributes
     ----------
     alarms : tuple of str
         What is wrong, one line each.
-    facts : tuple of Fact
+    facts : tuple of SummaryEntry
         Figures of the whole estimate.
     links : tuple of LinkRow
         In the model's order.
@@ -86,7 +86,7 @@ class Told:
     """
 
     alarms: tuple[str, ...]
-    facts: tuple[Fact, ...]
+    facts: tuple[SummaryEntry, ...]
     links: tuple[LinkRow, ...]
     intervals: tuple[IntervalRow, ...]
     sensors: tuple[QuantityRow, ...]
@@ -97,12 +97,14 @@ class Told:
     parameters: int
 
 
-def told_by(estimate: Estimate, intervals: IntervalSummary | None = None) -> Told | None:
+def summarise_data(
+    estimate: Estimate, intervals: IntervalSummary | None = None
+) -> DataSummary | None:
     """Return what the data told, None where the method gives no verdict."""
     verdict = estimate.verdict
     if verdict is None:
         return None
-    return Told(
+    return DataSummary(
         alarms=verdict.alarms,
         facts=_facts(estimate, verdict),
         links=_links(estimate, verdict),
@@ -116,7 +118,7 @@ def told_by(estimate: Estimate, intervals: IntervalSummary | None = None) -> Tol
     )
 
 
-def window_in_words(verdict: Verdict, samples: int) -> str:
+def describe_window(verdict: Verdict, samples: int) -> str:
     """Return how many rows of each coordinate there were and over what they were averaged."""
     if verdict.window == 0:
         return f"{samples} rows of each coordinate, at single instants"
@@ -131,34 +133,34 @@ def _unbroken(coefficient: re.Match[str]) -> str:
     return f"{sign}{coefficient[2]}\N{NO-BREAK SPACE}"
 
 
-def _facts(estimate: Estimate, verdict: Verdict) -> tuple[Fact, ...]:
+def _facts(estimate: Estimate, verdict: Verdict) -> tuple[SummaryEntry, ...]:
     scale, white, noise = verdict.prior_scale, verdict.whiteness, verdict.noise_share
     return (
-        Fact("Rows", window_in_words(verdict, estimate.samples), ""),
-        Fact(
+        SummaryEntry("Rows", describe_window(verdict, estimate.samples), ""),
+        SummaryEntry(
             "Effective parameters",
             f"{significant(verdict.effective)} of {len(estimate.names)}",
             f"{significant(verdict.gain)} bit gained in all",
         ),
-        Fact(
+        SummaryEntry(
             "Prior’s scale",
             significant(scale),
             "factor on the prior’s deviations that the data would have; alarm above "
             f"{SUSPICIOUS_SCALE:g}",
-            alarming=scale > SUSPICIOUS_SCALE,
+            is_alarm=scale > SUSPICIOUS_SCALE,
         ),
-        Fact(
+        SummaryEntry(
             "Whiteness",
             significant(white) if white > 0 else ABSENT,
             f"of the residual, at most 1 for noise; alarm above {SUSPICIOUS_WHITENESS:g}",
-            alarming=white > SUSPICIOUS_WHITENESS,
+            is_alarm=white > SUSPICIOUS_WHITENESS,
         ),
-        Fact(
+        SummaryEntry(
             "Noise in the motion",
             f"{significant(100 * noise)} %",
             "of what the worst direction seems to be told; alarm above "
             f"{100 * SUSPICIOUS_NOISE:g} %",
-            alarming=noise > SUSPICIOUS_NOISE,
+            is_alarm=noise > SUSPICIOUS_NOISE,
         ),
     )
 
@@ -174,7 +176,7 @@ def _links(estimate: Estimate, verdict: Verdict) -> tuple[LinkRow, ...]:
             count = f"{int(np.count_nonzero(estimate.determined[own]))} of {len(own)}"
         std = 0.0 if estimate.std is None else float(estimate.std[own[0]])
         share = round(100 * gain / largest, 1) if largest > 0 else 0.0
-        mass = measured(float(estimate.value[own[0]]), std)
+        mass = with_std(float(estimate.value[own[0]]), std)
         rows.append(LinkRow(link, count, mass, f"{gain:.1f}", share))
     return tuple(rows)
 
@@ -183,7 +185,7 @@ def _quantities(quantities: Sequence[Quantity]) -> tuple[QuantityRow, ...]:
     return tuple(
         QuantityRow(
             quantity.name.replace(" - ", " − "),
-            measured(quantity.value, quantity.std),
+            with_std(quantity.value, quantity.std),
             "relative" if quantity.unit == "1" else quantity.unit,
             "yes" if quantity.determined else "no",
         )

@@ -11,14 +11,14 @@ from matplotlib.ticker import MaxNLocator
 from symbid_ros.arrays import FloatArray
 from symbid_ros.report.content import TRUTH, LinkErrors, PredictionSeries
 from symbid_ros.report.formatting import significant
-from symbid_ros.report.plotting import Style, house_style, inline_svg, scale_errors, thin
+from symbid_ros.report.plotting import Style, downsample, house_style, inline_svg, scale_errors
 
 # Two samples for each pixel column of a panel draw every peak that a screen can show.
 POINTS = 800
 
 
 @dataclass(frozen=True)
-class Quantity:
+class PredictedSignal:
     """One scalar, as every parameter set predicts it.
 
     Attributes
@@ -38,27 +38,27 @@ class Quantity:
     values: list[FloatArray]
 
 
-def com_quantities(predictions: Sequence[PredictionSeries]) -> list[Quantity]:
+def com_signals(predictions: Sequence[PredictionSeries]) -> list[PredictedSignal]:
     """Return the centre of mass in the base frame, x, y and z."""
     return _axes("CoM", "position", "mm", [1e3 * s.com for s in predictions])
 
 
-def torque_quantities(
+def torque_signals(
     predictions: Sequence[PredictionSeries], joint_names: Sequence[str], count: int
-) -> list[Quantity]:
+) -> list[PredictedSignal]:
     """Return the torques of the ``count`` joints that carry most, in the model's order."""
     reference = next((s for s in predictions if s.label == TRUTH), predictions[0])
     load = np.sqrt(np.mean(reference.torque**2, axis=0))
     shown = np.sort(np.argsort(-load, kind="stable")[:count])
     return [
-        Quantity(
+        PredictedSignal(
             joint_names[j], "torque", "Nm", f"torque-{j}", [s.torque[:, j] for s in predictions]
         )
         for j in shown
     ]
 
 
-def momentum_quantities(predictions: Sequence[PredictionSeries]) -> list[Quantity]:
+def momentum_signals(predictions: Sequence[PredictionSeries]) -> list[PredictedSignal]:
     """Return linear, then angular momentum in world axes."""
     return [
         *_axes("Linear", "momentum", "Ns", [s.linear_momentum for s in predictions]),
@@ -66,9 +66,9 @@ def momentum_quantities(predictions: Sequence[PredictionSeries]) -> list[Quantit
     ]
 
 
-def _axes(title: str, kind: str, unit: str, vectors: Sequence[FloatArray]) -> list[Quantity]:
+def _axes(title: str, kind: str, unit: str, vectors: Sequence[FloatArray]) -> list[PredictedSignal]:
     return [
-        Quantity(
+        PredictedSignal(
             f"{title} {axis}", kind, unit, f"{title.lower()}-{axis}", [v[:, i] for v in vectors]
         )
         for i, axis in enumerate("xyz")
@@ -77,7 +77,7 @@ def _axes(title: str, kind: str, unit: str, vectors: Sequence[FloatArray]) -> li
 
 def draw(
     axes: Axes,
-    quantity: Quantity,
+    quantity: PredictedSignal,
     predictions: Sequence[PredictionSeries],
     styles: dict[str, Style],
 ) -> None:
@@ -85,7 +85,7 @@ def draw(
     for series, value in zip(predictions, quantity.values, strict=True):
         style = styles[series.label]
         axes.plot(
-            *thin(series.time, value, POINTS),
+            *downsample(series.time, value, POINTS),
             color=style.colour,
             linestyle=style.dash,
             linewidth=style.width,
@@ -118,7 +118,7 @@ def com_panels(
     predictions: Sequence[PredictionSeries], styles: dict[str, Style]
 ) -> tuple[Panel, ...]:
     """Draw the centre of mass in the base frame, one panel for each axis (thesis Fig. 3)."""
-    return _panels(com_quantities(predictions), predictions, styles)
+    return _panels(com_signals(predictions), predictions, styles)
 
 
 def torque_panels(
@@ -127,7 +127,7 @@ def torque_panels(
     styles: dict[str, Style],
 ) -> tuple[Panel, ...]:
     """Draw the joints that carry the largest torques (thesis Fig. 4)."""
-    quantities = torque_quantities(predictions, joint_names, TORQUES_SHOWN)
+    quantities = torque_signals(predictions, joint_names, TORQUES_SHOWN)
     return _panels(quantities, predictions, styles)
 
 
@@ -135,7 +135,7 @@ def momentum_panels(
     predictions: Sequence[PredictionSeries], styles: dict[str, Style]
 ) -> tuple[Panel, ...]:
     """Draw linear, then angular momentum in world axes (thesis Fig. 5)."""
-    return _panels(momentum_quantities(predictions), predictions, styles)
+    return _panels(momentum_signals(predictions), predictions, styles)
 
 
 def link_error_panel(errors: LinkErrors, styles: dict[str, Style]) -> Panel:
@@ -195,7 +195,7 @@ def link_means(errors: LinkErrors) -> str:
 
 
 def _panels(
-    quantities: Sequence[Quantity],
+    quantities: Sequence[PredictedSignal],
     predictions: Sequence[PredictionSeries],
     styles: dict[str, Style],
 ) -> tuple[Panel, ...]:
@@ -203,7 +203,7 @@ def _panels(
 
 
 def _panel(
-    quantity: Quantity, predictions: Sequence[PredictionSeries], styles: dict[str, Style]
+    quantity: PredictedSignal, predictions: Sequence[PredictionSeries], styles: dict[str, Style]
 ) -> Panel:
     """Draw one quantity over time for every parameter set."""
     with house_style():
@@ -218,7 +218,7 @@ def _panel(
         return Panel(quantity.title, inline_svg(figure, quantity.name, description), note)
 
 
-def _deviations(quantity: Quantity, predictions: Sequence[PredictionSeries]) -> str:
+def _deviations(quantity: PredictedSignal, predictions: Sequence[PredictionSeries]) -> str:
     """Say how far each series is from the truth, root mean square."""
     values = dict(zip((s.label for s in predictions), quantity.values, strict=True))
     truth = values.pop(TRUTH, None)

@@ -42,7 +42,7 @@ def fixed(value: float | None, decimals: int) -> str:
     return text.replace("-", "−") if float(text) else text.lstrip("-")
 
 
-def measured(value: float, std: float) -> str:
+def with_std(value: float, std: float) -> str:
     """Return ``value ± std``, the deviation with two significant figures, the value with as many.
 
     Where there is no finite positive deviation, the value alone.

@@ -13,7 +13,7 @@ from symbid_ros.report.content import (
     ReportContent,
     best_labels,
 )
-from symbid_ros.report.data_summary import parameter_groups, told_by
+from symbid_ros.report.data_summary import parameter_groups, summarise_data
 from symbid_ros.report.figures import (
     Panel,
     com_panels,
@@ -66,7 +66,7 @@ def render(content: ReportContent) -> str:
         content=content,
         css=(Path(__file__).with_name("report.css")).read_text(encoding="utf-8"),
         headline=headline(content),
-        told=told_by(content.estimate, content.intervals),
+        told=summarise_data(content.estimate, content.intervals),
         metrics=METRICS if any(measured.values()) else (),
         measured=measured,
         best=best_labels(measured, METRICS),

@@ -17,7 +17,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.report.content import PRIOR, TRUTH, ReportContent
 
 
-def thin(time: FloatArray, value: FloatArray, points: int) -> tuple[FloatArray, FloatArray]:
+def downsample(time: FloatArray, value: FloatArray, points: int) -> tuple[FloatArray, FloatArray]:
     """Keep the smallest and the largest sample of every stretch, in the order of time.
 
     Parameters
@@ -116,10 +116,10 @@ def styles(content: ReportContent) -> dict[str, Style]:
     labels = [m.label for m in content.methods]
     labels += [s.label for s in content.predictions or ()]
     labels += content.link_errors.percent if content.link_errors else ()
-    return assigned(labels, prior=PRIOR, chosen=content.chosen)
+    return assign_styles(labels, prior=PRIOR, chosen=content.chosen)
 
 
-def assigned(labels: Iterable[str], *, prior: str, chosen: str) -> dict[str, Style]:
+def assign_styles(labels: Iterable[str], *, prior: str, chosen: str) -> dict[str, Style]:
     """Return a style for the truth, the prior, the chosen method, and each other label in turn."""
     named = {TRUTH: _TRUTH, prior: _PRIOR, chosen: _CHOSEN}
     others = [label for label in dict.fromkeys(labels) if label not in named]
@@ -172,10 +172,10 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
     buffer = io.BytesIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     figure.savefig(buffer, format="svg", metadata=nothing)
-    return page_svg(buffer.getvalue(), name, description)
+    return embed_svg(buffer.getvalue(), name, description)
 
 
-def page_svg(svg: bytes, name: str, description: str) -> str:
+def embed_svg(svg: bytes, name: str, description: str) -> str:
     """Return an SVG file that Matplotlib wrote as such an element."""
     root = ElementTree.fromstring(svg)
     used = set(re.findall(r'(?:url\(|")#([^)"]+)', ElementTree.tostring(root, encoding="unicode")))

@@ -23,7 +23,7 @@ from symbid_ros.ros.diagnostics import OK, WARN, Health, HealthPublisher
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import built, run_node
 from symbid_ros.ros.raw_subscription import Letter, Mailbox, wait_for_any
-from symbid_ros.simulation.plant import BreakdownError
+from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.standing_controller import StandingController
 
 DEPTH = 1000  # messages
@@ -297,7 +297,7 @@ class BalanceNode:
         self._stamp, self._heard = readings.stamp, start
         try:
             torques = self._controller.torques(readings)
-        except BreakdownError as error:
+        except RobotFailureError as error:
             self._record.unanswered += 1
             self._warn(f"not answered: {error}")
             return

@@ -21,7 +21,7 @@ from symbid_ros.ros.raw_subscription import Letter, Mailbox, wait_for_any
 from symbid_ros.simulation.command import Command, CommandCounts, Drives
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.udp_server import UdpCommands
+from symbid_ros.simulation.udp_server import UdpServer
 
 TOPIC = "joint_command"
 DEPTH = 100  # commands; at most one of them answers the newest measurement
@@ -228,7 +228,7 @@ class TopicCommands:
             self._places = self._find(letter.layout)
             self._layout = letter.layout
         torques: FloatArray = letter.record["effort"][0, self._places]
-        objection = self._drives.objection(torques)
+        objection = self._drives.validate(torques)
         if objection is not None:
             raise RefusedCommandError(objection)
         if letter.stamp > stamp:
@@ -277,7 +277,7 @@ class CommandSource(Protocol):
         ...
 
 
-class UdpSource(UdpCommands):
+class UdpSource(UdpServer):
     """Datagrams as a command source."""
 
     @property

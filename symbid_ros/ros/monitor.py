@@ -23,7 +23,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SymbidError
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.report.formatting import ABSENT, fixed, measured
+from symbid_ros.report.formatting import ABSENT, fixed, with_std
 from symbid_ros.ros.endpoints import latched, reliable
 from symbid_ros.ros.monitor_messages import (
     Health,
@@ -255,7 +255,7 @@ def _overall_error(view: View, estimate: RobotEstimate) -> float:
 
 
 def _measured(value: float, std: float) -> str:
-    return measured(value, std) if math.isfinite(value) else ABSENT
+    return with_std(value, std) if math.isfinite(value) else ABSENT
 
 
 def _factor(value: float) -> str:

@@ -26,7 +26,7 @@ from symbid_ros.ros.parameters import watch
 from symbid_ros.ros.process import built, run_node
 from symbid_ros.simulation.body_inertia import Payload
 from symbid_ros.simulation.command import CommandCounts
-from symbid_ros.simulation.plant import BreakdownError
+from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.sensors import Instant
 
 CATCH_UP = 0.1  # s; a schedule further behind than this is not made up for
@@ -243,7 +243,7 @@ class MujocoBridge:
             self._fasten_payload()
             try:
                 instant = self._simulator.step(self._torques)
-            except BreakdownError as fall:
+            except RobotFailureError as fall:
                 if self._commands is None:
                     raise
                 self._note_fall(fall)
@@ -279,7 +279,7 @@ class MujocoBridge:
         self._record.is_paused = False
         self._schedule.restart()
 
-    def _note_fall(self, fall: BreakdownError) -> None:
+    def _note_fall(self, fall: RobotFailureError) -> None:
         self._record.falls += 1
         self._record.last_fall = f"{fall.cause} at {fall.time:.3f} s"
         self._node.get_logger().error(f"{self._record.last_fall}; the motion begins anew")

@@ -9,16 +9,16 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.controller import BalanceController, BalanceGains
-from symbid_ros.simulation.controller_model import believed_model
-from symbid_ros.simulation.plant import BreakdownError, Plant
-from symbid_ros.simulation.scenario import SOLES, Run, Scenario, require_seed, standing_task
+from symbid_ros.simulation.controller_model import replace_inertias
+from symbid_ros.simulation.plant import Plant, RobotFailureError
+from symbid_ros.simulation.scenario import SOLES, Scenario, ScenarioRun, require_seed, standing_task
 
 # Periods between two looks at the torques that come from the model alone: each costs a programme.
 FEED_FORWARD_EVERY = 10
 
 
 @dataclass(frozen=True)
-class BalanceRun:
+class BalanceResult:
     """How well the true robot was balanced by a controller with a model of its own.
 
     Attributes
@@ -54,7 +54,7 @@ def balance(
     moves: int,
     motion_seed: int,
     model_path: Path | None = None,
-) -> BalanceRun:
+) -> BalanceResult:
     """Let the true robot stand and move as in ``smooth``, its controller believing an estimate.
 
     The true state is fed back, so that the model is all that the controller has wrong. A fall,
@@ -63,7 +63,7 @@ def balance(
     Parameters
     ----------
     inertias : mapping of str to (10,) float64 or None
-        By body name, as in `believed_model`; None for the truth.
+        By body name, as in `replace_inertias`; None for the truth.
     moves : int
         Number of moves of the centre of mass.
     motion_seed : int
@@ -79,12 +79,12 @@ def balance(
     require_seed("motion seed", motion_seed)
     plant = Plant(model_path or config_file("symbitron.xml"), SOLES)
     task = standing_task(plant, moves, motion_seed)
-    model = plant.model if inertias is None else believed_model(plant.model, inertias)
+    model = plant.model if inertias is None else replace_inertias(plant.model, inertias)
     gains = BalanceGains()
     controller = BalanceController(model, task, SOLES, gains)
     # On its own, lest its programme's last solution be where the other one's next begins.
     feed_forward = BalanceController(model, task, SOLES, gains.feed_forward)
-    run = Run(plant, Scenario(controller, None, task.duration))
+    run = ScenarioRun(plant, Scenario(controller, None, task.duration))
     errors = np.zeros((run.steps, 3))
     torques, from_model = [], []
     duration = run.steps * plant.period
@@ -97,14 +97,14 @@ def balance(
             if step % FEED_FORWARD_EVERY == 0:
                 torques.append(truth.effort[plant.driven - 6])
                 from_model.append(feed_forward.torques(truth.state))
-    except BreakdownError as breakdown:
+    except RobotFailureError as breakdown:
         nan = float("nan")
-        return BalanceRun(nan, (nan, nan, nan), nan, breakdown.time, breakdown.cause, duration)
+        return BalanceResult(nan, (nan, nan, nan), nan, breakdown.time, breakdown.cause, duration)
     errors_mm = 1e3 * errors
     x, y, z = errors_mm.mean(axis=0).tolist()
     applied = np.array(torques)
     feedback = _rms(applied - np.array(from_model)) / _rms(applied)
-    return BalanceRun(
+    return BalanceResult(
         com_rmse_mm=float(np.sqrt(np.mean(np.sum(errors_mm**2, axis=1)))),
         com_bias_mm=(x, y, z),
         feed_forward_share=max(0.0, 1.0 - feedback),

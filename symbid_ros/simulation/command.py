@@ -98,7 +98,7 @@ class Drives:
         braking = -SAFE_DAMPING * joint_velocity[self._joints]
         return np.clip(braking, self._lowest, self._highest)
 
-    def objection(self, torques: FloatArray) -> Rejection | None:
+    def validate(self, torques: FloatArray) -> Rejection | None:
         """Return why torques (n_actuated,), Nm, are not to be applied, if there is a reason."""
         if not np.all(np.isfinite(torques)):
             return Rejection.NOT_FINITE

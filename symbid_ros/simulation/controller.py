@@ -11,9 +11,9 @@ import numpy as np
 import scipy.linalg
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.simulation.controller_model import Belief
-from symbid_ros.simulation.plant import BreakdownError, State
-from symbid_ros.simulation.trajectory import Reference
+from symbid_ros.simulation.controller_model import ControllerModel
+from symbid_ros.simulation.plant import RobotFailureError, State
+from symbid_ros.simulation.trajectory import Trajectory
 
 
 class _NarrowInstructions(ModuleType):
@@ -107,18 +107,18 @@ class BalanceTask:
 
     Attributes
     ----------
-    com : Reference
+    com : Trajectory
         Path of the centre of mass in the world, m.
     attitude : (4,) float64
         Quaternion wxyz of the base in the world that its turns start from.
-    turns : Reference
+    turns : Trajectory
         Rotation vectors of the base from there, in base axes, rad. Only their position is
         followed: feedback without feed-forward rounds the jumps of their acceleration.
     """
 
-    com: Reference
+    com: Trajectory
     attitude: FloatArray
-    turns: Reference
+    turns: Trajectory
 
     @property
     def duration(self) -> float:
@@ -156,7 +156,7 @@ class BalanceController:
         sole_frames: tuple[str, ...],
         gains: BalanceGains,
     ) -> None:
-        self._belief = belief = Belief(model, sole_frames)
+        self._belief = belief = ControllerModel(model, sole_frames)
         self._task = task
         self._wrenches = wrenches = len(belief.sole_jacobian)
         unknowns = wrenches + model.nu
@@ -205,7 +205,7 @@ class BalanceController:
 
         Raises
         ------
-        BreakdownError
+        RobotFailureError
             When there are none, or the believed inertias are of no use in this state.
         """
         self._belief.update(state)
@@ -217,7 +217,7 @@ class BalanceController:
         programme.solve()
         results = programme.results
         if results.info.status != proxqp.PROXQP_SOLVED:
-            raise BreakdownError(
+            raise RobotFailureError(
                 f"no torques keep the robot standing ({results.info.status.name})",
                 state.time,
                 "ask for slower or smaller moves",
@@ -265,7 +265,7 @@ def _feedback(gains: BalanceGains, com: float, momentum: float, trunk: float) ->
     return np.asarray(np.kron(blocks, np.eye(3)), dtype=np.float64)
 
 
-def _preference(belief: Belief, gains: BalanceGains, unknowns: int) -> FloatArray:
+def _preference(belief: ControllerModel, gains: BalanceGains, unknowns: int) -> FloatArray:
     """(unknowns + 1, unknowns + 1) quadratic form that draws each sole to its share of the weight.
 
     Standing on two feet leaves the wrenches' split between them open; this settles it: half the
@@ -312,7 +312,7 @@ def _contact_cone(bounds: FloatArray, gains: BalanceGains) -> FloatArray:
     )
 
 
-class PoorFeedback:
+class DegradedFeedback:
     """Gives a controller states that are late and whose joint velocities are noisy.
 
     With a stiff controller this makes the legs vibrate as they do in the thesis's data

@@ -10,10 +10,10 @@ from scipy.linalg import lapack
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.body_inertia import drop_shortcuts, set_body_phi
-from symbid_ros.simulation.plant import BreakdownError, State, driven_dofs, model_name, site_ids
+from symbid_ros.simulation.plant import RobotFailureError, State, driven_dofs, model_name, site_ids
 
 
-def believed_model(
+def replace_inertias(
     plant_model: mujoco.MjModel, inertias: Mapping[str, FloatArray]
 ) -> mujoco.MjModel:
     """Return a copy of a model in which links have other inertias, possible or not.
@@ -60,7 +60,7 @@ def believed_model(
     return model
 
 
-class Belief:
+class ControllerModel:
     """Dynamics of the robot as the controller believes it to be.
 
     The arrays are refilled in place by `update`. Generalised vectors follow MuJoCo's ``qvel``;
@@ -135,7 +135,7 @@ class Belief:
 
         Raises
         ------
-        BreakdownError
+        RobotFailureError
             When the mass matrix is not positive definite in this state.
         """
         model, data = self.model, self._data
@@ -162,7 +162,7 @@ class Belief:
         # MuJoCo would replace a negative pivot by a tiny one, and go on.
         mujoco.mj_fullM(self.model, self._data, self._inertia)
         if lapack.dpotrf(self._inertia)[1]:
-            raise BreakdownError(
+            raise RobotFailureError(
                 "the believed mass matrix is not positive definite",
                 time,
                 "no controller can use such inertias: give physically possible ones",

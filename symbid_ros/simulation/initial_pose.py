@@ -11,7 +11,7 @@ ITERATIONS = 6  # of Gauss and Newton: quadratic from millimetres, so that round
 FLAT = [2, 3, 4]  # of displacement and rotation vector: height, roll and pitch
 
 
-def level_pose(
+def level_soles(
     model: mujoco.MjModel,
     original: mujoco.MjModel,
     position: FloatArray,
@@ -48,7 +48,7 @@ def level_pose(
     return pose
 
 
-def plumb_pose(model: mujoco.MjModel, position: FloatArray) -> FloatArray:
+def settle_passive_joints(model: mujoco.MjModel, position: FloatArray) -> FloatArray:
     """Return ``position`` (nq,) with the undriven joints where gravity holds them at rest."""
     free = [
         joint for joint in range(1, model.njnt) if model.jnt_dofadr[joint] not in driven_dofs(model)

@@ -5,10 +5,10 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.simulation.plant import Plant, State, site_ids
-from symbid_ros.simulation.trajectory import Reference
+from symbid_ros.simulation.trajectory import Trajectory
 
 
-class Hoist:
+class OverheadSupport:
     """A hook that carries the base by a spring and damper in all six directions.
 
     The hook stays in place and turns through rotation vectors; a constant counterweight takes
@@ -20,7 +20,7 @@ class Hoist:
         Robot, in the pose in which it is hung up.
     frame : str
         Site the hook holds.
-    reference : Reference
+    reference : Trajectory
         Rotation vector (3,) of the hook from its first orientation, in that frame's axes, rad.
     """
 
@@ -28,7 +28,7 @@ class Hoist:
     STIFFNESS, DAMPING = 2.0e4, 1.2e3  # N/m, N s/m
     TURNING_STIFFNESS, TURNING_DAMPING = 6.0e3, 4.0e2  # Nm/rad, Nm s/rad
 
-    def __init__(self, plant: Plant, frame: str, reference: Reference) -> None:
+    def __init__(self, plant: Plant, frame: str, reference: Trajectory) -> None:
         self._plant, self._reference = plant, reference
         (self._site,) = site_ids(plant.model, (frame,))
         plant.observe()
@@ -80,7 +80,7 @@ class JointController:
         Robot as the controller believes it to be.
     position : (nq,) float64
         First pose.
-    reference : Reference
+    reference : Trajectory
         Positions (n_actuated,) of the driven joints, rad.
     weight : (n_actuated,) float64 or None
         Torques that carry the legs, Nm; without them they sag by their springs.
@@ -92,7 +92,7 @@ class JointController:
         self,
         model: mujoco.MjModel,
         position: FloatArray,
-        reference: Reference,
+        reference: Trajectory,
         weight: FloatArray | None = None,
     ) -> None:
         data = mujoco.MjData(model)

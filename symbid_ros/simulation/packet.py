@@ -18,9 +18,9 @@ MAGIC = 0x44424D53  # the bytes "SMBD"
 VERSION = 1
 MEASUREMENT, COMMAND = 1, 2
 HELLO = 0  # a command's sequence number that answers no measurement
-LARGEST_SEQUENCE = 2**32 - 1
-LONGEST = 65507  # bytes of a UDP datagram's payload
-BILLION = 1_000_000_000
+MAX_SEQUENCE = 2**32 - 1
+MAX_DATAGRAM_BYTES = 65507  # bytes of a UDP datagram's payload
+NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class PacketError(SimulationError):
@@ -75,7 +75,7 @@ class Measurement:
 
 def encode(packet: Packet) -> bytes:
     """Return a packet as a datagram."""
-    seconds, nanoseconds = divmod(packet.stamp, BILLION)
+    seconds, nanoseconds = divmod(packet.stamp, NANOSECONDS_PER_SECOND)
     values = np.ascontiguousarray(packet.values, dtype="<f8")
     header = (MAGIC, VERSION, packet.kind, packet.sequence, seconds, nanoseconds, len(values))
     return HEADER.pack(*header) + values.tobytes()
@@ -101,10 +101,10 @@ def decode(datagram: bytes, kind: int) -> Packet:
     if len(datagram) != HEADER.size + 8 * count:
         raise PacketError(Rejection.LENGTH)
     values = np.frombuffer(datagram, dtype="<f8", offset=HEADER.size).astype(np.float64)
-    return Packet(kind, sequence, BILLION * seconds + nanoseconds, values)
+    return Packet(kind, sequence, NANOSECONDS_PER_SECOND * seconds + nanoseconds, values)
 
 
-def measurement_packet(sequence: int, instant: Instant) -> Packet:
+def encode_measurement(sequence: int, instant: Instant) -> Packet:
     """Return what the sensors say at one instant as a packet."""
     values = [
         instant.joint_position,
@@ -148,9 +148,9 @@ def measurement(packet: Packet, joints: int) -> Measurement:
 
 def next_sequence(sequence: int) -> int:
     """Return the number after one, from 1 again after the largest."""
-    return sequence % LARGEST_SEQUENCE + 1
+    return sequence % MAX_SEQUENCE + 1
 
 
 def is_before(sequence: int, other: int) -> bool:
     """Tell whether a number was given before another one, less than half of all numbers ago."""
-    return 0 < (other - sequence) % LARGEST_SEQUENCE < LARGEST_SEQUENCE // 2
+    return 0 < (other - sequence) % MAX_SEQUENCE < MAX_SEQUENCE // 2

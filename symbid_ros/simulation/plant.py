@@ -13,7 +13,7 @@ from symbid_ros.model.mjcf_source import require_files_inside
 from symbid_ros.simulation.body_inertia import Payload, add_payload, copy_inertias
 
 
-class BreakdownError(SimulationError):
+class RobotFailureError(SimulationError):
     """A robot that cannot go on: fallen, at an end stop, or without a command.
 
     Parameters

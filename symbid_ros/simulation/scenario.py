@@ -13,15 +13,15 @@ from symbid_ros.simulation.controller import (
     BalanceGains,
     BalanceTask,
     Controller,
-    PoorFeedback,
+    DegradedFeedback,
 )
-from symbid_ros.simulation.initial_pose import gravity_torques, plumb_pose
-from symbid_ros.simulation.overhead_support import Hoist, JointController
-from symbid_ros.simulation.plant import BreakdownError, Plant, Truth
-from symbid_ros.simulation.trajectory import MoveRange, Reference, draw_reference
+from symbid_ros.simulation.initial_pose import gravity_torques, settle_passive_joints
+from symbid_ros.simulation.overhead_support import JointController, OverheadSupport
+from symbid_ros.simulation.plant import Plant, RobotFailureError, Truth
+from symbid_ros.simulation.trajectory import MoveRange, Trajectory, draw_trajectory
 
 SOLES = ("left_sole", "right_sole")
-HOIST_FRAME = "suspension"
+SUPPORT_FRAME = "suspension"
 
 # Standing: metres and m/s. Sideways both feet must keep a share of the weight, and low enough that
 # knees stay bent, high enough that ankles keep off their end stops.
@@ -107,14 +107,14 @@ class Scenario:
     ----------
     controller : Controller
         Commands the drives.
-    hoist : Hoist or None
+    hoist : OverheadSupport or None
         Holds the base where the robot does not stand.
     duration : float
         Seconds.
     """
 
     controller: Controller
-    hoist: Hoist | None
+    hoist: OverheadSupport | None
     duration: float
 
 
@@ -145,9 +145,9 @@ def standing_task(
         Metres in the world and rotation vectors (rad) in base axes, from where it starts.
     """
     plant.observe()
-    reference = draw_reference(plant.com, moves, com_moves, np.random.default_rng([seed, 0]))
+    reference = draw_trajectory(plant.com, moves, com_moves, np.random.default_rng([seed, 0]))
     attitude = plant.data.qpos[3:7].copy()
-    turns = draw_reference(
+    turns = draw_trajectory(
         np.zeros(3), TURNS_PER_MOVE * moves, trunk_turns, np.random.default_rng([seed, 2])
     )
     return BalanceTask(reference, attitude, turns)
@@ -172,7 +172,7 @@ def _vibrating(plant: Plant, moves: int, seed: int) -> Scenario:
     has_friction = np.any(plant.model.dof_damping) or np.any(plant.model.dof_frictionloss)
     gains = VIBRATING_GAINS_WITH_FRICTION if has_friction else VIBRATING_GAINS
     calm = _standing(plant, standing_task(plant, moves, seed), gains)
-    controller = PoorFeedback(
+    controller = DegradedFeedback(
         calm.controller,
         FEEDBACK_DELAY,
         FEEDBACK_NOISE,
@@ -183,25 +183,25 @@ def _vibrating(plant: Plant, moves: int, seed: int) -> Scenario:
 
 
 def _suspended(plant: Plant, moves: int, seed: int) -> Scenario:
-    rocking = draw_reference(np.zeros(3), moves, HOOK_MOVES, np.random.default_rng([seed, 0]))
-    legs = draw_reference(_leg_pose(plant), moves, LEG_MOVES, np.random.default_rng([seed, 1]))
+    rocking = draw_trajectory(np.zeros(3), moves, HOOK_MOVES, np.random.default_rng([seed, 0]))
+    legs = draw_trajectory(_leg_pose(plant), moves, LEG_MOVES, np.random.default_rng([seed, 1]))
     return _hanging(plant, rocking, legs)
 
 
 def _tare(plant: Plant, moves: int, seed: int) -> Scenario:
     # At rest from the start: what is not driven and not damped would go on swinging.
     model, pose = plant.model, plant.data.qpos
-    pose[:] = plumb_pose(model, pose)
+    pose[:] = settle_passive_joints(model, pose)
     weight = gravity_torques(model, pose)[plant.driven]
     return _hanging(plant, _rest(np.zeros(3), TARE), _rest(_leg_pose(plant), TARE), weight)
 
 
 def _hanging(
-    plant: Plant, hook: Reference, legs: Reference, weight: FloatArray | None = None
+    plant: Plant, hook: Trajectory, legs: Trajectory, weight: FloatArray | None = None
 ) -> Scenario:
     plant.data.qpos[2] += LIFT
     controller = JointController(plant.model, plant.data.qpos.copy(), legs, weight)
-    return Scenario(controller, Hoist(plant, HOIST_FRAME, hook), hook.duration)
+    return Scenario(controller, OverheadSupport(plant, SUPPORT_FRAME, hook), hook.duration)
 
 
 def _leg_pose(plant: Plant) -> FloatArray:
@@ -209,8 +209,8 @@ def _leg_pose(plant: Plant) -> FloatArray:
     return np.asarray(plant.data.qpos[driven])
 
 
-def _rest(point: FloatArray, duration: float) -> Reference:
-    return Reference(np.stack([point, point]), (0.0, duration), duration)
+def _rest(point: FloatArray, duration: float) -> Trajectory:
+    return Trajectory(np.stack([point, point]), (0.0, duration), duration)
 
 
 SCENARIOS: dict[str, Callable[[Plant, int, int], Scenario]] = {
@@ -228,7 +228,7 @@ SETTLING = 1.0  # s
 FALLEN = 0.7  # of the height at the start
 
 
-class Run:
+class ScenarioRun:
     """A plant under the command of a scenario.
 
     Parameters
@@ -257,7 +257,7 @@ class Run:
 
         Raises
         ------
-        BreakdownError
+        RobotFailureError
             As `advance` does.
         """
         for step in range(-round(SETTLING / self._plant.period), 0):
@@ -275,7 +275,7 @@ class Run:
 
         Raises
         ------
-        BreakdownError
+        RobotFailureError
             When the robot falls, a joint runs into its end stop, or the controller has no torques.
         """
         plant, motion = self._plant, self._motion
@@ -287,10 +287,10 @@ class Run:
             motion.hoist.pull(time)
         truth = plant.advance(self.torques)
         if state.position[2] < self._lowest:
-            raise BreakdownError("the robot fell", time, "ask for slower or smaller moves")
+            raise RobotFailureError("the robot fell", time, "ask for slower or smaller moves")
         joint = plant.joint_at_limit
         if joint is not None:
-            raise BreakdownError(
+            raise RobotFailureError(
                 f"joint {joint} ran into its end stop",
                 time,
                 "no sensor sees the force there: widen its range or ask for smaller moves",

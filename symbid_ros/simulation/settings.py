@@ -31,7 +31,7 @@ def read_mapping(path: Path) -> dict[str, Any]:
     return {str(name): value for name, value in content.items()}
 
 
-def numbers(content: object, names: Sequence[str], where: str) -> dict[str, float]:
+def require_numbers(content: object, names: Sequence[str], where: str) -> dict[str, float]:
     """Return the named entries of a mapping, each checked to be a finite number, 0 or more.
 
     Raises
@@ -110,7 +110,7 @@ def load_noise(path: Path) -> SensorNoise:
         When the file is missing, is not such a mapping, or a value is no standard deviation.
     """
     names = [field.name for field in fields(SensorNoise)]
-    return SensorNoise(**numbers(read_mapping(path), names, str(path)))
+    return SensorNoise(**require_numbers(read_mapping(path), names, str(path)))
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,6 @@ def load_friction(path: Path) -> dict[str, JointFriction]:
     """
     names = [field.name for field in fields(JointFriction)]
     return {
-        joint: JointFriction(**numbers(content, names, f"{path}, joint {joint}"))
+        joint: JointFriction(**require_numbers(content, names, f"{path}, joint {joint}"))
         for joint, content in read_mapping(path).items()
     }

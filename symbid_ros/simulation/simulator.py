@@ -12,9 +12,15 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.body_inertia import Payload, link_index
-from symbid_ros.simulation.initial_pose import level_pose
+from symbid_ros.simulation.initial_pose import level_soles
 from symbid_ros.simulation.plant import Plant
-from symbid_ros.simulation.scenario import HOIST_FRAME, SCENARIOS, SOLES, Run, require_seed
+from symbid_ros.simulation.scenario import (
+    SCENARIOS,
+    SOLES,
+    SUPPORT_FRAME,
+    ScenarioRun,
+    require_seed,
+)
 from symbid_ros.simulation.sensors import Instant, Sensors
 from symbid_ros.simulation.settings import JointFriction, load_friction, load_noise
 from symbid_ros.simulation.systematic_errors import draw_errors, parse_errors
@@ -143,14 +149,14 @@ class Simulator:
         if self.errors.link_length.any():
             lengths = dict(zip(plant.joint_names, self.errors.link_length.tolist(), strict=True))
         if resistance or lengths:
-            plant = _variant(plant, resistance, lengths)
+            plant = _modified_plant(plant, resistance, lengths)
         self._plant = plant
         motion = SCENARIOS[scenario](plant, moves, motion_seed)
-        self._run = Run(plant, motion)
+        self._run = ScenarioRun(plant, motion)
         self.base_frame = plant.base_frame
         self.imu_frame = "imu_link"
         feet = [WrenchSensor(sole.replace("_sole", "_foot/wrench"), sole) for sole in SOLES]
-        hook = [WrenchSensor(f"{HOIST_FRAME}/wrench", HOIST_FRAME)] if motion.hoist else []
+        hook = [WrenchSensor(f"{SUPPORT_FRAME}/wrench", SUPPORT_FRAME)] if motion.hoist else []
         self.wrench_sensors = (*feet, *hook)
         self.period_ns = round(plant.period * 1e9)
         self.steps = self._run.steps
@@ -195,7 +201,7 @@ class Simulator:
         ------
         SimulationError
             When torques are given to a robot that is not commanded, or are no such vector.
-        BreakdownError
+        RobotFailureError
             When the robot falls or a joint runs into its end stop.
         """
         if torques is not None:
@@ -234,12 +240,12 @@ def _scheduled(plant: Plant, payload: Payload | None, time: float) -> tuple[int,
     return round(time / plant.period), payload
 
 
-def _variant(
+def _modified_plant(
     original: Plant, friction: Mapping[str, JointFriction], lengths: Mapping[str, float]
 ) -> Plant:
     """Return the plant with other joints and lengths, standing where the original stands."""
-    plant = Plant(original.path, SOLES, variant_text(original.path, friction, lengths))
-    plant.data.qpos[:] = level_pose(plant.model, original.model, original.data.qpos, SOLES)
+    plant = Plant(original.path, SOLES, modify_mjcf(original.path, friction, lengths))
+    plant.data.qpos[:] = level_soles(plant.model, original.model, original.data.qpos, SOLES)
     return plant
 
 
@@ -248,7 +254,7 @@ def _variant(
 FRICTION_TIME_CONSTANT = 2e-3  # s
 
 
-def variant_text(
+def modify_mjcf(
     path: Path, friction: Mapping[str, JointFriction], lengths: Mapping[str, float]
 ) -> str:
     """Return an MJCF file's text with other joints and lengths.

@@ -25,7 +25,7 @@ SOLE_TURNING, SOLE_SLIDING = 5e-3, 1e-3  # rad/s, m/s
 NEW_SHARE = 0.25
 
 
-class BalanceReadings(Protocol):
+class BalanceSensors(Protocol):
     """The sensors that balance needs; an `Instant` has them, and more."""
 
     @property
@@ -97,7 +97,7 @@ class LegOdometry:
         self._turning = np.zeros((3, model.nv))
         self._velocity: FloatArray | None = None
 
-    def state(self, time: float, readings: BalanceReadings) -> State:
+    def state(self, time: float, readings: BalanceSensors) -> State:
         """Return the state estimated from the readings of one instant at ``time`` (s)."""
         model, data = self._model, self._data
         data.qpos[7:] = readings.joint_position
@@ -124,7 +124,7 @@ class LegOdometry:
         mujoco.mju_quat2Mat(rotation, attitude)
         return attitude, rotation.reshape(3, 3)
 
-    def _motion(self, readings: BalanceReadings) -> FloatArray:
+    def _motion(self, readings: BalanceSensors) -> FloatArray:
         """Return the velocity (nv,) in the pose last computed, all of it in base axes."""
         model, data = self._model, self._data
         mujoco.mj_jacSite(model, data, None, self._turning, self._imu)
@@ -194,12 +194,12 @@ class StandingController:
         # A new one, lest its programme's last solution be where the next begins.
         self._controller = BalanceController(robot.model, self._task, SOLES, BalanceGains())
 
-    def torques(self, readings: BalanceReadings) -> FloatArray:
+    def torques(self, readings: BalanceSensors) -> FloatArray:
         """Return the drives' torques (n_actuated,), Nm, that answer readings of one instant.
 
         Raises
         ------
-        BreakdownError
+        RobotFailureError
             When there are none.
         """
         if readings.stamp < self._stamp:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from symbid_ros.arrays import IntArray
 from symbid_ros.messages import types as messages
 from symbid_ros.messages.layout import Columns, Layout
-from symbid_ros.simulation.scenario import HOIST_FRAME
+from symbid_ros.simulation.scenario import SUPPORT_FRAME
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
 
@@ -47,7 +47,7 @@ def sensor_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
             sensor.topic,
             messages.wrench_layout(sensor.frame_id),
             _wrench_fill(index),
-            1 if sensor.frame_id == HOIST_FRAME else rates.plates,
+            1 if sensor.frame_id == SUPPORT_FRAME else rates.plates,
         )
         for index, sensor in enumerate(robot.wrench_sensors)
     ]

@@ -11,7 +11,7 @@ from symbid_ros.errors import SimulationError
 
 
 @dataclass(frozen=True)
-class Reference:
+class Trajectory:
     """A chain of straight moves with a rest before the first and after the last.
 
     Each move goes ``p(u) = a + (3u² - 2u³)(b - a)`` with u from 0 to 1, at rest at both ends
@@ -73,9 +73,9 @@ class MoveRange:
     rest: float
 
 
-def draw_reference(
+def draw_trajectory(
     start: FloatArray, moves: int, span: MoveRange, random: np.random.Generator
-) -> Reference:
+) -> Trajectory:
     """Draw a set of moves whose speed grows, then shrinks.
 
     Parameters
@@ -103,4 +103,4 @@ def draw_reference(
     speeds = span.slowest + (span.fastest - span.slowest) * rise
     times = np.linalg.norm(np.diff(offsets, axis=0), axis=1) / speeds
     starts = span.rest + np.concatenate([[0.0], np.cumsum(times)])
-    return Reference(start + offsets, tuple(starts.tolist()), float(starts[-1] + span.rest))
+    return Trajectory(start + offsets, tuple(starts.tolist()), float(starts[-1] + span.rest))

@@ -13,7 +13,7 @@ from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.packet import (
     COMMAND,
     HELLO,
-    LONGEST,
+    MAX_DATAGRAM_BYTES,
     MEASUREMENT,
     Measurement,
     Packet,
@@ -23,7 +23,7 @@ from symbid_ros.simulation.packet import (
     is_before,
     measurement,
 )
-from symbid_ros.simulation.plant import BreakdownError
+from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.standing_controller import StandingController
 
 HELLO_PERIOD = 0.1  # s of silence after which the client says hello, again and again
@@ -159,7 +159,7 @@ class UdpClient:
     def _answered(self, packet: Packet, readings: Measurement) -> bytes | None:
         try:
             torques = self._controller.torques(readings)
-        except BreakdownError:
+        except RobotFailureError:
             # The plant knows what to do without an answer, and may well start again.
             self.counts.unanswered += 1
             return None
@@ -173,6 +173,6 @@ class UdpClient:
 
     def _receive(self) -> bytes | None:
         try:
-            return self._socket.recv(LONGEST)
+            return self._socket.recv(MAX_DATAGRAM_BYTES)
         except (BlockingIOError, ConnectionRefusedError):
             return None

@@ -12,22 +12,22 @@ from symbid_ros.simulation.command import Command, CommandCounts, Drives, Reject
 from symbid_ros.simulation.packet import (
     COMMAND,
     HELLO,
-    LONGEST,
+    MAX_DATAGRAM_BYTES,
     Packet,
     PacketError,
     decode,
     encode,
+    encode_measurement,
     is_before,
-    measurement_packet,
     next_sequence,
 )
 from symbid_ros.simulation.sensors import Instant
 
 Address = tuple[str, int]
-TARDY = frozenset({Rejection.OLD, Rejection.DUPLICATE})
+LATE = frozenset({Rejection.OLD, Rejection.DUPLICATE})
 
 
-class CommandGate:
+class CommandValidator:
     """Lets the one command pass that answers the measurement last sent, from one controller.
 
     In control is who last said hello or answered. As long as it does, nobody else is listened
@@ -60,7 +60,7 @@ class CommandGate:
     def expect(self, instant: Instant) -> bytes:
         """Return the datagram of an instant, whose answer is awaited from now on."""
         self._sequence, self._stamp = next_sequence(self._sequence), instant.stamp
-        return encode(measurement_packet(self._sequence, instant))
+        return encode(encode_measurement(self._sequence, instant))
 
     def release(self) -> None:
         """Give up who is in control: it, or anybody else, may begin anew."""
@@ -83,12 +83,12 @@ class CommandGate:
             self.counts.hellos += 1
             self._hand_over(address)
             return None
-        objection = self._objection(packet)
-        if objection is not None:
-            if objection in TARDY and address == self.controller:
+        rejection = self._rejection(packet)
+        if rejection is not None:
+            if rejection in LATE and address == self.controller:
                 # Too late, but alive: it is worth waiting for again.
                 self.is_controlled = True
-            self._reject(objection)
+            self._reject(rejection)
             return None
         self._accepted = packet.sequence
         self.counts.accepted += 1
@@ -101,7 +101,7 @@ class CommandGate:
             raise PacketError(Rejection.LENGTH)
         return packet
 
-    def _objection(self, packet: Packet) -> Rejection | None:
+    def _rejection(self, packet: Packet) -> Rejection | None:
         if packet.sequence == self._accepted:
             return Rejection.DUPLICATE
         if packet.sequence != self._sequence:
@@ -109,7 +109,7 @@ class CommandGate:
             return Rejection.OLD if is_old else Rejection.FUTURE
         if packet.stamp != self._stamp:
             return Rejection.STAMP
-        return self._drives.objection(packet.values)
+        return self._drives.validate(packet.values)
 
     def _hand_over(self, address: Address) -> None:
         self.controller, self.is_controlled = address, True
@@ -123,7 +123,7 @@ COMMAND_TIMEOUT = 0.1  # s
 LOOK_PERIOD = 0.05  # s between two looks at whether to stop
 
 
-class UdpCommands:
+class UdpServer:
     """Asks a controller elsewhere for torques, an instant at a time.
 
     An instant's measurement is sent to who is in control, and again until answered: datagrams
@@ -171,7 +171,7 @@ class UdpCommands:
     ) -> None:
         if not host:  # which sockets take for every address of the machine
             raise SimulationError("udp: no host to listen at; give 127.0.0.1 or another address")
-        self._drives, self._gate = drives, CommandGate(drives)
+        self._drives, self._gate = drives, CommandValidator(drives)
         self._timeout, self._retry = command_timeout, retry_period
         self._reply_port = reply_port
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -185,7 +185,7 @@ class UdpCommands:
         self._socket.setblocking(False)
         self.address: Address = self._socket.getsockname()
 
-    def __enter__(self) -> "UdpCommands":
+    def __enter__(self) -> "UdpServer":
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -260,7 +260,7 @@ class UdpCommands:
 
     def _receive(self) -> tuple[bytes, Address] | None:
         try:
-            datagram, address = self._socket.recvfrom(LONGEST)
+            datagram, address = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
         except BlockingIOError:
             return None
         return datagram, address

@@ -22,7 +22,7 @@ from symbid_ros.report.content import TRUTH
 from symbid_ros.signals.alignment import align, joint_columns
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import sticking_left_out
-from symbid_ros.simulation.balance import BalanceRun, balance
+from symbid_ros.simulation.balance import BalanceResult, balance
 from symbid_ros.study.draws import load_draw
 from symbid_ros.study.logs import identified, truth
 from symbid_ros.study.plan import Accelerations, ClosedLoop, Figures, Log, Plan, Spread
@@ -205,7 +205,7 @@ def run_truth(loop: ClosedLoop, space: Workspace) -> None:
     _write(balance(None, moves=loop.moves, motion_seed=loop.motion_seed), space.check(TRUTH))
 
 
-def load_runs(plan: Plan, space: Workspace, spread: Spread) -> dict[str, list[BalanceRun]]:
+def load_runs(plan: Plan, space: Workspace, spread: Spread) -> dict[str, list[BalanceResult]]:
     """Read the runs of one kind of prior, by method; the truth comes last."""
     loop = plan.closed_loop
     if loop is None:
@@ -219,12 +219,12 @@ def load_runs(plan: Plan, space: Workspace, spread: Spread) -> dict[str, list[Ba
     return runs | {TRUTH: [_read(space.check(TRUTH))]}
 
 
-def _write(run: BalanceRun, file: Path) -> None:
+def _write(run: BalanceResult, file: Path) -> None:
     write_text(file, json.dumps(asdict(run)) + "\n")
 
 
-def _read(file: Path) -> BalanceRun:
+def _read(file: Path) -> BalanceResult:
     try:
-        return BalanceRun(**json.loads(file.read_text(encoding="utf-8")))
+        return BalanceResult(**json.loads(file.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
         raise StudyError(f"{file}: cannot be read ({error}); delete it and start again") from None

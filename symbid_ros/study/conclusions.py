@@ -9,7 +9,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import StudyError
 from symbid_ros.report.content import TRUTH, LinkErrors
 from symbid_ros.report.formatting import significant
-from symbid_ros.simulation.balance import BalanceRun
+from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import claims
 from symbid_ros.study.evidence import (
     FOUR,
@@ -187,12 +187,12 @@ def realistic_conclusion(
     )
 
 
-def closed_loop_conclusions(runs: Mapping[str, Sequence[BalanceRun]]) -> tuple[Conclusion, ...]:
+def closed_loop_conclusions(runs: Mapping[str, Sequence[BalanceResult]]) -> tuple[Conclusion, ...]:
     """Say of every method how the balance controller does with its estimates.
 
     Parameters
     ----------
-    runs : mapping of str to sequence of BalanceRun
+    runs : mapping of str to sequence of BalanceResult
         By method, "ref" for the priors and "truth" for the true parameters; of the methods and
         the prior one run for each draw, in the same order.
     """
@@ -205,7 +205,10 @@ def closed_loop_conclusions(runs: Mapping[str, Sequence[BalanceRun]]) -> tuple[C
 
 
 def _balanced(
-    name: str, own: Sequence[BalanceRun], prior: Sequence[BalanceRun], truth: Sequence[BalanceRun]
+    name: str,
+    own: Sequence[BalanceResult],
+    prior: Sequence[BalanceResult],
+    truth: Sequence[BalanceResult],
 ) -> Conclusion:
     orders = [order(_failed(own), _failed(prior))]
     stood = listed(
@@ -249,19 +252,19 @@ def _balanced(
     )
 
 
-def _failed(runs: Sequence[BalanceRun]) -> float:
+def _failed(runs: Sequence[BalanceResult]) -> float:
     return float(np.mean([bool(run.failure) for run in runs]))
 
 
-def _com(runs: Sequence[BalanceRun]) -> float:
+def _com(runs: Sequence[BalanceResult]) -> float:
     return float(np.mean([run.com_rmse_mm for run in runs]))
 
 
-def _forward(runs: Sequence[BalanceRun]) -> float:
+def _forward(runs: Sequence[BalanceResult]) -> float:
     return 100 * float(np.mean([run.feed_forward_share for run in runs]))
 
 
-def _feedback(runs: Sequence[BalanceRun]) -> float:
+def _feedback(runs: Sequence[BalanceResult]) -> float:
     return 100 - _forward(runs)
 
 

@@ -13,8 +13,8 @@ from symbid_ros.errors import StudyError
 from symbid_ros.report.content import METRICS, LinkErrors
 from symbid_ros.report.figures import POINTS, link_error_figure, link_means
 from symbid_ros.report.formatting import significant
-from symbid_ros.report.plotting import INK, Style, house_style, scale_errors, thin
-from symbid_ros.simulation.balance import BalanceRun
+from symbid_ros.report.plotting import INK, Style, downsample, house_style, scale_errors
+from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study.plotting import (
     LABELS,
     WIDTH,
@@ -112,7 +112,7 @@ def acceleration_drawing(
             strength = np.sqrt(np.mean(log.acceleration**2, axis=0))
             # The strongest lie below, lest they hide the others.
             for j in np.argsort(-strength, kind="stable"):
-                axes.plot(*thin(log.time, log.acceleration[:, j], POINTS), **lines[j])
+                axes.plot(*downsample(log.time, log.acceleration[:, j], POINTS), **lines[j])
             axes.set_title(f"{heading}: acceleration [rad/s²]", loc="left", fontsize="medium")
             axes.set_xlim(log.time[0], log.time[-1])
         panels[-1].set_xlabel("time [s]")
@@ -139,12 +139,12 @@ def _told(log: AccelerationLog, heading: str) -> str:
     return f"{heading}, RMS {significant(rms)} rad/s², e_a {significant(log.error)} rad/s²{thesis}"
 
 
-def closed_loop_drawing(runs: Mapping[str, Sequence[BalanceRun]], about: str) -> Drawing:
+def closed_loop_drawing(runs: Mapping[str, Sequence[BalanceResult]], about: str) -> Drawing:
     """Draw how well the balance controller works with the models it believes.
 
     Parameters
     ----------
-    runs : mapping of str to sequence of BalanceRun
+    runs : mapping of str to sequence of BalanceResult
         By label of the parameter set.
     about : str
         Of which priors, data and moves, for the caption.
@@ -224,7 +224,7 @@ def _bar(colour: str) -> dict[str, Any]:
     return {"color": colour, "markersize": 11.0, "markeredgewidth": 1.8}
 
 
-def _outcomes(runs: Mapping[str, Sequence[BalanceRun]]) -> str:
+def _outcomes(runs: Mapping[str, Sequence[BalanceResult]]) -> str:
     """Say each one's mean, and of those that failed how often and why."""
     sentences = []
     for label, own in runs.items():

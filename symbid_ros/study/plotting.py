@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from symbid_ros.atomic_write import write_through
-from symbid_ros.report.plotting import Style, assigned, house_style, page_svg
+from symbid_ros.report.plotting import Style, assign_styles, embed_svg, house_style
 from symbid_ros.study.scores import REFERENCE
 from symbid_ros.study.thesis import TITLES
 
@@ -88,7 +88,7 @@ def save(drawing: Drawing, folder: Path) -> tuple[Path, Path]:
 
 def inline(drawing: Drawing) -> str:
     """Return the figure as an ``<svg>`` whose ids are its own on a page with others."""
-    return page_svg(drawing.svg, drawing.name, drawing.description)
+    return embed_svg(drawing.svg, drawing.name, drawing.description)
 
 
 @contextmanager
@@ -126,7 +126,7 @@ def settle(figure: Figure) -> None:
 def looks(labels: Iterable[str]) -> dict[str, Style]:
     """Return the styles of labels, in their order; a method's is the same in every figure."""
     wanted = list(labels)
-    known = assigned([*_OTHERS, *wanted], prior=REF, chosen=_CHOSEN)
+    known = assign_styles([*_OTHERS, *wanted], prior=REF, chosen=_CHOSEN)
     return {label: known[label] for label in wanted}
 
 

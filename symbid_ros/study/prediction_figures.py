@@ -17,11 +17,11 @@ from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
 from symbid_ros.report.compose import prediction_series
 from symbid_ros.report.content import TRUTH, PredictionSeries
 from symbid_ros.report.figures import (
-    Quantity,
-    com_quantities,
+    PredictedSignal,
+    com_signals,
     draw,
-    momentum_quantities,
-    torque_quantities,
+    momentum_signals,
+    torque_signals,
 )
 from symbid_ros.report.formatting import significant
 from symbid_ros.signals.filters import CausalLowPass
@@ -138,7 +138,7 @@ def com_drawing(predictions: Sequence[PredictionSeries], setting: Setting) -> Dr
         name, title = "fig_3_com", "Fig. 3: CoM position prediction"
         how = "Centre of mass in the base frame along the validation motion."
     caption = f"{how} {setting} {_told(errors, 'mm')}"
-    return _drawing(name, title, caption, com_quantities(predictions), predictions)
+    return _drawing(name, title, caption, com_signals(predictions), predictions)
 
 
 def torque_drawing(
@@ -173,7 +173,7 @@ def torque_drawing(
             "knowledge of the external forces."
         )
     caption = f"{how} {setting} {_told(errors, 'Nm', ' of all joints together')}"
-    quantities = torque_quantities(predictions, joint_names, TORQUES_SHOWN)
+    quantities = torque_signals(predictions, joint_names, TORQUES_SHOWN)
     return _drawing(name, title, caption, quantities, predictions)
 
 
@@ -203,14 +203,14 @@ def momentum_drawing(predictions: Sequence[PredictionSeries], setting: Setting) 
         name, title = "fig_5_momentum", "Fig. 5: CoM momentum prediction"
         how = f"{how}, along the validation motion."
     caption = f"{how} {setting} {_told(errors, 'Ns & Nms', ' of all six together')}"
-    return _drawing(name, title, caption, momentum_quantities(predictions), predictions)
+    return _drawing(name, title, caption, momentum_signals(predictions), predictions)
 
 
 def _drawing(
     name: str,
     title: str,
     caption: str,
-    quantities: Sequence[Quantity],
+    quantities: Sequence[PredictedSignal],
     predictions: Sequence[PredictionSeries],
 ) -> Drawing:
     styles = looks(series.label for series in predictions)

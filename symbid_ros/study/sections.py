@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.report.content import TRUTH, LinkErrors
-from symbid_ros.simulation.balance import BalanceRun
+from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import thesis
 from symbid_ros.study.checks import check_accelerations, load_closures, load_realistic, load_runs
 from symbid_ros.study.conclusions import (
@@ -254,7 +254,7 @@ def _balanced(results: Results, loop: ClosedLoop) -> Section:
     by_prior = {
         str(spread): load_runs(results.plan, results.space, spread) for spread in loop.priors
     }
-    together: dict[str, list[BalanceRun]] = {}
+    together: dict[str, list[BalanceResult]] = {}
     for runs in by_prior.values():
         for method, found in runs.items():
             together.setdefault(method, []).extend(found)

@@ -10,7 +10,7 @@ from symbid_ros.errors import StudyError
 from symbid_ros.report.content import METRICS as TITLED
 from symbid_ros.report.content import REALISTIC_METRICS, TRUTH
 from symbid_ros.report.formatting import ABSENT
-from symbid_ros.simulation.balance import BalanceRun
+from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import thesis
 from symbid_ros.study.checks import AccelerationCheck, Closure
 from symbid_ros.study.evidence import filtered, listed
@@ -394,7 +394,7 @@ def realistic_table(means: Mapping[str, Mapping[str, float]]) -> Sheet:
     )
 
 
-def balance_table(prior: str, runs: Mapping[str, Sequence[BalanceRun]]) -> Sheet:
+def balance_table(prior: str, runs: Mapping[str, Sequence[BalanceResult]]) -> Sheet:
     """Return how the balance controller did with each method's models."""
     return Sheet(
         name=f"closed_loop_{prior.replace(' ', '').replace('%', 'percent').replace('±', '')}",
@@ -419,7 +419,7 @@ def balance_table(prior: str, runs: Mapping[str, Sequence[BalanceRun]]) -> Sheet
     )
 
 
-def _balanced(name: str, runs: Sequence[BalanceRun]) -> Row:
+def _balanced(name: str, runs: Sequence[BalanceResult]) -> Row:
     lasting = [run for run in runs if not run.failure]
     tracking = [run.com_rmse_mm for run in lasting]
     share = [100 * run.feed_forward_share for run in lasting]

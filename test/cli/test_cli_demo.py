@@ -6,7 +6,7 @@ from report_pages import Page
 
 from symbid_ros.bags.streams.reader import topic_counts
 from symbid_ros.estimation.truncated_svd import METHODS
-from symbid_ros.report.formatting import measured
+from symbid_ros.report.formatting import with_std
 
 TITLES = ("prior", "OLS", "WLS-R", "WLS-C", "WLS-RC", "WLS-RC, own z", "MAP", "MAP-LMI", "truth")
 FOLDERS = {method: method for method in (*METHODS, "map", "map_lmi")} | {"wls_rc_own_z": "wls_rc"}
@@ -46,14 +46,14 @@ def test_the_demo_leaves_its_artefacts(symbid, tmp_path) -> None:
     for link, gain in chosen["verdict"]["link_gain"].items():
         mass = chosen["parameters"][f"{link}/m"]
         (row,) = [row for row in page.rows if row[0] == link and len(row) == 5]
-        assert row[2:4] == [measured(mass["value"], mass["std"]), f"{gain:.1f}"]
+        assert row[2:4] == [with_std(mass["value"], mass["std"]), f"{gain:.1f}"]
     start = page.rows.index(["Combination, SI units", "Value ± std", "Unit", "Determined"]) + 1
     base = page.rows[start : start + len(chosen["verdict"]["base"])]
     assert [row[1] for row in base] == [
-        measured(one["value"], one["std"]) for one in chosen["verdict"]["base"]
+        with_std(one["value"], one["std"]) for one in chosen["verdict"]["base"]
     ]
     sections = page.attributes("id")
-    assert {"told", "realistic", "truncation"} <= set(sections)
+    assert {"data-summary", "realistic", "truncation"} <= set(sections)
 
     again = symbid("demo", "--out", out)
     assert again.returncode == 2

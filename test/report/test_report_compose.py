@@ -12,7 +12,7 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.evaluation import TrueMotion
 from symbid_ros.identification.prediction import RealisticMotion
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.report.compose import Reference, compose
+from symbid_ros.report.compose import GroundTruth, compose
 from symbid_ros.report.content import METRICS, PRIOR, REALISTIC_METRICS, TRUTH
 
 COUNT = 6
@@ -25,7 +25,7 @@ def parameters() -> ParameterSet:
 
 
 @pytest.fixture(scope="module")
-def reference(parameters: ParameterSet) -> Reference:
+def ground_truth(parameters: ParameterSet) -> GroundTruth:
     """Random states whose efforts and base forces are the true parameters' to the last digit."""
     rng = np.random.default_rng(0)
     samples = random_samples(parameters.model, COUNT, rng)
@@ -34,7 +34,7 @@ def reference(parameters: ParameterSet) -> Reference:
     samples = replace(samples, effort=samples.effort + owed)
     rotation = np.tile(np.eye(3), (COUNT, 1, 1))
     motion = TrueMotion(samples, rng.normal(size=(COUNT, 3)), rotation)
-    return Reference(motion, parameters.values, RealisticMotion(samples, motion))
+    return GroundTruth(motion, parameters.values, RealisticMotion(samples, motion))
 
 
 def estimated(parameters: ParameterSet, factor: float, rank: int | None = None) -> Estimate:
@@ -58,14 +58,16 @@ def estimated(parameters: ParameterSet, factor: float, rank: int | None = None) 
     )
 
 
-def test_everything_is_judged_by_the_truth(parameters: ParameterSet, reference: Reference) -> None:
+def test_everything_is_judged_by_the_truth(
+    parameters: ParameterSet, ground_truth: GroundTruth
+) -> None:
     deviation = 0.1 * np.diag(parameters.values)
     content = compose(
         {"A": estimated(parameters, 1.2), "B": estimated(parameters, 0.9)},
         parameters,
         chosen="B",
         facts=FACTS,
-        reference=reference,
+        ground_truth=ground_truth,
         deviation_factor=deviation,
         truncations={("A", "itself"): estimated(parameters, 1.2, rank=3)},
     )
@@ -78,7 +80,7 @@ def test_everything_is_judged_by_the_truth(parameters: ParameterSet, reference: 
     percent = {label: row["parameter_error_pct"] for label, row in errors.items()}
     assert percent == pytest.approx({PRIOR: 50, "A": 20, "B": 10, TRUTH: 0})
     # All parameters scaled alike: torques err in proportion, the centre of mass does not err.
-    K = equation_of_motion(parameters, reference.motion.samples).K[:, 6:]
+    K = equation_of_motion(parameters, ground_truth.motion.samples).K[:, 6:]
     load = np.sqrt(np.mean(np.sum((K @ parameters.values) ** 2, axis=1)))
     assert errors["A"]["torque_rmse"] == pytest.approx(0.2 * load)
     assert errors["A"]["com_position_rmse_mm"] == pytest.approx(0, abs=1e-9)
@@ -87,7 +89,7 @@ def test_everything_is_judged_by_the_truth(parameters: ParameterSet, reference: 
     np.testing.assert_allclose(content.link_errors.percent["B"], 10)
     assert [series.label for series in content.predictions or ()] == [TRUTH, PRIOR, "B"]
     # The drives give what the motion needs less what the environment's wrenches give.
-    effort, needed = reference.motion.samples.effort, K @ parameters.values
+    effort, needed = ground_truth.motion.samples.effort, K @ parameters.values
     assert np.max(np.abs(needed - effort)) > 1.0
     drawn = {series.label: series.torque for series in content.predictions or ()}
     np.testing.assert_allclose(drawn[TRUTH], effort, atol=1e-9)

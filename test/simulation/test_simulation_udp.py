@@ -20,7 +20,7 @@ from udp_packets import command, hello, measurement, sequence_and_stamp
 from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.command import Drives
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.udp_server import UdpCommands
+from symbid_ros.simulation.udp_server import UdpServer
 
 PATIENCE = 300.0  # s, before a test that hangs is given up
 SUPPORT = Path(__file__).parents[1] / "support"
@@ -83,7 +83,7 @@ def torques_for(datagram: bytes) -> list[float]:
 
 def test_lockstep_with_a_controller_of_struct_alone(stop):
     robot, drives = commanded(moves=1)
-    with UdpCommands("127.0.0.1", 0, drives, command_timeout=PATIENCE) as commands:
+    with UdpServer("127.0.0.1", 0, drives, command_timeout=PATIENCE) as commands:
 
         def answers(datagram: bytes) -> list[bytes]:
             return [command(*sequence_and_stamp(datagram), torques_for(datagram))]
@@ -115,7 +115,7 @@ def test_bad_datagrams_on_the_way_move_nothing(stop):
             command(sequence, stamp, [7.0] * 8),
         ]
 
-    with UdpCommands(
+    with UdpServer(
         "127.0.0.1", 0, drives, command_timeout=PATIENCE, retry_period=PATIENCE
     ) as commands:
         with Answering(commands.address, answers):
@@ -134,7 +134,7 @@ def test_bad_datagrams_on_the_way_move_nothing(stop):
 def test_silence_is_answered_by_safe_torques_and_waited_for_once(stop):
     robot, drives = commanded(moves=1)
     instant = robot.step()
-    with UdpCommands("127.0.0.1", 0, drives, command_timeout=0.05) as commands:
+    with UdpServer("127.0.0.1", 0, drives, command_timeout=0.05) as commands:
         with Answering(commands.address, lambda datagram: []):
             assert commands.await_controller(stop)
             for _ in range(3):
@@ -151,7 +151,7 @@ def test_nobody_is_waited_for_after_the_stop():
     robot, drives = commanded(moves=1)
     stopped = threading.Event()
     stopped.set()
-    with UdpCommands("127.0.0.1", 0, drives, command_timeout=PATIENCE) as commands:
+    with UdpServer("127.0.0.1", 0, drives, command_timeout=PATIENCE) as commands:
         assert not commands.await_controller(stopped)
         assert commands.exchange(robot.step(), stopped).is_safe
 
@@ -165,7 +165,7 @@ def test_measurements_go_to_another_port_where_wanted(stop):
         receiving.bind(("127.0.0.1", 0))
         receiving.settimeout(PATIENCE)
         port = receiving.getsockname()[1]
-        with UdpCommands("127.0.0.1", 0, drives, command_timeout=0.05, reply_port=port) as commands:
+        with UdpServer("127.0.0.1", 0, drives, command_timeout=0.05, reply_port=port) as commands:
             sending.sendto(hello(), commands.address)
             assert commands.await_controller(stop)
             instant = robot.step()
@@ -177,7 +177,7 @@ def test_the_documented_program_holds_the_robot(stop):
     page = (Path(__file__).parents[2] / "docs" / "udp.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     robot, drives = commanded(moves=1, motion_seed=2)
-    with UdpCommands("127.0.0.1", 0, drives, command_timeout=PATIENCE) as commands:
+    with UdpServer("127.0.0.1", 0, drives, command_timeout=PATIENCE) as commands:
         program = program.replace("5005", str(commands.address[1]))
         with subprocess.Popen([sys.executable, "-I", "-c", program]) as process:
             assert commands.await_controller(stop)
@@ -194,7 +194,7 @@ def test_the_documented_program_holds_the_robot(stop):
 def test_a_killed_client_is_followed_by_a_new_one(stop):
     robot, drives = commanded(moves=1, motion_seed=3)
     instant = robot.step()
-    with UdpCommands("127.0.0.1", 0, drives, command_timeout=1.0) as commands:
+    with UdpServer("127.0.0.1", 0, drives, command_timeout=1.0) as commands:
         for _ in range(2):
             with client(commands.address[1], "--moves", 1, "--motion-seed", 3) as process:
                 assert commands.await_controller(stop)
@@ -217,7 +217,7 @@ def test_a_client_that_was_stopped_goes_on(stop):
     robot, drives = commanded(moves=1)
     instant = robot.step()
     with (
-        UdpCommands("127.0.0.1", 0, drives, command_timeout=1.0) as commands,
+        UdpServer("127.0.0.1", 0, drives, command_timeout=1.0) as commands,
         client(commands.address[1], "--moves", 1) as process,
     ):
 
@@ -258,15 +258,15 @@ def test_processes_stand_over_a_lossy_network():
 
 def test_a_port_in_use_is_named():
     _, drives = commanded(moves=1)
-    with UdpCommands("127.0.0.1", 0, drives) as commands:
+    with UdpServer("127.0.0.1", 0, drives) as commands:
         port = commands.address[1]
         with pytest.raises(SimulationError, match=rf"udp 127\.0\.0\.1:{port}: cannot listen"):
-            UdpCommands("127.0.0.1", port, drives)
+            UdpServer("127.0.0.1", port, drives)
     for host, port in (("no.such.host.invalid", 5005), ("127.0.0.1", 70000), ("a..b", 5005)):
         with pytest.raises(SimulationError, match="choose another host or port"):
-            UdpCommands(host, port, drives)
+            UdpServer(host, port, drives)
 
 
 def test_no_host_does_not_open_every_interface():
     with pytest.raises(SimulationError, match=r"give 127\.0\.0\.1"):
-        UdpCommands("", 0, commanded(moves=1)[1])
+        UdpServer("", 0, commanded(moves=1)[1])

@@ -8,7 +8,7 @@ import pytest
 
 from symbid_ros.errors import StudyError
 from symbid_ros.report.content import LinkErrors
-from symbid_ros.simulation.balance import BalanceRun
+from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import claims, thesis
 from symbid_ros.study.conclusions import (
     Links,
@@ -295,10 +295,10 @@ def test_realistic_gain_is_told_by_difference_and_factor() -> None:
     assert realistic_conclusion({"ref": 1.0, "ols": 1.0}, {"ref": 1.0, "wls_r": 1.0}) is None
 
 
-def run(com: float, share: float, failure: str = "") -> BalanceRun:
+def run(com: float, share: float, failure: str = "") -> BalanceResult:
     if failure:
         com = share = float("nan")
-    return BalanceRun(com, (com, com, com), share, 1.0 if failure else None, failure, 20.0)
+    return BalanceResult(com, (com, com, com), share, 1.0 if failure else None, failure, 20.0)
 
 
 def test_balance_is_compared_over_the_draws_in_which_both_stood() -> None:

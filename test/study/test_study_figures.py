@@ -20,7 +20,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.truth import read_realistic_motion
 from symbid_ros.report.content import METRICS, LinkErrors
 from symbid_ros.report.formatting import significant
-from symbid_ros.simulation.balance import BalanceRun
+from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.simulation.recording import record
 from symbid_ros.study.figures import (
     AccelerationLog,
@@ -70,11 +70,11 @@ def scores():
 
 
 def lasted(rmse, share=0.9):
-    return BalanceRun(rmse, (0.0, 0.0, 0.0), share, None, "", 20.0)
+    return BalanceResult(rmse, (0.0, 0.0, 0.0), share, None, "", 20.0)
 
 
 def fallen():
-    return BalanceRun(NAN, (NAN, NAN, NAN), NAN, 1.5, "the robot fell", 20.0)
+    return BalanceResult(NAN, (NAN, NAN, NAN), NAN, 1.5, "the robot fell", 20.0)
 
 
 def vibration():

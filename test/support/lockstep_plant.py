@@ -6,9 +6,9 @@ from dataclasses import asdict
 from threading import Event
 
 from symbid_ros.simulation.command import Drives
-from symbid_ros.simulation.plant import BreakdownError
+from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.udp_server import UdpCommands
+from symbid_ros.simulation.udp_server import UdpServer
 
 
 def main(steps: int, options: dict[str, object]) -> None:
@@ -16,7 +16,7 @@ def main(steps: int, options: dict[str, object]) -> None:
     drives = Drives(robot.joint_names, robot.drive_names, robot.torque_limits)
     stop, safe, heights, end = Event(), 0, [], "stands"
     # A busy machine may well let a process wait for longer than the usual time-out.
-    with UdpCommands("127.0.0.1", 0, drives, command_timeout=300.0) as commands:
+    with UdpServer("127.0.0.1", 0, drives, command_timeout=300.0) as commands:
         print(commands.address[1], flush=True)
         commands.await_controller(stop)
         instant = robot.step()
@@ -26,7 +26,7 @@ def main(steps: int, options: dict[str, object]) -> None:
                 safe += command.is_safe
                 instant = robot.step(command.torques)
                 heights.append(instant.base_position[2])
-        except BreakdownError as error:
+        except RobotFailureError as error:
             end = str(error)
         counts = asdict(commands.counts)
     print(json.dumps({"end": end, "safe": safe, "sunk": heights[0] - min(heights)} | counts))

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from udp_packets import MEASUREMENT, command, hello, measurement, sequence_and_stamp
 
 from symbid_ros.simulation.command import Drives
-from symbid_ros.simulation.packet import LARGEST_SEQUENCE, is_before, next_sequence
+from symbid_ros.simulation.packet import MAX_SEQUENCE, is_before, next_sequence
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.udp_server import CommandGate
+from symbid_ros.simulation.udp_server import CommandValidator
 
 CLIENT, OTHER = ("127.0.0.1", 40001), ("127.0.0.1", 40002)
 TORQUES = [float(value) for value in range(-4, 4)]
@@ -26,10 +26,10 @@ def run() -> tuple[Drives, list[Instant]]:
     return drives, [robot.step() for _ in range(3)]
 
 
-def awaiting() -> CommandGate:
+def awaiting() -> CommandValidator:
     """Return a gate that has had its first answer and awaits the second."""
     drives, instants = run()
-    gate = CommandGate(drives)
+    gate = CommandValidator(drives)
     gate.offer(hello(), CLIENT)
     sequence, stamp = sequence_and_stamp(gate.expect(instants[0]))
     assert gate.offer(command(sequence, stamp, TORQUES), CLIENT) is not None
@@ -38,7 +38,7 @@ def awaiting() -> CommandGate:
 
 
 @pytest.fixture
-def gate() -> CommandGate:
+def gate() -> CommandValidator:
     return awaiting()
 
 
@@ -47,7 +47,7 @@ def instants() -> list[Instant]:
     return run()[1]
 
 
-def rejected(gate: CommandGate) -> dict[str, int]:
+def rejected(gate: CommandValidator) -> dict[str, int]:
     return {str(reason): count for reason, count in gate.counts.rejected.items() if count}
 
 
@@ -138,10 +138,10 @@ def test_hello_moves_nothing(gate):
 
 
 def test_numbers_go_round():
-    assert next_sequence(LARGEST_SEQUENCE) == 1
-    assert is_before(LARGEST_SEQUENCE, 1)
-    assert is_before(LARGEST_SEQUENCE - 1, LARGEST_SEQUENCE)
-    assert not is_before(1, LARGEST_SEQUENCE)
+    assert next_sequence(MAX_SEQUENCE) == 1
+    assert is_before(MAX_SEQUENCE, 1)
+    assert is_before(MAX_SEQUENCE - 1, MAX_SEQUENCE)
+    assert not is_before(1, MAX_SEQUENCE)
     assert not is_before(5, 5)
 
 

@@ -19,8 +19,8 @@ from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
-from symbid_ros.simulation.controller_model import Belief, believed_model
-from symbid_ros.simulation.plant import BreakdownError, State
+from symbid_ros.simulation.controller_model import ControllerModel, replace_inertias
+from symbid_ros.simulation.plant import RobotFailureError, State
 from symbid_ros.simulation.scenario import SOLES
 
 ROBOT = config_file("symbitron.xml")
@@ -80,7 +80,7 @@ def smooth_dynamics(model, state):
 def test_possible_inertias_move_as_if_compiled(plant_model, state, seed):
     values = draw_prior(PARAMETERS, "consistent", 40, seed).mean
     text = mjcf_text(PARAMETERS.apply(values), ROBOT, ROBOT.parent)
-    believed = smooth_dynamics(believed_model(plant_model, by_link(values)), state)
+    believed = smooth_dynamics(replace_inertias(plant_model, by_link(values)), state)
     for name, expected in smooth_dynamics(mujoco.MjModel.from_xml_string(text), state).items():
         np.testing.assert_allclose(believed[name], expected, rtol=1e-9, atol=1e-9, err_msg=name)
 
@@ -114,13 +114,13 @@ def test_mass_matrix_of_impossible_inertias_is_the_regressor_s(plant_model, stat
     K = equation_of_motion(PARAMETERS, regressor_samples(state, np.zeros_like(units), units)).K
     moment, force, joints = np.split(K @ impossible, [3, 6], axis=1)
     expected = np.hstack([force @ base_rotation(state).T, moment, joints])
-    model = believed_model(plant_model, by_link(impossible))
+    model = replace_inertias(plant_model, by_link(impossible))
     mass_matrix = smooth_dynamics(model, state)["mass matrix"]
     np.testing.assert_allclose(mass_matrix, expected, rtol=1e-9, atol=1e-11)
 
 
 def test_momentum_of_impossible_inertias_is_the_regressor_s(plant_model, state, impossible):
-    belief = Belief(believed_model(plant_model, by_link(impossible)), SOLES)
+    belief = ControllerModel(replace_inertias(plant_model, by_link(impossible)), SOLES)
     belief.update(state)
     to_world = base_rotation(state)
     velocity = state.velocity[None]
@@ -138,8 +138,8 @@ def test_momentum_of_impossible_inertias_is_the_regressor_s(plant_model, state, 
 
 def test_mass_matrix_that_is_not_positive_definite_is_refused(plant_model, state, capfd):
     foot = -by_link(PARAMETERS.values)["R_foot"]
-    belief = Belief(believed_model(plant_model, {"R_foot": foot}), SOLES)
-    with pytest.raises(BreakdownError, match=r"mass matrix .* at 0\.250 s; .* give") as caught:
+    belief = ControllerModel(replace_inertias(plant_model, {"R_foot": foot}), SOLES)
+    with pytest.raises(RobotFailureError, match=r"mass matrix .* at 0\.250 s; .* give") as caught:
         belief.update(state)
     assert caught.value.time == state.time
     assert "\n" not in str(caught.value)
@@ -149,7 +149,7 @@ def test_mass_matrix_that_is_not_positive_definite_is_refused(plant_model, state
 def test_plant_and_other_bodies_keep_their_inertias(plant_model):
     before = plant_model.body_inertia.copy()
     phi = by_link(PARAMETERS.values)["R_foot"]
-    model = believed_model(plant_model, {"R_foot": 2.0 * phi})
+    model = replace_inertias(plant_model, {"R_foot": 2.0 * phi})
     np.testing.assert_array_equal(plant_model.body_inertia, before)
     foot = plant_model.body("R_foot").id
     ratio = model.body_mass[1:] / plant_model.body_mass[1:]
@@ -168,5 +168,5 @@ def test_plant_and_other_bodies_keep_their_inertias(plant_model):
 )
 def test_inertias_that_cannot_be_believed_are_named(plant_model, change, message):
     with pytest.raises(SimulationError, match=message) as caught:
-        believed_model(plant_model, change)
+        replace_inertias(plant_model, change)
     assert "\n" not in str(caught.value)

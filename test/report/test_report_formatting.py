@@ -10,7 +10,7 @@ from rich.console import Console
 
 from symbid_ros.report.content import METRICS, MethodResult
 from symbid_ros.report.formatting import fixed, shared_decimals, significant
-from symbid_ros.report.plotting import thin
+from symbid_ros.report.plotting import downsample
 from symbid_ros.report.table import metrics_table
 
 
@@ -55,7 +55,7 @@ class TestThin:
     def test_keeps_extremes_order_and_bound(self, samples: int, half: int, seed: int) -> None:
         value = np.random.default_rng(seed).normal(size=samples)
         time = np.arange(samples, dtype=np.float64)
-        kept_time, kept = thin(time, value, 2 * half)
+        kept_time, kept = downsample(time, value, 2 * half)
         assert len(kept) <= max(2 * half, 1)
         assert (kept.min(), kept.max()) == (value.min(), value.max())
         assert np.all(np.diff(kept_time) > 0)
@@ -63,7 +63,7 @@ class TestThin:
 
     def test_leaves_a_short_series_alone(self) -> None:
         value = np.array([3.0, 1.0, 2.0])
-        np.testing.assert_array_equal(thin(np.arange(3.0), value, 10)[1], value)
+        np.testing.assert_array_equal(downsample(np.arange(3.0), value, 10)[1], value)
 
 
 class TestTable:

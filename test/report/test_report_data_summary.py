@@ -21,8 +21,8 @@ from symbid_ros.report.content import (
     ReportContent,
     TruncationChoice,
 )
-from symbid_ros.report.data_summary import told_by
-from symbid_ros.report.formatting import ABSENT, measured
+from symbid_ros.report.data_summary import summarise_data
+from symbid_ros.report.formatting import ABSENT, with_std
 from symbid_ros.report.page import render
 
 
@@ -79,9 +79,9 @@ class TestAlarms:
     def test_the_figure_behind_one_is_marked(
         self, fields: dict[str, object], marked: set[str]
     ) -> None:
-        told = told_by(judged(**fields).estimate)
+        told = summarise_data(judged(**fields).estimate)
         assert told is not None
-        assert {fact.name for fact in told.facts if fact.alarming} == marked
+        assert {fact.name for fact in told.facts if fact.is_alarm} == marked
 
 
 class TestTold:
@@ -94,7 +94,7 @@ class TestTold:
         assert "3.00 % of what the worst direction" in text
 
     def test_rows_at_instants_are_called_so(self) -> None:
-        told = told_by(judged(window=0.0, whiteness=0.0).estimate)
+        told = summarise_data(judged(window=0.0, whiteness=0.0).estimate)
         assert told is not None
         facts = {fact.name: fact.value for fact in told.facts}
         assert facts["Rows"] == "4321 rows of each coordinate, at single instants"
@@ -106,7 +106,7 @@ class TestTold:
         assert [row[0] for row in rows] == list(LINK_GAIN)
         for index, row in enumerate(rows):
             mass, std = estimate.value[10 * index], 0.01 * estimate.prior[10 * index]
-            assert row[1:4] == ["5 of 10", measured(mass, std), f"{LINK_GAIN[row[0]]:.1f}"]
+            assert row[1:4] == ["5 of 10", with_std(mass, std), f"{LINK_GAIN[row[0]]:.1f}"]
         bars = [style for style in self.page.attributes("style") if "width" in style]
         assert bars == ["width: 100.0%", "width: 25.0%", "width: 0.0%"]
 
@@ -172,7 +172,7 @@ class TestJudged:
 
     def test_sections_are_announced_in_order(self, judged_page: Page) -> None:
         sections = [a["id"] for tag, a in judged_page.elements if tag == "section"]
-        assert sections[:2] == ["methods", "told"]
+        assert sections[:2] == ["methods", "data-summary"]
         assert sections[-6:] == [
             *("realistic", "truncation", "possible", "parameters", "residuals", "data")
         ]
@@ -187,7 +187,7 @@ class TestJudged:
 def test_a_deviation_has_two_figures_and_its_value_the_same_decimals(
     value: float, std: float
 ) -> None:
-    shown, _, deviation = measured(value, std).replace("−", "-").partition(" ± ")
+    shown, _, deviation = with_std(value, std).replace("−", "-").partition(" ± ")
     assert float(deviation) == pytest.approx(std, rel=0.051)
     assert abs(float(shown) - value) <= 0.051 * std
     assert len(shown.partition(".")[2]) == len(deviation.partition(".")[2])
@@ -195,4 +195,4 @@ def test_a_deviation_has_two_figures_and_its_value_the_same_decimals(
 
 @pytest.mark.parametrize("std", [0.0, np.inf, np.nan])
 def test_without_a_deviation_the_value_stands_alone(std: float) -> None:
-    assert measured(-0.25, std) == "-0.250"
+    assert with_std(-0.25, std) == "-0.250"

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.simulation.trajectory import MoveRange, draw_reference
+from symbid_ros.simulation.trajectory import MoveRange, draw_trajectory
 
 START = np.array([0.1, -0.2, 0.9])
 SPAN = MoveRange(
@@ -16,7 +16,7 @@ SPAN = MoveRange(
 
 
 def draw(seed=0, moves=20):
-    return draw_reference(START, moves, SPAN, np.random.default_rng(seed))
+    return draw_trajectory(START, moves, SPAN, np.random.default_rng(seed))
 
 
 @pytest.mark.parametrize("seed", range(5))

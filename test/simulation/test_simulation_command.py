@@ -75,6 +75,6 @@ def test_safe_torques_only_ever_brake():
 
 def test_torques_are_refused_for_a_reason():
     drives = drives_of(Simulator(moves=1))
-    assert drives.objection(np.full(8, 100.0)) is None
-    assert drives.objection(np.full(8, np.inf)) is Rejection.NOT_FINITE
-    assert drives.objection(np.full(8, -100.1)) is Rejection.BEYOND_LIMIT
+    assert drives.validate(np.full(8, 100.0)) is None
+    assert drives.validate(np.full(8, np.inf)) is Rejection.NOT_FINITE
+    assert drives.validate(np.full(8, -100.1)) is Rejection.BEYOND_LIMIT
