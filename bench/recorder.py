@@ -43,7 +43,7 @@ from paced_feed import SENSORS, Feed, await_subscribers, feed, kill_recorder
 from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.messages.types import stamp_of
-from symbid_ros.ros.endpoints import reliable
+from symbid_ros.ros.endpoints import reliable_qos
 
 TICKS = os.sysconf("SC_CLK_TCK")
 BOUND = 0.1  # s
@@ -146,7 +146,7 @@ class Camera:
     def __init__(self, node: Node) -> None:
         image = Image(data=np.random.default_rng(0).bytes(5_000_000))
         self.stamps = array("q")
-        self.publisher = node.create_publisher(Image, self.topic, reliable(5))
+        self.publisher = node.create_publisher(Image, self.topic, reliable_qos(5))
         self._payload = serialize_message(image)
 
     def publish(self) -> None:

@@ -19,10 +19,10 @@ from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.ros.bridge_parameters import robot_name
 from symbid_ros.ros.commands import CommandPublisher
-from symbid_ros.ros.diagnostics import OK, WARN, Health, HealthPublisher
+from symbid_ros.ros.diagnostics import OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import built, run_node
-from symbid_ros.ros.raw_subscription import Letter, Mailbox, wait_for_any
+from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
 from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.standing_controller import StandingController
 
@@ -45,7 +45,7 @@ PARAMETERS = (
 
 
 @dataclass(frozen=True)
-class Readings:
+class BalanceFeedback:
     """Joints and IMU of one instant.
 
     Attributes
@@ -67,7 +67,7 @@ class Readings:
     imu_angular_velocity: FloatArray
 
 
-class ReadingsIntake:
+class FeedbackSubscriber:
     """Subscribes to ``joint_states`` and ``imu/data`` and pairs them by their stamps.
 
     Parameters
@@ -86,9 +86,9 @@ class ReadingsIntake:
 
     def __init__(self, node: Node, joint_names: Sequence[str]) -> None:
         self._node, self._joint_names = node, tuple(joint_names)
-        self._joints = Mailbox(node, "joint_states", JOINT_STATE, DEPTH)
-        self._imu = Mailbox(node, "imu/data", IMU, DEPTH)
-        self._waiting: tuple[dict[int, Letter], dict[int, Letter]] = ({}, {})
+        self._joints = DecodedSubscription(node, "joint_states", JOINT_STATE, DEPTH)
+        self._imu = DecodedSubscription(node, "imu/data", IMU, DEPTH)
+        self._waiting: tuple[dict[int, DecodedMessage], dict[int, DecodedMessage]] = ({}, {})
         self._layout: Layout | None = None
         self._refusal: DataError | None = None
         self.passed_over = self.refused = 0
@@ -98,7 +98,7 @@ class ReadingsIntake:
         """Sleep until a message comes, for so many seconds at most."""
         wait_for_any(self._node, [self._joints, self._imu], seconds)
 
-    def newest(self) -> Readings | None:
+    def newest(self) -> BalanceFeedback | None:
         """Return the readings last stamped of those that have arrived, if they are new.
 
         Those stamped before and after a clock that jumped back are never mixed up: whatever
@@ -139,10 +139,10 @@ class ReadingsIntake:
                 else:
                     _keep(waiting, letter)
 
-    def _readings(self, stamp: int, joints: Letter, imu: Letter) -> Readings:
+    def _readings(self, stamp: int, joints: DecodedMessage, imu: DecodedMessage) -> BalanceFeedback:
         if joints.layout is not self._layout:  # another one came in between
             self._places, self._layout = self._find(joints.layout), joints.layout
-        readings = Readings(
+        readings = BalanceFeedback(
             stamp,
             joints.record["position"][0, self._places],
             joints.record["velocity"][0, self._places],
@@ -170,7 +170,7 @@ class ReadingsIntake:
         return np.array([names.index(name) for name in self._joint_names])
 
 
-def _fault(readings: Readings) -> str:
+def _fault(readings: BalanceFeedback) -> str:
     """Return what is wrong with the values; empty if nothing is."""
     rates = np.concatenate([readings.joint_velocity, readings.imu_angular_velocity])
     norm = float(np.linalg.norm(readings.imu_orientation))
@@ -186,7 +186,7 @@ def _fault(readings: Readings) -> str:
     return ""
 
 
-def _keep(waiting: dict[int, Letter], letter: Letter) -> None:
+def _keep(waiting: dict[int, DecodedMessage], letter: DecodedMessage) -> None:
     stamp = letter.stamp
     if waiting and stamp < max(waiting):
         waiting.clear()
@@ -196,7 +196,7 @@ def _keep(waiting: dict[int, Letter], letter: Letter) -> None:
 
 
 @dataclass
-class ControlRecord:
+class ControlCounts:
     """How the control has gone.
 
     Attributes
@@ -215,7 +215,7 @@ class ControlRecord:
 
 
 @dataclass
-class Pace:
+class AnswerTimes:
     """How long answers took since the last look.
 
     Attributes
@@ -264,13 +264,13 @@ class BalanceNode:
             motion_seed=values["motion_seed"],
             model_path=Path(values["model"]) if values["model"] else None,
         )
-        self._intake = ReadingsIntake(node, self._controller.joint_names)
+        self._intake = FeedbackSubscriber(node, self._controller.joint_names)
         self._publisher = CommandPublisher(node, self._controller.drive_names)
-        self._record = ControlRecord()
+        self._record = ControlCounts()
         self._stamp = 0
         self._heard = float("-inf")
-        self._pace = Pace()
-        self._health = HealthPublisher(node, self._look, robot_name(values))
+        self._pace = AnswerTimes()
+        self._health = StatusPublisher(node, self._look, robot_name(values))
 
     def run(self, stop: Event) -> None:
         """Answer measurements until stopped, then say how many."""
@@ -286,7 +286,7 @@ class BalanceNode:
                 self._answer(readings)
         print(json.dumps(self._figures()), flush=True)
 
-    def _answer(self, readings: Readings) -> None:
+    def _answer(self, readings: BalanceFeedback) -> None:
         start = time.monotonic()
         if readings.stamp < self._stamp:
             self._record.restarts += 1
@@ -315,8 +315,8 @@ class BalanceNode:
             "passed_over": intake.passed_over,
         }
 
-    def _look(self) -> list[Health]:
-        pace, self._pace = self._pace, Pace()
+    def _look(self) -> list[NodeStatus]:
+        pace, self._pace = self._pace, AnswerTimes()
         level, message = OK, "measurements are answered"
         if time.monotonic() - self._heard > SILENCE:
             level, message = WARN, "no measurements on joint_states and imu/data"
@@ -328,7 +328,7 @@ class BalanceNode:
             "mean_ms": f"{pace.mean_ms:.3f}",
             "longest_ms": f"{pace.longest_ms:.3f}",
         }
-        return [Health("control", level, message, values | self._figures())]
+        return [NodeStatus("control", level, message, values | self._figures())]
 
 
 def main(args: Sequence[str] | None = None) -> None:

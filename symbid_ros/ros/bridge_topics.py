@@ -9,7 +9,12 @@ from rclpy.publisher import Publisher
 
 from symbid_ros.messages.layout import Columns, Records
 from symbid_ros.messages.types import clock_layout, fill_stamp
-from symbid_ros.ros.endpoints import await_acknowledgement, await_settled, message_class, reliable
+from symbid_ros.ros.endpoints import (
+    await_acknowledgement,
+    await_settled,
+    message_class,
+    reliable_qos,
+)
 from symbid_ros.ros.parameters import ParameterError, Values
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
@@ -41,7 +46,7 @@ class InstantPublisher:
     ) -> "InstantPublisher":
         """Announce the topic on the node."""
         publisher = node.create_publisher(
-            message_class(topic.layout.msgtype), topic.name, reliable(depth)
+            message_class(topic.layout.msgtype), topic.name, reliable_qos(depth)
         )
         return cls(publisher, topic, every)
 

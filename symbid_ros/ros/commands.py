@@ -15,9 +15,9 @@ from symbid_ros.messages.layout import Layout, typestore
 from symbid_ros.messages.types import JOINT_STATE, fill_stamp
 from symbid_ros.ros.bridge_parameters import INTERNAL, UDP
 from symbid_ros.ros.bridge_topics import BridgeTopics
-from symbid_ros.ros.endpoints import await_settled, message_class, reliable
+from symbid_ros.ros.endpoints import await_settled, message_class, reliable_qos
 from symbid_ros.ros.parameters import ParameterError, Values
-from symbid_ros.ros.raw_subscription import Letter, Mailbox, wait_for_any
+from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
 from symbid_ros.simulation.command import Command, CommandCounts, Drives
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
@@ -45,7 +45,9 @@ class CommandPublisher:
         layout = effort_layout(tuple(drive_names))
         self._record = layout.records(1)
         self._columns = layout.columns(self._record)
-        self._publisher = node.create_publisher(message_class(JOINT_STATE), TOPIC, reliable(DEPTH))
+        self._publisher = node.create_publisher(
+            message_class(JOINT_STATE), TOPIC, reliable_qos(DEPTH)
+        )
 
     def publish(self, stamp: int, torques: FloatArray) -> None:
         """Publish torques (n_actuated,), Nm, that answer the measurement of a stamp (ns)."""
@@ -70,12 +72,12 @@ def effort_layout(names: tuple[str, ...]) -> Layout:
     return Layout.of(message, JOINT_STATE)
 
 
-class RefusedCommandError(DataError):
+class InvalidCommandError(DataError):
     """A command that must not move the robot; the message is the reason in a word."""
 
 
 @dataclass
-class TopicCounts:
+class TopicCommandCounts:
     """What has come in so far.
 
     Attributes
@@ -120,7 +122,7 @@ class TopicCommands:
 
     Attributes
     ----------
-    counts : TopicCounts
+    counts : TopicCommandCounts
         What has come in so far.
     is_controlled : bool
         Whether there is a controller to wait for.
@@ -139,13 +141,13 @@ class TopicCommands:
         self._node, self._drives, self._timeout = node, drives, timeout
         self._drive_names = tuple(drive_names)
         self._audience, self._repeat = audience, repeat
-        self._mailbox = Mailbox(node, TOPIC, JOINT_STATE, DEPTH)
+        self._mailbox = DecodedSubscription(node, TOPIC, JOINT_STATE, DEPTH)
         self._layout: Layout | None = None
         self._places: IntArray = np.arange(len(self._drive_names))
         self._answered = 0  # stamp of the instant last answered
         self._asked = 0  # stamp of the instant last asked for
         self._invited: tuple[int, ...] = ()
-        self.counts = TopicCounts()
+        self.counts = TopicCommandCounts()
         self.is_controlled = False
 
     @property
@@ -208,7 +210,7 @@ class TopicCommands:
         for payload in self._mailbox.payloads():
             try:
                 found = self._torques(self._mailbox.read(payload), stamp)
-            except RefusedCommandError as refusal:
+            except InvalidCommandError as refusal:
                 self._reject(str(refusal))
             except DataError:
                 self._reject("malformed")
@@ -223,20 +225,20 @@ class TopicCommands:
             throttle_duration_sec=WARNING_PERIOD,
         )
 
-    def _torques(self, letter: Letter, stamp: int) -> FloatArray:
+    def _torques(self, letter: DecodedMessage, stamp: int) -> FloatArray:
         if letter.layout is not self._layout:
             self._places = self._find(letter.layout)
             self._layout = letter.layout
         torques: FloatArray = letter.record["effort"][0, self._places]
         objection = self._drives.validate(torques)
         if objection is not None:
-            raise RefusedCommandError(objection)
+            raise InvalidCommandError(objection)
         if letter.stamp > stamp:
-            raise RefusedCommandError("future")
+            raise InvalidCommandError("future")
         # Too late, but alive: it is worth waiting for again.
         self.is_controlled = True
         if letter.stamp < stamp or stamp == self._answered:
-            raise RefusedCommandError("old")
+            raise InvalidCommandError("old")
         self._answered = stamp
         return torques
 
@@ -244,9 +246,9 @@ class TopicCommands:
         """Return where each drive's torque lies in messages of a layout."""
         names = layout.text["name"]
         if sorted(names) != sorted(self._drive_names):
-            raise RefusedCommandError("joints")
+            raise InvalidCommandError("joints")
         if layout.dtype["effort"].shape != (len(names),):
-            raise RefusedCommandError("length")
+            raise InvalidCommandError("length")
         return np.array([names.index(drive) for drive in self._drive_names])
 
 
@@ -264,7 +266,7 @@ class CommandSource(Protocol):
         ...
 
     @property
-    def counts(self) -> TopicCounts | CommandCounts:
+    def counts(self) -> TopicCommandCounts | CommandCounts:
         """What has come in so far."""
         ...
 

@@ -7,14 +7,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from symbid_ros.ros.endpoints import reliable
+from symbid_ros.ros.endpoints import reliable_qos
 
 PERIOD = 1.0  # s
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
 
 @dataclass(frozen=True)
-class Health:
+class NodeStatus:
     """One status.
 
     Attributes
@@ -34,7 +34,7 @@ class Health:
     values: Mapping[str, object] = field(default_factory=dict)
 
 
-class HealthPublisher:
+class StatusPublisher:
     """Publishes a node's health while its executor spins.
 
     Parameters
@@ -46,9 +46,11 @@ class HealthPublisher:
         Which robot or bag they are about.
     """
 
-    def __init__(self, node: Node, look: Callable[[], Sequence[Health]], hardware_id: str) -> None:
+    def __init__(
+        self, node: Node, look: Callable[[], Sequence[NodeStatus]], hardware_id: str
+    ) -> None:
         self._node, self._look, self._hardware_id = node, look, hardware_id
-        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", reliable(10))
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", reliable_qos(10))
         # Simulated time may stand still, and health is asked for then most of all.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(PERIOD, self._publish, clock=steady)
@@ -71,10 +73,10 @@ class HealthPublisher:
         ]
         self._publisher.publish(message)
 
-    def _messages(self) -> Sequence[Health]:
+    def _messages(self) -> Sequence[NodeStatus]:
         """Return what the node's executor had to drop; nothing as long as there is nothing."""
         dropped = getattr(self._node.executor, "dropped", {})
         if not dropped:
             return ()
         message = f"messages dropped on {', '.join(sorted(dropped))}"
-        return (Health("messages", WARN, message, dict(sorted(dropped.items()))),)
+        return (NodeStatus("messages", WARN, message, dict(sorted(dropped.items()))),)

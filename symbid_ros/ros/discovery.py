@@ -8,7 +8,7 @@ from rclpy.node import Node
 
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.definitions import find_definition
-from symbid_ros.ros.raw_subscription import Intake, Polled, subscribe
+from symbid_ros.ros.raw_subscription import PolledGroup, RawSubscription, subscribe
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class TopicFilter:
 
 
 @dataclass
-class Discovery:
+class TopicDiscovery:
     """Subscribes to wanted topics as soon as the graph shows a publisher.
 
     Parameters
@@ -59,7 +59,7 @@ class Discovery:
     node: Node
     wanted: TopicFilter
     depth: int
-    _group: Polled = field(default_factory=Polled)
+    _group: PolledGroup = field(default_factory=PolledGroup)
     _seen: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -77,7 +77,9 @@ class Discovery:
         return not self._missing and self.wanted.include is None
 
     def look(
-        self, announce: Callable[[Intake], None], refuse: Callable[[str, SymbidError], None]
+        self,
+        announce: Callable[[RawSubscription], None],
+        refuse: Callable[[str, SymbidError], None],
     ) -> None:
         """Subscribe to what has appeared and announce each.
 
@@ -107,7 +109,7 @@ class Discovery:
                 self._seen.add(topic)
                 refuse(topic, error)
 
-    def _subscribe(self, topic: str, announce: Callable[[Intake], None]) -> bool:
+    def _subscribe(self, topic: str, announce: Callable[[RawSubscription], None]) -> bool:
         publishers = self.node.get_publishers_info_by_topic(topic)
         if not publishers:
             return False

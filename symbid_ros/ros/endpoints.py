@@ -36,7 +36,7 @@ def message_class(msgtype: str) -> type[Any]:
     return found
 
 
-def reliable(depth: int) -> QoSProfile:
+def reliable_qos(depth: int) -> QoSProfile:
     """Return reliable, volatile, keep-last with a queue of ``depth``."""
     return QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
@@ -46,7 +46,7 @@ def reliable(depth: int) -> QoSProfile:
     )
 
 
-def matching(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
+def strictest_common_qos(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
     """Return the strictest profile that all publishers satisfy.
 
     Reliable publishers are told to wait where they can: nothing is overwritten that has been
@@ -66,7 +66,7 @@ def matching(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
     )
 
 
-def meets(offer: QoSProfile, request: QoSProfile) -> bool:
+def is_compatible(offer: QoSProfile, request: QoSProfile) -> bool:
     """Tell whether a publisher's offer is enough for a subscription's request."""
     is_reliable = offer.reliability == QoSReliabilityPolicy.RELIABLE
     is_latched = offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
@@ -75,7 +75,7 @@ def meets(offer: QoSProfile, request: QoSProfile) -> bool:
     return bool((is_reliable or not asks_reliable) and (is_latched or not asks_latched))
 
 
-def offered(profile: QoSProfile) -> OfferedQos:
+def recorded_qos(profile: QoSProfile) -> OfferedQos:
     """Return a publisher's profile in a bag's words."""
     latched = profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
     dependable = profile.reliability == QoSReliabilityPolicy.RELIABLE
@@ -91,7 +91,7 @@ def offered(profile: QoSProfile) -> OfferedQos:
     )
 
 
-def latched() -> QoSProfile:
+def latched_qos() -> QoSProfile:
     """Return reliable and transient local: whoever subscribes later gets the last message."""
     return QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,

@@ -17,8 +17,8 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.inertia import PARAMETERS, com_from_phi
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.ros.diagnostics import OK, WARN, Health
-from symbid_ros.ros.endpoints import latched
+from symbid_ros.ros.diagnostics import OK, WARN, NodeStatus
+from symbid_ros.ros.endpoints import latched_qos
 
 # How far a parameter is stepped, in its own deviations, to find the slope of a message's fields.
 STEP = 1e-4
@@ -51,9 +51,9 @@ def inertia_stddev_message(estimate: Estimate, link: str, stamp: Time) -> Inerti
     return _inertia_stamped(np.where(determined, deviation, np.nan), link, stamp)
 
 
-def estimate_health(
+def estimate_status(
     estimate: Estimate, alarms: Sequence[str], facts: Mapping[str, object]
-) -> Health:
+) -> NodeStatus:
     """Return the health of an estimate, with further facts about it."""
     impossible = [link for link, possible in estimate.consistent.items() if not possible]
     faults = [f"physically impossible: {', '.join(impossible)}"] if impossible else []
@@ -65,7 +65,7 @@ def estimate_health(
     if estimate.rank is not None:
         figures["rank"] = estimate.rank
     figures["condition"] = f"{estimate.condition:.6g}"
-    return Health(
+    return NodeStatus(
         "estimate",
         WARN if faults else OK,
         "; ".join(faults) or "estimate published",
@@ -161,7 +161,7 @@ class EstimateTopics:
 
     def __init__(self, node: Node, parameters: ParameterSet) -> None:
         def publisher(kind: type[Any], topic: str) -> Publisher:
-            return node.create_publisher(kind, f"~/{topic}", latched())
+            return node.create_publisher(kind, f"~/{topic}", latched_qos())
 
         model = parameters.model
         self._base = model.links[0].name

@@ -17,11 +17,11 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.identification.export import export_urdf, write_identification
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.identify import prepare
-from symbid_ros.ros.diagnostics import HealthPublisher
-from symbid_ros.ros.endpoints import latched
-from symbid_ros.ros.estimate_topics import EstimateTopics, estimate_health
+from symbid_ros.ros.diagnostics import StatusPublisher
+from symbid_ros.ros.endpoints import latched_qos
+from symbid_ros.ros.estimate_topics import EstimateTopics, estimate_status
 from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, is_online, job_from
-from symbid_ros.ros.node_logging import Notices
+from symbid_ros.ros.node_logging import FaultReporter
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.process import built, run_node
 from symbid_ros.shutdown import interruptible
@@ -31,7 +31,7 @@ LOOK = 0.1  # s
 
 
 @contextmanager
-def with_model(node: Node, values: dict[str, Any], stop: Event) -> Iterator[dict[str, Any] | None]:
+def model_file(node: Node, values: dict[str, Any], stop: Event) -> Iterator[dict[str, Any] | None]:
     """Provide parameter values in which ``model`` names a file.
 
     Where none is given, the text of the parameter ``robot_description`` is written to a temporary
@@ -68,10 +68,10 @@ def _awaited(node: Node, file: Path, base: Any, stop: Event) -> bool:
     """Write the first usable message to a file; return False when stopped before."""
     texts: SimpleQueue[str] = SimpleQueue()
     subscription = node.create_subscription(
-        String, TOPIC, lambda message: texts.put(message.data), latched()
+        String, TOPIC, lambda message: texts.put(message.data), latched_qos()
     )
     topic = subscription.topic_name
-    notices = Notices(node)
+    notices = FaultReporter(node)
     fault = (
         f"waiting for the robot's model on topic {topic} (std_msgs/msg/String, latched); start "
         "robot_state_publisher, or give -p model:=FILE"
@@ -91,7 +91,7 @@ def _awaited(node: Node, file: Path, base: Any, stop: Event) -> bool:
                     f"topic {topic}: no usable model ({error}); publish another, or give "
                     "-p model:=FILE"
                 )
-                notices = Notices(node)  # a new fault is reported at once
+                notices = FaultReporter(node)  # a new fault is reported at once
                 continue
             node.get_logger().info(f"model {model.name} from topic {topic}")
             return True
@@ -126,15 +126,15 @@ class OfflineIdentifier:
         verdict = estimate.verdict
         alarms = () if verdict is None else verdict.alarms
         facts = {} if verdict is None else {"window": f"{verdict.window:g}"}
-        HealthPublisher(
-            self._node, lambda: [estimate_health(estimate, alarms, facts)], estimate.model
+        StatusPublisher(
+            self._node, lambda: [estimate_status(estimate, alarms, facts)], estimate.model
         )
         stop.wait()
 
 
 def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
     """Identify from what the parameters name until stopped."""
-    with with_model(node, values, stop) as complete:
+    with model_file(node, values, stop) as complete:
         if complete is None:
             return
         if is_online(complete):

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from symbid_ros.messages.topics import Topic
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification
 from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
-from symbid_ros.ros.diagnostics import ERROR, OK, WARN, Health
-from symbid_ros.ros.estimate_topics import estimate_health
+from symbid_ros.ros.diagnostics import ERROR, OK, WARN, NodeStatus
+from symbid_ros.ros.estimate_topics import estimate_status
 
 SILENT = 2.0  # s without a message
 # Rates are counted over this time at least, s.
@@ -26,7 +26,7 @@ class _Counts:
 
 
 @dataclass
-class StreamFaults:
+class StreamMonitor:
     """Compares the counts of every topic with those of the last look."""
 
     _last: dict[str, _Counts] = field(default_factory=dict)
@@ -77,7 +77,7 @@ def _stamp_fault(buffer: TopicBuffer, last: _Counts, clock: int | None) -> str:
     return ""
 
 
-class IdentifierHealth:
+class IdentifierDiagnostics:
     """Statuses that the identifying thread sets and the publishing one reads.
 
     Each is replaced as a whole, so that no lock is needed.
@@ -85,22 +85,22 @@ class IdentifierHealth:
 
     def __init__(self) -> None:
         self._is_enabled = True
-        self._estimate = Health("estimate", WARN, "no estimate yet")
-        self._streams = Health("streams", WARN, "no sensor topics yet")
-        self._change = Health("change", OK, "too early to tell a change")
+        self._estimate = NodeStatus("estimate", WARN, "no estimate yet")
+        self._streams = NodeStatus("streams", WARN, "no sensor topics yet")
+        self._change = NodeStatus("change", OK, "too early to tell a change")
         self._counts: dict[str, int] = {}
         self._dropped: dict[str, int] = {}
-        self._faults = StreamFaults()
+        self._faults = StreamMonitor()
         self._counted = self._solved = time.monotonic()
 
-    def look(self) -> Sequence[Health]:
+    def look(self) -> Sequence[NodeStatus]:
         """Return the statuses of this moment."""
         estimate = self._estimate
         if not self._is_enabled:
-            estimate = Health("estimate", WARN, "not enabled", estimate.values)
+            estimate = NodeStatus("estimate", WARN, "not enabled", estimate.values)
         silence = time.monotonic() - self._solved
         return (
-            Health(
+            NodeStatus(
                 estimate.part,
                 estimate.level,
                 estimate.message,
@@ -114,7 +114,7 @@ class IdentifierHealth:
         """Take which topics have turned up so far, and what keeps the others."""
         names = ", ".join(sorted(topic.name for topic in found))
         message = f"waiting for sensor topics, found {names}" if names else "no sensor topics yet"
-        self._streams = Health("streams", WARN, "; ".join([message, *missing]))
+        self._streams = NodeStatus("streams", WARN, "; ".join([message, *missing]))
 
     @property
     def obstacle(self) -> str:
@@ -129,7 +129,7 @@ class IdentifierHealth:
 
     def refused(self, reason: str) -> None:
         """Take why there is no estimate."""
-        self._estimate = Health("estimate", ERROR, reason)
+        self._estimate = NodeStatus("estimate", ERROR, reason)
 
     def solved(
         self, live: OnlineIdentification, outcome: OnlineEstimate | None, seconds: float
@@ -137,7 +137,7 @@ class IdentifierHealth:
         """Take an estimate and how long it took."""
         self._solved = time.monotonic()
         if outcome is None:
-            self._estimate = Health("estimate", WARN, "too little has come to tell anything")
+            self._estimate = NodeStatus("estimate", WARN, "too little has come to tell anything")
             return
         newest = live.streams.joints.newest
         age = 0.0 if newest is None else (newest - outcome.until) * 1e-9
@@ -145,7 +145,7 @@ class IdentifierHealth:
         figures = {"evidence": f"{live.evidence:.1f}"}
         if outcome.change is None:
             message = "no change" if live.can_tell_change else "too early to tell a change"
-            self._change = Health("change", OK, message, figures)
+            self._change = NodeStatus("change", OK, message, figures)
         else:
             suspect, *others = outcome.change.suspects
             figures |= {
@@ -155,16 +155,16 @@ class IdentifierHealth:
                 "mass": f"{suspect.phi[0]:.4f}",
                 "mass/std": f"{suspect.std[0]:.4f}",
             }
-            self._change = Health("change", WARN, str(outcome.change), figures)
+            self._change = NodeStatus("change", WARN, str(outcome.change), figures)
 
-    def _estimate_health(self, outcome: OnlineEstimate, age: float, seconds: float) -> Health:
+    def _estimate_health(self, outcome: OnlineEstimate, age: float, seconds: float) -> NodeStatus:
         facts = {
             "window": f"{outcome.window:g}",
             "age": f"{max(age, 0.0):.3f}",
             "data_time": f"{outcome.until * 1e-9:.3f}",
             "solve_time": f"{seconds:.3f}",
         }
-        return estimate_health(outcome.found.estimate, outcome.alarms, facts)
+        return estimate_status(outcome.found.estimate, outcome.alarms, facts)
 
     def heard(self, live: OnlineIdentification) -> dict[str, str] | None:
         """Update the status of the topics; return their faults, or None if it is too early."""
@@ -190,7 +190,7 @@ class IdentifierHealth:
         figures["lost_blocks"] = live.lost_blocks
         faults = [*faults_by_topic.values(), *list(live.faults)[-1:], *self._newly_dropped(live)]
         level = WARN if faults else OK
-        self._streams = Health("streams", level, "; ".join(faults) or IN_ORDER, figures)
+        self._streams = NodeStatus("streams", level, "; ".join(faults) or IN_ORDER, figures)
         return faults_by_topic
 
     def _newly_dropped(self, live: OnlineIdentification) -> list[str]:

@@ -24,21 +24,21 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.formatting import ABSENT, fixed, with_std
-from symbid_ros.ros.endpoints import latched, reliable
+from symbid_ros.ros.endpoints import latched_qos, reliable_qos
 from symbid_ros.ros.monitor_messages import (
-    Health,
+    IdentifierStatus,
     LinkEstimate,
     RobotEstimate,
-    Stream,
+    StreamCounts,
     read_estimate,
-    read_health,
+    read_status,
 )
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import run_node
 
 QUIET = 3.0  # s without a word after which it is said so; the identifier speaks every second
 LEGEND = "known: by the data; σ ÷: shrunk since first seen"
-LEGEND_OF_ERRORS = "; error: rms of the ten"
+ERROR_LEGEND = "; error: rms of the ten"
 IMPOSSIBLE = "physically impossible"
 POLL = 0.1  # s
 REFRESH = 1.0  # s; how long the silence has lasted counts on without a message
@@ -53,7 +53,7 @@ PARAMETERS = (
 
 
 @dataclass(frozen=True)
-class View:
+class MonitorView:
     """What there is to show at one moment.
 
     Attributes
@@ -64,7 +64,7 @@ class View:
         The newest; None before the first.
     first : mapping of str to LinkEstimate
         Each link as it was seen first.
-    health : Health
+    health : IdentifierStatus
     silence : float
         Seconds since the identifier's last word, or since somebody listens.
     truth : mapping of str to (10,) float64
@@ -74,7 +74,7 @@ class View:
     identifier: str
     estimate: RobotEstimate | None
     first: Mapping[str, LinkEstimate]
-    health: Health
+    health: IdentifierStatus
     silence: float
     truth: Mapping[str, FloatArray]
 
@@ -91,7 +91,7 @@ class Screen:
     def __init__(self, console: Console) -> None:
         self._console = console
         self._live = Live(console=console, auto_refresh=False) if console.is_interactive else None
-        self._last: View | None = None
+        self._last: MonitorView | None = None
 
     def __enter__(self) -> "Screen":
         if self._live is not None:
@@ -109,7 +109,7 @@ class Screen:
         elif self._last is not None and self._last.estimate is not None:
             self._console.print(page(self._last, self._console))
 
-    def show(self, view: View) -> None:
+    def show(self, view: MonitorView) -> None:
         """Show a view; the estimate of the one before is not repeated in a log."""
         is_new = self._last is None or view.estimate is not self._last.estimate
         self._last = view
@@ -125,7 +125,7 @@ class Screen:
             )
 
 
-def page(view: View, console: Console) -> RenderableType:
+def page(view: MonitorView, console: Console) -> RenderableType:
     """Return head, table of the links and verdicts, as wide as the console."""
     if view.estimate is None:
         waiting = Text(f"waiting for {view.identifier}/estimate", style="dim")
@@ -137,7 +137,7 @@ def page(view: View, console: Console) -> RenderableType:
     )
 
 
-def line(view: View, estimate: RobotEstimate) -> str:
+def line(view: MonitorView, estimate: RobotEstimate) -> str:
     """Return an estimate in one line."""
     said = [
         _count(estimate),
@@ -151,7 +151,7 @@ def line(view: View, estimate: RobotEstimate) -> str:
     return f"data to {_clock(estimate.stamp)}: {', '.join(said)}; {warnings}"
 
 
-def _head(view: View, estimate: RobotEstimate) -> Text:
+def _head(view: MonitorView, estimate: RobotEstimate) -> Text:
     health = view.health
     said = [health.facts["method"]] if "method" in health.facts else []
     said.append(f"data to {_clock(estimate.stamp)}")
@@ -163,7 +163,7 @@ def _head(view: View, estimate: RobotEstimate) -> Text:
     return Text.assemble((estimate.model, "bold"), " ", ", ".join(said))
 
 
-def _links(view: View, estimate: RobotEstimate, console: Console) -> Table:
+def _links(view: MonitorView, estimate: RobotEstimate, console: Console) -> Table:
     """Return the fullest table that the console has room for."""
     boundless = console.options.update(max_width=1000)  # or rich would say that all of them fit
     for has_com, gap in ((True, " "), (True, ""), (False, " "), (False, "")):
@@ -173,13 +173,13 @@ def _links(view: View, estimate: RobotEstimate, console: Console) -> Table:
     return table
 
 
-def _table(view: View, estimate: RobotEstimate, *, has_com: bool, gap: str) -> Table:
+def _table(view: MonitorView, estimate: RobotEstimate, *, has_com: bool, gap: str) -> Table:
     table = Table(
         box=box.SIMPLE_HEAD,
         show_edge=False,
         pad_edge=False,
         padding=(0, 1 + len(gap), 0, 0),
-        caption=LEGEND + LEGEND_OF_ERRORS * bool(view.truth),
+        caption=LEGEND + ERROR_LEGEND * bool(view.truth),
         caption_justify="left",
     )
     table.add_column("link", no_wrap=True)
@@ -200,7 +200,7 @@ def _table(view: View, estimate: RobotEstimate, *, has_com: bool, gap: str) -> T
     return table
 
 
-def _verdicts(view: View, estimate: RobotEstimate) -> list[RenderableType]:
+def _verdicts(view: MonitorView, estimate: RobotEstimate) -> list[RenderableType]:
     health = view.health
     lines = [Text(_count(estimate))]
     if health.streams:
@@ -230,24 +230,24 @@ def _count(estimate: RobotEstimate) -> str:
     return f"{known} of {estimate.parameters} parameters determined by the data"
 
 
-def _stream(stream: Stream) -> str:
+def _stream(stream: StreamCounts) -> str:
     rate = f" {stream.rate:.0f} Hz" if math.isfinite(stream.rate) else ""
     faults = "".join(f" ({count} {what})" for what, count in stream.faults.items())
     return f"{stream.topic}{rate}{faults}"
 
 
-def _age(health: Health) -> list[str]:
+def _age(health: IdentifierStatus) -> list[str]:
     age = health.number("age")
     return [f"{age:.1f} s old"] if math.isfinite(age) else []
 
 
-def _overall_shrinkage(view: View, estimate: RobotEstimate) -> float:
+def _overall_shrinkage(view: MonitorView, estimate: RobotEstimate) -> float:
     factors = [link.shrinkage(view.first[link.name]) for link in estimate.links]
     told = [math.log(factor) for factor in factors if 0 < factor < math.inf]
     return math.exp(sum(told) / len(told)) if told else math.nan
 
 
-def _overall_error(view: View, estimate: RobotEstimate) -> float:
+def _overall_error(view: MonitorView, estimate: RobotEstimate) -> float:
     known = (link for link in estimate.links if link.name in view.truth)
     errors = [link.error(view.truth[link.name]) for link in known]
     told = [error**2 for error in errors if math.isfinite(error)]
@@ -278,10 +278,10 @@ class Monitor:
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._estimated = self._heard = time.monotonic()
         node.create_subscription(
-            DiagnosticArray, f"{self._identifier}/estimate", self._take_estimate, latched()
+            DiagnosticArray, f"{self._identifier}/estimate", self._take_estimate, latched_qos()
         )
         node.create_subscription(
-            DiagnosticArray, "/diagnostics", self._take_diagnostics, reliable(100)
+            DiagnosticArray, "/diagnostics", self._take_diagnostics, reliable_qos(100)
         )
 
     def run(self, stop: Event) -> None:
@@ -306,13 +306,13 @@ class Monitor:
                 )
             return 0 < self._wanted <= self._count
 
-    def _view(self, now: float) -> View:
+    def _view(self, now: float) -> MonitorView:
         with self._lock:
-            return View(
+            return MonitorView(
                 identifier=self._identifier,
                 estimate=self._estimate,
                 first=dict(self._first),
-                health=read_health(self._statuses),
+                health=read_status(self._statuses),
                 silence=now - self._heard,
                 truth=self._truth,
             )

@@ -109,7 +109,7 @@ class RobotEstimate:
 
 
 @dataclass(frozen=True)
-class Stream:
+class StreamCounts:
     """One input topic: rate in Hz (NaN where not told) and whatever was counted wrong with it."""
 
     topic: str
@@ -118,7 +118,7 @@ class Stream:
 
 
 @dataclass(frozen=True)
-class Health:
+class IdentifierStatus:
     """What the identifier says of itself on ``/diagnostics``.
 
     Attributes
@@ -127,12 +127,12 @@ class Health:
         Values of its status ``estimate``.
     warnings : tuple of str
         Messages of every status that is not OK, with the word for its level.
-    streams : tuple of Stream
+    streams : tuple of StreamCounts
     """
 
     facts: Mapping[str, str]
     warnings: tuple[str, ...]
-    streams: tuple[Stream, ...]
+    streams: tuple[StreamCounts, ...]
 
     def number(self, key: str) -> float:
         """Return a fact that is a number, NaN where it is none."""
@@ -161,7 +161,7 @@ def read_estimate(message: DiagnosticArray) -> RobotEstimate:
     )
 
 
-def read_health(statuses: Mapping[str, DiagnosticStatus]) -> Health:
+def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
     """Read the newest statuses of one identifier, by the part of the name behind its own."""
     estimate, streams = statuses.get("estimate"), statuses.get("streams")
     warnings = [
@@ -169,7 +169,7 @@ def read_health(statuses: Mapping[str, DiagnosticStatus]) -> Health:
         for status in statuses.values()
         if _level(status) > 0
     ]
-    return Health(
+    return IdentifierStatus(
         facts={} if estimate is None else _values(estimate),
         warnings=tuple(warnings),
         streams=() if streams is None else _streams(_values(streams)),
@@ -188,7 +188,7 @@ def _link(
     )
 
 
-def _streams(values: Mapping[str, str]) -> tuple[Stream, ...]:
+def _streams(values: Mapping[str, str]) -> tuple[StreamCounts, ...]:
     """Gather ``<topic>/<what>`` by topic, in the order told."""
     topics: dict[str, dict[str, float]] = {}
     for key, value in values.items():
@@ -196,7 +196,7 @@ def _streams(values: Mapping[str, str]) -> tuple[Stream, ...]:
         if topic:
             topics.setdefault(topic, {})[what] = _number(value)
     return tuple(
-        Stream(
+        StreamCounts(
             topic,
             counted.get("rate", math.nan),
             {

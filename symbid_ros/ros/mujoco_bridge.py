@@ -20,8 +20,8 @@ from symbid_ros.ros.bridge_parameters import (
     simulator_from,
 )
 from symbid_ros.ros.bridge_topics import BridgeTopics
-from symbid_ros.ros.commands import CommandSource, TopicCounts, command_source
-from symbid_ros.ros.diagnostics import ERROR, OK, WARN, Health, HealthPublisher
+from symbid_ros.ros.commands import CommandSource, TopicCommandCounts, command_source
+from symbid_ros.ros.diagnostics import ERROR, OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.ros.parameters import watch
 from symbid_ros.ros.process import built, run_node
 from symbid_ros.simulation.body_inertia import Payload
@@ -35,7 +35,7 @@ WARNING_PERIOD = 5.0  # s between two warnings of one kind
 
 
 @dataclass
-class Schedule:
+class FixedRate:
     """Deadlines of equal periods on the monotonic clock; ROS timers would skip ticks.
 
     What is a little late catches up. What was held up for longer, by a pause, a new start or a
@@ -80,7 +80,7 @@ class Schedule:
 
 
 @dataclass
-class BridgeRecord:
+class BridgeState:
     """How the simulation has gone.
 
     Attributes
@@ -111,7 +111,7 @@ class BridgeRecord:
     is_paused: bool = False
     is_safe: bool = False
 
-    def simulation(self, scenario: str, late_steps: int) -> Health:
+    def simulation(self, scenario: str, late_steps: int) -> NodeStatus:
         """Return the status of the simulation."""
         message = "running"
         if self.is_paused:
@@ -129,11 +129,11 @@ class BridgeRecord:
             "falls": self.falls,
             "payload": describe(self.payload),
         }
-        return Health("simulation", WARN if self.last_fall else OK, message, values)
+        return NodeStatus("simulation", WARN if self.last_fall else OK, message, values)
 
     def commands(
-        self, source: str, controllers: Sequence[str], counts: TopicCounts | CommandCounts
-    ) -> Health:
+        self, source: str, controllers: Sequence[str], counts: TopicCommandCounts | CommandCounts
+    ) -> NodeStatus:
         """Return the status of the commands from outside.
 
         Parameters
@@ -142,7 +142,7 @@ class BridgeRecord:
             Topic or datagrams.
         controllers : sequence of str
             Who sends them.
-        counts : TopicCounts or CommandCounts
+        counts : TopicCommandCounts or CommandCounts
             What came in.
         """
         level, message = OK, "commands are followed"
@@ -157,10 +157,10 @@ class BridgeRecord:
             "controllers": ", ".join(controllers) or "none",
             "safe_steps": self.safe_steps,
         }
-        return Health("commands", level, message, values | figures(counts))
+        return NodeStatus("commands", level, message, values | figures(counts))
 
 
-def figures(counts: TopicCounts | CommandCounts) -> dict[str, int]:
+def figures(counts: TopicCommandCounts | CommandCounts) -> dict[str, int]:
     """Return counts by name, rejections as ``rejected/<reason>``."""
     found: dict[str, int] = {}
     for name, value in asdict(counts).items():
@@ -199,14 +199,14 @@ class MujocoBridge:
         self._taken = 0  # instants of this motion
         self._torques: FloatArray | None = None
         self._is_payload_due = True
-        self._record = BridgeRecord()
-        self._schedule = Schedule(self._simulator.period_ns / values["real_time_factor"])
+        self._record = BridgeState()
+        self._schedule = FixedRate(self._simulator.period_ns / values["real_time_factor"])
         self._topics = BridgeTopics(node, self._simulator, values)
         self._commands = command_source(node, self._simulator, self._topics, values)
         watch(node, PARAMETERS, self._changes.put, self._payloads.require)
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_service(SetBool, "~/pause", self._on_pause)
-        self._health = HealthPublisher(node, self._look, robot_name(values))
+        self._health = StatusPublisher(node, self._look, robot_name(values))
 
     def run(self, stop: Event) -> None:
         """Play the motion to its end or until stopped, then say what was published."""
@@ -346,7 +346,7 @@ class MujocoBridge:
         answer.message = "paused" if wish.data else "running"
         return answer
 
-    def _look(self) -> list[Health]:
+    def _look(self) -> list[NodeStatus]:
         record, values = self._record, self._values
         found = [record.simulation(values["scenario"], self._schedule.late)]
         if self._commands is not None:

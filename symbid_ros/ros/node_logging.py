@@ -46,7 +46,7 @@ class NodeLogHandler(logging.Handler):
 
 
 @contextmanager
-def python_logs_of(node: Node) -> Iterator[None]:
+def forward_python_logs(node: Node) -> Iterator[None]:
     """Let all Python loggers of the process log through a node."""
     handler = NodeLogHandler(node)
     root, package = logging.getLogger(), logging.getLogger(PACKAGE_LOGGER)
@@ -83,7 +83,7 @@ class OncePerMinute(logging.Filter):
 
 
 @dataclass
-class Notices:
+class FaultReporter:
     """Reports the current faults of a node on its console and on ``/rosout``.
 
     Attributes

@@ -19,14 +19,14 @@ from symbid_ros.identification.export import check_output, export_urdf, write_id
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
-from symbid_ros.ros.diagnostics import HealthPublisher
+from symbid_ros.ros.diagnostics import StatusPublisher
 from symbid_ros.ros.estimate_topics import EstimateTopics
-from symbid_ros.ros.identifier_diagnostics import IdentifierHealth
+from symbid_ros.ros.identifier_diagnostics import IdentifierDiagnostics
 from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, job_from
-from symbid_ros.ros.node_logging import Notices
+from symbid_ros.ros.node_logging import FaultReporter
 from symbid_ros.ros.parameters import ParameterError, watch
-from symbid_ros.ros.raw_subscription import Intake
-from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
+from symbid_ros.ros.raw_subscription import RawSubscription
+from symbid_ros.ros.sensor_topics import SensorTopics, resolve_topics
 
 POLL = 0.005  # s; far below what fills a queue
 FOREVER = 2**63 - 1  # ns
@@ -45,7 +45,7 @@ DESCRIPTION_PERIOD = 10.0  # s
 Answer = tuple[bool, str]
 
 
-class _Request:
+class _ServiceRequest:
     """What a service asks of the thread that identifies, and waits for."""
 
     def __init__(self, work: Callable[[], str]) -> None:
@@ -81,25 +81,25 @@ class OnlineIdentifier:
         self._period: float = values["solve_period"]
         self._sensors = SensorTopics(
             node,
-            own_topics(node, self._beginning.job.topics, sys.argv),
+            resolve_topics(node, self._beginning.job.topics, sys.argv),
             self._parameters.model,
             values["settle"],
             values["queue_depth"],
         )
-        self._requests: SimpleQueue[_Request] = SimpleQueue()
+        self._requests: SimpleQueue[_ServiceRequest] = SimpleQueue()
         self._ended = Event()
         self._is_enabled = True
         self._identification: OnlineIdentification | None = None
         self._selected: SelectedTopics | None = None
         self._declined: set[str] = set()
-        self._intakes: tuple[tuple[Topic, Intake], ...] = ()
+        self._intakes: tuple[tuple[Topic, RawSubscription], ...] = ()
         self._topics = EstimateTopics(node, self._parameters)
         self._described = float("-inf")
         self._solves = 0
         self._newest: OnlineEstimate | None = None
         self._solve_time = 0.0  # s
-        self._health = IdentifierHealth()
-        self._notices = Notices(node)
+        self._health = IdentifierDiagnostics()
+        self._notices = FaultReporter(node)
         for handler_name, work in (
             ("reset", self._reset),
             ("solve", self._solve_exactly),
@@ -108,7 +108,7 @@ class OnlineIdentifier:
             node.create_service(Trigger, f"~/{handler_name}", self._triggered(work))
         node.create_service(SetBool, "~/enable", self._enable)
         watch(node, PARAMETERS, self._adopt)
-        self._publisher = HealthPublisher(node, self._health.look, self._parameters.model.name)
+        self._publisher = StatusPublisher(node, self._health.look, self._parameters.model.name)
 
     def run(self, stop: Event) -> None:
         """Identify until stopped; then save, where a folder is named, and say what was done.
@@ -324,7 +324,7 @@ class OnlineIdentifier:
     def _adopt(self, live: dict[str, Any]) -> None:
         self._period = live["solve_period"]
         # Blocks may be in work: the thread that identifies makes the change.
-        self._requests.put(_Request(lambda: self._remember(live["memory"])))
+        self._requests.put(_ServiceRequest(lambda: self._remember(live["memory"])))
 
     def _remember(self, memory: float) -> str:
         self._pace = replace(self._pace, memory=memory or float("inf"))
@@ -336,7 +336,7 @@ class OnlineIdentifier:
         self, work: Callable[[], str]
     ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
         def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            request = _Request(work)
+            request = _ServiceRequest(work)
             self._requests.put(request)
             response.success, response.message = request.answer(self._ended)
             return response
@@ -354,7 +354,7 @@ class OnlineIdentifier:
         while (request := self._next_request()) is not None:
             request.perform()
 
-    def _next_request(self) -> _Request | None:
+    def _next_request(self) -> _ServiceRequest | None:
         try:
             return self._requests.get_nowait()
         except Empty:

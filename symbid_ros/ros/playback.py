@@ -13,7 +13,7 @@ from symbid_ros.bags.container.file_index import RecordedTopic
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.layout import CDR
 from symbid_ros.messages.types import CLOCK, clock_layout, fill_stamp
-from symbid_ros.ros.endpoints import message_class, reliable
+from symbid_ros.ros.endpoints import message_class, reliable_qos
 
 POLL = 0.02  # s; how soon a pause, a restart or the end is noticed
 GIVEN_UP = 60.0  # s; the middleware itself forgets a subscriber that has died after 20 s
@@ -34,7 +34,7 @@ def replay_profile(topic: RecordedTopic, depth: int, *, patient: bool) -> QoSPro
     patient : bool
         Whether to wait for them instead of overwriting the oldest message.
     """
-    profile = reliable(depth)
+    profile = reliable_qos(depth)
     latching = [offer for offer in topic.qos if offer.durability == "transient_local"]
     if latching:
         profile.durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
@@ -146,7 +146,7 @@ class ReplayClock:
 
 
 @dataclass
-class Transport:
+class ReplayControls:
     """What the services ask of the player; they answer in the executor's thread.
 
     Attributes
@@ -174,7 +174,7 @@ class Transport:
         return response
 
 
-class Schedule:
+class ReplaySchedule:
     """When each message is due, on the monotonic clock.
 
     A ROS timer skips ticks: deadlines do not, and a late message does not delay the next.
@@ -183,7 +183,7 @@ class Schedule:
     ----------
     rate : float
         Seconds of log time per second; 0 for no schedule at all.
-    transport : Transport
+    transport : ReplayControls
     stop : Event
 
     Attributes
@@ -192,7 +192,7 @@ class Schedule:
         How late the newest message was and the latest of all, seconds.
     """
 
-    def __init__(self, rate: float, transport: Transport, stop: Event) -> None:
+    def __init__(self, rate: float, transport: ReplayControls, stop: Event) -> None:
         self.lag = self.longest_lag = 0.0
         self.rate = rate
         self._transport = transport

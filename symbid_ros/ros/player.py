@@ -20,14 +20,19 @@ from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.messages.layout import typestore
 from symbid_ros.messages.topics import Selector, Topic, TopicSelection
 from symbid_ros.messages.types import has_stamp, stamp_of
-from symbid_ros.ros.endpoints import await_acknowledgement, await_settled, message_class, reliable
+from symbid_ros.ros.endpoints import (
+    await_acknowledgement,
+    await_settled,
+    message_class,
+    reliable_qos,
+)
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.playback import (
     CLOCK_TOPIC,
     ReplayClock,
+    ReplayControls,
     ReplayPublisher,
-    Schedule,
-    Transport,
+    ReplaySchedule,
 )
 from symbid_ros.ros.process import run_node
 from symbid_ros.shutdown import interruptible
@@ -108,13 +113,13 @@ class Player:
         self._stamped = _stamped(topics) if self._clock and self._shows_stamps else set()
         self._awaited = _sensors(topics) if values["wait_for_subscribers"] else ()
 
-        self._transport = Transport(node)
-        self._schedule = Schedule(values["rate"], self._transport, stop)
+        self._transport = ReplayControls(node)
+        self._schedule = ReplaySchedule(values["rate"], self._transport, stop)
         self._position, self._stamp = self._begin, -1
         self._passes = 0
         self._state = "waiting for subscribers"
         self._node = node
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", reliable(10))
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", reliable_qos(10))
         # The node's own clock may be the one that is being replayed.
         node.create_timer(1.0, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 

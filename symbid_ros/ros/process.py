@@ -22,7 +22,7 @@ from rclpy.utilities import remove_ros_args
 
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.node_logging import python_logs_of
+from symbid_ros.ros.node_logging import forward_python_logs
 from symbid_ros.ros.parameters import Parameter, declare
 from symbid_ros.shutdown import interruptible, stop_on_signals
 
@@ -111,7 +111,7 @@ def run_node(
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name)
         try:
-            with python_logs_of(node):
+            with forward_python_logs(node):
                 values = declare(node, parameters)
                 _work_beside_executor(node, lambda: work(node, values, stop), stop)
         finally:

@@ -21,14 +21,19 @@ from symbid_ros.messages.layout import Layout, Records
 from symbid_ros.messages.single_message import SingleMessages
 from symbid_ros.messages.topics import OfferedQos, Topic
 from symbid_ros.messages.types import read_stamp
-from symbid_ros.ros.endpoints import matching, meets, message_class, offered
+from symbid_ros.ros.endpoints import (
+    is_compatible,
+    message_class,
+    recorded_qos,
+    strictest_common_qos,
+)
 
 # Messages, and bytes of them, taken from one queue before the next has its turn.
 BATCH = 256
 BATCH_SIZE = 1 << 20
 
 
-class Polled(CallbackGroup):  # type: ignore[misc]
+class PolledGroup(CallbackGroup):  # type: ignore[misc]
     """Keeps its subscriptions out of every executor."""
 
     def can_execute(self, entity: Any) -> bool:
@@ -36,7 +41,7 @@ class Polled(CallbackGroup):  # type: ignore[misc]
         return False
 
 
-class Arrival(NamedTuple):
+class ReceivedMessage(NamedTuple):
     """One message as it came: bytes, time of receipt and of publishing in nanoseconds."""
 
     payload: bytes
@@ -45,7 +50,7 @@ class Arrival(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Intake:
+class RawSubscription:
     """Raw subscriptions to one topic: one, or more where publishers' qualities of service differ.
 
     Attributes
@@ -55,7 +60,7 @@ class Intake:
         Fully qualified name and type.
     depth : int
         Messages that may wait.
-    group : Polled
+    group : PolledGroup
     qos : tuple of OfferedQos
         What its publishers offered when it was found.
     """
@@ -64,13 +69,13 @@ class Intake:
     topic: str
     msgtype: str
     depth: int
-    group: Polled
+    group: PolledGroup
     qos: tuple[OfferedQos, ...]
     _subscriptions: list[Subscription] = field(default_factory=list)
-    _returned: list[Arrival] = field(default_factory=list)
+    _returned: list[ReceivedMessage] = field(default_factory=list)
     _recent: dict[tuple[int, int], None] = field(default_factory=dict)
 
-    def arrivals(self) -> Iterator[Arrival]:
+    def arrivals(self) -> Iterator[ReceivedMessage]:
         """Take what lies in the queues, a batch of each at most; no message twice."""
         while self._returned:
             yield self._returned.pop(0)
@@ -79,7 +84,7 @@ class Intake:
                 if len(self._subscriptions) == 1 or self._is_new(arrival):
                     yield arrival
 
-    def give_back(self, arrival: Arrival) -> None:
+    def give_back(self, arrival: ReceivedMessage) -> None:
         """Let a message be the next to arrive."""
         self._returned.insert(0, arrival)
 
@@ -87,13 +92,13 @@ class Intake:
         """Subscribe once more where a publisher offers less than has been asked for so far."""
         offers = [each.qos_profile for each in _publishers(self.node, self.topic, self.msgtype)]
         asked = [each.qos_profile for each in self._subscriptions]
-        unmet = [offer for offer in offers if not any(meets(offer, one) for one in asked)]
+        unmet = [offer for offer in offers if not any(is_compatible(offer, one) for one in asked)]
         if unmet:
             subscription = self.node.create_subscription(
                 message_class(self.msgtype),
                 self.topic,
                 _unused,
-                matching(unmet, self.depth),
+                strictest_common_qos(unmet, self.depth),
                 callback_group=self.group,
                 raw=True,
             )
@@ -104,7 +109,7 @@ class Intake:
         while self._subscriptions:
             self.node.destroy_subscription(self._subscriptions.pop())
 
-    def _is_new(self, arrival: Arrival) -> bool:
+    def _is_new(self, arrival: ReceivedMessage) -> bool:
         """Tell whether no other of the subscriptions has brought a message already."""
         key = arrival.published, hash(arrival.payload)
         if key in self._recent:
@@ -115,7 +120,7 @@ class Intake:
         return True
 
 
-def _taken(subscription: Subscription) -> Iterator[Arrival]:
+def _taken(subscription: Subscription) -> Iterator[ReceivedMessage]:
     handle, kind = subscription.handle, subscription.msg_type
     size = 0
     with handle:
@@ -125,7 +130,7 @@ def _taken(subscription: Subscription) -> Iterator[Arrival]:
                 return
             payload, times = taken
             size += len(payload)
-            yield Arrival(payload, times["received_timestamp"], times["source_timestamp"])
+            yield ReceivedMessage(payload, times["received_timestamp"], times["source_timestamp"])
 
 
 def _publishers(node: Node, topic: str, msgtype: str) -> list[TopicEndpointInfo]:
@@ -138,8 +143,8 @@ def _unused(message: Any) -> None:
 
 
 def subscribe(
-    node: Node, topic: str, depth: int, group: Polled, msgtype: str | None = None
-) -> Intake | None:
+    node: Node, topic: str, depth: int, group: PolledGroup, msgtype: str | None = None
+) -> RawSubscription | None:
     """Subscribe to a topic as its publishers offer it; None while there is none.
 
     Where publishers disagree about the type, it is ``msgtype``, or else the first one's.
@@ -149,14 +154,14 @@ def subscribe(
     publishers = _publishers(node, topic, kind)
     if not publishers:
         return None
-    offers = tuple(offered(publisher.qos_profile) for publisher in publishers)
-    intake = Intake(node, topic, kind, depth, group, offers)
+    offers = tuple(recorded_qos(publisher.qos_profile) for publisher in publishers)
+    intake = RawSubscription(node, topic, kind, depth, group, offers)
     intake.follow()
     return intake
 
 
 @dataclass(frozen=True)
-class Letter:
+class DecodedMessage:
     """One message in numbers.
 
     Attributes
@@ -177,7 +182,7 @@ class Letter:
         return int(stamps[0])
 
 
-class Mailbox:
+class DecodedSubscription:
     """A subscription that accepts any quality of service and is polled.
 
     Parameters
@@ -199,7 +204,7 @@ class Mailbox:
                 depth=depth,
                 reliability=QoSReliabilityPolicy.BEST_EFFORT,
             ),
-            callback_group=Polled(),
+            callback_group=PolledGroup(),
             raw=True,
         )
         name = str(self.subscription.topic_name)
@@ -217,7 +222,7 @@ class Mailbox:
             while (taken := handle.take_message(kind, True)) is not None:
                 yield taken[0]
 
-    def read(self, payload: bytes) -> Letter:
+    def read(self, payload: bytes) -> DecodedMessage:
         """Decode one of its payloads; those laid out like a recent one cost a comparison.
 
         Raises
@@ -225,10 +230,10 @@ class Mailbox:
         DataError
             When it is not a message of this type.
         """
-        return Letter(*self._messages.decode(payload))
+        return DecodedMessage(*self._messages.decode(payload))
 
 
-def wait_for_any(node: Node, mailboxes: Sequence[Mailbox], seconds: float) -> None:
+def wait_for_any(node: Node, mailboxes: Sequence[DecodedSubscription], seconds: float) -> None:
     """Sleep until one of the mailboxes holds a message, or for so many seconds."""
     handles = [mailbox.subscription.handle for mailbox in mailboxes]
     waiting = rclpy_implementation.WaitSet(len(handles), 0, 0, 0, 0, 0, node.context.handle)

@@ -23,11 +23,11 @@ from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.messages.layout import ENCAPSULATION, typestore
 from symbid_ros.messages.single_message import GapCounter
 from symbid_ros.messages.types import has_stamp, stamp_of
-from symbid_ros.ros.diagnostics import ERROR, OK, WARN, Health, HealthPublisher
-from symbid_ros.ros.discovery import Discovery, TopicFilter
+from symbid_ros.ros.diagnostics import ERROR, OK, WARN, NodeStatus, StatusPublisher
+from symbid_ros.ros.discovery import TopicDiscovery, TopicFilter
 from symbid_ros.ros.parameters import Parameter, ParameterError
 from symbid_ros.ros.process import run_node
-from symbid_ros.ros.raw_subscription import Intake
+from symbid_ros.ros.raw_subscription import RawSubscription
 
 REFRESH = 0.5  # s
 LATE_SYNC = 5.0  # s; a healthy disk answers within milliseconds
@@ -127,7 +127,7 @@ class RecordingProgress:
         if self._live is not None:
             self._live.update(self._line(state), refresh=True)
 
-    def health(self, state: WriterState, failure: Exception | None) -> Health:
+    def health(self, state: WriterState, failure: Exception | None) -> NodeStatus:
         """Return the status of the recording."""
         level, message = OK, "recording" if state.messages else "waiting for messages"
         if failure is not None:
@@ -145,7 +145,7 @@ class RecordingProgress:
             "dropped": sum(state.dropped.values()),
             "sync_age": f"{state.sync_age:.2f}",
         } | {f"dropped {topic}": count for topic, count in state.dropped.items()}
-        return Health("recording", level, message, values)
+        return NodeStatus("recording", level, message, values)
 
     def _line(self, state: WriterState) -> Text:
         # What matters most comes first: a narrow terminal shows no more.
@@ -168,7 +168,7 @@ class RecordingProgress:
 class _Recording:
     """A topic being recorded."""
 
-    intake: Intake
+    intake: RawSubscription
     topic: int
     gaps: GapCounter | None  # without stamps there is nothing to count
 
@@ -179,7 +179,7 @@ class Recorder:
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         name = values["bag"] or datetime.now().strftime("log_%Y_%m_%d-%H_%M_%S")
         self._silence: float = values["stop_when_silent"]
-        self._discovery = Discovery(node, _wanted(values), values["queue_depth"])
+        self._discovery = TopicDiscovery(node, _wanted(values), values["queue_depth"])
         self._recordings: list[_Recording] = []
         self._refusal: Exception | None = None
         self._bag = BagWriter(
@@ -194,7 +194,7 @@ class Recorder:
             capacity=values["queue_size"] * MEGABYTE,
         )
         self._progress = RecordingProgress(name, Console(stderr=True, highlight=False))
-        self._health = HealthPublisher(
+        self._health = StatusPublisher(
             node,
             lambda: [self._progress.health(self._writer.state, self._writer.failure)],
             str(self._bag),
@@ -260,7 +260,7 @@ class Recorder:
         while any(message.log_time <= until for message in self._drain()):
             pass
 
-    def _announce(self, intake: Intake) -> None:
+    def _announce(self, intake: RawSubscription) -> None:
         topic = self._writer.add_topic(intake.topic, intake.msgtype, intake.qos)
         is_stamped = intake.msgtype in typestore().fielddefs and has_stamp(intake.msgtype)
         self._recordings.append(_Recording(intake, topic, GapCounter() if is_stamped else None))

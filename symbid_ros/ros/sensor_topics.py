@@ -13,7 +13,7 @@ from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSel
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.message_check import known_frames
-from symbid_ros.ros.raw_subscription import Intake, Polled, subscribe
+from symbid_ros.ros.raw_subscription import PolledGroup, RawSubscription, subscribe
 from symbid_ros.signals.alignment import suggested_prefix
 
 JOINTS, IMU_DATA = "joint_states", "imu/data"
@@ -21,7 +21,7 @@ Graph = Mapping[str, Sequence[str]]
 
 
 @dataclass(frozen=True)
-class OwnTopics:
+class RobotTopics:
     """Which topics may be the robot's, as the graph names them.
 
     Attributes
@@ -46,13 +46,13 @@ class OwnTopics:
 
 
 @dataclass
-class Candidate:
+class CandidateTopic:
     """A topic that may be a sensor's of the robot.
 
     Attributes
     ----------
     topic : Topic
-    intake : Intake or None
+    intake : RawSubscription or None
         None once it is known that the topic is not used.
     frame : str
         ``header.frame_id`` of the newest message looked at; empty before one came.
@@ -61,7 +61,7 @@ class Candidate:
     """
 
     topic: Topic
-    intake: Intake | None
+    intake: RawSubscription | None
     frame: str = ""
     is_placed: bool = False
 
@@ -103,7 +103,7 @@ class SensorTopics:
     Attributes
     ----------
     node : Node
-    own : OwnTopics
+    own : RobotTopics
         Which topics are wanted.
     model : RobotModel
         Whose frames the sensors have; a floating base needs an IMU.
@@ -114,12 +114,12 @@ class SensorTopics:
     """
 
     node: Node
-    own: OwnTopics
+    own: RobotTopics
     model: RobotModel
     settle: float
     depth: int
-    _candidates: dict[Topic, Candidate] = field(default_factory=dict)
-    _group: Polled = field(default_factory=Polled)
+    _candidates: dict[Topic, CandidateTopic] = field(default_factory=dict)
+    _group: PolledGroup = field(default_factory=PolledGroup)
     _chosen: frozenset[Topic] = frozenset()
     _used: frozenset[Topic] = frozenset()
     _since: float = field(default_factory=time.monotonic)
@@ -155,7 +155,7 @@ class SensorTopics:
             self.own.selection.joint_names,
         )
 
-    def intakes(self, selected: SelectedTopics) -> tuple[tuple[Topic, Intake], ...]:
+    def intakes(self, selected: SelectedTopics) -> tuple[tuple[Topic, RawSubscription], ...]:
         """Return the selected topics with their subscriptions, and let go of all others."""
         self._used = frozenset(selected.all)
         self.release()
@@ -246,7 +246,7 @@ class SensorTopics:
         for topic in wanted - self._candidates.keys():
             intake = subscribe(self.node, topic.name, self.depth, self._group, topic.msgtype)
             if intake is not None:
-                self._candidates[topic] = Candidate(topic, intake)
+                self._candidates[topic] = CandidateTopic(topic, intake)
         # Taken for the robot's until its owner turned up; what is in use stays.
         for topic in self._candidates.keys() - wanted - self._used:
             candidate = self._candidates.pop(topic)
@@ -258,7 +258,7 @@ class SensorTopics:
         own_imu = self.node.resolve_topic_name(IMU_DATA)
         preferred = self.own.named | self.own.remapped | {own_imu}
 
-        def rank(candidate: Candidate) -> tuple[bool, int, str]:
+        def rank(candidate: CandidateTopic) -> tuple[bool, int, str]:
             name = candidate.topic.name
             return name not in preferred, name.count("/"), name
 
@@ -276,7 +276,7 @@ class SensorTopics:
         return not self.own.named <= names or not (has_imu or not self.model.floating)
 
 
-def own_topics(node: Node, selection: TopicSelection, arguments: Sequence[str]) -> OwnTopics:
+def resolve_topics(node: Node, selection: TopicSelection, arguments: Sequence[str]) -> RobotTopics:
     """Return the names of a selection as the graph has them, remappings included.
 
     Parameters
@@ -303,7 +303,7 @@ def own_topics(node: Node, selection: TopicSelection, arguments: Sequence[str]) 
         imus=(imu,) if is_remapped and selection.imus is None else all_of(selection.imus),
         wrenches=all_of(selection.wrenches),
     )
-    return OwnTopics(
+    return RobotTopics(
         own, frozenset(new for _, new in pairs), frozenset(old for old, new in pairs if old != new)
     )
 

@@ -5,7 +5,7 @@ import signal
 
 import numpy as np
 import pytest
-from graph_probes import RELIABLE, Health, call, descriptors
+from graph_probes import RELIABLE, StatusProbe, call, descriptors
 from nav_msgs.msg import Odometry
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -87,7 +87,7 @@ def test_it_moves_the_robot_as_the_scenario_does(graph) -> None:
 
 
 def test_each_picks_up_the_other_after_a_kill(graph) -> None:
-    clock, health = Clocked(graph), Health(graph)
+    clock, health = Clocked(graph), StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT | {"command_timeout": 1.0})
     graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
     assert not clock.stamps, "time stands still without a controller"
@@ -122,7 +122,7 @@ def test_each_picks_up_the_other_after_a_kill(graph) -> None:
 
 
 def test_reset_and_pause(graph) -> None:
-    clock, health = Clocked(graph), Health(graph)
+    clock, health = Clocked(graph), StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT)
     controller = graph.start("balance_controller")
     graph.wait_until(lambda: clock.now > 0.3)
@@ -142,7 +142,7 @@ def test_reset_and_pause(graph) -> None:
 
 
 def test_bad_commands_are_reported_and_move_nothing(graph) -> None:
-    states, health = [], Health(graph)
+    states, health = [], StatusProbe(graph)
     graph.node.create_subscription(JointState, "joint_states", states.append, RELIABLE)
     commands = graph.node.create_publisher(JointState, "joint_command", RELIABLE)
     bridge = graph.start("mujoco_bridge", **PATIENT)
@@ -179,7 +179,7 @@ def test_bad_commands_are_reported_and_move_nothing(graph) -> None:
 
 @pytest.mark.parametrize(("source", "number"), [("topic", signal.SIGINT), ("udp", signal.SIGTERM)])
 def test_signals_end_a_bridge_that_waits(graph, source: str, number: signal.Signals) -> None:
-    health = Health(graph)
+    health = StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", command_source=source, udp_port=0)
     graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
     bridge.send(number)
@@ -191,7 +191,7 @@ def test_signals_end_a_bridge_that_waits(graph, source: str, number: signal.Sign
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_a_controller_that_hears_nothing(graph, number: signal.Signals) -> None:
-    health = Health(graph)
+    health = StatusProbe(graph)
     controller = graph.start("balance_controller")
     graph.wait_until(lambda: health.message(CONTROL).startswith("no measurements"))
     described = descriptors(graph, "/balance_controller", ["scenario", "moves", "use_sim_time"])

@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from symbid_ros.errors import DataError
-from symbid_ros.ros.balance_controller import KEPT, Readings, ReadingsIntake
+from symbid_ros.ros.balance_controller import KEPT, BalanceFeedback, FeedbackSubscriber
 
 JOINTS = ("hip", "knee")
 MILLISECOND = 1_000_000
@@ -26,7 +26,7 @@ class Robot:
     def __init__(self, node: Node) -> None:
         self.joint_publisher = node.create_publisher(JointState, "joint_states", 1000)
         self.imu_publisher = node.create_publisher(Imu, "imu/data", 1000)
-        self.intake = ReadingsIntake(node, JOINTS)
+        self.intake = FeedbackSubscriber(node, JOINTS)
         while not (
             self.joint_publisher.get_subscription_count()
             and self.imu_publisher.get_subscription_count()
@@ -57,7 +57,7 @@ class Robot:
         message.header.stamp.nanosec = rest * MILLISECOND
         publisher.publish(message)
 
-    def read(self, milliseconds: int) -> Readings:
+    def read(self, milliseconds: int) -> BalanceFeedback:
         """Read until the instant of a stamp comes, which must be the first that is whole."""
         deadline = time.monotonic() + DEADLINE
         while (readings := self.intake.newest()) is None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from graph_probes import RELIABLE, Health, descriptors, parameter, set_parameters
+from graph_probes import RELIABLE, StatusProbe, descriptors, parameter, set_parameters
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -158,7 +158,7 @@ def test_rates_of_zero_publish_nothing(graph) -> None:
 
 def test_parameters_are_described_and_fixed_but_for_the_payload(graph) -> None:
     bridge = graph.start("mujoco_bridge", wait_for_subscribers=True)
-    health = Health(graph)
+    health = StatusProbe(graph)
     graph.wait_until(lambda: health.received)
     names = [parameter.name for parameter in mujoco_bridge.PARAMETERS]
     found = {each.name: each for each in descriptors(graph, "/mujoco_bridge", names)}
@@ -196,7 +196,7 @@ def test_a_payload_set_while_it_moves_weighs_on_the_feet(graph, tmp_path: Path) 
     """At rest at the end, the feet bear the payload's weight more than without it."""
     clock: list[int] = []
     graph.node.create_subscription(Clock, "/clock", lambda m: clock.append(m.clock.sec), RELIABLE)
-    health = Health(graph)
+    health = StatusProbe(graph)
     recorder = graph.start("recorder", bag=tmp_path / "live", topics=ALL_TOPICS)
     bridge = graph.start(
         "mujoco_bridge", moves=1, motion_seed=3, ideal=True, wait_for_subscribers=True

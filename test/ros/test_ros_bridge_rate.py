@@ -3,7 +3,7 @@
 import pytest
 
 from symbid_ros.ros import mujoco_bridge
-from symbid_ros.ros.mujoco_bridge import Schedule
+from symbid_ros.ros.mujoco_bridge import FixedRate
 
 MILLISECOND = 1_000_000
 
@@ -28,7 +28,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> ManualClock:
     return manual
 
 
-def periods_taken(schedule: Schedule, clock: ManualClock, work: list[int]) -> list[float]:
+def periods_taken(schedule: FixedRate, clock: ManualClock, work: list[int]) -> list[float]:
     """Return how long each period took in milliseconds, given the work (ms) in it."""
     taken = []
     for milliseconds in work:
@@ -40,26 +40,26 @@ def periods_taken(schedule: Schedule, clock: ManualClock, work: list[int]) -> li
 
 
 def test_the_first_deadline_is_now_and_work_does_not_add_up(clock: ManualClock) -> None:
-    schedule = Schedule(2.0 * MILLISECOND)
+    schedule = FixedRate(2.0 * MILLISECOND)
     assert periods_taken(schedule, clock, [0, 1, 0, 1.5, 1]) == [0, 2, 2, 2, 2]
     assert (schedule.late, schedule.elapsed_ns) == (0, 8 * MILLISECOND)
 
 
 def test_a_little_delay_is_made_up_for(clock: ManualClock) -> None:
-    schedule = Schedule(2.0 * MILLISECOND)
+    schedule = FixedRate(2.0 * MILLISECOND)
     assert periods_taken(schedule, clock, [0, 7, 1, 1, 1, 1, 1, 1]) == [0, 7, 1, 1, 1, 1, 1, 2]
     assert schedule.late == 4
     assert schedule.elapsed_ns == 14 * MILLISECOND
 
 
 def test_a_long_delay_is_not_raced_after(clock: ManualClock) -> None:
-    schedule = Schedule(2.0 * MILLISECOND)
+    schedule = FixedRate(2.0 * MILLISECOND)
     assert periods_taken(schedule, clock, [0, 500, 0, 0]) == [0, 500, 2, 2]
     assert schedule.late == 1
 
 
 def test_a_pause_is_no_delay_and_no_elapsed_time(clock: ManualClock) -> None:
-    schedule = Schedule(2.0 * MILLISECOND)
+    schedule = FixedRate(2.0 * MILLISECOND)
     assert periods_taken(schedule, clock, [0, 1]) == [0, 2]
     clock.now += 3600 * 10**9
     schedule.restart()

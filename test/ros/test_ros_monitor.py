@@ -23,8 +23,8 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from rich.console import Console
 
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.monitor import PARAMETERS, Screen, View, page
-from symbid_ros.ros.monitor_messages import Health, read_estimate, read_health
+from symbid_ros.ros.monitor import PARAMETERS, MonitorView, Screen, page
+from symbid_ros.ros.monitor_messages import IdentifierStatus, read_estimate, read_status
 
 NAMES = ("m", "mc_x", "mc_y", "mc_z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -55,19 +55,19 @@ def estimate(*links: DiagnosticStatus, seconds: int = 3) -> DiagnosticArray:
     return message
 
 
-def view(message: DiagnosticArray, *, first: DiagnosticArray | None = None, **facts) -> View:
+def view(message: DiagnosticArray, *, first: DiagnosticArray | None = None, **facts) -> MonitorView:
     seen = read_estimate(first or message)
-    return View(
+    return MonitorView(
         identifier="/identifier",
         estimate=read_estimate(message),
         first={each.name: each for each in seen.links},
-        health=facts.get("health", Health({}, (), ())),
+        health=facts.get("health", IdentifierStatus({}, (), ())),
         silence=facts.get("silence", 0.0),
         truth=facts.get("truth", {}),
     )
 
 
-def rendered(shown: View, width: int) -> list[str]:
+def rendered(shown: MonitorView, width: int) -> list[str]:
     console = Console(file=StringIO(), width=width)
     console.print(page(shown, console))
     return console.file.getvalue().splitlines()
@@ -130,14 +130,14 @@ class TestMessages:
                 "", imu__data__rate="999.6", imu__data__missing="2", joint_states__rate="1000.2 Hz"
             ),
         }
-        health = read_health(told)
+        health = read_status(told)
         assert (health.number("age"), health.number("samples")) == (0.8, 120)
         assert math.isnan(health.number("method"))
         assert health.warnings == ("warning: leg: changed",)
         imu, joints = health.streams
         assert (imu.topic, imu.rate, dict(imu.faults)) == ("imu/data", 999.6, {"missing": 2})
         assert (joints.topic, joints.rate, dict(joints.faults)) == ("joint_states", 1000.2, {})
-        assert read_health({}) == Health({}, (), ())
+        assert read_status({}) == IdentifierStatus({}, (), ())
 
 
 class TestPage:
@@ -162,7 +162,7 @@ class TestPage:
 
     def test_why_there_is_no_estimate_is_told(self) -> None:
         told = {"estimate": status("", DiagnosticStatus.ERROR, "the data do not fit the model")}
-        shown = View("/identifier", None, {}, read_health(told), 0.0, {})
+        shown = MonitorView("/identifier", None, {}, read_status(told), 0.0, {})
         assert rendered(shown, 80) == [
             "waiting for /identifier/estimate",
             "error: the data do not fit the model",
@@ -179,7 +179,7 @@ class TestPage:
         assert has_com == (width >= 80)
 
     def test_warnings_stand_below_the_table(self) -> None:
-        health = Health({}, ("warning: leg: changed",), ())
+        health = IdentifierStatus({}, ("warning: leg: changed",), ())
         leg = link("leg", LEG, STD, level=DiagnosticStatus.WARN)
         lines = rendered(view(estimate(leg), health=health, silence=9.0), 80)
         assert lines[-3:] == [
@@ -330,7 +330,7 @@ def test_a_foreign_publisher_of_absurd_values_is_shown_as_far_as_possible(seed: 
 
     message = estimate(*(absurd(name) for name in ("base", "[/bold]", "base")))
     message.header.stamp.sec = draw.choice([-(2**31), 2**31 - 1])
-    health = read_health({part: absurd(part) for part in ("estimate", "streams", "change")})
+    health = read_status({part: absurd(part) for part in ("estimate", "streams", "change")})
     shown = view(message, health=health, truth={"base": TRUNK})
     assert any("base" in line for line in rendered(shown, 200)), rendered(shown, 200)
     console = Console(file=StringIO(), width=200)

@@ -13,7 +13,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
-from symbid_ros.ros.node_logging import python_logs_of
+from symbid_ros.ros.node_logging import forward_python_logs
 
 MARK = "the last of these messages"
 DEADLINE = 120.0  # s; only a hang takes as long
@@ -47,7 +47,7 @@ def logged(domain: int) -> Iterator[tuple[Node, Callable[[], list[Log]]]]:
 
 def test_messages_of_any_python_logger_carry_the_nodes_name_and_their_severity(logged) -> None:
     node, messages = logged
-    with python_logs_of(node):
+    with forward_python_logs(node):
         logging.getLogger("symbid_ros.bags").warning("%d messages are out of order", 3)
         logging.getLogger("symbid_ros.online.identification").error("the block is lost")
         logging.getLogger("a_library").warning("deprecated")
@@ -66,7 +66,7 @@ def test_messages_of_any_python_logger_carry_the_nodes_name_and_their_severity(l
 def test_the_nodes_level_decides_while_it_runs(logged) -> None:
     node, messages = logged
     logger = logging.getLogger("symbid_ros.model")
-    with python_logs_of(node):
+    with forward_python_logs(node):
         node.get_logger().set_level(LoggingSeverity.DEBUG)
         logger.debug("in detail")
         node.get_logger().set_level(LoggingSeverity.ERROR)
@@ -78,7 +78,7 @@ def test_the_nodes_level_decides_while_it_runs(logged) -> None:
 def test_repetitions_within_a_minute_are_left_out_whatever_their_figures(logged) -> None:
     node, messages = logged
     child, other = (logging.getLogger(f"symbid_ros.{name}") for name in ("bags.child", "online"))
-    with python_logs_of(node):
+    with forward_python_logs(node):
         for count in range(5):
             child.warning("%s: %d of %d messages are late", "/robot1/imu", count, 1000 + count)
             child.warning("%s: %d of %d messages are late", "/robot2/imu", count, 1000 + count)

@@ -30,7 +30,7 @@ from symbid_ros.messages.types import (
     imu_layout,
     joint_state_layout,
 )
-from symbid_ros.ros.raw_subscription import Polled
+from symbid_ros.ros.raw_subscription import PolledGroup
 
 MILLISECOND = 1_000_000
 RECORDED = 1_700_000_000 * 10**9  # when the recording was made; its robot's clock began at 0
@@ -153,7 +153,7 @@ def test_without_a_rate_it_waits_for_a_subscriber_that_keeps_all(graph, tmp_path
         "joint_states",
         lambda _: None,
         QoSProfile(history=QoSHistoryPolicy.KEEP_ALL, depth=1),
-        callback_group=Polled(),
+        callback_group=PolledGroup(),
         raw=True,
     )
     player = graph.start(

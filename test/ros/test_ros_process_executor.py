@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
-from symbid_ros.ros.endpoints import reliable
+from symbid_ros.ros.endpoints import reliable_qos
 from symbid_ros.ros.process import MessageExecutor
 
 
@@ -32,7 +32,7 @@ def spun(domain: int) -> Iterator[tuple[Node, MessageExecutor]]:
 def test_a_time_that_rclpy_cannot_hold_is_dropped(spun) -> None:
     node, executor = spun
     node.set_parameters([Parameter("use_sim_time", value=True)])
-    publisher = node.create_publisher(Clock, "/clock", reliable(10))
+    publisher = node.create_publisher(Clock, "/clock", reliable_qos(10))
 
     def send(seconds: int) -> None:
         message = Clock()
@@ -58,9 +58,9 @@ def test_malformed_messages_are_counted_and_the_others_arrive(spun) -> None:
         DiagnosticArray,
         "health",
         lambda message: heard.append(message.status[0].name),
-        reliable(1000),
+        reliable_qos(1000),
     )
-    publisher = node.create_publisher(DiagnosticArray, "health", reliable(1000))
+    publisher = node.create_publisher(DiagnosticArray, "health", reliable_qos(1000))
     valid = serialize_message(DiagnosticArray(status=[DiagnosticStatus(name="first")]))
     publisher.publish(valid)
     junk = some_malformed(valid, 50)

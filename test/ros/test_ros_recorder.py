@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import PoseStamped
-from graph_probes import Health
+from graph_probes import StatusProbe
 from mcap.reader import make_reader
 from nav_msgs.msg import Goals
 from rcl_interfaces.srv import GetParameters
@@ -157,7 +157,7 @@ def test_all_topics_are_recorded_but_those_of_unknown_types(graph, tmp_path: Pat
     installed = graph.node.create_publisher(Goals, "goals", RELIABLE)
     unknown = graph.node.create_publisher(GetParameters.Request, "odd", RELIABLE)
     recorder = graph.start("recorder", bag=tmp_path / "bag", topics="['']", all_topics=True)
-    health = Health(graph)
+    health = StatusProbe(graph)
     graph.wait_until(installed.get_subscription_count)
     installed.publish(Goals(goals=[PoseStamped()]))
     graph.wait_until(lambda: health.count("/recorder: recording", "messages"))

@@ -16,8 +16,8 @@ from std_msgs.msg import String
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.endpoints import latched
-from symbid_ros.ros.identifier import with_model
+from symbid_ros.ros.endpoints import latched_qos
+from symbid_ros.ros.identifier import model_file
 
 DEADLINE = 120.0  # s; only a hang takes as long
 URDF = config_file("symbitron.urdf")
@@ -65,13 +65,13 @@ def values(**given) -> dict:
 
 
 def test_a_file_is_taken_as_it_is(graph: Graph) -> None:
-    with with_model(graph.node, given := values(model="robot.urdf"), graph.stop) as found:
+    with model_file(graph.node, given := values(model="robot.urdf"), graph.stop) as found:
         assert found == given
 
 
 def test_the_parameter_is_written_to_a_file_for_as_long_as_the_node_needs_it(graph: Graph) -> None:
     text = URDF.read_text()
-    with with_model(graph.node, values(robot_description=text), graph.stop) as found:
+    with model_file(graph.node, values(robot_description=text), graph.stop) as found:
         file = Path(found["model"])
         assert file.read_text() == text
         model = load_model(file)
@@ -85,13 +85,13 @@ def test_a_latched_message_is_awaited_and_an_unusable_one_reported(graph: Graph)
     found: list[str] = []
 
     def wait() -> None:
-        with with_model(graph.node, values(), graph.stop) as complete:
+        with model_file(graph.node, values(), graph.stop) as complete:
             found.append(load_model(Path(complete["model"])).name)
 
     waiter = threading.Thread(target=wait)
     waiter.start()
     graph.wait_for("waiting for the robot's model on topic /robot1/robot_description")
-    publisher = graph.node.create_publisher(String, "robot_description", latched())
+    publisher = graph.node.create_publisher(String, "robot_description", latched_qos())
     publisher.publish(String(data="<robot name='a'><xacro:macro/></robot>"))
     graph.wait_for("topic /robot1/robot_description: no usable model (")
     assert waiter.is_alive()
@@ -102,5 +102,5 @@ def test_a_latched_message_is_awaited_and_an_unusable_one_reported(graph: Graph)
 
 def test_the_wait_can_be_stopped(graph: Graph) -> None:
     graph.stop.set()
-    with with_model(graph.node, values(), graph.stop) as found:
+    with model_file(graph.node, values(), graph.stop) as found:
         assert found is None

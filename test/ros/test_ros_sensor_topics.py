@@ -15,8 +15,8 @@ from std_msgs.msg import String
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.raw_subscription import Polled, subscribe
-from symbid_ros.ros.sensor_topics import SensorTopics, own_topics
+from symbid_ros.ros.raw_subscription import PolledGroup, subscribe
+from symbid_ros.ros.sensor_topics import SensorTopics, resolve_topics
 
 OWN = {
     "/joint_states": (JointState, ""),
@@ -96,7 +96,7 @@ def sensors(
 ):
     words = ["--ros-args", *arguments]
     node = talk.node("identifier", cli_args=words, **options)
-    own = own_topics(node, selection or TopicSelection(), words)
+    own = resolve_topics(node, selection or TopicSelection(), words)
     return SensorTopics(node, own, model, settle, 100)
 
 
@@ -171,7 +171,7 @@ def test_a_publisher_that_offers_less_is_heard_as_well_and_nothing_twice(talk: T
     first = robot.create_publisher(Imu, "imu/data", 10)
     intake = None
     while intake is None:
-        intake = subscribe(listener, "/imu/data", 100, Polled())
+        intake = subscribe(listener, "/imu/data", 100, PolledGroup())
     less = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
     second = robot.create_publisher(Imu, "imu/data", less)
     while second.get_subscription_count() == 0 or first.get_subscription_count() < 2:

@@ -20,9 +20,9 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.online.live_streams import LiveStreams
-from symbid_ros.ros.identifier_diagnostics import StreamFaults
+from symbid_ros.ros.identifier_diagnostics import StreamMonitor
 from symbid_ros.ros.identifier_parameters import PARAMETERS
-from symbid_ros.ros.node_logging import python_logs_of
+from symbid_ros.ros.node_logging import forward_python_logs
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.parameters import declare
 from symbid_ros.ros.sensor_topics import missing_topics
@@ -62,7 +62,7 @@ class Robot:
 
     def _identify(self, values: dict[str, Any]) -> None:
         # Ended without an estimate, it may say so by an error.
-        with python_logs_of(self.node), suppress(SymbidError):
+        with forward_python_logs(self.node), suppress(SymbidError):
             OnlineIdentifier(self.node, values).run(self._stop)
 
     def _hear(self, message: Log) -> None:
@@ -179,7 +179,7 @@ def test_what_is_missing_is_named_with_the_parameter(selection, found, floating,
 
 def test_stamps_of_another_clock_or_none_at_all_are_told_from_what_a_jump_leaves_behind() -> None:
     joints, imu = Topic("/joint_states", JOINT_STATE), Topic("/imu", IMU)
-    streams, faults = LiveStreams(SelectedTopics((joints,), (imu,), ()), "live"), StreamFaults()
+    streams, faults = LiveStreams(SelectedTopics((joints,), (imu,), ()), "live"), StreamMonitor()
 
     def looked(joint_stamp: float, imu_stamp: float) -> dict[str, str]:
         for topic, stamp in ((joints, joint_stamp), (imu, imu_stamp)):

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from graph_probes import RELIABLE, Health
+from graph_probes import RELIABLE, StatusProbe
 from lossy_relay import LossyRelay
 from nav_msgs.msg import Odometry
 from udp_packets import DRIVES, command, hello, measurement, sequence_and_stamp
@@ -55,7 +55,7 @@ def client() -> Iterator[Client]:
         process.communicate()
 
 
-def listening(graph, health: Health) -> int:
+def listening(graph, health: StatusProbe) -> int:
     """Wait until the bridge listens and return its port."""
     graph.wait_until(lambda: health.value(COMMANDS, "source"))
     return int(health.value(COMMANDS, "source").rpartition(":")[2])
@@ -63,7 +63,7 @@ def listening(graph, health: Health) -> int:
 
 def test_it_stands_on_a_network_that_loses_doubles_and_swaps(graph, client: Client) -> None:
     heights: list[float] = []
-    health = Health(graph)
+    health = StatusProbe(graph)
     graph.node.create_subscription(
         Odometry,
         "ground_truth/odom",
@@ -90,7 +90,7 @@ def test_it_stands_on_a_network_that_loses_doubles_and_swaps(graph, client: Clie
 
 
 def test_another_client_takes_over_after_a_kill(graph, client: Client) -> None:
-    health = Health(graph)
+    health = StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT | {"command_timeout": 1.0})
     port = listening(graph, health)
     first = client(port)
@@ -110,7 +110,7 @@ def test_another_client_takes_over_after_a_kill(graph, client: Client) -> None:
 
 
 def test_bad_datagrams_are_reported_and_move_nothing(graph) -> None:
-    health = Health(graph)
+    health = StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT)
     to = ("127.0.0.1", listening(graph, health))
     still = [0.0] * DRIVES

@@ -23,7 +23,7 @@ from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Imu, JointState
 
-from symbid_ros.ros.endpoints import message_class, reliable
+from symbid_ros.ros.endpoints import message_class, reliable_qos
 
 RATE = 100.0  # Hz, of each foreign topic
 JUNK_RATE = 20.0  # Hz, of each topic of the robot
@@ -48,7 +48,7 @@ class Traffic:
     def __init__(self, node: Node, victims: Sequence[str]) -> None:
         self._node, self._victims = node, frozenset(victims)
         self._foreign = [
-            (node.create_publisher(kind, name, reliable(10)), self._message(kind, frame))
+            (node.create_publisher(kind, name, reliable_qos(10)), self._message(kind, frame))
             for name, (kind, frame) in FOREIGN.items()
         ]
         self._junk: dict[str, tuple[Publisher, Iterator[bytes]]] = {}
@@ -71,7 +71,7 @@ class Traffic:
                 continue
             kind = message_class(kinds[0])
             junk = malformed(serialize_message(self._valid(kind)), Random(name))
-            publisher = self._node.create_publisher(kind, name, reliable(10))
+            publisher = self._node.create_publisher(kind, name, reliable_qos(10))
             self._junk[name], self.sent[name] = (publisher, junk), 0
 
     def _valid(self, kind: type[Any]) -> Any:

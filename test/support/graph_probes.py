@@ -35,7 +35,7 @@ def descriptors(graph, node: str, names: list[str]) -> list[Any]:
     return call(graph, DescribeParameters, service, names=names).descriptors
 
 
-class Health:
+class StatusProbe:
     """The last status of each name, its values by key, and how often one came."""
 
     def __init__(self, graph) -> None:

@@ -23,7 +23,7 @@ from rclpy.node import Node
 from symbid_ros.cli.processes import NodeProcess, unused_domain
 from symbid_ros.messages.layout import ENCAPSULATION, Layout
 from symbid_ros.messages.types import imu_layout, joint_state_layout, stamp_of, wrench_layout
-from symbid_ros.ros.endpoints import message_class, reliable
+from symbid_ros.ros.endpoints import message_class, reliable_qos
 
 STAMP = struct.Struct("<iI")
 JOINTS = tuple(f"joint_{number}" for number in range(10))
@@ -47,7 +47,9 @@ class Feed:
     def __init__(self, node: Node, topic: str, layout: Layout, rate: float) -> None:
         self.topic, self.rate = topic, rate
         self.stamps = array("q")
-        self.publisher = node.create_publisher(message_class(layout.msgtype), topic, reliable(5000))
+        self.publisher = node.create_publisher(
+            message_class(layout.msgtype), topic, reliable_qos(5000)
+        )
         self._payloads = _noise(layout)
 
     def publish(self) -> None:

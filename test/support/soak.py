@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from graph_probes import Health, call
+from graph_probes import StatusProbe, call
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -214,7 +214,7 @@ def soak(duration: float, folder: Path) -> Soak:
 
 
 def _soaked(duration: float, folder: Path, processes: Processes, observer: Observer) -> Soak:
-    health = Health(observer)
+    health = StatusProbe(observer)
     processes.start("stranger", [sys.executable, SUPPORT / "foreign_traffic.py", *NODES])
     observer.wait_until(lambda: "stranger" in observer.node.get_node_names())
     out, bag = folder / "out", folder / "bag"
