@@ -205,7 +205,7 @@ def identify(
     """
     from symbid_ros.cli.overwriting import require_no_files
     from symbid_ros.cli.tables import print_estimate
-    from symbid_ros.estimation.truncated_svd import SensorDeviation
+    from symbid_ros.estimation.truncated_svd import SensorNoise
     from symbid_ros.identification.dataset import processing
     from symbid_ros.identification.export import RESULT_FILES, write_identification
     from symbid_ros.identification.prior_information import Facts, PriorChoice, weighing
@@ -248,7 +248,7 @@ def identify(
         rank=rank,
         validation=validate,
         criterion=select_by,
-        sensors=SensorDeviation(*sensor_std) if sensor_std else None,
+        sensors=SensorNoise(*sensor_std) if sensor_std else None,
         unchecked=unchecked,
     )
     prepared = prepare(job, out)

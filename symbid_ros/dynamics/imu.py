@@ -6,7 +6,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import JointTable, Posture, link_motion, link_velocity
-from symbid_ros.dynamics.spatial import component_first, cross, passes, turn
+from symbid_ros.dynamics.spatial import cache_blocks, component_first, cross, matvec
 from symbid_ros.model.tree import Frame, RobotModel
 
 
@@ -54,7 +54,7 @@ def base_motion(
     table = JointTable.of([replace(model.joints[j], parent=k) for k, j in enumerate(above)])
     readings = (imu.angular_velocity, imu.angular_acceleration, imu.specific_force)
     base = np.empty((3, 3, len(joints[0])))
-    for part in passes(len(joints[0]), len(table) + 1):
+    for part in cache_blocks(len(joints[0]), len(table) + 1):
         position, velocity, acceleration = (component_first(x[part][:, above]) for x in joints)
         mount = _imu_with_base_at_rest(table, frame, (position, velocity, acceleration))
         base[:, :, part] = _less_mount(mount, *(component_first(x[part]) for x in readings))
@@ -94,7 +94,7 @@ def _imu_with_base_at_rest(
     _, linear = link_velocity(posture, velocity, rest, rest)
     omega, alpha = motion.angular_velocity[:, -1], motion.angular_acceleration[:, -1]
     link_axes = posture.rotation[:, :, -1]
-    lever = turn(link_axes, frame.translation[:, None])
+    lever = matvec(link_axes, frame.translation[:, None])
     swing = cross(omega, lever)
     return _Mount(
         rotation=np.einsum("ikn,kj->ijn", link_axes, frame.rotation),
@@ -110,11 +110,11 @@ def _less_mount(
     mount: _Mount, omega: FloatArray, alpha: FloatArray, force: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the base's three (3, N) behind the IMU's readings (3, N), in IMU axes."""
-    base_omega = turn(mount.rotation, omega) - mount.omega
-    base_alpha = turn(mount.rotation, alpha) - mount.alpha - cross(base_omega, mount.omega)
+    base_omega = matvec(mount.rotation, omega) - mount.omega
+    base_alpha = matvec(mount.rotation, alpha) - mount.alpha - cross(base_omega, mount.omega)
     swing = cross(base_omega, mount.arm) + 2 * mount.velocity
     base_force = (
-        turn(mount.rotation, force)
+        matvec(mount.rotation, force)
         - mount.acceleration
         - cross(base_alpha, mount.arm)
         - cross(base_omega, swing)

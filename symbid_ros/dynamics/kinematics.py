@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.dynamics.spatial import component_first, cross, sample_first, skew, turn
+from symbid_ros.dynamics.spatial import component_first, cross, matvec, sample_first, skew
 from symbid_ros.model.tree import Joint, RobotModel
 
 
@@ -238,7 +238,7 @@ def link_motion(
     change += cross(w, spin)
     alpha = joints.along_path(base[1], change)
     lever_acceleration = _lever_acceleration(omega, alpha)
-    step = turn(lever_acceleration[:, :, joints.parent], posture.lever)
+    step = matvec(lever_acceleration[:, :, joints.parent], posture.lever)
     for j in joints.slides:
         slide = axis[:, j]
         step[:, j] += slide * acceleration[j] + 2 * cross(w[:, j], slide * velocity[j])

@@ -14,7 +14,7 @@ from symbid_ros.dynamics.kinematics import (
     link_velocity,
 )
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import component_first, cross, passes, sample_first
+from symbid_ros.dynamics.spatial import cache_blocks, component_first, cross, sample_first
 from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet, Term
 from symbid_ros.model.tree import RobotModel
@@ -58,7 +58,7 @@ def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatA
     return integrals.reshape(6, parameters.inertial, count).transpose(2, 0, 1)
 
 
-def slips(velocity: FloatArray) -> BoolArray:
+def is_slipping(velocity: FloatArray) -> BoolArray:
     """Return whether joints (N, J) move at ``COULOMB_SPEED`` or faster.
 
     A joint that sticks feels anything between the bounds ± its Coulomb friction, which no
@@ -107,7 +107,7 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     carries = np.repeat(joints.path[parameters.links].T, 10, axis=1)
     K = np.empty((len(samples), model.dof, len(parameters)))
     y = np.empty((len(samples), model.dof))
-    for part in passes(len(samples), len(model.links)):
+    for part in cache_blocks(len(samples), len(model.links)):
         block = samples[part]
         posture = Posture.at(joints, component_first(block.position))
         axes = sample_first(posture.motion_axes)
@@ -263,7 +263,7 @@ def momentum_regressor(
     """
     joints = JointTable.of(parameters.model.joints)
     M = np.zeros((len(samples), 6, len(parameters)))
-    for part in passes(len(samples), len(parameters.model.links)):
+    for part in cache_blocks(len(samples), len(parameters.model.links)):
         posture = Posture.of(joints, LinkPoses(poses.rotation[part], poses.position[part]))
         omega, velocity = link_velocity(
             posture,

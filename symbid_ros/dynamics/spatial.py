@@ -13,12 +13,12 @@ from symbid_ros.arrays import FloatArray
 
 # Links times samples worked on at once: enough to outweigh the cost of each call to NumPy, few
 # enough for the temporaries to stay in a cache.
-PASS = 3200
+CACHE_BLOCK = 3200
 
 
-def passes(count: int, links: int) -> Iterator[slice]:
+def cache_blocks(count: int, links: int) -> Iterator[slice]:
     """Yield stretches of ``count`` samples, each small enough for the cache."""
-    size = max(1, PASS // links)
+    size = max(1, CACHE_BLOCK // links)
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))
 
@@ -52,7 +52,7 @@ def skew(x: FloatArray) -> FloatArray:
     return matrix
 
 
-def turn(rotation: FloatArray, vector: FloatArray) -> FloatArray:
+def matvec(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     """Return component-first matrices (3, 3, ...) applied to vectors (3, ...)."""
     turned: FloatArray = np.einsum("ij...,j...->i...", rotation, vector)
     return turned
@@ -64,7 +64,7 @@ def rotate(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     return rotated
 
 
-def rotate_back(rotation: FloatArray, vector: FloatArray) -> FloatArray:
+def rotate_inverse(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     """Return the transposed rotation (..., 3, 3) applied to vectors (..., 3)."""
     rotated: FloatArray = np.einsum("...ji,...j->...i", rotation, vector)
     return rotated

@@ -16,7 +16,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.information import stacked_factor
-from symbid_ros.estimation.posterior import Posterior, SoftRows
+from symbid_ros.estimation.posterior import Posterior, PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.prior_std import payload_std
 from symbid_ros.model.parameters import ParameterSet
@@ -134,18 +134,18 @@ def _whitened_factor(recent: Sequence[WindowedRows], whitening: FloatArray) -> F
     return stacked_factor(rows.reshape(-1, rows.shape[2]))
 
 
-def faded_weight(kept: float) -> float:
+def prior_weight(kept: float) -> float:
     """Return the prior's weight where ``kept`` of the first rows' is left, both from 0 to 1."""
     return max(kept, LEAST_WEIGHT)
 
 
-def faded_prior(prior: Prior, kept: float) -> Prior:
+def discounted_prior(prior: Prior, kept: float) -> Prior:
     """Return the prior with its covariance divided by its weight."""
-    scale = 1 / np.sqrt(faded_weight(kept))
+    scale = 1 / np.sqrt(prior_weight(kept))
     return prior.widened(np.full(len(prior.mean), scale))
 
 
-def released(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
+def relaxed_prior(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
     """Return the prior of a robot that something of unknown mass and place was added to at a link.
 
     What is added has zero mean and the deviations of :func:`payload_std`.
@@ -162,9 +162,11 @@ def released(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
     return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor)
 
 
-def faded_rows(known: SoftRows | None, kept: float) -> SoftRows | None:
+def discounted_pseudo_measurements(
+    known: PseudoMeasurements | None, kept: float
+) -> PseudoMeasurements | None:
     """Return other knowledge with the same weight: a robot that was weighed may carry more now."""
     if known is None:
         return None
-    root = np.sqrt(faded_weight(kept))
-    return SoftRows(root * known.rows, root * known.targets)
+    root = np.sqrt(prior_weight(kept))
+    return PseudoMeasurements(root * known.rows, root * known.targets)

@@ -10,7 +10,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.verdict import Quantity, Verdict
+from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.safe_yaml import load_json
 
 
@@ -171,6 +171,7 @@ def _verdict(document: dict[str, Any] | None) -> Verdict | None:
         return None
     lists = {name: tuple(document[name]) for name in ("alarms", "directions")}
     quantities = {
-        name: tuple(Quantity(**entry) for entry in document[name]) for name in ("base", "sensors")
+        name: tuple(EstimatedQuantity(**entry) for entry in document[name])
+        for name in ("base", "sensors")
     }
     return Verdict(**(document | lists | quantities))

@@ -21,7 +21,7 @@ from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
-DIFFERENT = "two records of different robots or columns cannot be merged"
+INCOMPATIBLE = "two records of different robots or columns cannot be merged"
 
 
 @dataclass(frozen=True)
@@ -138,9 +138,9 @@ def random_motions(model: RobotModel, count: int) -> Samples:
         motion[2] = -model.gravity
     return Samples(
         stamp=np.arange(count, dtype=np.int64),
-        position=model.followed(rng.uniform(-np.pi, np.pi, joints)),
-        velocity=model.followed(rng.normal(size=joints), rates=True),
-        acceleration=model.followed(rng.normal(size=joints), rates=True),
+        position=model.apply_mimics(rng.uniform(-np.pi, np.pi, joints)),
+        velocity=model.apply_mimics(rng.normal(size=joints), rates=True),
+        acceleration=model.apply_mimics(rng.normal(size=joints), rates=True),
         effort=np.zeros(joints),
         base_angular_velocity=motion[0],
         base_angular_acceleration=motion[1],
@@ -190,7 +190,7 @@ class Information:
             samples += len(flat)
         return Information(self.layout, factor, samples)
 
-    def faded(self, share: float) -> "Information":
+    def discounted(self, share: float) -> "Information":
         """Return the information with every row's weight times ``share``, from 0 to 1."""
         if self.samples == 0:
             return self
@@ -208,7 +208,7 @@ class Information:
             other.layout.coordinates,
             other.layout.parameters,
         ) or not np.array_equal(self.layout.structure, other.layout.structure):
-            raise DataError(DIFFERENT)
+            raise DataError(INCOMPATIBLE)
         factor = _updated(self.factor.copy(order="F"), other.factor)
         return Information(self.layout, factor, self.samples + other.samples)
 
@@ -295,7 +295,7 @@ class Information:
         moment: FloatArray = residual.T @ residual
         return moment
 
-    def rough_residual_moment(self, phi: FloatArray) -> FloatArray:
+    def approximate_residual_moment(self, phi: FloatArray) -> FloatArray:
         """Return :meth:`residual_moment` with half its digits, in a fifth of its time."""
         n = len(self.layout.coordinates)
         residual = np.append(-phi, 1.0)

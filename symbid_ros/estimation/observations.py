@@ -108,12 +108,12 @@ class Observations:
             counts=counts,
         )
 
-    def faded(self, share: float) -> "Observations":
+    def discounted(self, share: float) -> "Observations":
         """Return the observations with every row's weight times ``share``, from 0 to 1."""
         return replace(
             self,
-            rows=self.rows.faded(share),
-            noise=self.noise.faded(share),
+            rows=self.rows.discounted(share),
+            noise=self.noise.discounted(share),
             counts=share * self.counts,
             kept=share * self.kept,
         )
@@ -177,7 +177,7 @@ class Observations:
         there, and than chance lets two estimates of one covariance differ, motion has been taken
         for noise.
         """
-        moment = self.noise.rough_residual_moment(phi) / np.maximum(self.counts, 1)
+        moment = self.noise.approximate_residual_moment(phi) / np.maximum(self.counts, 1)
         moment[~self._coupled] = 0.0
         largest = eigh(self.inflation * moment, covariance, eigvals_only=True)[-1]
         return float(1 / max(largest / CHANCE, 1.0))

@@ -21,8 +21,8 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
 
 REWHITENINGS = 20
-SETTLED = 1e-9  # of a posterior standard deviation
-ROUGHLY_SETTLED, ROUGH_TURNS = 1e-6, 15  # from here on digits count
+CONVERGED = 1e-9  # of a posterior standard deviation
+APPROXIMATE_TOLERANCE, APPROXIMATE_TURNS = 1e-6, 15  # from here on digits count
 
 # More of a direction's information than this is never called noise: its noise is only estimated.
 NOISIEST = 0.75
@@ -36,7 +36,7 @@ SCALES = (1e-2, 1e2)
 
 
 @dataclass(frozen=True)
-class SoftRows:
+class PseudoMeasurements:
     """Knowledge that is no log's: rows @ φ = targets, each to a standard deviation of one.
 
     Attributes
@@ -136,9 +136,9 @@ class _Square:
         phi: FloatArray,
         mean: FloatArray,
         L: FloatArray,
-        known: "SoftRows | None",
+        pseudo_measurements: "PseudoMeasurements | None",
         *,
-        rough: bool,
+        approximate: bool,
     ) -> "_Square":
         covariance = observations.residual_covariance(phi)
         try:
@@ -153,7 +153,7 @@ class _Square:
         precision = whitening.T @ whitening
         # From [K y] to rows in prior deviations: [K y] to_prior = [K L, y - K mean].
         to_prior = np.block([[L, -mean[:, None]], [np.zeros(len(mean)), 1.0]])
-        if rough:
+        if approximate:
             moment = observations.rows.whitened_moment(precision)
             rows = _root(to_prior.T @ moment @ to_prior)
         else:
@@ -161,9 +161,9 @@ class _Square:
         A, b = rows[:, :-1], rows[:, -1]
         noise = to_prior.T @ observations.noise.whitened_moment(precision) @ to_prior
         noise *= observations.plausible_noise(phi, covariance)
-        if known is not None:
-            A = np.concatenate([A, known.rows @ L])
-            b = np.concatenate([b, known.targets - known.rows @ mean])
+        if pseudo_measurements is not None:
+            A = np.concatenate([A, pseudo_measurements.rows @ L])
+            b = np.concatenate([b, pseudo_measurements.targets - pseudo_measurements.rows @ mean])
         return cls(A, b, noise[:-1, :-1], noise[:-1, -1], covariance)
 
     def minimum(self, scale: FloatArray) -> tuple[FloatArray, FloatArray, float]:
@@ -237,13 +237,13 @@ def _root(moment: FloatArray) -> FloatArray:
 def posterior(
     observations: Observations,
     prior: Prior,
-    known: SoftRows | None = None,
+    pseudo_measurements: PseudoMeasurements | None = None,
     *,
     empirical: bool = False,
     count: int | None = None,
-    settled: float = SETTLED,
+    tolerance: float = CONVERGED,
     start: FloatArray | None = None,
-    rough: bool = False,
+    approximate: bool = False,
 ) -> Posterior:
     """Return the Gaussian posterior of the parameters.
 
@@ -253,18 +253,18 @@ def posterior(
         The data.
     prior : Prior
         Mean and covariance of the parameters before the data.
-    known : SoftRows, optional
+    pseudo_measurements : PseudoMeasurements, optional
         What else is known, such as a weighing.
     empirical : bool
         Let the evidence choose a common factor on the prior's deviations.
     count : int, optional
         How many parameters, the first ones, the evidence judges the deviations of: those of
         the links. All by default.
-    settled : float
+    tolerance : float
         Change, in posterior standard deviations, at which weights and solution have settled.
     start : (p,) float64, optional
         Parameters whose residuals give the first weights, better ones than the prior's mean.
-    rough : bool
+    approximate : bool
         Stop where half a computer's digits say no more: enough to compare, not to keep.
     """
     mean, L = prior.mean, prior.covariance_factor()
@@ -272,18 +272,22 @@ def posterior(
     scale = np.ones(len(mean))
     x = np.zeros(len(mean)) if start is None else np.linalg.solve(L, start - mean)
     # Weights and solution are found in turn: roughly at first, as that takes most of the turns.
-    roughly = True
+    coarse = True
     for turn in range(REWHITENINGS):
-        square = _Square.of(observations, mean + L @ x, mean, L, known, rough=roughly)
+        square = _Square.of(
+            observations, mean + L @ x, mean, L, pseudo_measurements, approximate=coarse
+        )
         if empirical:
             scale[:count] = square.evidence_scale(count)
         before = x
         x, factor, share = square.minimum(scale)
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
-        if change < settled and not roughly:
+        if change < tolerance and not coarse:
             break
-        roughly = roughly and change > max(settled, ROUGHLY_SETTLED) and turn < ROUGH_TURNS
-        if rough and not roughly:
+        coarse = (
+            coarse and change > max(tolerance, APPROXIMATE_TOLERANCE) and turn < APPROXIMATE_TURNS
+        )
+        if approximate and not coarse:
             break
     phi = mean + L @ x
     precision = np.asarray(np.linalg.solve(L.T, factor.T).T, dtype=np.float64)

@@ -303,7 +303,7 @@ def prediction_errors(
 
 
 @dataclass(frozen=True)
-class SensorDeviation:
+class SensorNoise:
     """Standard deviations of the force sensors' white noise.
 
     Attributes
@@ -326,9 +326,7 @@ class SensorDeviation:
             )
 
 
-def sensor_row_deviation(
-    model: RobotModel, samples: Samples, sensors: SensorDeviation
-) -> FloatArray:
+def sensor_row_std(model: RobotModel, samples: Samples, sensors: SensorNoise) -> FloatArray:
     """Return σ (n,) of the generalised force, root mean square over the samples.
 
     y is linear in efforts and wrenches, so its variance is the sum of the responses

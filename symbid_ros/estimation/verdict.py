@@ -25,7 +25,7 @@ SUSPICIOUS_NOISE = 0.5
 
 
 @dataclass(frozen=True)
-class Quantity:
+class EstimatedQuantity:
     """One number with its doubt.
 
     Attributes
@@ -69,9 +69,9 @@ class Verdict:
         The same per link, bit.
     directions : tuple of str
         The determined directions of parameter space, best first.
-    base : tuple of Quantity
+    base : tuple of EstimatedQuantity
         The combinations of parameters that forces can depend on.
-    sensors : tuple of Quantity
+    sensors : tuple of EstimatedQuantity
         Errors of the sensors that were identified along with the robot.
     """
 
@@ -84,11 +84,11 @@ class Verdict:
     gain: float
     link_gain: dict[str, float]
     directions: tuple[str, ...]
-    base: tuple[Quantity, ...]
-    sensors: tuple[Quantity, ...]
+    base: tuple[EstimatedQuantity, ...]
+    sensors: tuple[EstimatedQuantity, ...]
 
 
-def judge(
+def assess(
     posterior: Posterior,
     value: FloatArray,
     parameters: ParameterSet,
@@ -124,7 +124,7 @@ def judge(
     before = np.linalg.norm(grouping.matrix @ prior[:p], axis=1)
     after = np.linalg.norm(grouping.matrix @ factor[:p], axis=1)
     base = tuple(
-        Quantity(
+        EstimatedQuantity(
             grouping.describe(i),
             grouping.units[grouping.independent[i]],
             float(grouping.matrix[i] @ value[:p]),
@@ -134,7 +134,7 @@ def judge(
         for i in range(len(grouping))
     )
     errors = tuple(
-        Quantity(
+        EstimatedQuantity(
             name,
             unit,
             float(value[p + i]),
@@ -168,7 +168,7 @@ def _square(factor: FloatArray) -> FloatArray:
 
 
 def alarms(posterior: Posterior, whiteness: float, *, has_wrenches: bool = True) -> tuple[str, ...]:
-    """Return what is wrong with an estimate, one line each; arguments as in :func:`judge`."""
+    """Return what is wrong with an estimate, one line each; arguments as in :func:`assess`."""
     found = []
     if posterior.prior_scale > SUSPICIOUS_SCALE:
         found.append(

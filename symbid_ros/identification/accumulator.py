@@ -103,4 +103,4 @@ def _kept(elapsed: int, span: float) -> float:
 
 
 def _folded(one: Observations, share: float, rows: Sequence[WindowedRows]) -> Observations:
-    return (one if share == 1.0 else one.faded(share)).fold(rows)
+    return (one if share == 1.0 else one.discounted(share)).fold(rows)

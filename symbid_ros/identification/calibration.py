@@ -9,7 +9,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.estimation.posterior import SoftRows, posterior
+from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Record, observe
 from symbid_ros.model.parameters import ParameterSet
@@ -105,14 +105,14 @@ class Calibrated:
         Of the robot's parameters and the sensors' errors.
     observations : tuple of Observations
         About the last pilot.
-    known : SoftRows or None
+    known : PseudoMeasurements or None
         What else is known, of all these unknowns.
     """
 
     errors: SensorErrors
     prior: Prior
     observations: tuple[Observations, ...]
-    known: SoftRows | None
+    known: PseudoMeasurements | None
 
 
 def calibrate(
@@ -120,7 +120,7 @@ def calibrate(
     parameters: ParameterSet,
     prior: Prior,
     wanted: "Wanted",
-    known: SoftRows | None,
+    known: PseudoMeasurements | None,
 ) -> Calibrated:
     """Make the errors of a log's sensors unknowns, linearised about the best estimate.
 
@@ -134,7 +134,7 @@ def calibrate(
         Of these.
     wanted : Wanted
         Which errors, and what is known of them.
-    known : SoftRows, optional
+    known : PseudoMeasurements, optional
         What else is known of the robot.
     """
     segment = next(iter(record.segments))
@@ -160,7 +160,7 @@ def calibrate(
         build = calibrating_rows(parameters, errors, pilot)
         (observations,) = observe(record.segments, build, layout, (longest,), ())
         found = posterior(
-            observations, extended, rows, count=parameters.inertial, settled=PILOT_SETTLED
+            observations, extended, rows, count=parameters.inertial, tolerance=PILOT_SETTLED
         )
         pilot = LinearizationPoint(found.mean[:p], found.mean[p:])
     build = calibrating_rows(parameters, errors, pilot)
@@ -168,8 +168,8 @@ def calibrate(
     return Calibrated(errors, extended, observed, rows)
 
 
-def _padded(known: SoftRows | None, more: int) -> SoftRows | None:
+def _padded(known: PseudoMeasurements | None, more: int) -> PseudoMeasurements | None:
     """Return rows that say nothing of ``more`` further unknowns."""
     if known is None or more == 0:
         return known
-    return SoftRows(np.pad(known.rows, ((0, 0), (0, more))), known.targets)
+    return PseudoMeasurements(np.pad(known.rows, ((0, 0), (0, more))), known.targets)

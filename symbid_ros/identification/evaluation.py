@@ -15,7 +15,7 @@ from symbid_ros.dynamics.regressor import (
     momentum_regressor,
 )
 from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import rotate, rotate_back
+from symbid_ros.dynamics.spatial import rotate, rotate_inverse
 from symbid_ros.errors import BagError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.rotation import rotation_from_xyzw
@@ -112,12 +112,12 @@ def _at(truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotMode
         for wrench in streams.wrenches
     ]
     rotation = rotation_from_xyzw(truth.base_orientation[rows])
-    gravity = rotate_back(rotation, model.gravity) if model.floating else model.gravity
+    gravity = rotate_inverse(rotation, model.gravity) if model.floating else model.gravity
     samples = Samples(
         stamp=stamp,
-        position=model.followed(truth.position[np.ix_(rows, columns)]),
-        velocity=model.followed(truth.velocity[np.ix_(rows, columns)], rates=True),
-        acceleration=model.followed(truth.acceleration[np.ix_(rows, columns)], rates=True),
+        position=model.apply_mimics(truth.position[np.ix_(rows, columns)]),
+        velocity=model.apply_mimics(truth.velocity[np.ix_(rows, columns)], rates=True),
+        acceleration=model.apply_mimics(truth.acceleration[np.ix_(rows, columns)], rates=True),
         effort=effort,
         base_angular_velocity=truth.base_angular_velocity[rows],
         base_angular_acceleration=truth.base_angular_acceleration[rows],

@@ -7,7 +7,7 @@ import numpy as np
 
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.constraints import mirror_rows, total_mass_row
-from symbid_ros.estimation.posterior import SoftRows
+from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior, model_prior
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_errors import KINDS
@@ -105,7 +105,7 @@ class Facts:
         """Whether anything is known that is a row of its own."""
         return self.total_mass is not None or self.mirror is not None
 
-    def rows(self, parameters: ParameterSet, prior: Prior) -> SoftRows | None:
+    def rows(self, parameters: ParameterSet, prior: Prior) -> PseudoMeasurements | None:
         """Return what is known of the robot as rows.
 
         Raises
@@ -130,4 +130,4 @@ class Facts:
             tied, zero = mirror_rows(parameters, prior.std, self.mirror)
             rows.append(tied)
             targets.append(zero)
-        return SoftRows(np.concatenate(rows), np.concatenate(targets)) if rows else None
+        return PseudoMeasurements(np.concatenate(rows), np.concatenate(targets)) if rows else None

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.estimation.posterior import SoftRows
+from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.truncated_svd import Criterion
 from symbid_ros.identification.calibration import Calibrated
@@ -49,7 +49,7 @@ class Problem:
         Of them, and of the errors of sensors whose columns follow.
     sensors : tuple of str
         Units of those errors.
-    known : SoftRows or None
+    known : PseudoMeasurements or None
         What else is known.
     empirical : bool
         Whether the evidence sets the scale of the prior.
@@ -65,7 +65,7 @@ class Problem:
     parameters: ParameterSet
     prior: Prior
     sensors: tuple[str, ...] = ()
-    known: SoftRows | None = None
+    known: PseudoMeasurements | None = None
     empirical: bool = False
     longest: bool = False
     inputs: tuple[str, ...] = ()

@@ -11,10 +11,10 @@ from symbid_ros.estimation.constraints import Bounds
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.physical_consistency import consistent_minimum
-from symbid_ros.estimation.posterior import SETTLED, Posterior
+from symbid_ros.estimation.posterior import CONVERGED, Posterior
 from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, select_rank
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
-from symbid_ros.estimation.verdict import DETERMINED, alarms, judge
+from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
 from symbid_ros.identification.problem import Method, Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solved
 from symbid_ros.model.inertia import is_consistent
@@ -63,12 +63,14 @@ class Solver:
     def of(cls, problem: Problem) -> "Solver":
         """Find the window whose rows tell most of the robot, noise not counted."""
         best, near = WindowComparison(problem).finish()
-        return cls(problem, best, solved(problem, best, near, SETTLED))
+        return cls(problem, best, solved(problem, best, near, CONVERGED))
 
     @classmethod
-    def roughly(cls, problem: Problem, chosen: Observations, start: FloatArray | None) -> "Solver":
+    def approximate(
+        cls, problem: Problem, chosen: Observations, start: FloatArray | None
+    ) -> "Solver":
         """Solve over one window to a hundredth of a deviation, from parameters that are near."""
-        return cls(problem, chosen, solved(problem, chosen, start, COMPARABLE, rough=True))
+        return cls(problem, chosen, solved(problem, chosen, start, COMPARABLE, approximate=True))
 
     @property
     def whiteness(self) -> float:
@@ -111,7 +113,7 @@ class Solver:
         singular = np.linalg.svd(found.factor * found.prior.std, compute_uv=False)
         verdict = None
         if judged:
-            verdict = judge(
+            verdict = assess(
                 found,
                 value,
                 problem.parameters,

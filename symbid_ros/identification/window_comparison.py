@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.estimation.change import faded_prior, faded_rows
+from symbid_ros.estimation.change import discounted_prior, discounted_pseudo_measurements
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior, posterior
 from symbid_ros.estimation.verdict import SUSPICIOUS_NOISE
@@ -40,7 +40,7 @@ class WindowComparison:
         # Which of them it is shows long before weights and solution have settled.
         one = self._candidates[len(self._found)]
         near = self._found[-1].mean if self._found else None
-        self._found.append(solved(self._problem, one, near, COMPARABLE, rough=True))
+        self._found.append(solved(self._problem, one, near, COMPARABLE, approximate=True))
 
     def finish(self) -> tuple[Observations, FloatArray | None]:
         """Look at all and return what tells most, and parameters near its solution if known."""
@@ -56,9 +56,9 @@ def solved(
     problem: Problem,
     one: Observations,
     start: FloatArray | None,
-    settled: float,
+    tolerance: float,
     *,
-    rough: bool = False,
+    approximate: bool = False,
 ) -> Posterior:
     """Return a problem's posterior over one length of windows.
 
@@ -69,21 +69,21 @@ def solved(
         Over those windows; where rows have faded, the prior has as well.
     start : (p,) float64 or None
         Parameters near the solution.
-    settled : float
+    tolerance : float
         Change, in posterior deviations, at which it will do.
-    rough : bool
+    approximate : bool
         Whether the weights' last digits are spared.
     """
     # Nothing has faded unless old rows have, and 1 changes no digit.
     return posterior(
         one,
-        faded_prior(problem.prior, one.kept),
-        faded_rows(problem.known, one.kept),
+        discounted_prior(problem.prior, one.kept),
+        discounted_pseudo_measurements(problem.known, one.kept),
         empirical=problem.empirical,
         count=problem.parameters.inertial,
-        settled=settled,
+        tolerance=tolerance,
         start=start,
-        rough=rough,
+        approximate=approximate,
     )
 
 

@@ -159,7 +159,7 @@ def assemble(
         for frame, pose in body.frames.items():
             assembly.add_frame(frame, carrier.place(*pose))
     followed = {joint.name: joint.mimic for body in bodies for joint in body.joints if joint.mimic}
-    joints = _with_masters(assembly.joints, followed, source)
+    joints = _with_leaders(assembly.joints, followed, source)
     links = tuple(
         Link(*fields) for fields in zip(assembly.names, assembly.phi, assembly.virtual, strict=True)
     )
@@ -167,28 +167,28 @@ def assemble(
     return RobotModel(name, links, joints, frames, floating, gravity, source)
 
 
-def _with_masters(
+def _with_leaders(
     joints: Sequence[Joint], followed: Mapping[str, tuple[str, float, float]], source: str
 ) -> tuple[Joint, ...]:
     """Return the joints, those that follow others bound to the one at the chain's end."""
     index = {joint.name: position for position, joint in enumerate(joints)}
     bound = []
     for joint in joints:
-        multiplier, offset, master, seen = 1.0, 0.0, joint.name, {joint.name}
-        while master in followed:
-            follower = master
-            master, gain, shift = followed[follower]
+        multiplier, offset, leader, seen = 1.0, 0.0, joint.name, {joint.name}
+        while leader in followed:
+            follower = leader
+            leader, gain, shift = followed[follower]
             offset += multiplier * shift
             multiplier *= gain
-            if master not in index or master in seen:
-                reason = "follows itself" if master in seen else "is not a moving joint"
+            if leader not in index or leader in seen:
+                reason = "follows itself" if leader in seen else "is not a moving joint"
                 raise ModelError(
-                    f"{source}: joint {follower!r} mimics {master!r}, which {reason}; name "
+                    f"{source}: joint {follower!r} mimics {leader!r}, which {reason}; name "
                     "another joint or remove <mimic>"
                 )
-            seen.add(master)
+            seen.add(leader)
         if joint.name in followed:
-            mimic = Mimic(index[master], multiplier, offset)
+            mimic = Mimic(index[leader], multiplier, offset)
             # Nothing drives a joint that follows.
             bound.append(replace(joint, effort=0.0, mimic=mimic))
         else:

@@ -17,7 +17,7 @@ from symbid_ros.model.export_urdf import (
     numbers,
     with_possible_terms,
 )
-from symbid_ros.model.inertia import TINY_MASS, com_from_phi, is_consistent, nearest_possible
+from symbid_ros.model.inertia import TINY_MASS, com_from_phi, is_consistent, nearest_consistent
 from symbid_ros.model.mjcf import load_mjcf, stated_bodies
 from symbid_ros.model.mjcf_source import included_file, read_mjcf
 from symbid_ros.model.rotation import quaternion_from_rotation
@@ -118,7 +118,7 @@ def _bare(model: RobotModel) -> ET.Element:
         phi = model.links[index].phi
         moves = index > 0 or model.floating
         if element is not world and (moves or np.any(phi)):
-            element.append(_inertial(nearest_possible(phi)))
+            element.append(_inertial(nearest_consistent(phi)))
     for frame in model.frames:
         if frame.name not in model.link_names:
             _pose(
@@ -135,14 +135,14 @@ def _bare(model: RobotModel) -> ET.Element:
     if model.followers:
         equality = ET.SubElement(root, "equality")
         for index, mimic in model.followers.items():
-            joint, master = model.joints[index], model.joints[mimic.master]
+            joint, leader = model.joints[index], model.joints[mimic.leader]
             # MuJoCo counts both positions from their references.
-            shift = mimic.offset + mimic.multiplier * master.reference - joint.reference
+            shift = mimic.offset + mimic.multiplier * leader.reference - joint.reference
             ET.SubElement(
                 equality,
                 "joint",
                 joint1=joint.name,
-                joint2=master.name,
+                joint2=leader.name,
                 polycoef=numbers([shift, mimic.multiplier, 0, 0, 0]),
             )
     return root
@@ -235,7 +235,7 @@ def updated_mjcf(
         inertial = bodies[body].find("inertial")
         if inertial is None and bodies[body].find("frame//inertial") is not None:
             return None
-        _set_inertial(files, bodies[body], nearest_possible(phi))
+        _set_inertial(files, bodies[body], nearest_consistent(phi))
     # An element may inherit its terms from a class, so what the file states is what MuJoCo reads.
     before = {joint.name: joint for joint in load_mjcf(source).joints}
     after = {joint.name: joint for joint in model.joints}

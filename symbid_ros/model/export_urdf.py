@@ -168,7 +168,7 @@ def _joint(robot: ET.Element, model: RobotModel, joint: Joint, child: str) -> No
         ET.SubElement(
             element,
             "mimic",
-            joint=model.joints[mimic.master].name,
+            joint=model.joints[mimic.leader].name,
             multiplier=repr(mimic.multiplier),
             offset=repr(mimic.offset),
         )

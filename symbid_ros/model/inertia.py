@@ -126,7 +126,7 @@ def is_consistent(phi: FloatArray) -> bool:
     return bool(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0] > -1e-9)
 
 
-def nearest_possible(phi: FloatArray) -> FloatArray:
+def nearest_consistent(phi: FloatArray) -> FloatArray:
     """Return φ (10,) of a body that MuJoCo compiles: ``phi`` itself unless it is impossible.
 
     A possible body changes by rounding at most, and one without mass gets ``TINY_MASS``. Of

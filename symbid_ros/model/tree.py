@@ -33,17 +33,17 @@ class Link:
 
 @dataclass(frozen=True)
 class Mimic:
-    """How a joint follows another: position = multiplier × the master's + offset.
+    """How a joint follows another: position = multiplier × the leader's + offset.
 
     Attributes
     ----------
-    master : int
+    leader : int
         Index of the joint that it follows, which follows none itself.
     multiplier, offset : float
         As in URDF's ``<mimic>``; the offset in rad or m.
     """
 
-    master: int
+    leader: int
     multiplier: float
     offset: float
 
@@ -75,7 +75,7 @@ class Joint:
         rotor and gear reflected to the joint (kg m² or kg), as the file states them.
     mimic : Mimic or None
         The joint that it follows. It has no equation of motion of its own: what it feels is
-        part of its master's.
+        part of its leader's.
     """
 
     name: str
@@ -174,18 +174,18 @@ class RobotModel:
         """Names of the joints that follow no other: a log must hold these."""
         return tuple(joint.name for joint in self.joints if joint.mimic is None)
 
-    def followed(self, values: FloatArray, *, rates: bool = False) -> FloatArray:
-        """Return joint positions (N, J), or rates, in which joints follow their masters."""
+    def apply_mimics(self, values: FloatArray, *, rates: bool = False) -> FloatArray:
+        """Return joint positions (N, J), or rates, in which joints follow their leaders."""
         if not self.followers:
             return values
         complete = values.copy()
         for joint, mimic in self.followers.items():
             offset = 0.0 if rates else mimic.offset
-            complete[:, joint] = mimic.multiplier * values[:, mimic.master] + offset
+            complete[:, joint] = mimic.multiplier * values[:, mimic.leader] + offset
         return complete
 
     def fold_followers(self, force: FloatArray) -> None:
-        """Add what following joints feel to their masters, by virtual work, in place.
+        """Add what following joints feel to their leaders, by virtual work, in place.
 
         Parameters
         ----------
@@ -194,7 +194,7 @@ class RobotModel:
         """
         first = 6 * self.floating
         for joint, mimic in self.followers.items():
-            force[:, first + mimic.master] += mimic.multiplier * force[:, first + joint]
+            force[:, first + mimic.leader] += mimic.multiplier * force[:, first + joint]
             force[:, first + joint] = 0.0
 
     @cached_property

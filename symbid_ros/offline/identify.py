@@ -10,11 +10,11 @@ from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
-from symbid_ros.estimation.information import DIFFERENT
+from symbid_ros.estimation.information import INCOMPATIBLE
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.estimation.posterior import SoftRows
+from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.truncated_svd import sensor_row_deviation
+from symbid_ros.estimation.truncated_svd import sensor_row_std
 from symbid_ros.identification.calibration import Wanted, calibrate, read_tare
 from symbid_ros.identification.dataset import Record, read_record
 from symbid_ros.identification.export import check_output
@@ -58,7 +58,7 @@ class Prepared:
         deviation = None
         if self.job.sensors is not None:
             model, samples = self.parameters.model, self.record.samples
-            deviation = sensor_row_deviation(model, samples, self.job.sensors)
+            deviation = sensor_row_std(model, samples, self.job.sensors)
         validation = () if self.validation is None else self.validation.observations
         return self.solver.truncated(
             method, Truncation(self.job.rank, validation, self.job.criterion), deviation
@@ -123,11 +123,15 @@ def _check_early(job: Job, parameters: ParameterSet, out: Path | None) -> None:
         for earlier in load_archive(job.information):
             layout = earlier.layout
             if (layout.parameters[:p], layout.coordinates) != (parameters.names, coordinates):
-                raise EstimateError(f"{job.information}: {DIFFERENT}; {ALIKE}")
+                raise EstimateError(f"{job.information}: {INCOMPATIBLE}; {ALIKE}")
 
 
 def _problem(
-    job: Job, parameters: ParameterSet, prior: Prior, record: Record, known: SoftRows | None
+    job: Job,
+    parameters: ParameterSet,
+    prior: Prior,
+    record: Record,
+    known: PseudoMeasurements | None,
 ) -> Problem:
     problem = Problem(
         record.observations,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.truncated_svd import Criterion, SensorDeviation
+from symbid_ros.estimation.truncated_svd import Criterion, SensorNoise
 from symbid_ros.identification.dataset import Filter, Processing
 from symbid_ros.identification.prior_information import Facts, PriorChoice
 from symbid_ros.identification.problem import GAUSSIAN, METHODS, Method
@@ -53,7 +53,7 @@ class Job:
         Bag on which to choose the number of singular values.
     criterion : {"gen_force", "torque", "com"}
         What to choose it by.
-    sensors : SensorDeviation or None
+    sensors : SensorNoise or None
         Weigh rows of the truncated methods by sensor noise (Eq. 28), not residuals (Eq. 29).
     unchecked : bool
         Do not hold the data against the model before they are believed.
@@ -73,7 +73,7 @@ class Job:
     rank: int | None = None
     validation: Path | None = None
     criterion: Criterion = "gen_force"
-    sensors: SensorDeviation | None = None
+    sensors: SensorNoise | None = None
     unchecked: bool = False
 
     @property

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from symbid_ros.estimation.change import released
+from symbid_ros.estimation.change import relaxed_prior
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.accumulator import Memory, Whole
@@ -230,7 +230,7 @@ class OnlineIdentification:
         start = None if near is None else near.mean
         # Before the first whole block there is nothing to compare what has come with.
         problem = replace(problem, observations=problem.observations or (now,))
-        solver = Solver.roughly(problem, now, start)
+        solver = Solver.approximate(problem, now, start)
         self._posterior = solver.posterior
         if new:
             self._watch.look(new, solver.posterior)
@@ -245,7 +245,7 @@ class OnlineIdentification:
         for suspect in change.suspects:
             if suspect.link not in self._released:
                 self._released.add(suspect.link)
-                prior = released(self._problem.prior, self._parameters, suspect.link)
+                prior = relaxed_prior(self._problem.prior, self._parameters, suspect.link)
                 self._problem = replace(self._problem, prior=prior)
 
     def _problem_of(self, whole: Whole) -> Problem:

@@ -11,7 +11,7 @@ from symbid_ros.estimation.verdict import (
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
     SUSPICIOUS_WHITENESS,
-    Quantity,
+    EstimatedQuantity,
     Verdict,
 )
 from symbid_ros.identification.intervals import IntervalSummary
@@ -181,7 +181,7 @@ def _links(estimate: Estimate, verdict: Verdict) -> tuple[LinkRow, ...]:
     return tuple(rows)
 
 
-def _quantities(quantities: Sequence[Quantity]) -> tuple[QuantityRow, ...]:
+def _quantities(quantities: Sequence[EstimatedQuantity]) -> tuple[QuantityRow, ...]:
     return tuple(
         QuantityRow(
             quantity.name.replace(" - ", " − "),

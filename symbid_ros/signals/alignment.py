@@ -225,7 +225,7 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Channel, Measu
     joints = streams.joints
     topic = f"{streams.source}: {joints.topic}"
     columns = joint_columns(joints.names, model, topic)
-    stamp, position = joints.stamp, model.followed(joints.position[:, columns])
+    stamp, position = joints.stamp, model.apply_mimics(joints.position[:, columns])
     is_finite = np.isfinite(position)
     whole = np.logical_and.reduce(is_finite, axis=1)
     if 0 < 2 * np.count_nonzero(~whole) >= len(whole):
@@ -259,7 +259,7 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Channel, Measu
 def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntArray:
     """Return where in ``names`` each of the model's joints stands; ``source`` is for messages.
 
-    A joint that follows another stands where its master does, whether it is named or not.
+    A joint that follows another stands where its leader does, whether it is named or not.
 
     Raises
     ------
@@ -273,11 +273,11 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
             f"has {', '.join(names)}; name every topic of joint states (--joint-topic, parameter "
             "joint_topic), or the model of this robot"
         )
-    masters = [
-        index if joint.mimic is None else joint.mimic.master
+    leaders = [
+        index if joint.mimic is None else joint.mimic.leader
         for index, joint in enumerate(model.joints)
     ]
-    places = [list(names).index(model.joint_names[master]) for master in masters]
+    places = [list(names).index(model.joint_names[leader]) for leader in leaders]
     return np.array(places, dtype=np.int64)
 
 

@@ -266,7 +266,7 @@ def _fill_plates(
     if not any(kind.startswith("plate") for kind in errors.kinds) or not frames:
         return
     corrected = errors.corrected(readings, theta)
-    poses = link_poses(model, model.followed(corrected.position))
+    poses = link_poses(model, model.apply_mimics(corrected.position))
     felt = contact_jacobian(model, frames, poses).transpose(0, 2, 1)
     felt = felt.reshape(len(readings), model.dof, len(frames), 6)
     gain = 1 + errors.of_kind("plate_gain", theta)

@@ -142,9 +142,9 @@ def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
     base = _base(readings, model)
     return Samples(
         stamp=readings.stamp,
-        position=model.followed(readings.position),
-        velocity=model.followed(readings.velocity, rates=True),
-        acceleration=model.followed(readings.acceleration, rates=True),
+        position=model.apply_mimics(readings.position),
+        velocity=model.apply_mimics(readings.velocity, rates=True),
+        acceleration=model.apply_mimics(readings.acceleration, rates=True),
         effort=readings.effort,
         base_angular_velocity=base.angular_velocity,
         base_angular_acceleration=base.angular_acceleration,
@@ -159,9 +159,9 @@ def _base(readings: SensorSamples, model: RobotModel) -> BaseMotion:
         nothing = np.zeros((len(readings), 3))
         return BaseMotion(nothing, nothing, np.broadcast_to(-model.gravity, nothing.shape))
     joints = (
-        model.followed(readings.position),
-        model.followed(readings.velocity, rates=True),
-        model.followed(readings.acceleration, rates=True),
+        model.apply_mimics(readings.position),
+        model.apply_mimics(readings.velocity, rates=True),
+        model.apply_mimics(readings.acceleration, rates=True),
     )
     motions = [
         base_motion(model, frame, joints, imu)

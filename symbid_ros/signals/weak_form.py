@@ -17,7 +17,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.dynamics.regressor import Rows, equation_of_motion, slips
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion, is_slipping
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
@@ -143,10 +143,10 @@ def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
     model = parameters.model
     valid = np.ones((len(velocity), model.dof), dtype=bool)
     if "coulomb" in parameters.terms:
-        valid[:, 6 * model.floating :] = slips(velocity)
+        valid[:, 6 * model.floating :] = is_slipping(velocity)
     elif "coulomb" in parameters.known_terms:
         rubs = parameters.known_terms["coulomb"] != 0
-        valid[:, 6 * model.floating :] = slips(velocity) | ~rubs
+        valid[:, 6 * model.floating :] = is_slipping(velocity) | ~rubs
     valid[:, [6 * model.floating + joint for joint in model.followers]] = False
     return valid
 

@@ -9,7 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
-from symbid_ros.dynamics.regressor import COULOMB_SPEED, coulomb_column, equation_of_motion, slips
+from symbid_ros.dynamics.regressor import (
+    COULOMB_SPEED,
+    coulomb_column,
+    equation_of_motion,
+    is_slipping,
+)
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
@@ -116,7 +121,7 @@ def test_a_sticking_joint_feels_less_than_its_friction(robot):
     assert stuck.mean() > 0.25
     # Anything between the bounds, so no column tells it, and all of these rows are left out.
     assert share[stuck].std() > 0.25
-    assert not slips(samples.velocity).any()
+    assert not is_slipping(samples.velocity).any()
     assert not coulomb_column(samples.velocity).any()
 
 
@@ -136,7 +141,7 @@ speeds = st.floats(-1e3, 1e3, allow_nan=False)
 
 @given(speeds)
 def test_the_coulomb_column_is_the_sign_of_a_joint_that_slips(speed):
-    column, slipping = coulomb_column(np.array([[speed]])), slips(np.array([[speed]]))
+    column, slipping = coulomb_column(np.array([[speed]])), is_slipping(np.array([[speed]]))
     assert slipping == (abs(speed) >= COULOMB_SPEED)
     if slipping:
         assert column == np.sign(speed)

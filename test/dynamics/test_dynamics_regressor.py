@@ -8,7 +8,7 @@ import pinocchio
 import pytest
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
-from symbid_ros.dynamics.regressor import equation_of_motion, slips
+from symbid_ros.dynamics.regressor import equation_of_motion, is_slipping
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
@@ -149,7 +149,7 @@ def test_real_robots_obey_pinocchios_regressor(robot):
     samples = random_samples(model, 20, rng, ())
     parameters = ParameterSet(model)
     left = equation_of_motion(parameters, samples).K @ parameters.values
-    # Pinocchio moves every joint by itself; here what a mimic joint feels is its master's.
+    # Pinocchio moves every joint by itself; here what a mimic joint feels is its leader's.
     truth = pinocchio_torque(model, path, samples, rng)
     model.fold_followers(truth)
     assert relative_rmse(left, truth) < 1e-11
@@ -180,7 +180,7 @@ def test_symbitron_has_the_thesis_base_parameters(terms, rank):
 def test_joint_columns_are_eq_2_49_with_armature_and_offset():
     model = load_model(CONFIG / "symbitron.urdf")
     samples = random_samples(model, 5, np.random.default_rng(5), ())
-    assert np.all(slips(samples.velocity))
+    assert np.all(is_slipping(samples.velocity))
     parameters = ParameterSet(model, TERMS)
     viscous, coulomb, armature, offset = np.arange(10.0) + 20 * np.arange(4)[:, None]
     phi = np.r_[np.zeros(110), viscous, coulomb, armature, offset]

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from symbid_ros.estimation import posterior as production
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.estimation.posterior import SoftRows, posterior
+from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.model.parameters import TERMS
 
 few = settings(max_examples=8, deadline=None)
@@ -94,7 +94,7 @@ def assert_posterior(found, mean, covariance, tolerance=1e-6):
 def weighing(log):
     row = np.zeros(len(log.truth))
     row[: log.parameters.inertial : 10] = 50.0
-    return SoftRows(row[None], np.array([row @ log.truth]))
+    return PseudoMeasurements(row[None], np.array([row @ log.truth]))
 
 
 CASES = {

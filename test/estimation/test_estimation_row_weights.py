@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from random_robots import random_robot, random_samples
 
-from symbid_ros.estimation.truncated_svd import SensorDeviation, sensor_row_deviation
+from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.model.export_mjcf import mjcf_text
 
-SENSORS = SensorDeviation(effort=0.3, force=2.0, moment=0.7)
+SENSORS = SensorNoise(effort=0.3, force=2.0, moment=0.7)
 
 
 def generalised_forces(model, position, frame, rng):
@@ -51,5 +51,5 @@ def test_deviations_are_what_noise_does_to_the_rows(seed, floating) -> None:
         for frame in samples.wrench_frames:
             responses = components[:, None] * generalised_forces(model, position, frame, rng)
             variance[instant] += np.sum(responses**2, axis=0)
-    found = sensor_row_deviation(model, samples, SENSORS)
+    found = sensor_row_std(model, samples, SENSORS)
     np.testing.assert_allclose(found, np.sqrt(variance.mean(axis=0)), rtol=1e-9)

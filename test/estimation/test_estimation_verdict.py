@@ -17,7 +17,7 @@ from symbid_ros.estimation.verdict import (
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
     SUSPICIOUS_WHITENESS,
-    judge,
+    assess,
 )
 from symbid_ros.model.parameters import TERMS
 
@@ -33,7 +33,7 @@ class Judged:
         L0, L = self.prior.covariance_factor(), self.posterior.deviation_factor
         self.before, self.after = L0 @ L0.T, L @ L.T
         self.value = self.posterior.mean + 0.1 * self.posterior.std
-        self.verdict = judge(
+        self.verdict = assess(
             self.posterior, self.value, self.parameters, window=0.081, whiteness=1.0
         )
 
@@ -123,7 +123,7 @@ def test_sensor_errors_beyond_the_robots_columns_are_told_apart():
     )
     prior = prior_of(log, 3).extended(names, np.zeros(2), np.array([5.0, 3.0]))
     found = posterior(extended.observations(), prior, count=p)
-    verdict = judge(
+    verdict = assess(
         found, found.mean, log.parameters, window=0.321, whiteness=1.0, sensors=(names, units)
     )
     offset, unseen = verdict.sensors
@@ -137,13 +137,13 @@ def test_sensor_errors_beyond_the_robots_columns_are_told_apart():
     assert list(verdict.link_gain) == list(log.parameters.link_names)
     # The robot's covariance is the marginal one: not knowing the sensor costs information.
     alone = posterior(log.observations(), prior_of(log, 3))
-    told = judge(alone, alone.mean, log.parameters, window=0.321, whiteness=1.0)
+    told = assess(alone, alone.mean, log.parameters, window=0.321, whiteness=1.0)
     assert verdict.gain < told.gain
 
 
 def alarms(judged, *, whiteness=1.0, has_wrenches=True, **changes):
     doubtful = replace(judged.posterior, **changes)
-    return judge(
+    return assess(
         doubtful,
         judged.value,
         judged.parameters,
@@ -190,7 +190,7 @@ def test_a_robot_unlike_its_prior_is_noticed_and_one_like_it_is_not():
             for change in (0.0 * other, other)
         ]
         like, unlike = (
-            judge(each, each.mean, log.parameters, window=0.081, whiteness=1.0).alarms
+            assess(each, each.mean, log.parameters, window=0.081, whiteness=1.0).alarms
             for each in found
         )
         assert like == ()

@@ -13,7 +13,7 @@ from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import Prior, draw_prior
-from symbid_ros.estimation.truncated_svd import SensorDeviation, sensor_row_deviation
+from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.export import write_identification
@@ -135,9 +135,9 @@ def test_truncated_methods_choose_z_for_themselves(whole, symbitron, method):
 
 
 def test_rows_are_weighed_by_the_noise_of_the_sensors_where_it_is_given(whole, symbitron):
-    sensors = SensorDeviation(effort=0.5, force=3.0, moment=0.2)
+    sensors = SensorNoise(effort=0.5, force=3.0, moment=0.2)
     given = replace(whole, job=replace(whole.job, rank=20, sensors=sensors))
-    sigma = sensor_row_deviation(symbitron.model, whole.record.samples, sensors)
+    sigma = sensor_row_std(symbitron.model, whole.record.samples, sensors)
     assert sigma.max() > 5 * sigma.min()
     # Dense: the weighted normal equations about the prior, and their 20 largest eigenvalues.
     rows, prior = whole.solver.chosen.rows, whole.prior.mean

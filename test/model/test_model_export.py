@@ -20,7 +20,7 @@ from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import (
     com_from_phi,
     is_consistent,
-    nearest_possible,
+    nearest_consistent,
     phi_from_com,
     pseudo_inertia,
     transform_phi,
@@ -374,14 +374,14 @@ def test_what_no_file_element_stands_for_comes_as_a_bare_tree(tmp_path):
 
 def test_of_an_impossible_link_the_nearest_possible_one_is_written():
     impossible = phi_from_com(0.9, np.array([0, 0.1, 0]), np.diag([0.01, 0.01, 0.5]))
-    mass, com, inertia = com_from_phi(nearest_possible(impossible))
+    mass, com, inertia = com_from_phi(nearest_consistent(impossible))
     assert mass == pytest.approx(0.9)
     np.testing.assert_allclose(com, [0, 0.1, 0], atol=1e-15)
     # ∫z² = (Ixx + Iyy - Izz)/2 < 0 becomes zero: Ixx and Iyy grow to half of Izz.
     np.testing.assert_allclose(inertia, np.diag([0.25, 0.25, 0.5]), atol=1e-11)
-    assert is_consistent(nearest_possible(-impossible))
-    assert is_consistent(nearest_possible(np.r_[1e-13, 0.1, np.zeros(8)]))
+    assert is_consistent(nearest_consistent(-impossible))
+    assert is_consistent(nearest_consistent(np.r_[1e-13, 0.1, np.zeros(8)]))
     rng = np.random.default_rng(1)
     for _ in range(20):
         phi = random_phi(rng)
-        np.testing.assert_array_equal(nearest_possible(phi), phi)
+        np.testing.assert_array_equal(nearest_consistent(phi), phi)

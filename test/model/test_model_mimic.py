@@ -62,13 +62,13 @@ def test_a_chain_of_followers_is_bound_to_its_master(gripper):
     far, master, near = (gripper.joint_names.index(name) for name in ("far", "master", "near"))
     assert gripper.joints[near].mimic == Mimic(master, 1.5, 0.1)
     bound = gripper.joints[far].mimic
-    assert bound.master == master
+    assert bound.leader == master
     assert bound.multiplier == pytest.approx(-3.0)
     assert bound.offset == pytest.approx(0.5 - 2 * 0.1)
     assert gripper.measured_joint_names == ("master",)
     samples = following(gripper, 5)
-    np.testing.assert_allclose(gripper.followed(samples.position), samples.position, atol=1e-15)
-    rates = gripper.followed(samples.velocity, rates=True)
+    np.testing.assert_allclose(gripper.apply_mimics(samples.position), samples.position, atol=1e-15)
+    rates = gripper.apply_mimics(samples.velocity, rates=True)
     np.testing.assert_allclose(rates, samples.velocity, atol=1e-15)
 
 
@@ -113,7 +113,7 @@ def test_a_contact_on_a_following_link_pushes_the_master(gripper):
     master = gripper.joint_names.index("master")
     moved = samples.position.copy()
     moved[:, master] += 1e-6
-    later = link_poses(gripper, gripper.followed(moved))
+    later = link_poses(gripper, gripper.apply_mimics(moved))
     link = gripper.link_names.index("d")
     shift = (later.position[:, link] - poses.position[:, link]) / 1e-6
     in_link = np.einsum("nji,nj->ni", poses.rotation[:, link], shift)
@@ -129,7 +129,7 @@ def test_both_formats_say_who_follows_whom(gripper, tmp_path):
     compiled = mujoco.MjModel.from_xml_string(mjcf_text(gripper))
     data = mujoco.MjData(compiled)
     first = compiled.nq - 3
-    data.qpos[first:] = gripper.followed(np.array([[0.0, 0.3, 0.0]]))[0]
+    data.qpos[first:] = gripper.apply_mimics(np.array([[0.0, 0.3, 0.0]]))[0]
     mujoco.mj_forward(compiled, data)
     equal = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
     assert equal.sum() == 2

@@ -5,7 +5,7 @@ import html.parser
 import numpy as np
 
 from symbid_ros.estimation.estimate import Estimate
-from symbid_ros.estimation.verdict import Quantity, Verdict
+from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.model.inertia import PARAMETERS, UNITS
 from symbid_ros.report.content import (
     METRICS,
@@ -27,14 +27,14 @@ VERDICT = Verdict(
     link_gain=LINK_GAIN,
     directions=("+0.72 base_link/m -0.37 link_0/mc_x", "+1.00 link_1/m"),
     base=(
-        Quantity("base_link/m + link_0/m - 0.5·link_1/mc_x", "kg", 41.0474, 0.00093, True),
-        Quantity("link_1/Ixx", "kg m^2", -0.0182, 0.003, False),
+        EstimatedQuantity("base_link/m + link_0/m - 0.5·link_1/mc_x", "kg", 41.0474, 0.00093, True),
+        EstimatedQuantity("link_1/Ixx", "kg m^2", -0.0182, 0.003, False),
     ),
     sensors=(),
 )
 SENSORS = (
-    Quantity("left_sole/plate_offset_force_x", "N", -1.875, 0.013, True),
-    Quantity("knee/torque_gain", "1", 0.0148, 0.0072, False),
+    EstimatedQuantity("left_sole/plate_offset_force_x", "N", -1.875, 0.013, True),
+    EstimatedQuantity("knee/torque_gain", "1", 0.0148, 0.0072, False),
 )
 VOID = {"meta", "link", "br", "hr", "img", "input"}
 
