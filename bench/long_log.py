@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from reading import peak_memory
 
-from symbid_ros.bags.container.files import all_blocks
+from symbid_ros.bags.container.files import read_blocks
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.messages.decoder import TopicDecoder
@@ -35,7 +35,7 @@ MODEL = config_file("symbitron.xml")
 def lengthened(log: Path, out: Path, minutes: float) -> None:
     """Write the sensor messages of a log until they last so long."""
     decoders: dict[str, TopicDecoder] = {}
-    for block in all_blocks([log]):
+    for block in read_blocks([log]):
         for topic, spans in block.spans.items():
             if "ground_truth" not in topic.name:
                 decoder = decoders.setdefault(topic.name, TopicDecoder(str(log), topic))

@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits
 from symbid_ros.bags.replay import Recording
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.prior_information import PriorChoice
-from symbid_ros.messages.topics import Selector, Topic, TopicSelection
+from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.job import Job
@@ -156,7 +156,7 @@ def _looks(simulator: Simulator, seconds: float, seed: int, memory: float) -> It
         record(simulator, Path(folder) / "bag")
         draw_prior(parameters, "percent", 25, seed).write(Path(folder) / "prior.json")
         recording = Recording.of([Path(folder) / "bag"])
-        selector = Selector("live", TopicSelection())
+        selector = TopicSelector("live", TopicSelection())
         topics = {name: Topic(name, one.msgtype) for name, one in recording.topics.items()}
         selector.counts = {topic: 1 for topic in topics.values() if selector.wants(topic)}
         selected = selector.selected()

@@ -42,7 +42,7 @@ from paced_feed import SENSORS, Feed, await_subscribers, feed, kill_recorder
 
 from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.cli.processes import NodeProcess, private_graph
-from symbid_ros.messages.types import stamp_of
+from symbid_ros.messages.types import read_leading_stamp
 from symbid_ros.ros.endpoints import reliable_qos
 
 TICKS = os.sysconf("SC_CLK_TCK")
@@ -196,7 +196,9 @@ def latencies(bag: Path) -> np.ndarray:
     (file,) = bag.glob("*.mcap")
     with file.open("rb") as stream:
         messages = make_reader(stream).iter_messages(log_time_order=False)
-        return np.array([message.log_time - stamp_of(message.data) for _, _, message in messages])
+        return np.array(
+            [message.log_time - read_leading_stamp(message.data) for _, _, message in messages]
+        )
 
 
 def processor_seconds(pid: int) -> float:

@@ -1,9 +1,12 @@
 """Subpackages import each other in one direction; libraries stay where they belong."""
 
 import ast
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from symbid_ros import bags
 
 PACKAGE = "symbid_ros"
 ROOT = Path(__file__).resolve().parents[1]
@@ -142,6 +145,27 @@ def test_parts_of_bags_keep_apart() -> None:
         return parts & set(BAG_PARTS) - BAG_PARTS[own[1]] - {own[1]}
 
     assert not wrong(forbidden)
+
+
+def test_bags_are_imported_through_their_facade() -> None:
+    assert not wrong(
+        lambda path: (
+            {module for module in imports(path) if module.startswith(f"{PACKAGE}.bags.")}
+            if subpackage(path) != "bags"
+            else set()
+        )
+    )
+
+
+def test_the_facade_of_bags_loads_what_it_names_and_no_more() -> None:
+    assert set(bags.__all__) == {name for names in bags.MODULES.values() for name in names}
+    assert all(getattr(bags, name).__name__ == name for name in bags.__all__)
+    code = (
+        "import sys; from symbid_ros.bags import read_streams; "
+        "print(*(name for name in sys.modules if name.startswith('symbid_ros.bags.writing')))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not found.stdout.strip()
 
 
 def test_ros_is_imported_by_nodes_alone() -> None:

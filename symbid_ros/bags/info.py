@@ -9,21 +9,21 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.records import Header, Metadata, Statistics
 
-from symbid_ros.bags.container.files import bag_metadata, files_present
+from symbid_ros.bags.container.files import files_present, read_metadata
 from symbid_ros.bags.container.mcap_records import (
     MAGIC,
     MESSAGE,
     RECORD,
     Attachment,
     checked_size,
-    damage_named,
+    report_damage,
 )
-from symbid_ros.bags.container.mcap_summary import Summary, read_summary
-from symbid_ros.bags.container.schema_registry import Catalogue, parsed
-from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, sqlite_contents
-from symbid_ros.bags.recovery.mcap_salvage import Salvage, Stretch
+from symbid_ros.bags.container.mcap_summary import McapSummary, read_summary
+from symbid_ros.bags.container.schema_registry import SchemaRegistry, parse_record
+from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_summary
+from symbid_ros.bags.recovery.damaged_mcap import DamagedMcapReader, MessageRun
 from symbid_ros.errors import BagError
-from symbid_ros.messages.limits import MAX_QOS, within
+from symbid_ros.messages.limits import MAX_QOS, check_limit
 from symbid_ros.messages.topics import OfferedQos, Topic
 
 
@@ -179,7 +179,7 @@ def bag_info(bag: Path) -> BagInfo:
 
 def _ros_distro(bag: Path) -> str:
     try:
-        return str(bag_metadata(bag / "metadata.yaml").get("ros_distro") or "")
+        return str(read_metadata(bag / "metadata.yaml").get("ros_distro") or "")
     except BagError:
         return ""
 
@@ -187,13 +187,13 @@ def _ros_distro(bag: Path) -> str:
 def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone: bool) -> FileInfo:
     fault = ""
     try:
-        with damage_named(file):
+        with report_damage(file):
             summary = read_summary(file, with_chunks=True)
     except BagError as error:
         if is_alone and not _begins_well(file):
             raise
         fault = str(error).removeprefix(f"{file}: ")
-        summary = Summary(Catalogue(), None, (), data_end=0, data_crc=0)
+        summary = McapSummary(SchemaRegistry(), None, (), data_end=0, data_crc=0)
     catalogue = summary.catalogue
     told = summary.statistics if summary.tells_topics else _counted(file, catalogue)
     assert told is not None
@@ -221,14 +221,14 @@ def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone
     )
 
 
-def _counted(file: Path, catalogue: Catalogue) -> Statistics:
+def _counted(file: Path, catalogue: SchemaRegistry) -> Statistics:
     """Read a file to its end and return what its statistics ought to be."""
     counts: Counter[int] = Counter()
     records: Counter[type] = Counter()
     first, last = 1 << 64, 0
-    for piece in Salvage(file, catalogue).pieces():
+    for piece in DamagedMcapReader(file, catalogue).pieces():
         records[type(piece)] += 1
-        if isinstance(piece, Stretch):
+        if isinstance(piece, MessageRun):
             for start in piece.starts:
                 channel, _, log_time, _ = MESSAGE.unpack_from(piece.data, start + RECORD.size)
                 counts[channel] += 1
@@ -237,7 +237,7 @@ def _counted(file: Path, catalogue: Catalogue) -> Statistics:
         attachment_count=records[Attachment],
         channel_count=len(catalogue.channels),
         channel_message_counts=counts,
-        chunk_count=records[Stretch],
+        chunk_count=records[MessageRun],
         message_count=counts.total(),
         message_start_time=first,
         message_end_time=last,
@@ -267,14 +267,14 @@ def _library(file: Path) -> str:
         stream.seek(len(MAGIC))
         head = stream.read(RECORD.size)
         if len(head) == RECORD.size and RECORD.unpack(head)[0] == Opcode.HEADER:
-            with suppress(BagError), damage_named(file):
-                length = within("a header", RECORD.unpack(head)[1], MAX_QOS)
-                return str(parsed(Header.read, stream.read(length)).library)
+            with suppress(BagError), report_damage(file):
+                length = check_limit("a header", RECORD.unpack(head)[1], MAX_QOS)
+                return str(parse_record(Header.read, stream.read(length)).library)
     return ""
 
 
 def _sqlite_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]]) -> FileInfo:
-    held = sqlite_contents(file)
+    held = read_sqlite_summary(file)
     for topic, offers in held.qos.items():
         qos[topic] = qos.get(topic) or offers
     return FileInfo(

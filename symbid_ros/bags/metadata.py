@@ -84,7 +84,7 @@ class FileMetadata:
         }
 
 
-def bag_information(
+def describe_bag(
     topics: Mapping[int, TopicMetadata], files: Sequence[FileMetadata], compression_mode: str = ""
 ) -> dict[str, Any]:
     """Return what stands under ``rosbag2_bagfile_information``; topics by channel.
@@ -132,7 +132,7 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
     temporary.replace(folder / "metadata.yaml")
 
 
-def metadata_record(information: Mapping[str, Any]) -> dict[str, str]:
+def encode_metadata_record(information: Mapping[str, Any]) -> dict[str, str]:
     """Return the content of the MCAP metadata record ``rosbag2``.
 
     rosbag2 reads topics and counts from it when metadata.yaml is lost.

@@ -10,11 +10,11 @@ from typing import NamedTuple
 
 from symbid_ros.bags.container.file_index import FileIndex, RecordedTopic, read_mcap_index
 from symbid_ros.bags.container.files import bag_files
-from symbid_ros.bags.container.mcap_summary import warn_of_counts
+from symbid_ros.bags.container.mcap_summary import warn_of_count_mismatch
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_index
 from symbid_ros.errors import BagError
 from symbid_ros.messages.layout import CDR
-from symbid_ros.messages.topics import Topic, listing
+from symbid_ros.messages.topics import Topic, describe_topics
 
 
 class RecordedMessage(NamedTuple):
@@ -94,7 +94,9 @@ class Recording:
         by_name = {name.lstrip("/"): topic for name, topic in self.topics.items()}
         for name in names:
             if name.lstrip("/") not in by_name:
-                held = listing(Topic(topic.name, topic.msgtype) for topic in self.topics.values())
+                held = describe_topics(
+                    Topic(topic.name, topic.msgtype) for topic in self.topics.values()
+                )
                 raise BagError(
                     f"{self.source}: no topic {name}, it holds {held}; name one of these"
                 )
@@ -145,7 +147,7 @@ class Recording:
         for file, left, found in zip(self._files, unread, counts, strict=True):
             if not left and file.file not in self._compared:
                 self._compared.add(file.file)
-                warn_of_counts(file.file, file.statistics, found)
+                warn_of_count_mismatch(file.file, file.statistics, found)
 
 
 def _read_index(file: Path) -> FileIndex:

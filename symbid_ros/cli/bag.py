@@ -29,7 +29,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 @app.command()
 def info(bag: Bag, as_json: Json = False) -> None:
     """Show files, topics and times of a bag, finished or not."""
-    from symbid_ros.bags.info import bag_info
+    from symbid_ros.bags import bag_info
     from symbid_ros.cli.tables import print_info
 
     found = bag_info(bag)
@@ -55,10 +55,10 @@ def recover(
 
     The bag itself is left as it is. Exit status: 0 nothing lost, 1 something, 2 everything.
     """
-    from symbid_ros.bags.recovery import recover as recovering
+    from symbid_ros.bags import recover as recover_bag
     from symbid_ros.cli.tables import print_recovery
 
-    found = recovering.recover(bag, out)
+    found = recover_bag(bag, out)
     if as_json:
         typer.echo(json.dumps(found.as_dict(), indent=1))
     else:
@@ -93,7 +93,7 @@ def doctor(
 
     Exit status: 0 clean, 1 warnings, 2 unusable.
     """
-    from symbid_ros.bags.streams.reader import bag_log
+    from symbid_ros.bags import bag_log
     from symbid_ros.diagnosis.doctor import diagnose
     from symbid_ros.messages.topics import TopicSelection
     from symbid_ros.model.load import load_model

@@ -222,7 +222,7 @@ def _identify_offline(
 
 def _truncations(prepared: "Prepared", validation: Path) -> "dict[tuple[str, str], Estimate]":
     """Return the thesis's methods on the prepared rows, z chosen without and with validation."""
-    from symbid_ros.bags.streams.reader import bag_log
+    from symbid_ros.bags import bag_log
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing, read_record
     from symbid_ros.report.compose import METHOD_TITLES

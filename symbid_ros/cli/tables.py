@@ -9,8 +9,7 @@ from rich.console import Console, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from symbid_ros.bags.info import BagInfo, FileInfo
-from symbid_ros.bags.recovery.report import LostStretch, Recovery
+from symbid_ros.bags import BagInfo, FileInfo, LostRange, RecoveryReport
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.verdict import Verdict
@@ -39,7 +38,7 @@ def print_info(info: BagInfo) -> None:
     console.print(table)
 
 
-def print_recovery(recovery: Recovery) -> None:
+def print_recovery(recovery: RecoveryReport) -> None:
     """Print what was kept of a bag, what is lost and where."""
     console = Console(highlight=False)
     table = _table("topic", "type", "kept", "lost")
@@ -94,7 +93,7 @@ def _traits(file: FileInfo) -> Iterator[str]:
             yield f"{count} {name}{'s' if count > 1 else ''}"
 
 
-def _hole(hole: LostStretch) -> str:
+def _hole(hole: LostRange) -> str:
     place = f"bytes {hole.offset} to {hole.offset + hole.length}: " if hole.length else ""
     if hole.after is not None and hole.before is not None:
         when = f", between {_time(hole.after)} and {_time(hole.before)}"

@@ -15,7 +15,7 @@ from symbid_ros.messages.layout import (
     ByteArray,
     Layout,
     Records,
-    gathered,
+    gather_rows,
     typestore,
 )
 from symbid_ros.messages.limits import (
@@ -23,8 +23,8 @@ from symbid_ros.messages.limits import (
     MAX_MESSAGE,
     MAX_NAMES,
     ZSTD_FRAME,
-    unpacked_message,
-    within,
+    check_limit,
+    decompress_message,
 )
 from symbid_ros.messages.topics import Topic
 
@@ -33,7 +33,7 @@ MAX_TRAILING = 32  # Fast CDR pads behind the last field, and behind empty seque
 
 
 @dataclass(frozen=True)
-class Piece:
+class DecodedBatch:
     """Messages of one layout.
 
     Attributes
@@ -58,7 +58,7 @@ class TopicDecoder:
     source : str
         Name of the bag, for messages to the user.
     topic : Topic
-    pieces : list of Piece
+    pieces : list of DecodedBatch
         Everything decoded so far.
     count, decoded_singly : int
         Messages seen, and those that fitted no layout's bytes and were decoded by
@@ -69,7 +69,7 @@ class TopicDecoder:
 
     source: str
     topic: Topic
-    pieces: list[Piece] = field(default_factory=list)
+    pieces: list[DecodedBatch] = field(default_factory=list)
     count: int = 0
     decoded_singly: int = 0
     layouts: list[Layout] = field(default_factory=list)
@@ -91,8 +91,8 @@ class TopicDecoder:
         places = np.empty_like(spans)
         for message, (start, length) in enumerate(spans.tolist()):
             try:
-                payload = unpacked_message(data[start : start + length].tobytes(), MAX_MESSAGE)
-                within("a block of messages", len(whole) + len(payload), MAX_CHUNK)
+                payload = decompress_message(data[start : start + length].tobytes(), MAX_MESSAGE)
+                check_limit("a block of messages", len(whole) + len(payload), MAX_CHUNK)
             except (zstandard.ZstdError, ValueError) as error:
                 raise self._refusal(message, error) from error
             places[message] = len(whole), len(payload)
@@ -108,7 +108,7 @@ class TopicDecoder:
         fits = (extra >= 0) & (extra <= MAX_TRAILING)
         candidates = pending[fits]
         if len(candidates):
-            rows = gathered(data, spans[candidates, 0], size)
+            rows = gather_rows(data, spans[candidates, 0], size)
             matched = layout.matches(rows)
             self._keep(layout, candidates[matched], rows if matched.all() else rows[matched])
             fits[fits] = matched
@@ -132,10 +132,10 @@ class TopicDecoder:
         """Return the message little-endian and packed, its layout and whether that is new."""
         msgtype = self.topic.msgtype
         try:
-            within("a length", len(payload), MAX_MESSAGE)
+            check_limit("a length", len(payload), MAX_MESSAGE)
             decoded = _deserialized(payload.tobytes(), msgtype)
             layout = Layout.of(decoded, msgtype)
-            within("a number of strings", sum(map(len, layout.text.values())), MAX_NAMES)
+            check_limit("a number of strings", sum(map(len, layout.text.values())), MAX_NAMES)
         except (SerdeError, struct.error, ValueError, IndexError, MemoryError) as error:
             raise self._refusal(message, error) from error
         canonical = np.frombuffer(layout.template, dtype=np.uint8)
@@ -153,7 +153,7 @@ class TopicDecoder:
 
     def _keep(self, layout: Layout, messages: IntArray, rows: ByteArray) -> None:
         if len(messages):
-            self.pieces.append(Piece(layout, self.count + messages, layout.view(rows)))
+            self.pieces.append(DecodedBatch(layout, self.count + messages, layout.view(rows)))
 
 
 def _follows(payload: ByteArray, layout: Layout) -> bool:

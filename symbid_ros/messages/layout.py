@@ -218,7 +218,7 @@ class _Walk:
         self.offset += count * size
 
 
-def gathered(data: ByteArray, starts: IntArray, size: int) -> ByteArray:
+def gather_rows(data: ByteArray, starts: IntArray, size: int) -> ByteArray:
     """Return the ``size`` bytes (N, size) that begin at each start (N,), all inside the data.
 
     Taken as records of overlapping views: an index for every byte would take ten times as long.

@@ -62,7 +62,7 @@ class OverLimitError(ValueError):
     """A file states a size beyond what is believed."""
 
 
-def within(what: str, size: int, limit: int) -> int:
+def check_limit(what: str, size: int, limit: int) -> int:
     """Return a size that a file states, if it is believed.
 
     Raises
@@ -89,7 +89,7 @@ class _Zstd(threading.local):
 _ZSTD = _Zstd()
 
 
-def unpacked_message(payload: bytes, limit: int) -> bytes:
+def decompress_message(payload: bytes, limit: int) -> bytes:
     """Return a message that was compressed by itself, ``limit`` bytes at most; others as they are.
 
     rosbag2 does so in its compression mode MESSAGE. No encapsulation header begins like a frame.
@@ -97,12 +97,14 @@ def unpacked_message(payload: bytes, limit: int) -> bytes:
     if not payload.startswith(ZSTD_FRAME):
         return payload
     size = zstandard.frame_content_size(payload)
-    data = unpacked_zstd(memoryview(payload), limit if size < 0 else within(MESSAGE, size, limit))
-    within(MESSAGE, len(data), limit)
+    data = decompress_zstd(
+        memoryview(payload), limit if size < 0 else check_limit(MESSAGE, size, limit)
+    )
+    check_limit(MESSAGE, len(data), limit)
     return data
 
 
-def unpacked_zstd(data: memoryview, size: int) -> bytes:
+def decompress_zstd(data: memoryview, size: int) -> bytes:
     """Return at most one byte more than the stated size."""
     # The frame's own size wins over max_output_size: only a true one goes the direct way.
     if zstandard.frame_content_size(data) == size:

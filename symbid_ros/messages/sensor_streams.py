@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.messages.decoder import Piece, TopicDecoder
+from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import read_stamp
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
@@ -20,7 +20,7 @@ from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchSt
 SIMILAR = 0.5
 
 
-def joint_parts(
+def split_by_joints(
     decoder: TopicDecoder, needed: frozenset[str], tally: DefectCounts
 ) -> tuple[TopicDecoder, ...]:
     """Return the messages of a topic, one decoder for each group of joints published together.
@@ -35,10 +35,10 @@ def joint_parts(
     tally : DefectCounts
         Of the topic.
     """
-    groups = joint_groups(decoder, needed)
+    groups = group_joints(decoder, needed)
     if not groups:
         return (decoder,)
-    members: list[list[Piece]] = [[] for _ in groups]
+    members: list[list[DecodedBatch]] = [[] for _ in groups]
     for piece in decoder.pieces:
         names = _names(piece)
         if needed and names and not names & needed:
@@ -53,7 +53,7 @@ def joint_parts(
     return tuple(_of_pieces(decoder, pieces) for pieces in members)
 
 
-def joint_groups(decoder: TopicDecoder, needed: frozenset[str]) -> list[frozenset[str]]:
+def group_joints(decoder: TopicDecoder, needed: frozenset[str]) -> list[frozenset[str]]:
     """Return which joints of a topic are published together; nothing if all messages agree."""
     counts: Counter[frozenset[str]] = Counter()
     for piece in decoder.pieces:
@@ -62,7 +62,7 @@ def joint_groups(decoder: TopicDecoder, needed: frozenset[str]) -> list[frozense
     return _groups(counts, needed) if len(counts) > 1 else []
 
 
-def _names(piece: Piece) -> frozenset[str]:
+def _names(piece: DecodedBatch) -> frozenset[str]:
     return frozenset(piece.layout.text["name"])
 
 
@@ -80,11 +80,12 @@ def _groups(counts: Counter[frozenset[str]], needed: frozenset[str]) -> list[fro
     return sorted(groups, key=sorted)
 
 
-def _of_pieces(decoder: TopicDecoder, pieces: list[Piece]) -> TopicDecoder:
+def _of_pieces(decoder: TopicDecoder, pieces: list[DecodedBatch]) -> TopicDecoder:
     """Return a decoder of some of the pieces, their messages numbered anew in the same order."""
     index = np.sort(np.concatenate([piece.index for piece in pieces]))
     renumbered = [
-        Piece(piece.layout, np.searchsorted(index, piece.index), piece.records) for piece in pieces
+        DecodedBatch(piece.layout, np.searchsorted(index, piece.index), piece.records)
+        for piece in pieces
     ]
     return TopicDecoder(decoder.source, decoder.topic, renumbered, len(index))
 
@@ -108,7 +109,7 @@ def sensor_streams(
     joints = [
         joint_stream(part, tallies[topic])
         for topic in chosen.joints
-        for part in joint_parts(decoders[topic], frozenset(chosen.joint_names), tallies[topic])
+        for part in split_by_joints(decoders[topic], frozenset(chosen.joint_names), tallies[topic])
     ]
     prefix = chosen.frame_prefix
     return Streams(
@@ -146,7 +147,7 @@ def column(decoder: TopicDecoder, path: str) -> FloatArray:
     return values
 
 
-def _rows(piece: Piece) -> IntArray | slice:
+def _rows(piece: DecodedBatch) -> IntArray | slice:
     """Return where a piece's messages stand; a slice, which copies faster, if they are in a row."""
     first, last = int(piece.index[0]), int(piece.index[-1])
     if last - first == len(piece.index) - 1:

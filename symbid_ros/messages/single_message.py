@@ -13,7 +13,7 @@ from symbid_ros.messages.topics import Topic
 from symbid_ros.signals.stamps import Gaps, find_gaps
 
 
-class SingleMessages:
+class SingleMessageDecoder:
     """Decodes messages of one topic, one at a time.
 
     A message laid out like one of the recent ones costs a comparison of bytes.

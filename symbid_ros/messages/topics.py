@@ -107,7 +107,7 @@ class SelectedTopics:
 
 
 @dataclass
-class Selector:
+class TopicSelector:
     """Applies a selection while a recording is being read.
 
     Attributes
@@ -198,10 +198,10 @@ class Selector:
         return "record the joint states as well"
 
     def _listing(self) -> str:
-        return listing(self.counts)
+        return describe_topics(self.counts)
 
 
-def listing(topics: Iterable[Topic]) -> str:
+def describe_topics(topics: Iterable[Topic]) -> str:
     """Return topics and types in one line."""
     names = sorted(f"{topic.name} ({topic.msgtype or 'no type'})" for topic in topics)
     return ", ".join(names) or "no topic at all"

@@ -225,7 +225,7 @@ def has_stamp(msgtype: str) -> bool:
     return bool(fields) and fields[0][1] in (HEADER, TIME)
 
 
-def stamp_of(payload: bytes) -> int:
+def read_leading_stamp(payload: bytes) -> int:
     """Return the leading stamp of a serialised message, nanoseconds."""
     seconds, nanoseconds = _STAMP[payload[1] & 1].unpack_from(payload, ENCAPSULATION)
     return int(seconds) * NANO + int(nanoseconds)

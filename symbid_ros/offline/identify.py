@@ -5,8 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from symbid_ros.bags.container.files import contents
-from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.bags import bag_log, count_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import load_archive
@@ -117,7 +116,7 @@ def _check_early(job: Job, parameters: ParameterSet, out: Path | None) -> None:
             f"rank {job.rank} is larger than {len(parameters)}, the number of parameters; choose "
             "another --rank"
         )
-    contents([*job.facts.tare, *filter(None, [job.validation])])
+    count_messages([*job.facts.tare, *filter(None, [job.validation])])
     if job.information is not None:
         p, coordinates = len(parameters), parameters.model.coordinates
         for earlier in load_archive(job.information):

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from symbid_ros.bags.streams.reader import read_streams, read_truth
+from symbid_ros.bags import read_streams, read_truth
 from symbid_ros.identification.evaluation import TrueMotion, true_motion
 from symbid_ros.identification.prediction import RealisticMotion, realistic_motion
 from symbid_ros.model.tree import RobotModel

@@ -5,7 +5,7 @@ import time
 
 from symbid_ros.errors import DataError
 from symbid_ros.messages.layout import Layout
-from symbid_ros.messages.single_message import MessagePattern, SingleMessages
+from symbid_ros.messages.single_message import MessagePattern, SingleMessageDecoder
 from symbid_ros.messages.topics import Topic
 from symbid_ros.messages.types import IMU, JOINT_STATE, NANO, WRENCH
 from symbid_ros.model.tree import RobotModel
@@ -54,7 +54,7 @@ class MessageCheck:
 
     def __init__(self, topic: Topic, model: RobotModel, frame_prefix: str = "") -> None:
         self._topic = topic
-        self._messages = SingleMessages(topic)
+        self._messages = SingleMessageDecoder(topic)
         self._patterns: list[MessagePattern] = []
         self._joints = frozenset(model.measured_joint_names)
         self._frames, self._prefix = known_frames(model), frame_prefix

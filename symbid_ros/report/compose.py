@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.bags.streams.reader import read_streams
+from symbid_ros.bags import read_streams
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.evaluation import (

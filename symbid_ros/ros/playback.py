@@ -9,7 +9,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile
 from std_srvs.srv import SetBool, Trigger
 
-from symbid_ros.bags.container.file_index import RecordedTopic
+from symbid_ros.bags import RecordedTopic
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.layout import CDR
 from symbid_ros.messages.types import CLOCK, clock_layout, fill_stamp

@@ -14,12 +14,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
-from symbid_ros.bags.container.file_index import RecordedTopic
-from symbid_ros.bags.replay import RecordedMessage, Recording
+from symbid_ros.bags import RecordedMessage, RecordedTopic, Recording
 from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.messages.layout import typestore
-from symbid_ros.messages.topics import Selector, Topic, TopicSelection
-from symbid_ros.messages.types import has_stamp, stamp_of
+from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
+from symbid_ros.messages.types import has_stamp, read_leading_stamp
 from symbid_ros.ros.endpoints import (
     await_acknowledgement,
     await_settled,
@@ -177,7 +176,7 @@ class Player:
 
     def _stamp_of(self, message: RecordedMessage) -> int:
         try:
-            return stamp_of(message.payload)
+            return read_leading_stamp(message.payload)
         except (struct.error, IndexError) as error:
             raise BagError(
                 f"{self._recording.source}: {message.topic}: a message is too short for its type; "
@@ -289,7 +288,7 @@ def _stamped(topics: Sequence[RecordedTopic]) -> set[str]:
 
 def _sensors(topics: Sequence[RecordedTopic]) -> tuple[str, ...]:
     """Return the topics that an identification subscribes to; all if there is none."""
-    sensors = Selector("", TopicSelection())
+    sensors = TopicSelector("", TopicSelection())
     names = tuple(topic.name for topic in topics)
     wanted = {topic.name for topic in topics if sensors.wants(Topic(topic.name, topic.msgtype))}
     return tuple(name for name in names if name in wanted) or names

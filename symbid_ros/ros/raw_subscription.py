@@ -18,7 +18,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from symbid_ros.arrays import IntArray
 from symbid_ros.messages.layout import Layout, Records
-from symbid_ros.messages.single_message import SingleMessages
+from symbid_ros.messages.single_message import SingleMessageDecoder
 from symbid_ros.messages.topics import OfferedQos, Topic
 from symbid_ros.messages.types import read_stamp
 from symbid_ros.ros.endpoints import (
@@ -208,7 +208,7 @@ class DecodedSubscription:
             raw=True,
         )
         name = str(self.subscription.topic_name)
-        self._messages = SingleMessages(Topic(name, msgtype))
+        self._messages = SingleMessageDecoder(Topic(name, msgtype))
 
     @property
     def senders(self) -> int:

@@ -17,12 +17,11 @@ from rich.console import Console
 from rich.live import Live
 from rich.text import Text
 
-from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage, WriterState
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BackgroundWriter, BagWriter, QueuedMessage, WriterState
 from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.messages.layout import ENCAPSULATION, typestore
 from symbid_ros.messages.single_message import GapCounter
-from symbid_ros.messages.types import has_stamp, stamp_of
+from symbid_ros.messages.types import has_stamp, read_leading_stamp
 from symbid_ros.ros.diagnostics import ERROR, OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.ros.discovery import TopicDiscovery, TopicFilter
 from symbid_ros.ros.parameters import Parameter, ParameterError
@@ -279,7 +278,7 @@ class Recorder:
                 )
                 # Publishers are not trusted to send whole messages.
                 if recording.gaps is not None and len(arrival.payload) >= STAMPED:
-                    recording.gaps.add(stamp_of(arrival.payload))
+                    recording.gaps.add(read_leading_stamp(arrival.payload))
         if messages:
             self._writer.put(messages)
         return messages

@@ -8,8 +8,8 @@ from itertools import pairwise
 from rclpy.node import Node
 
 from symbid_ros.errors import DataError
-from symbid_ros.messages.single_message import SingleMessages
-from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSelection
+from symbid_ros.messages.single_message import SingleMessageDecoder
+from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.message_check import known_frames
@@ -79,7 +79,7 @@ class CandidateTopic:
             self.is_placed = True
         if self.is_placed or self.intake is None:
             return
-        messages = SingleMessages(self.topic)
+        messages = SingleMessageDecoder(self.topic)
         for arrival in self.intake.arrivals():
             try:
                 layout, _ = messages.decode(arrival.payload)
@@ -205,7 +205,7 @@ class SensorTopics:
     def _wanted(self, topics: Iterable[Topic]) -> list[Topic]:
         """Return the topics that may be the robot's: named, remapped, or in its namespace."""
         space = self.node.get_namespace().rstrip("/")
-        selector = Selector("live topics", self.own.selection)
+        selector = TopicSelector("live topics", self.own.selection)
         states = {
             topic.name
             for topic in topics

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from symbid_ros.bags.writing.disk import new_folder
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter, new_folder
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.topics import sensor_topics, truth_topics

@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import write_text
-from symbid_ros.bags.streams.reader import read_streams, read_truth
+from symbid_ros.bags import read_streams, read_truth
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, known_force

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from symbid_ros.atomic_write import write_text
-from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.bags import bag_log
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.identification.dataset import Processing, fold_record

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bag_surgery import topic_counts
 from foreign_bags import STORE, imu, joint_state, wrench
 from mcap.reader import NonSeekingReader
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
@@ -25,7 +26,7 @@ from mcap_features import (
 from symbid_ros.bags.info import bag_info
 from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.streams.reader import read_streams, topic_counts
+from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.errors import BagError
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from small_disks import small_disk
 from whole_bags import whole_messages
 
-from symbid_ros.bags.writing.mcap_writer import ChunkWriter
+from symbid_ros.bags.writing.mcap_writer import McapWriter
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
 from symbid_ros.messages.types import IMU
@@ -127,7 +127,7 @@ class Dribble(BytesIO):
 
 def test_writes_cut_short_are_continued() -> None:
     stream = Dribble()
-    writer = ChunkWriter(stream, 1000)
+    writer = McapWriter(stream, 1000)
     channel = writer.add_channel("/imu", writer.add_schema(IMU, b"text"), {})
     for number, payload in enumerate(PAYLOADS):
         writer.add_message(channel, number, number, payload)

@@ -18,7 +18,7 @@ from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Me
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from symbid_ros.bags.container.blocks import iterate_blocks
+from symbid_ros.bags.container.blocks import read_mcap_blocks
 from symbid_ros.bags.info import bag_info
 from symbid_ros.bags.recovery.recover import recover
 from symbid_ros.bags.replay import Recording
@@ -325,12 +325,12 @@ def test_data_are_checked_where_the_writer_gave_a_checksum(tmp_path: Path) -> No
 
 
 def test_chunks_without_checksum_are_counted(log: Path, tmp_path: Path) -> None:
-    checked = [*iterate_blocks(log / "log_0.mcap")]
+    checked = [*read_mcap_blocks(log / "log_0.mcap")]
     assert sum(block.chunks for block in checked) > 1
     assert sum(block.unchecked_chunks for block in checked) == 0
     raw = message()
     file = mcap(tmp_path / "log.mcap", announced(), *[chunk(raw, len(raw), "")] * 3)
-    (block,) = iterate_blocks(file)
+    (block,) = read_mcap_blocks(file)
     assert (block.chunks, block.unchecked_chunks) == (3, 3)
 
 

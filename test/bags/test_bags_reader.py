@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bag_surgery import topic_counts
 from foreign_bags import STORE, imu, joint_state, joints_only, wrench, write_rosbags
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
@@ -15,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from symbid_ros.bags.streams.reader import read_streams, read_truth, topic_counts
+from symbid_ros.bags.streams.reader import read_streams, read_truth
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, WRENCH

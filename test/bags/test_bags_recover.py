@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Reader as RosbagsReader
 
 from symbid_ros.bags.info import bag_info
 from symbid_ros.bags.recovery.recover import recover
-from symbid_ros.bags.recovery.report import RecordCount, Recovery
+from symbid_ros.bags.recovery.report import RecordCount, RecoveryReport
 from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
@@ -70,7 +70,7 @@ def chunks(image: bytes) -> list[tuple[int, int]]:
     return [(start, end) for opcode, start, end in records(image) if opcode == CHUNK]
 
 
-def by_topic(recovery: Recovery) -> dict[str, tuple[int, int]]:
+def by_topic(recovery: RecoveryReport) -> dict[str, tuple[int, int]]:
     return {topic.name: (topic.kept, topic.lost) for topic in recovery.topics}
 
 

@@ -2,9 +2,9 @@
 
 import json
 
+from bag_surgery import topic_counts
 from report_pages import Page
 
-from symbid_ros.bags.streams.reader import topic_counts
 from symbid_ros.estimation.truncated_svd import METHODS
 from symbid_ros.report.formatting import with_std
 

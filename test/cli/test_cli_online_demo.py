@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_surgery import topic_counts
 from report_pages import Page
 
-from symbid_ros.bags.streams.reader import topic_counts
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file

@@ -2,7 +2,7 @@
 
 import pytest
 
-from symbid_ros.messages.topics import Selector, Topic, TopicSelection
+from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 TOPICS = {
@@ -52,13 +52,13 @@ BY_DEFAULT = {
     ],
 )
 def test_what_is_wanted_follows_from_type_and_name(selection, gone, come) -> None:
-    selector = Selector("log", selection)
+    selector = TopicSelector("log", selection)
     wanted = {name for name, msgtype in TOPICS.items() if selector.wants(Topic(name, msgtype))}
     assert wanted == BY_DEFAULT - gone | come
 
 
 def test_what_is_selected_is_what_is_wanted() -> None:
-    selector = Selector("log", TopicSelection(joints=("/joint_states",)))
+    selector = TopicSelector("log", TopicSelection(joints=("/joint_states",)))
     counts = {Topic(name, msgtype): 1 for name, msgtype in TOPICS.items()}
     selector.counts.update(counts)
     selected = selector.selected()

@@ -13,7 +13,7 @@ from symbid_ros.bags.streams.reader import bag_log, read_streams
 from symbid_ros.errors import DataError
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection
-from symbid_ros.messages.types import IMU, stamp_of
+from symbid_ros.messages.types import IMU, read_leading_stamp
 from symbid_ros.model.load import load_model
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.package_paths import config_file
@@ -58,7 +58,7 @@ def heard(feed, model, prefix="") -> Heard:
     due = feed.messages[0][0]
     blocks, pieces = [], []
     for stamp, topic, payload in feed.messages:
-        now = stamp_of(payload)
+        now = read_leading_stamp(payload)
         assert not timeline.streams.jumps_back(topic, now)
         timeline.streams.add(topic, now, payload)
         if stamp >= due:

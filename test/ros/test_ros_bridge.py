@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bag_surgery import topic_counts
 from graph_probes import RELIABLE, StatusProbe, descriptors, parameter, set_parameters
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from symbid_ros.bags.streams.reader import read_streams, topic_counts
+from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

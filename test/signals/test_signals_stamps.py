@@ -5,7 +5,7 @@ from foreign_bags import imu
 from hypothesis import given
 from hypothesis import strategies as st
 
-from symbid_ros.messages.types import has_stamp, stamp_of
+from symbid_ros.messages.types import has_stamp, read_leading_stamp
 from symbid_ros.signals.stamps import find_gaps
 
 PERIOD = 1_000_000
@@ -38,7 +38,7 @@ def test_single_message_has_no_period() -> None:
 
 
 def test_stamp_is_read_from_the_bytes() -> None:
-    assert stamp_of(imu(12_000_000_345)) == 12_000_000_345
+    assert read_leading_stamp(imu(12_000_000_345)) == 12_000_000_345
     assert has_stamp("sensor_msgs/msg/Imu")
     assert has_stamp("rosgraph_msgs/msg/Clock")
     assert not has_stamp("std_msgs/msg/String")

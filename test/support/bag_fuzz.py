@@ -26,7 +26,7 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mutations import mutated
 
-from symbid_ros.bags.container.mcap_records import damage_named
+from symbid_ros.bags.container.mcap_records import report_damage
 from symbid_ros.bags.container.mcap_summary import read_summary
 from symbid_ros.bags.info import bag_info
 from symbid_ros.bags.recovery.recover import recover
@@ -274,7 +274,7 @@ def _recover(kind: Kind, file: Path, truth: Arrays) -> list[str]:
 
 def _tells_counts(file: Path) -> bool:
     try:
-        with damage_named(file):
+        with report_damage(file):
             summary = read_summary(file)
     except SymbidError:
         return False

@@ -1,5 +1,6 @@
 """A bag with its messages changed: decoded, given to a surgeon, and written anew."""
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from symbid_ros.bags.container.files import all_blocks
+from symbid_ros.bags.container.files import read_blocks
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.layout import Layout
@@ -22,6 +23,15 @@ from symbid_ros.messages.types import (
 )
 
 PER_JOINT = ("position", "velocity", "effort")
+
+
+def topic_counts(bag: Path) -> dict[str, int]:
+    """Return the number of messages of every topic, counted in the files themselves."""
+    counts: Counter[str] = Counter()
+    for block in read_blocks([bag]):
+        for topic, spans in block.spans.items():
+            counts[topic.name] += len(spans)
+    return dict(counts)
 
 
 @dataclass
@@ -86,7 +96,7 @@ Surgery = Callable[[Messages], None]
 def operate(bag: Path, out: Path, surgeries: dict[str, Surgery]) -> Path:
     """Write a simulated bag's sensor topics into a new one, those named changed on the way."""
     decoders: dict[str, TopicDecoder] = {}
-    for block in all_blocks([bag]):
+    for block in read_blocks([bag]):
         for topic, spans in block.spans.items():
             if "ground_truth" not in topic.name:
                 decoder = decoders.setdefault(topic.name, TopicDecoder(str(bag), topic))

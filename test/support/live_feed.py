@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from symbid_ros.bags.container.blocks import iterate_blocks
+from symbid_ros.bags.container.blocks import read_mcap_blocks
 from symbid_ros.bags.container.files import bag_files
-from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSelection
-from symbid_ros.messages.types import stamp_of
+from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
+from symbid_ros.messages.types import read_leading_stamp
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,16 @@ class Feed:
 
 def feed_of(bag: Path, selection: TopicSelection | None = None) -> Feed:
     """Return the sensor messages of a bag."""
-    selector = Selector(str(bag), selection or TopicSelection())
+    selector = TopicSelector(str(bag), selection or TopicSelection())
     messages = []
     for file in bag_files(bag):
-        for block in iterate_blocks(file):
+        for block in read_mcap_blocks(file):
             for topic, spans in block.spans.items():
                 selector.counts[topic] = selector.counts.get(topic, 0) + len(spans)
                 if selector.wants(topic):
                     payloads = [block.data[at : at + size].tobytes() for at, size in spans]
-                    messages += [(stamp_of(payload), topic, payload) for payload in payloads]
+                    messages += [
+                        (read_leading_stamp(payload), topic, payload) for payload in payloads
+                    ]
     messages.sort(key=lambda message: (message[0], message[1].name))
     return Feed(selector.selected(), tuple(messages))

@@ -22,7 +22,12 @@ from rclpy.node import Node
 
 from symbid_ros.cli.processes import NodeProcess, unused_domain
 from symbid_ros.messages.layout import ENCAPSULATION, Layout
-from symbid_ros.messages.types import imu_layout, joint_state_layout, stamp_of, wrench_layout
+from symbid_ros.messages.types import (
+    imu_layout,
+    joint_state_layout,
+    read_leading_stamp,
+    wrench_layout,
+)
 from symbid_ros.ros.endpoints import message_class, reliable_qos
 
 STAMP = struct.Struct("<iI")
@@ -182,5 +187,7 @@ def stored_stamps(file: Path) -> dict[str, list[int]]:
             if isinstance(record, Channel):
                 topics[record.id] = record.topic
             elif isinstance(record, Message):
-                stamps.setdefault(topics[record.channel_id], []).append(stamp_of(record.data))
+                stamps.setdefault(topics[record.channel_id], []).append(
+                    read_leading_stamp(record.data)
+                )
     return stamps

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.bags.container.files import all_blocks
+from symbid_ros.bags.container.files import read_blocks
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.types import JOINT_STATE, fill_joint_state, joint_state_layout, read_stamp
@@ -43,7 +43,7 @@ def split_joints(bag: Path, out: Path, parts: Sequence[Part]) -> Path:
                 channels[topic] = writer.add_topic(topic, msgtype)
             return channels[topic]
 
-        for block in all_blocks([bag]):
+        for block in read_blocks([bag]):
             for topic, spans in block.spans.items():
                 if "ground_truth" in topic.name:
                     continue

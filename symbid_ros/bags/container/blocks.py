@@ -20,34 +20,34 @@ from numpy.typing import NDArray
 
 from symbid_ros.arrays import IntArray
 from symbid_ros.bags.container.mcap_records import (
-    INDEX_ENTRY,
+    INDEX_ENTRY_SIZE,
     INDEX_HEAD,
     MAGIC,
     MESSAGE,
-    PAYLOAD,
+    PAYLOAD_OFFSET,
     PRIVATE,
     RECORD,
     TO_ROS2,
     Buffer,
     ChunkRecord,
-    damage_named,
-    message_starts,
+    find_messages,
+    report_damage,
 )
 from symbid_ros.bags.container.mcap_summary import (
     DATA_END_SIZE,
-    Summary,
+    McapSummary,
     read_summary,
-    warn_of_counts,
+    warn_of_count_mismatch,
 )
-from symbid_ros.bags.container.schema_registry import Catalogue, parsed
+from symbid_ros.bags.container.schema_registry import SchemaRegistry, parse_record
 from symbid_ros.errors import BagError
-from symbid_ros.messages.layout import ByteArray, gathered
-from symbid_ros.messages.limits import MAX_CHUNK, MIB, within
+from symbid_ros.messages.layout import ByteArray, gather_rows
+from symbid_ros.messages.limits import MAX_CHUNK, MIB, check_limit
 from symbid_ros.messages.topics import Topic
 
 
 @dataclass
-class Batch:
+class ChunkBatch:
     """Chunks as they lie in the file, and where their indexes say messages begin.
 
     Attributes
@@ -80,10 +80,10 @@ class Batch:
         """Take the body of a message index of the last chunk: channel, size, entries."""
         _, size = INDEX_HEAD.unpack_from(body)
         entries = body[INDEX_HEAD.size : INDEX_HEAD.size + size]
-        if len(entries) < size or size % INDEX_ENTRY:
+        if len(entries) < size or size % INDEX_ENTRY_SIZE:
             raise ValueError("a message index is cut short")
         self._entries.append(entries)
-        self._places.append((self._base, size // INDEX_ENTRY))
+        self._places.append((self._base, size // INDEX_ENTRY_SIZE))
 
     def unpacked(self) -> Buffer:
         """Return all records, checked chunk by chunk against size and checksum."""
@@ -93,7 +93,7 @@ class Batch:
     def starts(self) -> IntArray:
         """Return where messages begin according to the indexes, in increasing order (N,)."""
         count = sum(count for _, count in self._places)
-        if count * PAYLOAD > self.size:  # more entries than there is room for messages
+        if count * PAYLOAD_OFFSET > self.size:  # more entries than there is room for messages
             return np.empty(0, dtype=np.int64)
         entries = np.frombuffer(b"".join(self._entries), dtype="<i8").reshape(-1, 2)
         bases, counts = np.array(self._places, dtype=np.int64).reshape(-1, 2).T
@@ -123,7 +123,7 @@ logger = logging.getLogger("symbid_ros.bags")
 
 
 @dataclass(frozen=True)
-class Block:
+class MessageBlock:
     """Consecutive messages of one file.
 
     Attributes
@@ -143,12 +143,12 @@ class Block:
     unchecked_chunks: int = 0
 
 
-def iterate_blocks(file: Path) -> Iterator[Block]:
+def read_mcap_blocks(file: Path) -> Iterator[MessageBlock]:
     """Yield all messages of an MCAP file, a few megabytes at a time.
 
     A warning tells where the file's summary counts other messages than were found.
     """
-    with damage_named(file):
+    with report_damage(file):
         summary = read_summary(file)
         yield from _FileReader(file, summary, summary.catalogue).blocks()
 
@@ -156,8 +156,8 @@ def iterate_blocks(file: Path) -> Iterator[Block]:
 @dataclass
 class _FileReader:
     file: Path
-    summary: Summary
-    catalogue: Catalogue
+    summary: McapSummary
+    catalogue: SchemaRegistry
     chunks: int = 0
     unchecked: int = 0
     private: int = 0
@@ -165,10 +165,10 @@ class _FileReader:
     topics: dict[Topic, int] = field(default_factory=dict)
     topic_of: NDArray[np.int16] = field(default_factory=lambda: np.full(CHANNELS, -1, np.int16))
 
-    def blocks(self) -> Iterator[Block]:
+    def blocks(self) -> Iterator[MessageBlock]:
         # Unpacking lets others run meanwhile: it goes on while the block before is made use of.
         with ThreadPoolExecutor(1) as unpacker:
-            ahead: tuple[Batch, Callable[[], Buffer]] | None = None
+            ahead: tuple[ChunkBatch, Callable[[], Buffer]] | None = None
             for batch in self._batches():
                 unpacked: Callable[[], Buffer] = batch.unpacked
                 if batch.size <= MOST_AHEAD:
@@ -180,9 +180,9 @@ class _FileReader:
                 yield self._block(*ahead)
         self._compare()
 
-    def _batches(self) -> Iterator[Batch]:
+    def _batches(self) -> Iterator[ChunkBatch]:
         """Yield the chunks of the file, joined to as much as is worked on at once."""
-        batch = Batch()
+        batch = ChunkBatch()
         for opcode, body in self._records():
             if opcode == Opcode.MESSAGE_INDEX:
                 batch.add_index(body)
@@ -191,7 +191,7 @@ class _FileReader:
                 size = RECORD.size + len(body) if chunk is None else chunk.size
                 if batch.size and batch.size + size > BLOCK_SIZE:
                     yield batch
-                    batch = Batch()
+                    batch = ChunkBatch()
                 if chunk is None:
                     batch.add_message(RECORD.pack(opcode, len(body)) + body)
                 else:
@@ -219,7 +219,7 @@ class _FileReader:
                 if opcode >= PRIVATE or opcode in SKIPPED:
                     stream.seek(length, 1)
                     continue
-                body = stream.read(within("a record", length, MAX_CHUNK))
+                body = stream.read(check_limit("a record", length, MAX_CHUNK))
                 if opcode == Opcode.HEADER:
                     self._check_profile(body)
                 else:
@@ -254,24 +254,26 @@ class _FileReader:
             raise ValueError(f"a record of kind {opcode} is among its data")
 
     def _check_profile(self, body: bytes) -> None:
-        if parsed(Header.read, body).profile == "ros1":
+        if parse_record(Header.read, body).profile == "ros1":
             raise BagError(
                 f"{self.file}: a recording of ROS 1; convert the .bag that it was made from with "
                 f"`rosbags-convert {TO_ROS2}`"
             )
 
-    def _block(self, batch: Batch, unpacked: Callable[[], Buffer]) -> Block:
+    def _block(self, batch: ChunkBatch, unpacked: Callable[[], Buffer]) -> MessageBlock:
         data, starts = unpacked(), batch.starts()
         content = np.frombuffer(data, dtype=np.uint8)
         heads = _message_heads(content, starts)
         if heads is None or not _is_complete(heads, starts, len(data)):
-            starts = np.frombuffer(message_starts(data, self.catalogue.add), dtype=np.int64)
+            starts = np.frombuffer(find_messages(data, self.catalogue.add), dtype=np.int64)
             heads = _message_heads(content, starts)
             assert heads is not None
         self.chunks += batch.chunks
         self.unchecked += batch.unchecked
-        spans = np.stack([starts + PAYLOAD, heads["length"].astype(np.int64) - MESSAGE.size], 1)
-        return Block(
+        spans = np.stack(
+            [starts + PAYLOAD_OFFSET, heads["length"].astype(np.int64) - MESSAGE.size], 1
+        )
+        return MessageBlock(
             content,
             self._by_topic(heads["channel"], spans),
             batch.chunks,
@@ -302,14 +304,14 @@ class _FileReader:
                 "%s: %d of %d chunks carry no checksum", self.file, self.unchecked, self.chunks
             )
         found = {int(channel): int(self.counts[channel]) for channel in np.flatnonzero(self.counts)}
-        warn_of_counts(self.file, self.summary.statistics, found)
+        warn_of_count_mismatch(self.file, self.summary.statistics, found)
 
 
 def _message_heads(data: ByteArray, starts: IntArray) -> NDArray[np.void] | None:
     """Return (N,) opcode, length and channel of the records at ``starts``, if they lie inside."""
-    if len(starts) and not 0 <= starts[0] <= starts[-1] <= len(data) - PAYLOAD:
+    if len(starts) and not 0 <= starts[0] <= starts[-1] <= len(data) - PAYLOAD_OFFSET:
         return None
-    heads: NDArray[np.void] = gathered(data, starts, HEAD.itemsize).view(HEAD)[:, 0]
+    heads: NDArray[np.void] = gather_rows(data, starts, HEAD.itemsize).view(HEAD)[:, 0]
     return heads
 
 

@@ -9,18 +9,18 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Statistics
 
 from symbid_ros.bags.container.mcap_records import (
-    INDEX_ENTRY,
+    INDEX_ENTRY_SIZE,
     INDEX_HEAD,
     MAGIC,
     MESSAGE,
     RECORD,
     Buffer,
     ChunkRecord,
-    damage_named,
+    report_damage,
 )
-from symbid_ros.bags.container.mcap_summary import Summary, read_summary
-from symbid_ros.bags.container.schema_registry import Catalogue, full_name
-from symbid_ros.messages.limits import MAX_CHUNK, MAX_EXTENTS, unpacked_message, within
+from symbid_ros.bags.container.mcap_summary import McapSummary, read_summary
+from symbid_ros.bags.container.schema_registry import SchemaRegistry, full_type_name
+from symbid_ros.messages.limits import MAX_CHUNK, MAX_EXTENTS, check_limit, decompress_message
 from symbid_ros.messages.topics import OfferedQos
 
 EXTENT_SIZE = 1 << 20  # bytes of messages, other than chunks, that are read together
@@ -94,12 +94,12 @@ class FileIndex:
     messages: Callable[[Extent], list[StoredMessage]]
 
 
-def recorded_topics(catalogue: Catalogue) -> dict[int, RecordedTopic]:
+def recorded_topics(catalogue: SchemaRegistry) -> dict[int, RecordedTopic]:
     """Return the topics of a file by channel."""
     return {
         number: RecordedTopic(
             name=channel.topic,
-            msgtype=full_name(schema.name) if (schema := catalogue.schema(channel)) else "",
+            msgtype=full_type_name(schema.name) if (schema := catalogue.schema(channel)) else "",
             encoding=channel.message_encoding,
             qos=catalogue.offers(channel),
         )
@@ -117,7 +117,7 @@ def read_mcap_index(file: Path) -> FileIndex:
     once. This happens if messages are outside chunks, a chunk has no message index, or the times
     of the chunks contradict the statistics.
     """
-    with damage_named(file):
+    with report_damage(file):
         summary = read_summary(file, with_chunks=True)
         if not _is_complete(summary):
             return _Survey(file, summary).index()
@@ -138,7 +138,7 @@ def read_mcap_index(file: Path) -> FileIndex:
         return _file_index(file, summary.catalogue, extents, summary.statistics)
 
 
-def _is_complete(summary: Summary) -> bool:
+def _is_complete(summary: McapSummary) -> bool:
     """Tell whether a summary names all channels, and its chunk indexes account for all messages."""
     stated = summary.statistics
     if (
@@ -163,19 +163,22 @@ def _indexed(chunk: ChunkIndex) -> float:
     The result is not an integer if these have fields of a later version of the format.
     """
     frames = INDEX_RECORD * len(chunk.message_index_offsets)
-    return float(chunk.message_index_length - frames) / INDEX_ENTRY
+    return float(chunk.message_index_length - frames) / INDEX_ENTRY_SIZE
 
 
 def _file_index(
-    file: Path, catalogue: Catalogue, extents: tuple[Extent, ...], statistics: Statistics | None
+    file: Path,
+    catalogue: SchemaRegistry,
+    extents: tuple[Extent, ...],
+    statistics: Statistics | None,
 ) -> FileIndex:
     topics = recorded_topics(catalogue)
 
     def messages(extent: Extent) -> list[StoredMessage]:
-        with damage_named(file):
+        with report_damage(file):
             with file.open("rb") as stream:
                 stream.seek(extent.offset)
-                data = stream.read(within("a chunk", extent.length, MAX_CHUNK))
+                data = stream.read(check_limit("a chunk", extent.length, MAX_CHUNK))
             found = [
                 _message(records, start, stop)
                 for opcode, start, stop, records in _records(data)
@@ -195,8 +198,8 @@ class _Survey:
     """A reading of a whole file that keeps no message."""
 
     file: Path
-    summary: Summary
-    catalogue: Catalogue = field(default_factory=Catalogue)
+    summary: McapSummary
+    catalogue: SchemaRegistry = field(default_factory=SchemaRegistry)
     extents: list[Extent] = field(default_factory=list)
 
     def index(self) -> FileIndex:
@@ -209,7 +212,7 @@ class _Survey:
                 if offset + RECORD.size + length > end:
                     raise ValueError("a record is cut short")
                 if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK):
-                    body = stream.read(within("a record", length, MAX_CHUNK))
+                    body = stream.read(check_limit("a record", length, MAX_CHUNK))
                     self._add(offset, head + body)
                 else:
                     stream.seek(length, 1)
@@ -236,7 +239,7 @@ class _Survey:
                 )
                 return
         self.extents.append(extent)
-        within("a number of chunks", len(self.extents), MAX_EXTENTS)
+        check_limit("a number of chunks", len(self.extents), MAX_EXTENTS)
 
 
 def _records(data: Buffer, *, inside: bool = False) -> Iterator[tuple[int, int, int, Buffer]]:
@@ -266,4 +269,4 @@ def _message(data: Buffer, start: int, stop: int) -> StoredMessage:
     if body > stop:
         raise ValueError("a message record is too short")
     channel, _, log_time, _ = MESSAGE.unpack_from(data, start)
-    return StoredMessage(log_time, channel, unpacked_message(bytes(data[body:stop]), MAX_CHUNK))
+    return StoredMessage(log_time, channel, decompress_message(bytes(data[body:stop]), MAX_CHUNK))

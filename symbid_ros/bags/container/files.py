@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from symbid_ros.bags.container.blocks import Block, iterate_blocks
-from symbid_ros.bags.container.mcap_records import damage_named, quoted
+from symbid_ros.bags.container.blocks import MessageBlock, read_mcap_blocks
+from symbid_ros.bags.container.mcap_records import quote_path, report_damage
 from symbid_ros.bags.container.mcap_summary import read_summary
-from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, sqlite_blocks, sqlite_contents
+from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_blocks, read_sqlite_summary
 from symbid_ros.errors import BagError
 from symbid_ros.messages.limits import MAX_METADATA, MAX_YAML_NODES
 from symbid_ros.messages.topics import Topic
@@ -24,7 +24,7 @@ def bag_files(bag: Path) -> list[Path]:
     metadata = bag / "metadata.yaml"
     if not metadata.is_file():
         return files_present(bag)
-    listed = [_unpacked(bag / name) for name in listed_names(bag_metadata(metadata))]
+    listed = [_unpacked(bag / name) for name in listed_names(read_metadata(metadata))]
     present = _sorted_files(bag)
     if len(present) == len(listed) and not any(file.is_file() for file in listed):
         listed = present  # renamed, all of them
@@ -57,7 +57,7 @@ def files_present(bag: Path) -> list[Path]:
     return [_read_as_it_is(file) for file in files]
 
 
-def bag_metadata(metadata: Path) -> dict[str, Any]:
+def read_metadata(metadata: Path) -> dict[str, Any]:
     """Return what a metadata.yaml says, no more checked than that it is rosbag2's."""
     try:
         text = read_regular(metadata, MAX_METADATA).decode("utf-8")
@@ -97,21 +97,20 @@ def _sorted_files(folder: Path) -> list[Path]:
 def _read_as_it_is(file: Path) -> Path:
     if file.suffix == ZSTD_SUFFIX:
         raise BagError(
-            f"{file}: compressed as a whole; unpack it with `zstd -d {quoted(file)}`, every other "
-            "file of the bag likewise, and give the bag again, or record with "
-            "`--storage-preset-profile zstd_fast`"
+            f"{file}: the whole file is compressed; decompress all files of the bag, this one by "
+            f"`zstd -d {quote_path(file)}`, or record with `--storage-preset-profile zstd_fast`"
         )
     return file
 
 
-def bag_names(bags: Sequence[Path]) -> str:
+def join_names(bags: Sequence[Path]) -> str:
     """Return the names of one recording's bags, for messages to the user."""
     if not bags:
         raise BagError("no bag given; name at least one")
     return ", ".join(map(str, bags))
 
 
-def contents(bags: Sequence[Path]) -> dict[Topic, int]:
+def count_messages(bags: Sequence[Path]) -> dict[Topic, int]:
     """Return the number of messages of every topic, as the summaries of the bags tell it.
 
     A file whose summary does not is read.
@@ -125,8 +124,8 @@ def contents(bags: Sequence[Path]) -> dict[Topic, int]:
 
 def _of_file(file: Path) -> dict[Topic, int]:
     if file.suffix == SQLITE_SUFFIX:
-        return dict(sqlite_contents(file).counts)
-    with damage_named(file):
+        return dict(read_sqlite_summary(file).counts)
+    with report_damage(file):
         summary = read_summary(file)
     catalogue, told = summary.catalogue, summary.statistics
     counts: Counter[Topic] = Counter()
@@ -135,17 +134,17 @@ def _of_file(file: Path) -> dict[Topic, int]:
             topic = Topic(channel.topic, catalogue.msgtype(channel))
             counts[topic] += told.channel_message_counts.get(number, 0)
         return counts
-    for block in iterate_blocks(file):
+    for block in read_mcap_blocks(file):
         for topic, spans in block.spans.items():
             counts[topic] += len(spans)
     return counts
 
 
-def all_blocks(bags: Sequence[Path]) -> Iterator[Block]:
+def read_blocks(bags: Sequence[Path]) -> Iterator[MessageBlock]:
     """Yield all messages of bags that continue one another, a few megabytes at a time."""
     for bag in bags:
         for file in bag_files(bag):
             if file.suffix == SQLITE_SUFFIX:
-                yield from sqlite_blocks(file)
+                yield from read_sqlite_blocks(file)
             else:
-                yield from iterate_blocks(file)
+                yield from read_mcap_blocks(file)

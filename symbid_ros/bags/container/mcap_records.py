@@ -24,17 +24,17 @@ from symbid_ros.messages.limits import (
     MIB,
     UNSUSPICIOUS,
     OverLimitError,
-    unpacked_zstd,
-    within,
+    check_limit,
+    decompress_zstd,
 )
 
 Buffer = bytes | memoryview
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 MESSAGE = struct.Struct("<HIQQ")
-PAYLOAD = RECORD.size + MESSAGE.size
+PAYLOAD_OFFSET = RECORD.size + MESSAGE.size
 INDEX_HEAD = struct.Struct("<HI")
-INDEX_ENTRY = 16
+INDEX_ENTRY_SIZE = 16
 FOOTER_SIZE = RECORD.size + 20
 LONGEST_MAGIC = 16
 TO_ROS2 = "--src-typestore ros1_noetic --dst-typestore ros2_jazzy"  # headers lost a field
@@ -42,14 +42,14 @@ PRIVATE = 0x80  # opcodes from here on are applications' own; readers pass them 
 
 
 @contextmanager
-def damage_named(file: Path) -> Iterator[None]:
+def report_damage(file: Path) -> Iterator[None]:
     """Turn what reading damaged records raises into one line that names the file."""
     try:
         yield
     except OverLimitError as error:
         raise BagError(
             f"{file}: {error}, as of a damaged or hostile file; "
-            f"run `symbid bag recover {quoted(file)}` or record in smaller chunks"
+            f"run `symbid bag recover {quote_path(file)}` or record in smaller chunks"
         ) from error
     except (
         struct.error,
@@ -64,23 +64,23 @@ def damage_named(file: Path) -> Iterator[None]:
             detail = "it ends early"
         raise BagError(
             f"{file}: damaged MCAP file: {detail}; take another copy or run "
-            f"`symbid bag recover {quoted(file)}`"
+            f"`symbid bag recover {quote_path(file)}`"
         ) from error
     except OSError as error:
         raise BagError(f"{file}: cannot read: {error.strerror}") from error
 
 
-def quoted(path: Path) -> str:
+def quote_path(path: Path) -> str:
     """Return a path as a shell takes it."""
     return shlex.quote(str(path))
 
 
-def other_kind(file: Path) -> str:
+def identify_other_format(file: Path) -> str:
     """Return what a file is by its first bytes, if no MCAP file, and what to do with it."""
     with file.open("rb") as stream:
         head = stream.read(LONGEST_MAGIC)
     conversion = (
-        f"rosbags-convert --src {quoted(file)} --dst {quoted(file.with_suffix(''))} "
+        f"rosbags-convert --src {quote_path(file)} --dst {quote_path(file.with_suffix(''))} "
         "--dst-storage mcap"
     )
     if head.startswith(b"#ROSBAG"):
@@ -88,9 +88,9 @@ def other_kind(file: Path) -> str:
     if head.startswith(b"SQLite format 3\0"):
         return "an SQLite file; give it the ending .db3"
     if head.startswith(b"\x28\xb5\x2f\xfd"):
-        return f"compressed as a whole; unpack it with `zstd -d {quoted(file)}`"
+        return f"compressed as a whole; unpack it with `zstd -d {quote_path(file)}`"
     if head.startswith(b"\x04\x22\x4d\x18"):
-        return f"compressed as a whole; unpack it with `lz4 -d {quoted(file)}`"
+        return f"compressed as a whole; unpack it with `lz4 -d {quote_path(file)}`"
     return "" if head else "empty; record it again, or give the bag's other files alone"
 
 
@@ -98,7 +98,7 @@ def checked_size(file: Path) -> int:
     """Return the size of an MCAP file that has its beginning and its end."""
     with file.open("rb") as stream:
         if stream.read(len(MAGIC)) != MAGIC:
-            known = other_kind(file)
+            known = identify_other_format(file)
             raise BagError(f"{file}: {known or 'not an MCAP file; give a bag or one of its files'}")
         end = stream.seek(0, 2)
         stream.seek(max(0, end - FOOTER_SIZE - len(MAGIC)))
@@ -106,12 +106,12 @@ def checked_size(file: Path) -> int:
     if ending[-len(MAGIC) :] != MAGIC or ending[0] != Opcode.FOOTER:
         raise BagError(
             f"{file}: the recording was interrupted, the file has no footer; "
-            f"run `symbid bag recover {quoted(file)}`"
+            f"run `symbid bag recover {quote_path(file)}`"
         )
     return end
 
 
-def message_starts(data: Buffer, announce: Callable[[int, Buffer], None]) -> "array[int]":
+def find_messages(data: Buffer, announce: Callable[[int, Buffer], None]) -> "array[int]":
     """Return where message records begin in the records of a chunk.
 
     Parameters
@@ -185,9 +185,9 @@ class ChunkRecord(NamedTuple):
 
     def records(self) -> Buffer:
         """Return the records inside, checked against the stated size and checksum."""
-        within("a chunk", self.size, MAX_CHUNK)
+        check_limit("a chunk", self.size, MAX_CHUNK)
         if self.size > UNSUSPICIOUS:
-            within("an expansion", self.size // max(len(self.data), 1), MAX_EXPANSION)
+            check_limit("an expansion", self.size // max(len(self.data), 1), MAX_EXPANSION)
         data = self._unpacked()
         if len(data) != self.size:
             raise ValueError("a chunk's size is not what its record says")
@@ -202,7 +202,7 @@ class ChunkRecord(NamedTuple):
         if not self.size:
             return b""
         if self.compression == "zstd":
-            return unpacked_zstd(self.data, self.size)
+            return decompress_zstd(self.data, self.size)
         if self.compression == "lz4":
             return _unpacked_lz4(self.data, self.size)
         raise ValueError(f"unknown compression {self.compression!r}")
@@ -296,7 +296,7 @@ class Attachment:
 
 def _text(stream: BinaryIO) -> str:
     (length,) = TEXT.unpack(stream.read(TEXT.size))
-    return stream.read(within("a name", length, MAX_RECORD)).decode()
+    return stream.read(check_limit("a name", length, MAX_RECORD)).decode()
 
 
 def record_parts(stream: BinaryIO, offset: int, length: int) -> Iterator[bytes]:

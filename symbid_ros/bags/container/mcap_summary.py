@@ -17,10 +17,14 @@ from symbid_ros.bags.container.mcap_records import (
     MAGIC,
     RECORD,
     checked_size,
-    quoted,
+    quote_path,
 )
-from symbid_ros.bags.container.schema_registry import Catalogue, UnknownSchemaError, parsed
-from symbid_ros.messages.limits import MAX_CATALOGUE, MAX_EXTENTS, MAX_RECORD, within
+from symbid_ros.bags.container.schema_registry import (
+    SchemaRegistry,
+    UnknownSchemaError,
+    parse_record,
+)
+from symbid_ros.messages.limits import MAX_CATALOGUE, MAX_EXTENTS, MAX_RECORD, check_limit
 
 DATA_END_SIZE = RECORD.size + 4
 
@@ -28,12 +32,12 @@ logger = logging.getLogger("symbid_ros.bags")
 
 
 @dataclass(frozen=True)
-class Summary:
+class McapSummary:
     """What stands behind the data of a finished file.
 
     Attributes
     ----------
-    catalogue : Catalogue
+    catalogue : SchemaRegistry
         Schemas, and the channels whose schema the summary repeats too.
     statistics : mcap Statistics or None
     chunks : tuple of mcap ChunkIndex
@@ -44,7 +48,7 @@ class Summary:
         CRC-32 of the file up to its data end record; 0 where the writer gave none.
     """
 
-    catalogue: Catalogue
+    catalogue: SchemaRegistry
     statistics: Statistics | None
     chunks: tuple[ChunkIndex, ...]
     data_end: int
@@ -61,7 +65,7 @@ class Summary:
         )
 
 
-def read_summary(file: Path, *, with_chunks: bool = False) -> Summary:
+def read_summary(file: Path, *, with_chunks: bool = False) -> McapSummary:
     """Return what the end of a finished file says, checked against its checksum.
 
     A long recording's summary is mostly chunk indexes, which reading from
@@ -77,7 +81,7 @@ def read_summary(file: Path, *, with_chunks: bool = False) -> Summary:
         tail = stream.read(FOOTER_SIZE)
         if RECORD.unpack_from(tail) != (Opcode.FOOTER, FOOTER_SIZE - RECORD.size):
             raise ValueError("its footer is no footer")
-        footer = parsed(Footer.read, tail[RECORD.size :])
+        footer = parse_record(Footer.read, tail[RECORD.size :])
         start = footer.summary_start or end
         if not len(MAGIC) <= start <= end:
             raise ValueError("its footer points beyond its end")
@@ -87,26 +91,26 @@ def read_summary(file: Path, *, with_chunks: bool = False) -> Summary:
         while (position := stream.tell()) < end:
             head = stream.read(RECORD.size)
             opcode, length = RECORD.unpack(head)
-            within("a record", length, MAX_RECORD)
+            check_limit("a record", length, MAX_RECORD)
             if position + RECORD.size + length > end:
                 raise ValueError("a record of its summary is cut short")
             body = stream.read(length)
             crc = zlib.crc32(body, zlib.crc32(head, crc))
             if opcode == Opcode.STATISTICS:
-                statistics = parsed(Statistics.read, body)
+                statistics = parse_record(Statistics.read, body)
             elif opcode == Opcode.CHUNK_INDEX and with_chunks:
-                chunks.append(parsed(ChunkIndex.read, body))
-                within("a number of chunks", len(chunks), MAX_EXTENTS)
+                chunks.append(parse_record(ChunkIndex.read, body))
+                check_limit("a number of chunks", len(chunks), MAX_EXTENTS)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                size = within("a catalogue of topics", size + length, MAX_CATALOGUE)
+                size = check_limit("a catalogue of topics", size + length, MAX_CATALOGUE)
                 announced.append((opcode, body))
     crc = zlib.crc32(tail[:-4], crc)  # up to the checksum itself
     if footer.summary_start and footer.summary_crc not in (0, crc):
         raise ValueError("its summary does not match its checksum")
-    return Summary(_catalogue(announced), statistics, tuple(chunks), start, data_crc)
+    return McapSummary(_catalogue(announced), statistics, tuple(chunks), start, data_crc)
 
 
-def warn_of_counts(file: Path, stated: Statistics | None, found: Mapping[int, int]) -> None:
+def warn_of_count_mismatch(file: Path, stated: Statistics | None, found: Mapping[int, int]) -> None:
     """Warn if the messages found in a file, by channel, are not those its statistics count."""
     if stated is None:
         return
@@ -126,16 +130,16 @@ def warn_of_counts(file: Path, stated: Statistics | None, found: Mapping[int, in
         file,
         stated.message_count,
         held,
-        quoted(file),
+        quote_path(file),
     )
 
 
-def _catalogue(announced: Iterable[tuple[int, bytes]]) -> Catalogue:
+def _catalogue(announced: Iterable[tuple[int, bytes]]) -> SchemaRegistry:
     """Return schemas and channels, whose groups may stand in any order, and one without the other.
 
     A channel whose schema only the data tell is left to them.
     """
-    catalogue = Catalogue()
+    catalogue = SchemaRegistry()
     for opcode, body in sorted(announced, key=itemgetter(0)):
         with suppress(UnknownSchemaError):
             catalogue.add(opcode, body)
@@ -148,5 +152,5 @@ def _data_crc(stream: BinaryIO, end: int) -> int:
     record = stream.read(DATA_END_SIZE)
     if RECORD.unpack_from(record) != (Opcode.DATA_END, DATA_END_SIZE - RECORD.size):
         return 0  # one with fields of a later version, or none at all: whoever reads on will see
-    crc: int = parsed(DataEnd.read, record[RECORD.size :]).data_section_crc
+    crc: int = parse_record(DataEnd.read, record[RECORD.size :]).data_section_crc
     return crc

@@ -23,7 +23,7 @@ from symbid_ros.messages.limits import (
     MAX_QOS,
     MAX_RECORD,
     MAX_YAML_NODES,
-    within,
+    check_limit,
 )
 from symbid_ros.messages.topics import ENCODED, OfferedQos
 from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, ODOMETRY, TRAJECTORY, WRENCH
@@ -50,14 +50,14 @@ class _Fields(ReadDataStream):
         return data
 
 
-def parsed(read: Callable[[ReadDataStream], R], body: Buffer) -> R:
+def parse_record(read: Callable[[ReadDataStream], R], body: Buffer) -> R:
     """Return a record of the mcap package, whose own parser lets short strings pass."""
-    within("a record", len(body), MAX_RECORD)
+    check_limit("a record", len(body), MAX_RECORD)
     return read(_Fields(BytesIO(body)))
 
 
 @dataclass
-class Catalogue:
+class SchemaRegistry:
     """The schemas and channels that were announced so far, by their numbers.
 
     An announcement that contradicts an earlier one raises ValueError: which of them
@@ -71,10 +71,10 @@ class Catalogue:
     def add(self, opcode: int, body: Buffer) -> None:
         """Take a schema or channel record's body; any other record is none of its concern."""
         if opcode == Opcode.SCHEMA:
-            schema = parsed(Schema.read, body)
+            schema = parse_record(Schema.read, body)
             self._add("schema", self.schemas, schema.id, schema, len(body))
         elif opcode == Opcode.CHANNEL:
-            channel = parsed(Channel.read, body)
+            channel = parse_record(Channel.read, body)
             if channel.schema_id and channel.schema_id not in self.schemas:
                 raise UnknownSchemaError
             self._add("channel", self.channels, channel.id, channel, len(body))
@@ -82,8 +82,8 @@ class Catalogue:
     def _add(self, kind: str, known: dict[int, R], number: int, record: R, size: int) -> None:
         if known.setdefault(number, record) is record:
             self._size += size
-            within(f"a number of {kind}s", len(known), MAX_CHANNELS)
-            within("a catalogue of topics", self._size, MAX_CATALOGUE)
+            check_limit(f"a number of {kind}s", len(known), MAX_CHANNELS)
+            check_limit("a catalogue of topics", self._size, MAX_CATALOGUE)
         elif known[number] != record:
             raise ValueError(f"{kind} {number} is announced twice, differently")
 
@@ -93,16 +93,16 @@ class Catalogue:
 
     def msgtype(self, channel: Channel) -> str:
         """Return the message type; with a remark where its messages are not what the name says."""
-        return described_type(self.schema(channel), channel.message_encoding)
+        return describe_type(self.schema(channel), channel.message_encoding)
 
     def offers(self, channel: Channel) -> tuple[OfferedQos, ...]:
         """Return what the publishers of a channel offered, empty where it does not tell."""
-        return offered(channel.topic, channel.metadata.get("offered_qos_profiles", ""))
+        return parse_qos_profiles(channel.topic, channel.metadata.get("offered_qos_profiles", ""))
 
 
-def described_type(schema: Schema | None, message_encoding: str) -> str:
+def describe_type(schema: Schema | None, message_encoding: str) -> str:
     """Return a message type; with a remark where its messages are not what the name says."""
-    name = "" if schema is None else full_name(schema.name)
+    name = "" if schema is None else full_type_name(schema.name)
     if message_encoding != CDR:
         return f"{name or 'something'}{ENCODED}{message_encoding or 'nothing known'}"
     if schema is not None and name in READ and not _is_jazzy(name, schema):
@@ -110,13 +110,13 @@ def described_type(schema: Schema | None, message_encoding: str) -> str:
     return name
 
 
-def full_name(name: str) -> str:
+def full_type_name(name: str) -> str:
     """Return a type's name as ROS 2 has it; some writers leave ``msg`` out, as ROS 1 did."""
     package, _, short = name.partition("/")
     return f"{package}/msg/{short}" if short and "/" not in short else name
 
 
-def offered(topic: str, text: str) -> tuple[OfferedQos, ...]:
+def parse_qos_profiles(topic: str, text: str) -> tuple[OfferedQos, ...]:
     """Return what publishers of a topic offered, given as rosbag2 writes it.
 
     Raises
@@ -125,7 +125,7 @@ def offered(topic: str, text: str) -> tuple[OfferedQos, ...]:
         When it is something else.
     """
     try:
-        within("a quality of service", len(text), MAX_QOS)
+        check_limit("a quality of service", len(text), MAX_QOS)
         profiles = parse_qos(parse_yaml(text, MAX_YAML_NODES) or [])
     except (KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"the quality of service of {topic} is no list") from error

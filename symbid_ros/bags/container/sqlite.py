@@ -13,7 +13,7 @@ import apsw
 import numpy as np
 from mcap.records import Channel, Schema
 
-from symbid_ros.bags.container.blocks import BLOCK_SIZE, Block
+from symbid_ros.bags.container.blocks import BLOCK_SIZE, MessageBlock
 from symbid_ros.bags.container.file_index import (
     EXTENT_SIZE,
     Extent,
@@ -21,10 +21,10 @@ from symbid_ros.bags.container.file_index import (
     StoredMessage,
     recorded_topics,
 )
-from symbid_ros.bags.container.mcap_records import quoted
-from symbid_ros.bags.container.schema_registry import Catalogue
+from symbid_ros.bags.container.mcap_records import quote_path
+from symbid_ros.bags.container.schema_registry import SchemaRegistry
 from symbid_ros.errors import BagError
-from symbid_ros.messages.limits import MAX_CHANNELS, MAX_CHUNK, unpacked_message, within
+from symbid_ros.messages.limits import MAX_CHANNELS, MAX_CHUNK, check_limit, decompress_message
 from symbid_ros.messages.topics import OfferedQos, Topic
 
 logger = logging.getLogger("symbid_ros.bags")
@@ -35,7 +35,7 @@ LEFTOVERS = ("-wal", "-journal")
 
 
 @dataclass(frozen=True)
-class SqliteContents:
+class SqliteSummary:
     """What an SQLite file holds.
 
     Attributes
@@ -57,12 +57,12 @@ class SqliteContents:
     is_finished: bool
 
 
-def sqlite_contents(file: Path) -> SqliteContents:
+def read_sqlite_summary(file: Path) -> SqliteSummary:
     """Return what an SQLite file holds."""
     counts: Counter[Topic] = Counter()
     qos: dict[Topic, tuple[OfferedQos, ...]] = {}
-    with opened_database(file) as database:
-        catalogue = read_catalogue(database)
+    with open_database(file) as database:
+        catalogue = read_registry(database)
         topics = _topics(catalogue)
         for number, topic in topics.items():
             counts[topic] += 0
@@ -73,14 +73,14 @@ def sqlite_contents(file: Path) -> SqliteContents:
         ):
             counts[topics[_known(topics, number)]] += count
         ((start, end),) = database.execute("SELECT min(timestamp), max(timestamp) FROM messages")
-    return SqliteContents(counts, qos, start, end, not _leftovers(file))
+    return SqliteSummary(counts, qos, start, end, not _leftovers(file))
 
 
-def sqlite_blocks(file: Path) -> Iterator[Block]:
+def read_sqlite_blocks(file: Path) -> Iterator[MessageBlock]:
     """Yield all messages as they were recorded, as `blocks.iterate_blocks` does."""
     warn_of_leftovers(file)
-    with opened_database(file) as database:
-        topics = _topics(read_catalogue(database))
+    with open_database(file) as database:
+        topics = _topics(read_registry(database))
         waiting: dict[Topic, list[tuple[int, int]]] = {topic: [] for topic in topics.values()}
         data = bytearray()
         for number, payload in database.execute(
@@ -99,12 +99,12 @@ def sqlite_blocks(file: Path) -> Iterator[Block]:
 def read_sqlite_index(file: Path) -> FileIndex:
     """Return the index of an SQLite file."""
     warn_of_leftovers(file)
-    with opened_database(file) as database:
-        catalogue = read_catalogue(database)
+    with open_database(file) as database:
+        catalogue = read_registry(database)
         extents = tuple(_extents(database))
 
     def messages(extent: Extent) -> list[StoredMessage]:
-        with opened_database(file) as database:
+        with open_database(file) as database:
             rows = database.execute(
                 "SELECT topic_id, timestamp, data FROM messages "
                 "WHERE rowid BETWEEN ? AND ? ORDER BY rowid",
@@ -112,7 +112,7 @@ def read_sqlite_index(file: Path) -> FileIndex:
             )
             return [
                 StoredMessage(
-                    time, _known(catalogue.channels, number), unpacked_message(payload, MAX_CHUNK)
+                    time, _known(catalogue.channels, number), decompress_message(payload, MAX_CHUNK)
                 )
                 for number, time, payload in rows
             ]
@@ -141,15 +141,15 @@ def _extents(database: apsw.Connection) -> Iterator[Extent]:
         yield Extent(start, end, first, last - first + 1)
 
 
-def _block(data: bytearray, waiting: dict[Topic, list[tuple[int, int]]]) -> Block:
+def _block(data: bytearray, waiting: dict[Topic, list[tuple[int, int]]]) -> MessageBlock:
     spans = {}
     for topic, places in waiting.items():
         spans[topic] = np.array(places, dtype=np.int64).reshape(-1, 2)
         places.clear()
-    return Block(np.frombuffer(bytes(data), dtype=np.uint8), spans)
+    return MessageBlock(np.frombuffer(bytes(data), dtype=np.uint8), spans)
 
 
-def read_catalogue(database: apsw.Connection) -> Catalogue:
+def read_registry(database: apsw.Connection) -> SchemaRegistry:
     """Return the topics of a file as channels, each with a schema of the same number."""
     definitions = {}
     # Since Jazzy; rosbag2 writes "unknown" for a type whose definition it did not find.
@@ -159,7 +159,7 @@ def read_catalogue(database: apsw.Connection) -> Catalogue:
         )
         for name, encoding, definition in map(_texts, rows):
             definitions[name] = encoding, definition.encode()
-            within("a number of definitions", len(definitions), MAX_CHANNELS)
+            check_limit("a number of definitions", len(definitions), MAX_CHANNELS)
     columns = _columns(database, "topics")
     if not columns or not _columns(database, "messages"):
         raise ValueError("it has no tables of topics and messages")
@@ -167,7 +167,7 @@ def read_catalogue(database: apsw.Connection) -> Catalogue:
         name if name in columns else "''"
         for name in ("offered_qos_profiles", "type_description_hash")
     )
-    catalogue = Catalogue()
+    catalogue = SchemaRegistry()
     for identifier, *texts in database.execute(
         f"SELECT id, name, type, serialization_format, {profiles}, {type_hash} FROM topics"
     ):
@@ -182,11 +182,11 @@ def read_catalogue(database: apsw.Connection) -> Catalogue:
             metadata={"offered_qos_profiles": offers, "topic_type_hash": digest},
             schema_id=number,
         )
-        within("a number of topics", len(catalogue.channels), MAX_CHANNELS)
+        check_limit("a number of topics", len(catalogue.channels), MAX_CHANNELS)
     return catalogue
 
 
-def _topics(catalogue: Catalogue) -> dict[int, Topic]:
+def _topics(catalogue: SchemaRegistry) -> dict[int, Topic]:
     return {
         number: Topic(channel.topic, catalogue.msgtype(channel))
         for number, channel in catalogue.channels.items()
@@ -218,7 +218,7 @@ def _columns(database: apsw.Connection, table: str) -> set[str]:
 
 
 @contextmanager
-def opened_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Connection]:
+def open_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Connection]:
     """Open a file without writing anything to it or beside it; a damaged one as far as possible."""
     leftovers = _leftovers(file)
     # What lies beside it is read by this VFS alone without a lock or an index written there.
@@ -241,7 +241,7 @@ def opened_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Co
         detail = " ".join(str(error).split())[:200] or "it ends early"
         raise BagError(
             f"{file}: damaged SQLite file: {detail}; take another copy or run "
-            f"`symbid bag recover {quoted(file)}`"
+            f"`symbid bag recover {quote_path(file)}`"
         ) from error
     except OSError as error:
         raise BagError(f"{file}: cannot read: {error.strerror}") from error

@@ -8,23 +8,28 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import Metadata, Statistics
 
-from symbid_ros.bags.container.files import bag_metadata, files_present, listed_names
+from symbid_ros.bags.container.files import files_present, listed_names, read_metadata
 from symbid_ros.bags.container.mcap_records import (
     MESSAGE,
-    PAYLOAD,
+    PAYLOAD_OFFSET,
     RECORD,
     Attachment,
-    damage_named,
-    other_kind,
+    identify_other_format,
     record_parts,
+    report_damage,
 )
 from symbid_ros.bags.container.mcap_summary import read_summary
-from symbid_ros.bags.container.schema_registry import Catalogue
+from symbid_ros.bags.container.schema_registry import SchemaRegistry
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX
-from symbid_ros.bags.recovery.mcap_salvage import Hole, Private, Salvage, Stretch
-from symbid_ros.bags.recovery.report import Account, LostStretch, Recovery
-from symbid_ros.bags.recovery.rewriter import ROSBAG2, RewrittenBag
-from symbid_ros.bags.recovery.sqlite_recovery import SqliteRescue
+from symbid_ros.bags.recovery.damaged_mcap import (
+    DamagedMcapReader,
+    DamagedRange,
+    MessageRun,
+    PrivateRecord,
+)
+from symbid_ros.bags.recovery.report import LostRange, RecoveryCounts, RecoveryReport
+from symbid_ros.bags.recovery.rewriter import ROSBAG2, BagRewriter
+from symbid_ros.bags.recovery.sqlite_recovery import SqliteRecovery
 from symbid_ros.bags.writing.disk import new_folder
 from symbid_ros.errors import BagError
 from symbid_ros.messages.topics import Topic
@@ -32,7 +37,7 @@ from symbid_ros.messages.topics import Topic
 MESSAGE_MODE = "MESSAGE"
 
 
-def recover(bag: Path, out: Path | None = None) -> Recovery:
+def recover(bag: Path, out: Path | None = None) -> RecoveryReport:
     """Write what can be trusted in a bag into a new one.
 
     Parameters
@@ -52,17 +57,17 @@ def recover(bag: Path, out: Path | None = None) -> Recovery:
     for file in files:
         if file.suffix == SQLITE_SUFFIX:
             continue
-        with damage_named(file):
-            kind = other_kind(file)
+        with report_damage(file):
+            kind = identify_other_format(file)
         if kind and len(files) == 1:
             raise BagError(f"{file}: {kind}")
     place = bag.resolve()
     target = out or place.with_name(f"{place.stem if bag.is_file() else place.name}_recovered")
     mode = _compression_mode(bag)
-    with new_folder(target) as folder, RewrittenBag(folder, mode) as new:
-        account = Account()
+    with new_folder(target) as folder, BagRewriter(folder, mode) as new:
+        account = RecoveryCounts()
         for file in files:
-            rescue = SqliteRescue if file.suffix == SQLITE_SUFFIX else McapRescue
+            rescue = SqliteRecovery if file.suffix == SQLITE_SUFFIX else McapRecovery
             rescue(file, new, account).run()
             new.end_file()
         _count_what_metadata_tell(bag, files, account)
@@ -75,15 +80,15 @@ def recover(bag: Path, out: Path | None = None) -> Recovery:
 def _compression_mode(bag: Path) -> str:
     """Return how rosbag2 compressed messages, which are taken over as they are."""
     with suppress(BagError):
-        mode = str(bag_metadata(bag / "metadata.yaml").get("compression_mode", "")).upper()
+        mode = str(read_metadata(bag / "metadata.yaml").get("compression_mode", "")).upper()
         return mode if mode == MESSAGE_MODE else ""
     return ""
 
 
-def _count_what_metadata_tell(bag: Path, files: list[Path], account: Account) -> None:
+def _count_what_metadata_tell(bag: Path, files: list[Path], account: RecoveryCounts) -> None:
     """Add what metadata.yaml, written when the recording was finished, tells beyond the files."""
     try:
-        information = bag_metadata(bag / "metadata.yaml")
+        information = read_metadata(bag / "metadata.yaml")
         told = {
             Topic(str(entry["topic_metadata"]["name"]), str(entry["topic_metadata"]["type"])): int(
                 entry["message_count"]
@@ -93,7 +98,7 @@ def _count_what_metadata_tell(bag: Path, files: list[Path], account: Account) ->
     except (BagError, KeyError, TypeError, ValueError):
         return
     missing = {*listed_names(information)} - {file.name for file in files}
-    account.holes += [LostStretch(name, 0, 0, "no such file") for name in sorted(missing)]
+    account.holes += [LostRange(name, 0, 0, "no such file") for name in sorted(missing)]
     names = {topic.name: topic for topic in account.told}
     for topic, count in told.items():
         known = names.get(topic.name, topic)
@@ -103,15 +108,15 @@ def _count_what_metadata_tell(bag: Path, files: list[Path], account: Account) ->
 
 
 @dataclass
-class McapRescue:
+class McapRecovery:
     """Copies what can be trusted in one MCAP file."""
 
     file: Path
-    new: RewrittenBag
-    account: Account
-    catalogue: Catalogue = field(default_factory=Catalogue)
+    new: BagRewriter
+    account: RecoveryCounts
+    catalogue: SchemaRegistry = field(default_factory=SchemaRegistry)
     found: Counter[int] = field(default_factory=Counter)
-    holes: list[LostStretch] = field(default_factory=list)
+    holes: list[LostRange] = field(default_factory=list)
     kept: Counter[int] = field(default_factory=Counter)
     targets: dict[int, int] = field(default_factory=dict)
     records: Counter[int] = field(default_factory=Counter)
@@ -119,21 +124,21 @@ class McapRescue:
     def run(self) -> None:
         """Copy what the file holds and keep account of it."""
         if not self.file.stat().st_size:
-            self.account.holes.append(LostStretch(self.file.name, 0, 0, "empty"))
+            self.account.holes.append(LostRange(self.file.name, 0, 0, "empty"))
             self.account.is_counted = False
             return
         statistics = self._statistics()
         lost: Counter[int] = Counter()
         latest: int | None = None
-        salvage = Salvage(self.file, self.catalogue)
+        salvage = DamagedMcapReader(self.file, self.catalogue)
         for piece in salvage.pieces():
-            if isinstance(piece, Hole):
+            if isinstance(piece, DamagedRange):
                 lost.update(piece.messages)
                 self.account.is_counted &= piece.is_counted or statistics is not None
                 self.holes.append(self._lost(piece, latest))
             elif isinstance(piece, Metadata | Attachment):
                 self._copy_record(piece)
-            elif isinstance(piece, Private):
+            elif isinstance(piece, PrivateRecord):
                 with self.file.open("rb") as stream:
                     self.new.add_private(record_parts(stream, *piece))
             elif len(piece.starts):
@@ -152,7 +157,7 @@ class McapRescue:
 
     def _statistics(self) -> Statistics | None:
         """Return what an intact summary counts, and learn its channels."""
-        with suppress(BagError), damage_named(self.file):
+        with suppress(BagError), report_damage(self.file):
             summary = read_summary(self.file)
             self.catalogue = summary.catalogue
             told = summary.statistics
@@ -183,8 +188,8 @@ class McapRescue:
             return
         self.account.records[kind] += 1
 
-    def _lost(self, hole: Hole, after: int | None) -> LostStretch:
-        return LostStretch(
+    def _lost(self, hole: DamagedRange, after: int | None) -> LostRange:
+        return LostRange(
             self.file.name,
             hole.offset,
             hole.length,
@@ -194,7 +199,7 @@ class McapRescue:
             is_counted=hole.is_counted,
         )
 
-    def _copy(self, stretch: Stretch) -> tuple[int, int]:
+    def _copy(self, stretch: MessageRun) -> tuple[int, int]:
         """Copy messages and return their first and last log time."""
         data = stretch.data
         first, last = 1 << 64, 0
@@ -207,7 +212,7 @@ class McapRescue:
             self.found[channel] += 1
             target = self._target(channel)
             if target is not None:
-                payload = bytes(data[start + PAYLOAD : start + RECORD.size + length])
+                payload = bytes(data[start + PAYLOAD_OFFSET : start + RECORD.size + length])
                 self.new.write(target, log_time, publish_time, payload, sequence)
                 self.kept[channel] += 1
         return first, last

@@ -11,7 +11,7 @@ from symbid_ros.messages.topics import Topic
 
 
 @dataclass(frozen=True)
-class LostStretch:
+class LostRange:
     """A hole in a recording.
 
     Attributes
@@ -59,7 +59,7 @@ class RecordCount:
 
 
 @dataclass(frozen=True)
-class Recovery:
+class RecoveryReport:
     """What became of a bag.
 
     Attributes
@@ -67,7 +67,7 @@ class Recovery:
     source, out : Path
         The bag as it was, which is left as it is, and the new one.
     topics : tuple of TopicRecovery
-    holes : tuple of LostStretch
+    holes : tuple of LostRange
     attachments, metadata : RecordCount
         rosbag2's own metadata record, which is written anew, does not count.
     repeated : int
@@ -79,7 +79,7 @@ class Recovery:
     source: Path
     out: Path
     topics: tuple[TopicRecovery, ...]
-    holes: tuple[LostStretch, ...]
+    holes: tuple[LostRange, ...]
     attachments: RecordCount
     metadata: RecordCount
     repeated: int
@@ -111,7 +111,7 @@ UNKNOWN_TOPIC = Topic("(unknown topic)", "")
 
 
 @dataclass
-class Account:
+class RecoveryCounts:
     """Counts of messages by topic and of other records by opcode.
 
     Attributes
@@ -120,7 +120,7 @@ class Account:
         Messages that were kept, and that the bag states to hold.
     unassigned : int
         Messages that were lost, whose topics are unknown.
-    holes : list of LostStretch
+    holes : list of LostRange
     records, records_lost : Counter of int
     repeated : int
         Chunks found twice.
@@ -131,13 +131,13 @@ class Account:
     kept: Counter[Topic] = field(default_factory=Counter)
     told: Counter[Topic] = field(default_factory=Counter)
     unassigned: int = 0
-    holes: list[LostStretch] = field(default_factory=list)
+    holes: list[LostRange] = field(default_factory=list)
     records: Counter[int] = field(default_factory=Counter)
     records_lost: Counter[int] = field(default_factory=Counter)
     repeated: int = 0
     is_counted: bool = True
 
-    def recovery(self, bag: Path, out: Path) -> Recovery:
+    def recovery(self, bag: Path, out: Path) -> RecoveryReport:
         """Return what became of a bag and where the new one is."""
         known = sum((self.told - self.kept).values())
         if self.unassigned > known:
@@ -155,7 +155,7 @@ class Account:
             RecordCount(self.records[opcode], self.records_lost[opcode])
             for opcode in (Opcode.ATTACHMENT, Opcode.METADATA)
         )
-        return Recovery(
+        return RecoveryReport(
             bag,
             out,
             topics,

@@ -10,15 +10,15 @@ from typing import BinaryIO, Self
 from mcap.records import Channel, Metadata
 
 from symbid_ros.bags.container.mcap_records import Attachment
-from symbid_ros.bags.container.schema_registry import Catalogue
+from symbid_ros.bags.container.schema_registry import SchemaRegistry
 from symbid_ros.bags.metadata import (
     FileMetadata,
     TopicMetadata,
-    bag_information,
-    metadata_record,
+    describe_bag,
+    encode_metadata_record,
     write_metadata,
 )
-from symbid_ros.bags.writing.mcap_writer import ChunkWriter
+from symbid_ros.bags.writing.mcap_writer import McapWriter
 from symbid_ros.messages.limits import MIB
 from symbid_ros.messages.topics import OfferedQos
 
@@ -36,7 +36,7 @@ class _Origin:
     metadata: tuple[tuple[str, str], ...]
     qos: tuple[OfferedQos, ...]
 
-    def announce(self, writer: ChunkWriter) -> int:
+    def announce(self, writer: McapWriter) -> int:
         schema = 0 if self.schema is None else writer.add_schema(*self.schema)
         return writer.add_channel(self.topic, schema, dict(self.metadata), self.encoding)
 
@@ -47,7 +47,7 @@ class _Origin:
 
 
 @dataclass
-class RewrittenBag:
+class BagRewriter:
     """Writes the files of a bag's folder; a topic has the same channel in all of them.
 
     Attributes
@@ -63,9 +63,9 @@ class RewrittenBag:
     _channels: dict[_Origin, int] = field(default_factory=dict)
     _files: list[FileMetadata] = field(default_factory=list)
     _stream: BinaryIO | None = None
-    _writer: ChunkWriter | None = None
+    _writer: McapWriter | None = None
 
-    def channel(self, catalogue: Catalogue, channel: Channel) -> int:
+    def channel(self, catalogue: SchemaRegistry, channel: Channel) -> int:
         """Return the number of another file's channel here."""
         schema = catalogue.schema(channel)
         try:
@@ -109,7 +109,7 @@ class RewrittenBag:
         name = Path(self._stream.name).name
         counts = self._writer.counts
         self._files.append(FileMetadata(name, self._writer.start, self._writer.end, counts))
-        self._writer.add_metadata(ROSBAG2, metadata_record(self._information()))
+        self._writer.add_metadata(ROSBAG2, encode_metadata_record(self._information()))
         self._writer.finish()
         self._stream.flush()
         os.fsync(self._stream.fileno())
@@ -133,15 +133,15 @@ class RewrittenBag:
         if self._stream is not None:
             self._stream.close()
 
-    def _output(self) -> ChunkWriter:
+    def _output(self) -> McapWriter:
         """Return the writer of the current file, begun when there is something to write."""
         if self._writer is None:
             self._stream = (self.folder / f"{self.folder.name}_{len(self._files)}.mcap").open("xb")
-            self._writer = ChunkWriter(self._stream, CHUNK_SIZE)
+            self._writer = McapWriter(self._stream, CHUNK_SIZE)
             for origin in self._channels:
                 origin.announce(self._writer)
         return self._writer
 
     def _information(self) -> dict[str, object]:
         topics = {number: origin.described() for origin, number in self._channels.items()}
-        return bag_information(topics, self._files, self.compression_mode)
+        return describe_bag(topics, self._files, self.compression_mode)

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import apsw
 
-from symbid_ros.bags.container.schema_registry import ROS2_TEXT, Catalogue
-from symbid_ros.bags.container.sqlite import opened_database, read_catalogue, warn_of_leftovers
-from symbid_ros.bags.recovery.report import Account, LostStretch
-from symbid_ros.bags.recovery.rewriter import RewrittenBag
+from symbid_ros.bags.container.schema_registry import ROS2_TEXT, SchemaRegistry
+from symbid_ros.bags.container.sqlite import open_database, read_registry, warn_of_leftovers
+from symbid_ros.bags.recovery.report import LostRange, RecoveryCounts
+from symbid_ros.bags.recovery.rewriter import BagRewriter
 from symbid_ros.errors import BagError
 from symbid_ros.messages.definitions import find_definition
 from symbid_ros.messages.topics import Topic
@@ -44,7 +44,7 @@ class RowGap(NamedTuple):
 
 
 @dataclass
-class SqliteSalvage:
+class DamagedSqliteReader:
     """Reads the messages of a file in order of recording, past damaged pages.
 
     SQLite has no checksums: a changed payload is not noticed.
@@ -126,23 +126,23 @@ class SqliteSalvage:
 
 
 @dataclass
-class SqliteRescue:
+class SqliteRecovery:
     """Copies the messages of one SQLite file that can be read."""
 
     file: Path
-    new: RewrittenBag
-    account: Account
-    holes: list[LostStretch] = field(default_factory=list)
+    new: BagRewriter
+    account: RecoveryCounts
+    holes: list[LostRange] = field(default_factory=list)
 
     def run(self) -> None:
         """Copy what the file holds and keep account of it."""
         if not self.file.stat().st_size:
-            self.account.holes.append(LostStretch(self.file.name, 0, 0, "empty"))
+            self.account.holes.append(LostRange(self.file.name, 0, 0, "empty"))
             self.account.is_counted = False
             return
         warn_of_leftovers(self.file)
-        with opened_database(self.file, is_damaged=True) as database:
-            catalogue = read_catalogue(database)
+        with open_database(self.file, is_damaged=True) as database:
+            catalogue = read_registry(database)
             _complete_definitions(catalogue)
             targets = {
                 number: self.new.channel(catalogue, channel)
@@ -155,7 +155,7 @@ class SqliteRescue:
             for topic in topics.values():
                 self.account.told[topic] += 0
             latest: int | None = None
-            for piece in SqliteSalvage(database, targets).pieces():
+            for piece in DamagedSqliteReader(database, targets).pieces():
                 if isinstance(piece, RowGap):
                     self._lose(piece, latest)
                     continue
@@ -172,7 +172,7 @@ class SqliteRescue:
         count = 0 if gap.stop is None else max(gap.stop - first, 0)
         last = "the last" if gap.stop is None else f"{gap.stop - 1}"
         self.holes.append(
-            LostStretch(
+            LostRange(
                 self.file.name,
                 0,
                 0,
@@ -186,7 +186,7 @@ class SqliteRescue:
         self.account.is_counted &= gap.stop is not None
 
 
-def _complete_definitions(catalogue: Catalogue) -> None:
+def _complete_definitions(catalogue: SchemaRegistry) -> None:
     """Add the definitions of known types: before Jazzy, SQLite bags have none."""
     for number, schema in catalogue.schemas.items():
         if schema.data:

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.bags.container.files import all_blocks, bag_names
+from symbid_ros.bags.container.files import join_names, read_blocks
 from symbid_ros.bags.streams.slices import DEFAULT_SELECTION, iterate_slices
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.sensor_streams import column, stamps
-from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, listing
+from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import DefectCounts
@@ -50,7 +50,7 @@ def bag_log(
     def read(span: int | None, warn: bool) -> Iterator[Slice]:
         return iterate_slices(bags, topics, span=span, part=part, warn=warn)
 
-    return Log(bag_names(bags), tuple(bags), _read=read)
+    return Log(join_names(bags), tuple(bags), _read=read)
 
 
 def read_streams(bags: Sequence[Path], topics: TopicSelection = DEFAULT_SELECTION) -> Streams:
@@ -67,25 +67,18 @@ def read_truth(bags: Sequence[Path]) -> TruthStreams:
     Instants that one of the three topics lacks are left out and counted in a
     warning.
     """
-    source = bag_names(bags)
+    source = join_names(bags)
     counts: dict[Topic, int] = {}
     decoders = _decode(bags, source, counts, lambda topic: _truth_kind(topic) is not None)
     by_kind = {_truth_kind(topic): decoder for topic, decoder in decoders.items()}
     for kind in TRUTH_TYPES:
         if kind not in by_kind or not by_kind[kind].count:
             raise BagError(
-                f"{source}: no message on {TRUTH}/{kind}, it holds {listing(counts)}; "
+                f"{source}: no message on {TRUTH}/{kind}, it holds {describe_topics(counts)}; "
                 "use a simulated bag with ground truth"
             )
     joints, odometry, accel = (by_kind[kind] for kind in TRUTH_TYPES)
-    return truth_streams(joints, odometry, accel)
-
-
-def topic_counts(bag: Path) -> dict[str, int]:
-    """Return the number of messages of every topic, counted in the file itself."""
-    counts: dict[Topic, int] = {}
-    _decode([bag], str(bag), counts, lambda _: False)
-    return {topic.name: count for topic, count in counts.items()}
+    return _truth_streams(joints, odometry, accel)
 
 
 def _decode(
@@ -96,7 +89,7 @@ def _decode(
 ) -> dict[Topic, TopicDecoder]:
     """Decode the wanted topics and count the messages of all."""
     decoders: dict[Topic, TopicDecoder] = {}
-    for block in all_blocks(bags):
+    for block in read_blocks(bags):
         for topic, spans in block.spans.items():
             counts[topic] = counts.get(topic, 0) + len(spans)
             if wants(topic):
@@ -114,7 +107,7 @@ def _truth_kind(topic: Topic) -> str | None:
 logger = logging.getLogger("symbid_ros.bags")
 
 
-def truth_streams(
+def _truth_streams(
     joints: TopicDecoder, odometry: TopicDecoder, accel: TopicDecoder
 ) -> TruthStreams:
     """Return the instants that all three topics have.

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.messages.decoder import Piece, TopicDecoder
+from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.layout import ByteArray
 from symbid_ros.messages.topics import Topic
 from symbid_ros.messages.types import read_stamp
@@ -15,7 +15,7 @@ from symbid_ros.signals.stamps import check_clock
 
 
 @dataclass
-class Backlog:
+class ReorderBuffer:
     """The messages of one topic, from the oldest that is still wanted.
 
     Attributes
@@ -38,7 +38,7 @@ class Backlog:
     _parts: list["_Part"] = field(default_factory=list)
 
     @classmethod
-    def of(cls, source: str, topic: Topic) -> "Backlog":
+    def of(cls, source: str, topic: Topic) -> "ReorderBuffer":
         """Return that of a topic before its first message."""
         return cls(TopicDecoder(source, topic), DefectCounts(source, topic.name))
 
@@ -67,7 +67,7 @@ class Backlog:
         for piece in self.decoder.pieces:
             stamps = read_stamp(piece.records)
             recorded[piece.index - first] = stamps
-            numbers = Piece(piece.layout, piece.index, piece.layout.condensed(piece.records))
+            numbers = DecodedBatch(piece.layout, piece.index, piece.layout.condensed(piece.records))
             self._keep(_Part(numbers, stamps).between(worked_until, ALWAYS[1]))
         self.decoder.pieces = []
         topic = self.decoder.topic.name
@@ -92,7 +92,7 @@ class Backlog:
             decoder.source,
             decoder.topic,
             [
-                Piece(piece.layout, its, piece.records)
+                DecodedBatch(piece.layout, its, piece.records)
                 for piece, its in zip(pieces, np.split(places, ends), strict=False)
             ],
             len(index),
@@ -124,7 +124,7 @@ class Backlog:
 class _Part:
     """Messages of one layout and one block, one at least."""
 
-    piece: Piece
+    piece: DecodedBatch
     stamps: IntArray
 
     @cached_property
@@ -143,5 +143,5 @@ class _Part:
         if not wanted.any():
             return None
         piece = self.piece
-        some = Piece(piece.layout, piece.index[wanted], piece.records[wanted])
+        some = DecodedBatch(piece.layout, piece.index[wanted], piece.records[wanted])
         return _Part(some, self.stamps[wanted])

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.bags.container.blocks import Block
-from symbid_ros.bags.container.files import all_blocks, bag_names, contents
-from symbid_ros.bags.streams.reorder_buffer import Backlog
+from symbid_ros.bags.container.blocks import MessageBlock
+from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
+from symbid_ros.bags.streams.reorder_buffer import ReorderBuffer
 from symbid_ros.messages.decoder import TopicDecoder
-from symbid_ros.messages.sensor_streams import joint_groups, sensor_streams, stamps
-from symbid_ros.messages.topics import SelectedTopics, Selector, Topic, TopicSelection
+from symbid_ros.messages.sensor_streams import group_joints, sensor_streams, stamps
+from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
 from symbid_ros.signals.defects import ALWAYS, Defect
 from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
@@ -52,9 +52,11 @@ def iterate_slices(
     BagError, DataError
         When a bag or what it holds cannot be used.
     """
-    source = bag_names(bags)
-    slicer = _Slicer(source, Selector(source, topics, contents(bags)).selected(), span, part)
-    for block in all_blocks(bags):
+    source = join_names(bags)
+    slicer = _Slicer(
+        source, TopicSelector(source, topics, count_messages(bags)).selected(), span, part
+    )
+    for block in read_blocks(bags):
         slicer.add(block)
         yield from slicer.whole()
         if slicer.is_done:
@@ -72,7 +74,7 @@ class _Slicer:
         self, source: str, chosen: SelectedTopics, span: int | None, part: TimeRange
     ) -> None:
         self._source, self._chosen, self._span, self._part = source, chosen, span, part
-        self._backlogs = {topic: Backlog.of(source, topic) for topic in chosen.all}
+        self._backlogs = {topic: ReorderBuffer.of(source, topic) for topic in chosen.all}
         self._joints = self._backlogs[chosen.clock]
         self._until, self._end = ALWAYS
         self._begin = self._until  # of the part that is wanted
@@ -83,7 +85,7 @@ class _Slicer:
         """Whether nothing that follows is wanted."""
         return self._until >= self._end
 
-    def add(self, block: Block) -> None:
+    def add(self, block: MessageBlock) -> None:
         """Take the messages of a block."""
         for topic, backlog in self._backlogs.items():
             if topic in block.spans:
@@ -158,7 +160,7 @@ class _Slicer:
         recorded = stamps(decoder)
         is_parted = (
             topic in self._chosen.joints
-            and len(joint_groups(decoder, frozenset(self._chosen.joint_names))) > 1
+            and len(group_joints(decoder, frozenset(self._chosen.joint_names))) > 1
         )
         return np.unique(recorded) if is_parted else recorded
 

@@ -46,7 +46,7 @@ class StoredChunk(NamedTuple):
     counts: dict[int, int]
 
 
-class Summary:
+class SummaryBuilder:
     """What lies in a file, told again at its end.
 
     Attributes
@@ -81,12 +81,12 @@ class Summary:
     def add_schema(self, schema: Schema) -> None:
         """Note a type's definition."""
         self.schemas.append(schema)
-        self._size += len(encoded(schema))
+        self._size += len(encode(schema))
 
     def add_channel(self, channel: Channel) -> None:
         """Note a channel."""
         self.channels.append(channel)
-        self._size += len(encoded(channel)) + STATISTICS_ENTRY
+        self._size += len(encode(channel)) + STATISTICS_ENTRY
 
     def add_chunk(self, chunk: StoredChunk) -> None:
         """Note a chunk."""
@@ -96,14 +96,14 @@ class Summary:
     def add_metadata(self, place: MetadataIndex) -> None:
         """Note where a metadata record lies."""
         self.metadata.append(place)
-        self._size += len(encoded(place))
+        self._size += len(encode(place))
 
     def add_attachment(self, place: AttachmentIndex) -> None:
         """Note where an attachment lies."""
         self.attachments.append(place)
-        self._size += len(encoded(place))
+        self._size += len(encode(place))
 
-    def take_back(self, size: int, end: int) -> list[StoredChunk]:
+    def remove_last(self, size: int, end: int) -> list[StoredChunk]:
         """Forget the last chunks and what lies behind them; return them, last first.
 
         Parameters
@@ -124,32 +124,32 @@ class Summary:
         self.attachments = [place for place in self.attachments if place.offset < cut]
         return gone
 
-    def encoded(self, position: int, counts: dict[int, int]) -> bytes:
+    def encode(self, position: int, counts: dict[int, int]) -> bytes:
         """Return the end of a file whose data end at ``position``.
 
         ``counts`` are the file's messages by channel.
         """
-        data_end = encoded(DataEnd(data_section_crc=0))
+        data_end = encode(DataEnd(data_section_crc=0))
         start = position + len(data_end)
         summary = bytearray()
         offsets = bytearray()
         groups = [
-            (Opcode.SCHEMA, [encoded(schema) for schema in self.schemas]),
-            (Opcode.CHANNEL, [encoded(channel) for channel in self.channels]),
-            (Opcode.STATISTICS, [encoded(self._statistics(counts))]),
+            (Opcode.SCHEMA, [encode(schema) for schema in self.schemas]),
+            (Opcode.CHANNEL, [encode(channel) for channel in self.channels]),
+            (Opcode.STATISTICS, [encode(self._statistics(counts))]),
             (Opcode.CHUNK_INDEX, [chunk.index_record for chunk in self.chunks]),
-            (Opcode.METADATA_INDEX, [encoded(place) for place in self.metadata]),
-            (Opcode.ATTACHMENT_INDEX, [encoded(place) for place in self.attachments]),
+            (Opcode.METADATA_INDEX, [encode(place) for place in self.metadata]),
+            (Opcode.ATTACHMENT_INDEX, [encode(place) for place in self.attachments]),
         ]
         for opcode, records in groups:
             body = b"".join(records)
             if body:
-                offsets += encoded(SummaryOffset(opcode, start + len(summary), len(body)))
+                offsets += encode(SummaryOffset(opcode, start + len(summary), len(body)))
                 summary += body
         footer = Footer(start, start + len(summary), summary_crc=0)
         # The checksum covers the footer as well, up to itself.
-        footer.summary_crc = zlib.crc32(summary + offsets + encoded(footer)[:-4])
-        return data_end + summary + offsets + encoded(footer) + MAGIC
+        footer.summary_crc = zlib.crc32(summary + offsets + encode(footer)[:-4])
+        return data_end + summary + offsets + encode(footer) + MAGIC
 
     def _statistics(self, counts: dict[int, int]) -> Statistics:
         return Statistics(
@@ -165,7 +165,7 @@ class Summary:
         )
 
 
-def encoded(record: McapRecord) -> bytes:
+def encode(record: McapRecord) -> bytes:
     """Return a record as it lies in a file."""
     builder = RecordBuilder()
     record.write(builder)
@@ -177,11 +177,11 @@ MESSAGE_FIELDS = 2 + 4 + 8 + 8  # channel, sequence, log and publish time
 INDEX_HEAD = struct.Struct("<BQHI")
 
 
-class ChunkWriter:
+class McapWriter:
     """Writes messages in compressed chunks with index, summary and checksums.
 
     Every record reaches the stream whole or, after an ``OSError``, can be cut off again:
-    `abandon` and `take_back` leave a file that `finish` can complete.
+    `abandon` and `remove_last_chunks` leave a file that `finish` can complete.
 
     Parameters
     ----------
@@ -196,11 +196,11 @@ class ChunkWriter:
         self._chunk_size = chunk_size
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._position = 0
-        self._summary = Summary()
+        self._summary = SummaryBuilder()
         self._counts: dict[int, int] = {}
         self._open = bytearray()
         self._places: dict[int, list[tuple[int, int]]] = defaultdict(list)
-        self._write(MAGIC + encoded(Header(profile="ros2", library="symbid_ros")))
+        self._write(MAGIC + encode(Header(profile="ros2", library="symbid_ros")))
 
     @property
     def counts(self) -> dict[int, int]:
@@ -235,7 +235,7 @@ class ChunkWriter:
         schema = Schema(
             id=len(self._summary.schemas) + 1, name=name, encoding=encoding, data=definition
         )
-        self._write(encoded(schema))
+        self._write(encode(schema))
         self._summary.add_schema(schema)
         return schema.id
 
@@ -250,7 +250,7 @@ class ChunkWriter:
             schema_id=schema,
             metadata=metadata,
         )
-        self._write(encoded(channel))
+        self._write(encode(channel))
         self._summary.add_channel(channel)
         self._counts[channel.id] = 0
         return channel.id
@@ -276,7 +276,7 @@ class ChunkWriter:
 
     def add_metadata(self, name: str, content: dict[str, str]) -> None:
         """Write a metadata record."""
-        record = encoded(Metadata(name=name, metadata=content))
+        record = encode(Metadata(name=name, metadata=content))
         place = MetadataIndex(offset=self._position, length=len(record), name=name)
         self._write(record)
         self._summary.add_metadata(place)
@@ -300,7 +300,7 @@ class ChunkWriter:
         times = [time for entries in self._places.values() for time, _ in entries]
         start, end = min(times), max(times)
         data = self._compressor.compress(raw)
-        record = encoded(
+        record = encode(
             Chunk(
                 compression="zstd",
                 data=data,
@@ -317,7 +317,7 @@ class ChunkWriter:
             size = 16 * len(entries)
             indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size)
             indexes += struct.pack(f"<{2 * len(entries)}Q", *(n for pair in entries for n in pair))
-        index = encoded(
+        index = encode(
             ChunkIndex(
                 message_start_time=start,
                 message_end_time=end,
@@ -345,9 +345,9 @@ class ChunkWriter:
         self._places.clear()
         self._cut(self._position)
 
-    def take_back(self, size: int) -> bool:
+    def remove_last_chunks(self, size: int) -> bool:
         """Give up the last chunks, ``size`` bytes or more; return False if there is none left."""
-        gone = self._summary.take_back(size, self._position)
+        gone = self._summary.remove_last(size, self._position)
         if not gone:
             return False
         for chunk in gone:
@@ -360,7 +360,7 @@ class ChunkWriter:
         """Write the last chunk, the summary and the footer; the stream stays open."""
         self.end_chunk()
         # In one piece: a summary that does not fit is cut off again as a whole.
-        self._write(self._summary.encoded(self._position, self._counts))
+        self._write(self._summary.encode(self._position, self._counts))
 
     def _write(self, data: bytes | bytearray) -> None:
         rest = memoryview(data)

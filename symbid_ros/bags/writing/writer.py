@@ -10,11 +10,11 @@ from typing import Any, Self
 from symbid_ros.bags.metadata import (
     FileMetadata,
     TopicMetadata,
-    bag_information,
+    describe_bag,
     write_metadata,
 )
+from symbid_ros.bags.writing.bag_file import BagFile
 from symbid_ros.bags.writing.disk import Reserve, sync_folder
-from symbid_ros.bags.writing.segment import Segment
 from symbid_ros.errors import BagError
 from symbid_ros.messages.definitions import find_definition
 from symbid_ros.messages.topics import OfferedQos
@@ -59,7 +59,7 @@ class BagWriter:
         self._topics: dict[int, TopicMetadata] = {}
         self._earlier: list[FileMetadata] = []
         self._earlier_size = 0
-        self._unsynced: list[Segment] = []
+        self._unsynced: list[BagFile] = []
         self._first: int | None = None  # log time of the file's first message
         self._described = DESCRIPTION
         self._has_failed = self._is_closed = self._is_displaced = False
@@ -69,7 +69,7 @@ class BagWriter:
             path.mkdir(parents=True)
             try:
                 self._reserve = Reserve(path)
-                self._segment = self._segment_number(0)
+                self._current = self._new_file(0)
                 self._begin()
             except OSError:
                 shutil.rmtree(path, ignore_errors=True)
@@ -80,7 +80,7 @@ class BagWriter:
     @property
     def file(self) -> Path:
         """The file that is being written."""
-        return self._segment.path
+        return self._current.path
 
     @property
     def files(self) -> tuple[str, ...]:
@@ -90,7 +90,7 @@ class BagWriter:
     @property
     def size(self) -> int:
         """Bytes in the files so far."""
-        return self._earlier_size + (0 if self._is_displaced else self._segment.mcap.size)
+        return self._earlier_size + (0 if self._is_displaced else self._current.mcap.size)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -129,7 +129,7 @@ class BagWriter:
         topic = TopicMetadata(name, msgtype, tuple(qos), definition.type_hash)
         self._require_health()
         try:
-            channel = self._segment.add_topic(topic)
+            channel = self._current.add_topic(topic)
             self._topics[channel] = topic
             self._described += 2 * len(str(topic))
             self._hold_room()
@@ -149,7 +149,7 @@ class BagWriter:
             elif self._is_full(log_time - self._first):
                 self._begin_next()
                 self._first = log_time
-            self._segment.mcap.add_message(topic, log_time, published, payload)
+            self._current.mcap.add_message(topic, log_time, published, payload)
         except OSError as error:
             raise self._failure(error) from error
 
@@ -158,7 +158,7 @@ class BagWriter:
         self._require_health()
         try:
             self._require_file()
-            self._segment.mcap.end_chunk()
+            self._current.mcap.end_chunk()
             self._hold_room()
         except OSError as error:
             raise self._failure(error) from error
@@ -167,10 +167,10 @@ class BagWriter:
         """Wait until the disk holds what has been flushed; a thread of its own may call it."""
         try:
             while self._unsynced:
-                segment = self._unsynced.pop()
-                segment.sync()
-                segment.close()
-            self._segment.sync()
+                file = self._unsynced.pop()
+                file.sync()
+                file.close()
+            self._current.sync()
         except OSError as error:
             raise self._failure(error) from error
 
@@ -188,7 +188,7 @@ class BagWriter:
         try:
             self._require_file()
             self._reserve.release()
-            self._segment.finish(self._information)
+            self._current.finish(self._information)
             missing = [file for file in self._earlier if not (self.path / file.name).is_file()]
             self._earlier = [file for file in self._earlier if file not in missing]
             self._complete()
@@ -213,8 +213,8 @@ class BagWriter:
             self._abandon()
             return
         try:
-            if not self._segment.is_finished:
-                self._segment.salvage(self._information)
+            if not self._current.is_finished:
+                self._current.salvage(self._information)
             self._complete()
         except OSError as error:
             raise BagError(
@@ -224,9 +224,9 @@ class BagWriter:
 
     def discard(self) -> None:
         """Remove the unfinished bag."""
-        for segment in [*self._unsynced, self._segment]:
+        for file in [*self._unsynced, self._current]:
             with suppress(OSError):
-                segment.close()
+                file.close()
         self._reserve.release()
         shutil.rmtree(self.path, ignore_errors=True)
 
@@ -250,7 +250,7 @@ class BagWriter:
 
     def _require_file(self) -> None:
         """Raise BagError if the current file has been deleted or moved."""
-        if displacement := self._segment.displacement:
+        if displacement := self._current.displacement:
             self._has_failed = self._is_displaced = True
             raise BagError(
                 f"{self.file}: the file or its folder was {displacement} while the bag was being "
@@ -260,11 +260,11 @@ class BagWriter:
     def _abandon(self) -> None:
         """End the current file, which is not in the bag's folder, as well as possible."""
         with suppress(OSError):
-            self._segment.salvage(self._information)
-        for segment in [*self._unsynced, self._segment]:
+            self._current.salvage(self._information)
+        for file in [*self._unsynced, self._current]:
             with suppress(OSError):
-                segment.sync()
-            segment.close()
+                file.sync()
+            file.close()
         self._is_closed = True
 
     def _failure(self, error: OSError) -> BagError:
@@ -273,44 +273,44 @@ class BagWriter:
 
     def _is_full(self, duration: int) -> bool:
         return (
-            0 < self._split_size <= self._segment.mcap.size or 0 < self._split_duration <= duration
+            0 < self._split_size <= self._current.mcap.size or 0 < self._split_duration <= duration
         )
 
     def _begin_next(self) -> None:
         """Finish the file and begin another with the same topics."""
         self._require_file()
-        finished = self._segment
+        finished = self._current
         finished.finish(self._information)
-        self._segment = self._segment_number(len(self._earlier) + 1)
+        self._current = self._new_file(len(self._earlier) + 1)
         self._earlier.append(finished.metadata)
         self._earlier_size += finished.mcap.size
         self._unsynced.append(finished)
         self._begin()
 
-    def _segment_number(self, number: int) -> Segment:
-        return Segment(self.path / f"{self.path.name}_{number}.mcap", self._chunk_size)
+    def _new_file(self, number: int) -> BagFile:
+        return BagFile(self.path / f"{self.path.name}_{number}.mcap", self._chunk_size)
 
     def _begin(self) -> None:
-        self._segment.record(self._information())
+        self._current.record(self._information())
         for topic in self._topics.values():
-            self._segment.add_topic(topic)
+            self._current.add_topic(topic)
         self._described += DESCRIPTION
         self._hold_room()
 
     def _hold_room(self) -> None:
         # The metadata stand in the last file and in metadata.yaml.
-        self._reserve.hold(self._segment.mcap.summary_size + 2 * self._described)
+        self._reserve.hold(self._current.mcap.summary_size + 2 * self._described)
 
     def _complete(self) -> None:
         """Let the disk have the files and then metadata.yaml."""
         self.sync()
         write_metadata(self.path, self._information())
         sync_folder(self.path)
-        self._segment.close()
+        self._current.close()
         self._is_closed = True
 
     def _files(self) -> list[FileMetadata]:
-        return [*self._earlier, *([] if self._is_displaced else [self._segment.metadata])]
+        return [*self._earlier, *([] if self._is_displaced else [self._current.metadata])]
 
     def _information(self) -> dict[str, Any]:
-        return bag_information(self._topics, self._files())
+        return describe_bag(self._topics, self._files())

@@ -6,15 +6,15 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from symbid_ros.bags.metadata import FileMetadata, TopicMetadata, metadata_record
+from symbid_ros.bags.metadata import FileMetadata, TopicMetadata, encode_metadata_record
 from symbid_ros.bags.writing.disk import sync_folder
-from symbid_ros.bags.writing.mcap_writer import ChunkWriter
+from symbid_ros.bags.writing.mcap_writer import McapWriter
 from symbid_ros.messages.definitions import find_definition
 
 RECORD = "rosbag2"
 
 
-class Segment:
+class BagFile:
     """A file that is complete once finished; all errors are OSError.
 
     Parameters
@@ -32,7 +32,7 @@ class Segment:
         # A buffer would hide from the writer how much of a chunk has reached a full disk.
         self._stream = path.open("xb", buffering=0)
         try:
-            self.mcap = ChunkWriter(self._stream, chunk_size)
+            self.mcap = McapWriter(self._stream, chunk_size)
         except OSError:
             self.remove()
             raise
@@ -51,7 +51,7 @@ class Segment:
 
     def record(self, information: Mapping[str, Any]) -> None:
         """Write rosbag2's metadata record."""
-        self.mcap.add_metadata(RECORD, metadata_record(information))
+        self.mcap.add_metadata(RECORD, encode_metadata_record(information))
 
     def finish(self, information: Callable[[], Mapping[str, Any]]) -> None:
         """Write the last chunk, the metadata record, summary and footer.
@@ -75,7 +75,7 @@ class Segment:
             except OSError:
                 self.mcap.abandon()
                 room = self.mcap.summary_size + 2 * len(str(information()))
-                if not self.mcap.take_back(room):
+                if not self.mcap.remove_last_chunks(room):
                     raise
 
     @property

@@ -20,7 +20,7 @@ from mcap.records import Metadata
 
 from symbid_ros.bags.container.mcap_records import (
     FOOTER_SIZE,
-    INDEX_ENTRY,
+    INDEX_ENTRY_SIZE,
     INDEX_HEAD,
     MAGIC,
     MESSAGE,
@@ -29,11 +29,11 @@ from symbid_ros.bags.container.mcap_records import (
     Attachment,
     Buffer,
     ChunkRecord,
-    damage_named,
-    message_starts,
+    find_messages,
+    report_damage,
 )
-from symbid_ros.bags.container.schema_registry import Catalogue, parsed
-from symbid_ros.messages.limits import MAX_CHUNK, MAX_RECORD, MIB, within
+from symbid_ros.bags.container.schema_registry import SchemaRegistry, parse_record
+from symbid_ros.messages.limits import MAX_CHUNK, MAX_RECORD, MIB, check_limit
 
 WINDOW = 4 * MIB
 # A record's length is below 4 GiB: its upper bytes are zero, in compressed data a rare sight.
@@ -110,9 +110,9 @@ def _index(stream: BinaryIO, position: int) -> _Index | None:
     _, length = RECORD.unpack_from(head)
     channel, size = INDEX_HEAD.unpack_from(head, RECORD.size)
     further = length - INDEX_HEAD.size - size
-    if not 0 <= further <= MOST_FURTHER or size % INDEX_ENTRY or length > MAX_CHUNK:
+    if not 0 <= further <= MOST_FURTHER or size % INDEX_ENTRY_SIZE or length > MAX_CHUNK:
         return None
-    return _Index(channel, size // INDEX_ENTRY, RECORD.size + length)
+    return _Index(channel, size // INDEX_ENTRY_SIZE, RECORD.size + length)
 
 
 def announcements(stream: BinaryIO, position: int, end: int) -> Iterator[tuple[int, bytes]]:
@@ -146,14 +146,14 @@ PATIENCE = 4  # bytes tried as chunks, for each byte of the file: crafted ones c
 CUT_OFF = "cut off"
 
 
-class Stretch(NamedTuple):
+class MessageRun(NamedTuple):
     """Messages that can be trusted: bytes, and where message records begin in them."""
 
     data: Buffer
     starts: "array[int]"
 
 
-class Hole(NamedTuple):
+class DamagedRange(NamedTuple):
     """Bytes of a file that cannot be trusted.
 
     Attributes
@@ -175,24 +175,24 @@ class Hole(NamedTuple):
     is_counted: bool
 
 
-class Private(NamedTuple):
+class PrivateRecord(NamedTuple):
     """A record of an application's own kind: where it lies, bytes."""
 
     offset: int
     length: int
 
 
-Piece = Stretch | Hole | Metadata | Attachment | Private
+DecodedBatch = MessageRun | DamagedRange | Metadata | Attachment | PrivateRecord
 
 
 @dataclass
-class Salvage:
+class DamagedMcapReader:
     """Goes through one file from beginning to end, past all faults.
 
     Attributes
     ----------
     file : Path
-    catalogue : Catalogue
+    catalogue : SchemaRegistry
         Known beforehand from an intact summary, and learned on the way.
     repeated : int
         Chunks that lie in the file once more; they are passed over.
@@ -201,7 +201,7 @@ class Salvage:
     """
 
     file: Path
-    catalogue: Catalogue
+    catalogue: SchemaRegistry
     repeated: int = 0
     damaged: Counter[int] = field(default_factory=Counter)
     _size: int = 0
@@ -209,9 +209,9 @@ class Salvage:
     _has_chunks: bool = False
     _seen: set[tuple[int, int, int, int]] = field(default_factory=set)
 
-    def pieces(self) -> Iterator[Piece]:
+    def pieces(self) -> Iterator[DecodedBatch]:
         """Yield what there is in the order of the file."""
-        with damage_named(self.file), self.file.open("rb") as stream:
+        with report_damage(self.file), self.file.open("rb") as stream:
             self._size = stream.seek(0, 2)
             self._patience = PATIENCE * self._size + MIB
             position = len(MAGIC) if read_at(stream, 0, len(MAGIC)) == MAGIC else 0
@@ -220,17 +220,19 @@ class Salvage:
                 if tail[:1] == bytes([Opcode.FOOTER]) and tail[FOOTER_SIZE:] == MAGIC:
                     end = position + len(tail)
                     if end < self._size:
-                        yield Hole(end, self._size - end, "other bytes behind its end", {}, True)
+                        yield DamagedRange(
+                            end, self._size - end, "other bytes behind its end", {}, True
+                        )
                     return
                 piece, position = self._piece(stream, position)
                 if piece is not None:
                     yield piece
 
-    def _piece(self, stream: BinaryIO, position: int) -> tuple[Piece | None, int]:
+    def _piece(self, stream: BinaryIO, position: int) -> tuple[DecodedBatch | None, int]:
         """Return what lies at ``position``, if it matters, and where to go on."""
         head = read_at(stream, position, RECORD.size)
         if len(head) < RECORD.size:
-            return Hole(position, len(head), CUT_OFF, {}, True), self._size
+            return DamagedRange(position, len(head), CUT_OFF, {}, True), self._size
         opcode, length = RECORD.unpack(head)
         end = position + RECORD.size + length
         is_inside = end <= self._size
@@ -250,49 +252,49 @@ class Salvage:
             return self._search(stream, position, fault)
         messages = indexed_messages(stream, end, following_index(stream, end, self._size))
         is_counted = bool(messages) or opcode not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
-        return Hole(position, end - position, fault, messages, is_counted), end
+        return DamagedRange(position, end - position, fault, messages, is_counted), end
 
     def _record(
         self, stream: BinaryIO, position: int, opcode: int, length: int
-    ) -> Stretch | Metadata | Attachment | Private | None:
+    ) -> MessageRun | Metadata | Attachment | PrivateRecord | None:
         """Return what a whole record holds, if it is more than an announcement or an index."""
         start = position + RECORD.size
         if opcode == Opcode.CHUNK:
-            return self._chunk(read_at(stream, start, within("a chunk", length, MAX_CHUNK)))
+            return self._chunk(read_at(stream, start, check_limit("a chunk", length, MAX_CHUNK)))
         if opcode == Opcode.MESSAGE_INDEX:
             if following_index(stream, position, self._size) == position:
                 raise ValueError("a message index is none")
         elif read_at(stream, start + length, 1) == bytes([Opcode.MESSAGE_INDEX]):
             raise ValueError("a message index follows no chunk")
         if opcode == Opcode.MESSAGE:
-            within("a message", length, MAX_CHUNK)
+            check_limit("a message", length, MAX_CHUNK)
             record = read_at(stream, position, RECORD.size + length)
-            return Stretch(record, message_starts(record, self.catalogue.add))
+            return MessageRun(record, find_messages(record, self.catalogue.add))
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self.catalogue.add(opcode, read_at(stream, start, length))
         elif opcode == Opcode.METADATA:
-            metadata: Metadata = parsed(Metadata.read, read_at(stream, start, length))
+            metadata: Metadata = parse_record(Metadata.read, read_at(stream, start, length))
             return metadata
         elif opcode == Opcode.ATTACHMENT:
             return Attachment.at(stream, position, RECORD.size + length)
         elif opcode >= PRIVATE:
-            return Private(position, RECORD.size + length)
+            return PrivateRecord(position, RECORD.size + length)
         return None
 
-    def _chunk(self, body: bytes) -> Stretch | None:
+    def _chunk(self, body: bytes) -> MessageRun | None:
         self._patience -= len(body)
         chunk = ChunkRecord.of(body)
         data = chunk.records()
-        starts = message_starts(data, self.catalogue.add)
+        starts = find_messages(data, self.catalogue.add)
         self._has_chunks = True
         key = chunk.start, chunk.end, chunk.size, chunk.crc
         if chunk.crc and key in self._seen:
             self.repeated += 1
             return None
         self._seen.add(key)
-        return Stretch(data, starts)
+        return MessageRun(data, starts)
 
-    def _search(self, stream: BinaryIO, position: int, fault: str) -> tuple[Hole, int]:
+    def _search(self, stream: BinaryIO, position: int, fault: str) -> tuple[DamagedRange, int]:
         """Return the hole up to what can be trusted again, and where that begins."""
         following = self._next_chunk(stream, position + 1)
         messages = indexed_messages(stream, position, following)
@@ -301,7 +303,9 @@ class Salvage:
         for opcode, body in announcements(stream, position, following):
             self._learn(opcode, body)
         # Indexes tell of some chunks; how many there were in all, nothing does.
-        return Hole(position, following - position, fault, messages, is_counted=False), following
+        return DamagedRange(
+            position, following - position, fault, messages, is_counted=False
+        ), following
 
     def _next_chunk(self, stream: BinaryIO, position: int) -> int:
         for start in candidates(stream, CHUNK, position, self._size):
@@ -314,7 +318,7 @@ class Salvage:
             try:
                 chunk = ChunkRecord.of(read_at(stream, start + RECORD.size, length))
                 # The catalogue learns from it when its turn comes.
-                message_starts(chunk.records(), lambda *_: None)
+                find_messages(chunk.records(), lambda *_: None)
             except FAULTS:
                 continue
             return start
