@@ -70,7 +70,7 @@ ROS_LIBRARIES = {
     "std_msgs",
     "std_srvs",
 }
-CORE_LIBRARIES = {"numpy", "scipy", "clarabel", "yaml", "threadpoolctl"}
+CORE_LIBRARIES = {"numpy", "scipy", "clarabel", "yaml"}
 BAG_LIBRARIES = {"mcap", "rosbags", "apsw"}
 
 MODULES = sorted((ROOT / PACKAGE).rglob("*.py"))
