@@ -18,20 +18,20 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from symbid_ros.offline.job import Job
 from threadpoolctl import threadpool_limits
 
+from symbid_ros.choices import METHODS
 from symbid_ros.estimation.directions import determined_directions
 from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.evaluation import TrueMotion, evaluate
 from symbid_ros.identification.intervals import HALF_WIDTH, summarise_intervals
 from symbid_ros.identification.prior_information import Facts, PriorChoice
-from symbid_ros.identification.problem import METHODS
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from reading import peak_memory
+from symbid_ros.offline.job import Job
 
 from symbid_ros.bags.container.files import read_blocks
 from symbid_ros.bags.writing.writer import BagWriter
@@ -24,7 +25,6 @@ from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.types import fill_stamp, read_stamp
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator

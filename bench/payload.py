@@ -22,6 +22,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from symbid_ros.offline.job import Job
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.bags.replay import Recording
@@ -30,7 +31,6 @@ from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.job import Job
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file

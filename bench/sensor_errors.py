@@ -15,6 +15,7 @@ import logging
 import tempfile
 from pathlib import Path
 
+from symbid_ros.offline.job import Job
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.estimation.prior import draw_prior
@@ -24,7 +25,6 @@ from symbid_ros.identification.prior_information import Facts, PriorChoice
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.sensor_errors import KINDS

@@ -41,6 +41,13 @@ class EstimateError(SymbidError):
     """An estimate that cannot be computed, written or read."""
 
 
+class OptionError(EstimateError):
+    """An option with an invalid value, or options that contradict each other.
+
+    The message names options in backquotes, as fields; each front end spells them its own way.
+    """
+
+
 class SimulationError(SymbidError):
     """A simulation that cannot start or has failed, for example by a fall."""
 

@@ -13,12 +13,14 @@ from rich.logging import RichHandler
 from symbid_ros.cli.bag import app as bag
 from symbid_ros.cli.demo import demo
 from symbid_ros.cli.evaluate import evaluate
+from symbid_ros.cli.flags import flag
 from symbid_ros.cli.identify import identify
 from symbid_ros.cli.prior import prior
 from symbid_ros.cli.report import report
 from symbid_ros.cli.simulate import simulate, udp_client
 from symbid_ros.cli.study import study
 from symbid_ros.errors import SymbidError
+from symbid_ros.options import spelled
 from symbid_ros.package_paths import package_version
 
 app = typer.Typer(
@@ -59,12 +61,13 @@ def run() -> int:
     """Run the command line and return its status; errors of ours are one line on stderr, and 2."""
     console = Console(stderr=True, soft_wrap=True)
     handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
+    handler.addFilter(_with_flags)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler])
     try:
         # By itself click would name whatever module runs this.
         return _command()(prog_name="symbid", standalone_mode=False) or 0
     except SymbidError as error:
-        message = str(error)
+        message = spelled(str(error), flag)
     except OSError as error:
         # The operating system refuses a path, such as a name that is too long for it.
         if error.filename is None:
@@ -78,6 +81,12 @@ def run() -> int:
     text = " ".join(message.split())
     console.print(f"symbid: {text}", style="red", markup=False, highlight=False)
     return USAGE
+
+
+def _with_flags(record: logging.LogRecord) -> bool:
+    """Spell options in a message as flags."""
+    record.msg, record.args = spelled(record.getMessage(), flag), ()
+    return True
 
 
 def _command() -> Any:

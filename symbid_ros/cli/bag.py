@@ -1,21 +1,13 @@
 """``symbid bag``: what is in a bag, what is wrong with it, and how to save a damaged one."""
 
 import json
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from symbid_ros.cli.options import (
-    BaseKind,
-    FramePrefix,
-    ImuTopic,
-    JointTopic,
-    Start,
-    Stop,
-    WrenchTopic,
-)
+from symbid_ros.cli.flags import BaseKind, with_flags
+from symbid_ros.messages.log_options import LogOptions
 
 if TYPE_CHECKING:
     from symbid_ros.diagnosis.findings import Diagnosis
@@ -68,11 +60,13 @@ def recover(
 
 
 @app.command()
+@with_flags
 def doctor(
     bags: Annotated[
         list[Path],
         typer.Argument(help="Bags that continue one another.", show_default=False),
     ],
+    log: LogOptions,
     model: Annotated[
         Path | None,
         typer.Option(
@@ -80,12 +74,6 @@ def doctor(
             show_default=False,
         ),
     ] = None,
-    start: Start = 0.0,
-    stop: Stop = math.inf,
-    joint_topic: JointTopic = None,
-    imu_topic: ImuTopic = None,
-    wrench_topic: WrenchTopic = None,
-    frame_prefix: FramePrefix = "",
     base: BaseKind = "auto",
     as_json: Json = False,
 ) -> None:
@@ -93,20 +81,12 @@ def doctor(
 
     Exit status: 0 clean, 1 warnings, 2 unusable.
     """
-    from symbid_ros.bags import bag_log
     from symbid_ros.diagnosis.doctor import diagnose
-    from symbid_ros.messages.topics import TopicSelection
     from symbid_ros.model.load import load_model
-    from symbid_ros.signals.streams import TimeRange
+    from symbid_ros.offline.identify import open_log
 
-    topics = TopicSelection(
-        joints=tuple(joint_topic) if joint_topic else None,
-        imus=tuple(imu_topic) if imu_topic else None,
-        wrenches=tuple(wrench_topic) if wrench_topic else None,
-        frame_prefix=frame_prefix,
-    )
     robot = None if model is None else load_model(model, base)
-    found = diagnose(bag_log(bags, robot, topics, TimeRange(start, stop)), robot)
+    found = diagnose(open_log(bags, log, robot), robot)
     print_verdict(found, as_json=as_json)
     if found.severity:
         raise typer.Exit(int(found.severity))

@@ -15,8 +15,8 @@ from symbid_ros.cli.processes import NodeProcess, private_graph
 
 if TYPE_CHECKING:
     from symbid_ros.estimation.estimate import Estimate
+    from symbid_ros.identification.loaded_problem import LoadedProblem
     from symbid_ros.identification.solver import Identification
-    from symbid_ros.offline.identify import Prepared
 
 
 def demo(
@@ -153,25 +153,22 @@ def _identify_offline(
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing
     from symbid_ros.identification.export import write_identification
-    from symbid_ros.identification.prior_information import PriorChoice
+    from symbid_ros.identification.options import IdentifyOptions
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
-    from symbid_ros.offline.identify import prepare
-    from symbid_ros.offline.job import Job
+    from symbid_ros.offline.identify import BagRequest
     from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import METHOD_TITLES, OWN_Z, GroundTruth, compose, describe_bags
     from symbid_ros.report.page import write_report
     from symbid_ros.report.table import metrics_table
-    from symbid_ros.signals.filters import LowPass
 
     task = progress.add_task("identification and a report", total=6)
     validation = out / "validation"
-    job = Job((out / "bag",), model, prior=PriorChoice(out / "prior.json"))
-    by_thesis = prepare(
-        replace(job, method="wls_rc", processing=Processing(LowPass()), validation=validation)
-    )
+    options = IdentifyOptions(prior=out / "prior.json")
+    for_thesis = replace(options, method="wls_rc", filter="butterworth", validate=validation)
+    by_thesis = BagRequest((out / "bag",), model, for_thesis).load()
     progress.advance(task)
-    by_windows = prepare(job)
+    by_windows = BagRequest((out / "bag",), model, options).load()
     progress.advance(task)
     chosen = by_windows.solve("map_lmi")
     found: dict[str, tuple[str, Identification]] = {
@@ -200,9 +197,9 @@ def _identify_offline(
     described = describe_bags([out / "bag"]) | facts
     described |= {
         "Prior": f"{by_windows.prior.kind}, seed {by_windows.prior.seed}",
-        "MAP, MAP-LMI": f"{by_windows.job.processing}, no validation data",
+        "MAP, MAP-LMI": f"{Processing.of(options)}, no validation data",
         OWN_Z: "the same rows, no validation data",
-        "OLS to WLS-RC": f"{by_thesis.job.processing}; z chosen on {validation}",
+        "OLS to WLS-RC": f"{Processing.of(for_thesis)}; z chosen on {validation}",
         "Judged on": f"{validation}, ideal, other moves",
         "Software": chosen.estimate.software,
     }
@@ -220,17 +217,17 @@ def _identify_offline(
     console.print(metrics_table(content.methods))
 
 
-def _truncations(prepared: "Prepared", validation: Path) -> "dict[tuple[str, str], Estimate]":
+def _truncations(prepared: "LoadedProblem", validation: Path) -> "dict[tuple[str, str], Estimate]":
     """Return the thesis's methods on the prepared rows, z chosen without and with validation."""
     from symbid_ros.bags import bag_log
     from symbid_ros.estimation.truncated_svd import METHODS
-    from symbid_ros.identification.dataset import Processing, read_record
+    from symbid_ros.identification.dataset import Processing, read_dataset
     from symbid_ros.report.compose import METHOD_TITLES
 
     # The other windows' rows of an ideal bag would be built for nothing.
     log = bag_log([validation], prepared.parameters.model)
     only = Processing(windows=(prepared.solver.chosen.window,))
-    judge = replace(prepared, validation=read_record(log, prepared.parameters, only))
+    judge = replace(prepared, validation=read_dataset(log, prepared.parameters, only))
     return {
         (METHOD_TITLES[method], chosen_by): source.solve(method).estimate
         for method in METHODS

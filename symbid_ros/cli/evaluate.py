@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from symbid_ros.cli.options import BaseKind
+from symbid_ros.cli.flags import BaseKind
 
 
 def evaluate(

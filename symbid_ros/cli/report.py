@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from symbid_ros.cli.options import BaseKind, Model
+from symbid_ros.cli.flags import BaseKind, Model
 
 
 def report(

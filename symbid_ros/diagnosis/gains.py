@@ -6,10 +6,11 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.choices import Term
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
 from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
 from symbid_ros.estimation.information import stacked_factor
-from symbid_ros.model.parameters import ParameterSet, Term
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import INFLATION
 
 # Share of a load below which nothing is asked of the rows. Gains that all shrink together with

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.choices import TERMS
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, gain_rows
 from symbid_ros.diagnosis.gains import GainProblem
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import Prior, model_prior
-from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment, cut_to

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.choices import Term
 from symbid_ros.dynamics.kinematics import (
     JointTable,
     LinkPoses,
@@ -16,7 +17,7 @@ from symbid_ros.dynamics.kinematics import (
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import cache_blocks, component_first, cross, sample_first
 from symbid_ros.model.inertia import pseudo_inertia
-from symbid_ros.model.parameters import ParameterSet, Term
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
 # J of one unit of each parameter, (10, 16).

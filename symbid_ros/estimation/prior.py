@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import write_text
+from symbid_ros.choices import TERMS
 from symbid_ros.errors import PriorError
 from symbid_ros.estimation.prior_std import (
     absolute_std,
@@ -19,7 +20,7 @@ from symbid_ros.estimation.prior_std import (
     percent_std,
 )
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia
-from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.xml_file import LARGEST
 from symbid_ros.safe_yaml import load_json
 

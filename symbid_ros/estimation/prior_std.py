@@ -3,8 +3,9 @@
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.choices import Term
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, second_moments
-from symbid_ros.model.parameters import ParameterSet, Term
+from symbid_ros.model.parameters import ParameterSet
 
 # Deviations of what no file states of a joint, about zero. They are wide for a leg's drives:
 # Nm s/rad, Nm, kg m² and Nm.

@@ -12,6 +12,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.choices import Criterion
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses
 from symbid_ros.dynamics.regressor import generalised_force
 from symbid_ros.dynamics.samples import Samples
@@ -24,7 +25,6 @@ from symbid_ros.model.tree import RobotModel
 Method = Literal["ols", "wls_r", "wls_c", "wls_rc"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
-Criterion = Literal["gen_force", "torque", "com"]
 
 GRAVITY = 9.81
 

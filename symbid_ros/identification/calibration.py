@@ -11,7 +11,7 @@ from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.identification.dataset import Record, observe
+from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import FORCES, MOTION
@@ -116,7 +116,7 @@ class Calibrated:
 
 
 def calibrate(
-    record: Record,
+    record: Dataset,
     parameters: ParameterSet,
     prior: Prior,
     wanted: "Wanted",
@@ -126,7 +126,7 @@ def calibrate(
 
     Parameters
     ----------
-    record : Record
+    record : Dataset
         The log.
     parameters : ParameterSet
         The robot's p parameters.

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -12,15 +11,10 @@ from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.aligned_log import AlignedLog
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.filters import (
-    Channels,
-    LowPass,
-    SavitzkyGolay,
-    Smoothing,
-    row_inflation,
-)
+from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_inflation
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.segments import Segment, fingerprint
@@ -34,8 +28,6 @@ from symbid_ros.signals.weak_form import (
     suited_windows,
     windowed_rows,
 )
-
-Filter = Literal["weak", "butterworth", "savitzky_golay"]
 
 BLOCK = 1024  # samples whose rows are built at once
 
@@ -59,6 +51,16 @@ class Processing:
     smoothing: Smoothing | None = None
     windows: tuple[float, ...] = ALL_WINDOWS
 
+    @classmethod
+    def of(cls, options: IdentifyOptions) -> "Processing":
+        """Return the processing that options ask for."""
+        if options.row_filter == "weak":
+            return cls(windows=ALL_WINDOWS if options.window is None else (options.window,))
+        if options.row_filter == "savitzky_golay":
+            return cls(SavitzkyGolay(options.window or SavitzkyGolay.window))
+        low_pass = LowPass() if options.cutoff is None else LowPass(options.cutoff)
+        return cls(replace(low_pass, channels=options.channels or low_pass.channels))
+
     def __str__(self) -> str:
         """Return what a report says of it."""
         if self.smoothing is not None:
@@ -69,41 +71,8 @@ class Processing:
         return f"rows averaged over Hann windows of {lengths} ms"
 
 
-def processing(
-    name: Filter,
-    window: float | None,
-    cutoff: float | None,
-    channels: Channels | None,
-) -> Processing:
-    """Return the processing that options ask for; None leaves them as they are by default.
-
-    Raises
-    ------
-    DataError
-        When a window or cutoff is none, or an option has no meaning for this processing.
-    """
-    if window is not None and not 0 < window < np.inf:
-        raise DataError(f"a window of {window:g} s is none; give a positive length")
-    if name != "butterworth" and (cutoff is not None or channels is not None):
-        raise DataError(
-            f"{name} has neither cutoff nor channels; give --filter butterworth, or leave --cutoff "
-            "and --channels out"
-        )
-    if name == "butterworth":
-        if window is not None:
-            raise DataError("butterworth has no window; give a cutoff, or another filter")
-        filtered = LowPass() if cutoff is None else LowPass(cutoff)
-        smoothing: Smoothing = replace(filtered, channels=channels or filtered.channels)
-        return Processing(smoothing)
-    if name == "savitzky_golay":
-        smoothing = SavitzkyGolay(window or SavitzkyGolay.window)
-        return Processing(smoothing)
-    windows = ALL_WINDOWS if window is None else (window,)
-    return Processing(windows=windows)
-
-
 @dataclass(frozen=True)
-class Record:
+class Dataset:
     """One recording, read and folded.
 
     Attributes
@@ -124,12 +93,12 @@ class Record:
     observations: tuple[Observations, ...]
 
 
-def read_record(
+def read_dataset(
     log: Log,
     parameters: ParameterSet,
     processing: Processing | None = None,
     checks: StreamChecks | None = None,
-) -> Record:
+) -> Dataset:
     """Read a log piece by piece, build samples and fold their rows.
 
     ``checks`` takes the streams on the way.
@@ -142,15 +111,15 @@ def read_record(
     processing = processing or Processing()
     aligned = AlignedLog(log, parameters.model, checks=checks)
     segments = aligned if processing.smoothing is None else aligned.whole_stretches()
-    return fold_record(segments, log.source, parameters, processing)
+    return fold_dataset(segments, log.source, parameters, processing)
 
 
-def fold_record(
+def fold_dataset(
     segments: Iterable[Segment],
     source: str,
     parameters: ParameterSet,
     processing: Processing,
-) -> Record:
+) -> Dataset:
     """Do the same with stretches that have been read from a log of that name.
 
     Raises
@@ -183,7 +152,7 @@ def fold_record(
         unwindowed = Observations.unwindowed(RowLayout.of(parameters), rows, inflation)
         observations = (unwindowed.covering(frozenset().union(*map(fingerprint, stretches))),)
         segments = stretches
-    return Record(source, segments, samples, observations)
+    return Dataset(source, segments, samples, observations)
 
 
 def observe(

@@ -9,14 +9,14 @@ from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.identification.dataset import Record
+from symbid_ros.identification.dataset import Dataset
 from symbid_ros.model.parameters import ParameterSet
 
 logger = logging.getLogger(__name__)
 
 
 def examine(
-    record: Record,
+    record: Dataset,
     checks: StreamChecks,
     parameters: ParameterSet,
     prior: Prior,
@@ -25,7 +25,7 @@ def examine(
 
     Parameters
     ----------
-    record : Record
+    record : Dataset
         Its stretches are read once more if they are too long to be kept.
     checks : StreamChecks
         Of its streams.

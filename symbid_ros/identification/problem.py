@@ -1,19 +1,13 @@
 """What is known before a method is chosen, and which methods there are."""
 
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
 
+from symbid_ros.choices import Criterion
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.truncated_svd import Criterion
 from symbid_ros.identification.calibration import Calibrated
 from symbid_ros.model.parameters import ParameterSet
-
-Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
-METHODS: tuple[Method, ...] = get_args(Method)
-# Those that weigh data against a prior, and take whatever else is known.
-GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.choices import Method
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.constraints import Bounds
 from symbid_ros.estimation.estimate import Estimate
@@ -15,7 +16,7 @@ from symbid_ros.estimation.posterior import CONVERGED, Posterior
 from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, select_rank
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
-from symbid_ros.identification.problem import Method, Problem, Truncation
+from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solved
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.package_paths import package_version

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from symbid_ros.errors import BagError
+from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 TRUTH = "ground_truth"
@@ -68,6 +69,16 @@ class TopicSelection:
     wrenches: tuple[str, ...] | None = None
     frame_prefix: str = ""
     joint_names: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, options: LogOptions) -> "TopicSelection":
+        """Return the selection that options ask for."""
+        return cls(
+            joints=options.joint_topic or None,
+            imus=options.imu_topic or None,
+            wrenches=options.wrench_topic or None,
+            frame_prefix=options.frame_prefix,
+        )
 
     def __post_init__(self) -> None:
         for name in (*(self.joints or ()), *(self.imus or ()), *(self.wrenches or ())):

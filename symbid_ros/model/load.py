@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
+from symbid_ros.choices import Base
 from symbid_ros.errors import ModelError
 from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.mjcf_source import read_mjcf
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.model.urdf import Base, load_urdf
+from symbid_ros.model.urdf import load_urdf
 from symbid_ros.model.xml_file import read_xml
 
 logger = logging.getLogger(__name__)

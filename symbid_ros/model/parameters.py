@@ -8,12 +8,10 @@ from typing import Literal
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.choices import TERMS, Term
 from symbid_ros.errors import ModelError
 from symbid_ros.model.inertia import PARAMETERS, UNITS
 from symbid_ros.model.tree import Joint, RobotModel
-
-Term = Literal["viscous", "coulomb", "armature", "offset"]
-TERMS: tuple[Term, ...] = ("viscous", "coulomb", "armature", "offset")
 
 # The joint's field that a model file states; a torque offset belongs to a drive, not to a file.
 _STATED: dict[Term, Literal["damping", "friction_loss", "armature"]] = {
@@ -27,17 +25,6 @@ _UNITS: dict[Term, dict[str, str]] = {
     "armature": {"revolute": "kg m^2", "prismatic": "kg"},
     "offset": {"revolute": "Nm", "prismatic": "N"},
 }
-
-
-def joint_terms(friction: bool, armature: bool, offset: bool) -> tuple[Term, ...]:
-    """Return the terms of three options: friction is viscous and Coulomb together."""
-    chosen: dict[Term, bool] = {
-        "viscous": friction,
-        "coulomb": friction,
-        "armature": armature,
-        "offset": offset,
-    }
-    return tuple(term for term in TERMS if chosen[term])
 
 
 @dataclass(frozen=True)

@@ -106,7 +106,7 @@ class OnlineIdentification:
 
     def __init__(self, beginning: InitialState, selected: SelectedTopics, pace: Pace) -> None:
         self._beginning, self._pace = beginning, pace
-        self._job, self._parameters = beginning.job, beginning.problem.parameters
+        self._options, self._parameters = beginning.options, beginning.problem.parameters
         self._windows = tuple(one.window for one in beginning.observations)
         self._build = equation_rows(self._parameters)
         topics = tuple(topic.name for topic in selected.all)
@@ -332,13 +332,13 @@ class OnlineIdentification:
         return block_rows(stretch, self._build, [self._windows[self._memory.window]], ())
 
     def _check_weight(self, shortest: Observations) -> None:
-        if not self._job.unchecked:
+        if not self._options.unchecked:
             check_weight(shortest.rows, self._parameters, self._problem.prior)
 
     def _identified(self, solver: Solver, *, judged: bool) -> Identification:
-        method = self._job.method
+        method = self._options.method
         if method == "map_lmi":
             return solver.map_lmi(judged=judged)
         if method == "map":
             return solver.map(judged=judged)
-        return solver.truncated(method, Truncation(self._job.rank))
+        return solver.truncated(method, Truncation(self._options.rank))

@@ -3,60 +3,63 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from symbid_ros.errors import DataError, EstimateError
+from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.identification.dataset import Processing
+from symbid_ros.identification.loaded_problem import load_parameters
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.prior_information import known_rows, prior_of
 from symbid_ros.identification.problem import Problem
-from symbid_ros.offline.job import Job, check, load_parameters
+from symbid_ros.model.tree import RobotModel
 
 
 @dataclass(frozen=True)
 class InitialState:
-    """A job's files, read and checked before the first message.
+    """Everything that is read and checked before the first message.
 
     Attributes
     ----------
-    job : Job
-        What to identify and how; it names no bags.
+    options : IdentifyOptions
     problem : Problem
         Everything but observations.
     layout : RowLayout
-        Of the rows.
+        Layout of the rows.
     observations : tuple of Observations
-        What is known already, for each length of window.
+        Data of an earlier run, for each window length.
     """
 
-    job: Job
+    options: IdentifyOptions
     problem: Problem
     layout: RowLayout
     observations: tuple[Observations, ...]
 
     @classmethod
-    def of(cls, job: Job) -> "InitialState":
-        """Read a job's files.
+    def of(cls, robot: RobotModel, options: IdentifyOptions) -> "InitialState":
+        """Read what the options name.
 
         Raises
         ------
         SymbidError
-            When a file or the job does not serve.
+            When a file is invalid, or an option is not supported online.
         """
-        check(job)
-        _check_online(job)
-        parameters = load_parameters(job)
-        prior = job.prior.load(parameters)
+        _check_online(options)
+        parameters = load_parameters(robot, options)
+        prior = prior_of(options, parameters)
         problem = Problem(
             (),
             parameters,
             prior,
-            known=job.facts.rows(parameters, prior),
-            empirical=job.prior.empirical,
-            inputs=job.inputs,
+            known=known_rows(options, parameters, prior),
+            empirical=options.is_empirical,
+            inputs=tuple(map(str, (robot.source, *options.files))),
         )
         layout = RowLayout.of(parameters)
-        nothing = tuple(Observations.empty(layout, one) for one in job.processing.windows)
-        known = nothing if job.information is None else _resumed(job.information, nothing)
-        return cls(job, problem, layout, known)
+        windows = Processing.of(options).windows
+        nothing = tuple(Observations.empty(layout, window) for window in windows)
+        known = nothing if options.information is None else _resumed(options.information, nothing)
+        return cls(options, problem, layout, known)
 
     @property
     def nothing(self) -> tuple[Observations, ...]:
@@ -64,18 +67,19 @@ class InitialState:
         return tuple(Observations.empty(self.layout, one.window) for one in self.observations)
 
 
-def _check_online(job: Job) -> None:
-    """Refuse what takes a whole log."""
-    if job.processing.smoothing is not None:
-        raise EstimateError("online, rows are averaged over windows; leave the filter out")
-    if job.facts.kinds:
-        raise EstimateError(
-            "a tare and sensor errors take several passes over a log; record one and identify "
-            "offline"
+def _check_online(options: IdentifyOptions) -> None:
+    """Refuse options that need a whole log."""
+    if options.row_filter != "weak":
+        raise OptionError("online, rows are averaged over windows; leave `filter` out", "E503")
+    if options.sensor_error_kinds:
+        raise OptionError(
+            "`tare` and `sensor_errors` need several passes over a log; record one and identify "
+            "offline",
+            "E503",
         )
-    if job.validation is not None:
-        raise EstimateError(
-            "online, singular values are chosen by the data or given; leave the validation bag out"
+    if options.validate is not None or options.sensor_std is not None:
+        raise OptionError(
+            "`validate` and `sensor_std` need a whole log; leave them out online", "E503"
         )
 
 

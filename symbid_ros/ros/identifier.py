@@ -16,11 +16,19 @@ from threadpoolctl import threadpool_limits
 from symbid_ros.errors import SymbidError
 from symbid_ros.identification.export import export_urdf, write_identification
 from symbid_ros.model.load import load_model
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.ros.diagnostics import StatusPublisher
 from symbid_ros.ros.endpoints import latched_qos
 from symbid_ros.ros.estimate_topics import EstimateTopics, estimate_status
-from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, is_online, job_from
+from symbid_ros.ros.identifier_parameters import (
+    PARAMETERS,
+    given_path,
+    given_texts,
+    identify_options,
+    is_online,
+    log_options,
+    model_of,
+)
 from symbid_ros.ros.node_logging import FaultReporter
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.process import built, run_node
@@ -105,20 +113,23 @@ class OfflineIdentifier:
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
-        self._job = job_from(values)
+        model, base = model_of(values)
+        bags = tuple(map(Path, given_texts(values["bag"])))
+        options, log = identify_options(values), log_options(values)
+        self._request = BagRequest(bags, model, options, log, base)
         self._out = given_path(values["out"])
 
     def run(self, stop: Event) -> None:
         """Identify, publish, and say once a second that the estimate stands."""
         with interruptible(stop):  # it takes minutes where the bag is long
-            prepared = prepare(self._job, self._out)
-            found = prepared.solve(self._job.method)
+            problem = self._request.load(self._out)
+            found = problem.solve()
         estimate = found.estimate
         if self._out is not None:
-            write_identification(found, prepared.parameters, self._out)
-        topics = EstimateTopics(self._node, prepared.parameters)
+            write_identification(found, problem.parameters, self._out)
+        topics = EstimateTopics(self._node, problem.parameters)
         topics.publish(estimate, self._node.get_clock().now().to_msg())
-        topics.describe(export_urdf(estimate, prepared.parameters))
+        topics.describe(export_urdf(estimate, problem.parameters))
         self._node.get_logger().info(
             f"estimate of {estimate.model} by {estimate.method}: {estimate.samples} rows per "
             "coordinate"

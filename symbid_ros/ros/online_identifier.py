@@ -16,13 +16,20 @@ from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.identification.export import check_output, export_urdf, write_identification
-from symbid_ros.messages.topics import SelectedTopics, Topic
+from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
+from symbid_ros.model.load import load_model
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.ros.diagnostics import StatusPublisher
 from symbid_ros.ros.estimate_topics import EstimateTopics
 from symbid_ros.ros.identifier_diagnostics import IdentifierDiagnostics
-from symbid_ros.ros.identifier_parameters import PARAMETERS, given_path, job_from
+from symbid_ros.ros.identifier_parameters import (
+    PARAMETERS,
+    given_path,
+    identify_options,
+    log_options,
+    model_of,
+)
 from symbid_ros.ros.node_logging import FaultReporter
 from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.raw_subscription import RawSubscription
@@ -71,7 +78,7 @@ class OnlineIdentifier:
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
-        self._beginning = InitialState.of(job_from(values))
+        self._beginning = InitialState.of(load_model(*model_of(values)), identify_options(values))
         self._parameters = self._beginning.problem.parameters
         memory: float = values["memory"]
         self._pace = Pace(memory or float("inf"), values["lag"], values["row_share"])
@@ -81,7 +88,7 @@ class OnlineIdentifier:
         self._period: float = values["solve_period"]
         self._sensors = SensorTopics(
             node,
-            resolve_topics(node, self._beginning.job.topics, sys.argv),
+            resolve_topics(node, TopicSelection.of(log_options(values)), sys.argv),
             self._parameters.model,
             values["settle"],
             values["queue_depth"],

@@ -1,8 +1,9 @@
 """Node parameters: declared with description and range, checked before anything changes."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import (
     FloatingPointRange,
@@ -14,12 +15,14 @@ from rcl_interfaces.msg import (
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 
-from symbid_ros.errors import SymbidError
+from symbid_ros.errors import OptionError, SymbidError
+from symbid_ros.options import Option, options_of, spelled
 
 LARGE_INTEGER = 2**31 - 1
 LARGE_NUMBER = 1e9
 
 Values = Mapping[str, Any]
+T = TypeVar("T")
 
 
 class ParameterError(SymbidError):
@@ -33,9 +36,13 @@ class Parameter:
     Attributes
     ----------
     name, description : str
-    default : bool, int, float, str, list of str or list of float
+    default : bool, int, float, str, list of str, list of float or None
         Also fixes the type; a list of numbers its length as well. Where it is a list of texts, a
         single text may be given in place of a list of one.
+    kind : type or None
+        Type of the values; that of the default if None.
+    length : int
+        Length of a list of numbers that has no default; 0 for other values.
     minimum, maximum : float or None
         Inclusive range of a number, or of each of a list; None for ±10⁹ (numbers) or
         ±(2³¹ - 1) (integers): NaN and infinity lie outside any.
@@ -52,6 +59,8 @@ class Parameter:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     live: bool = False
+    kind: type | None = None
+    length: int = 0
 
     def descriptor(self) -> ParameterDescriptor:
         """Return what ``ros2 param describe`` shows."""
@@ -60,14 +69,14 @@ class Parameter:
             description=self.description,
             additional_constraints=self._constraints(),
             read_only=not self.live,
-            dynamic_typing=self._is_texts,
+            dynamic_typing=self._is_texts or self.default is None,
         )
         low, high = self._bounds()
-        if _is_integer(self.default):
+        if self._type is int:
             descriptor.integer_range = [
                 IntegerRange(from_value=int(low), to_value=int(high), step=1)
             ]
-        elif isinstance(self.default, float) or self._is_vector:
+        elif self._type is float or self._is_vector:
             descriptor.floating_point_range = [
                 FloatingPointRange(from_value=float(low), to_value=float(high))
             ]
@@ -82,6 +91,12 @@ class Parameter:
             When it is none of the choices, or a list of the wrong length or with numbers out of
             range.
         """
+        if value is None and self.default is None:
+            return
+        if self.default is None and not self._is_of_kind(value):
+            raise ParameterError(
+                f"parameter {self.name}: {value!r} is not valid; give {self.expected}"
+            )
         if self._is_texts and not all(isinstance(each, str) for each in self.plain(value)):
             raise ParameterError(
                 f"parameter {self.name}: {value!r} is not valid; give {self.expected}"
@@ -102,10 +117,12 @@ class Parameter:
     def expected(self) -> str:
         """What may be given, in words."""
         if self.choices:
-            return f"one of {', '.join(self.choices)}"
+            return f"one of {', '.join(filter(None, self.choices))}"
         kinds = {bool: "true or false", int: "an integer", float: "a number with a decimal point"}
-        kind = kinds.get(type(self.default), "text")
-        if self._is_vector:
+        kind = kinds.get(self._type, "text")
+        if self.length:
+            kind = f"a list of {self.length} numbers"
+        elif self._is_vector:
             kind = f"a list of {len(self.default)} numbers with decimal points"
         elif isinstance(self.default, list):
             kind = "a text or a list of texts"
@@ -123,6 +140,20 @@ class Parameter:
         return [value] if self._is_texts else value
 
     @property
+    def _type(self) -> type:
+        return self.kind or type(self.default)
+
+    def _is_of_kind(self, value: Any) -> bool:
+        """Tell whether a value is a number as it should be; whole numbers stand for any."""
+        if self.length:
+            single = replace(self, length=0)
+            values = value if isinstance(value, list) else []
+            return len(values) == self.length and all(map(single._is_of_kind, values))
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        low, high = self._bounds()
+        return is_number and (self._type is float or value == int(value)) and low <= value <= high
+
+    @property
     def _is_vector(self) -> bool:
         return isinstance(self.default, list) and isinstance(self.default[0], float)
 
@@ -131,7 +162,7 @@ class Parameter:
         return isinstance(self.default, list) and not self._is_vector
 
     def _bounds(self) -> tuple[float, float]:
-        largest = LARGE_INTEGER if _is_integer(self.default) else LARGE_NUMBER
+        largest = LARGE_INTEGER if self._type is int else LARGE_NUMBER
         return (
             -largest if self.minimum is None else self.minimum,
             largest if self.maximum is None else self.maximum,
@@ -139,6 +170,51 @@ class Parameter:
 
     def _constraints(self) -> str:
         return self.expected if self.choices or self._is_vector else ""
+
+
+def parameters_of(kind: type) -> tuple[Parameter, ...]:
+    """Return a parameter for each option of a dataclass of options."""
+    return tuple(_parameter(option) for option in options_of(kind))
+
+
+def require_spelled(make: Callable[[], T]) -> T:
+    """Return what a function makes of options; its errors name parameters instead.
+
+    Raises
+    ------
+    ParameterError
+        When an option is invalid.
+    """
+    try:
+        return make()
+    except OptionError as error:
+        message = spelled(str(error), lambda name: name)
+        raise ParameterError(f"parameters: {message}", error.code) from None
+
+
+def _parameter(option: Option) -> Parameter:
+    default, kind = option.default, option.kind
+    description = spelled(option.help, lambda name: name)
+    if option.unit:
+        description = f"{description} Unit: {option.unit}."
+    if option.unset:
+        description = f"{description} Default: {spelled(option.unset, lambda name: name)}."
+    choices = option.choices
+    if option.is_sequence:
+        default = [""]
+    elif kind in (str, Path) and default is None:
+        default = ""
+        choices = ("", *choices) if choices else ()
+    return Parameter(
+        option.name,
+        default,
+        description,
+        option.minimum,
+        option.maximum,
+        choices,
+        kind=kind if default is None else None,
+        length=option.length,
+    )
 
 
 def declare(node: Node, parameters: Sequence[Parameter]) -> dict[str, Any]:
@@ -237,7 +313,3 @@ def _declared(node: Node, parameter: Parameter) -> Any:
     value = parameter.plain(declared)
     parameter.require(value)
     return value
-
-
-def _is_integer(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)

@@ -1,15 +1,14 @@
 """Zero-phase smoothing and differentiation, so that rows can be taken at single instants."""
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 from scipy.signal import butter, savgol_filter, sosfilt, sosfilt_zi, sosfiltfilt
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.choices import Channels
 from symbid_ros.errors import DataError
-
-Channels = Literal["all", "thesis"]
 
 # The thesis filters joint positions, their derivative and that one's derivative: so often its joint
 # accelerations pass. Given to every channel, it leaves both sides of the equation of motion alike,

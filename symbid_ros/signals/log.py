@@ -46,6 +46,9 @@ class Log:
     source: str
     files: tuple[Path, ...] = ()
     _read: SliceReader = field(repr=False, kw_only=True)
+    _open: "Callable[[tuple[Path, ...]], Log] | None" = field(
+        default=None, repr=False, kw_only=True
+    )
 
     def slices(self, span: int | None = None, *, warn: bool = True) -> Iterator[Slice]:
         """Yield the measurements in slices that end at multiples of ``span`` ns.
@@ -63,6 +66,24 @@ class Log:
             When a bag or its content cannot be used.
         """
         return self._read(span, warn)
+
+    def other(self, bags: tuple[Path, ...]) -> "Log":
+        """Return the log in other bags, read with the same topics.
+
+        Raises
+        ------
+        BagError
+            When a bag is missing or damaged; its messages are read later.
+        DataError
+            When this log was made of arrays, which says nothing about topics.
+        """
+        if self._open is None:
+            raise DataError(
+                f"{', '.join(map(str, bags))}: {self.source} does not tell the topics of this bag; "
+                "read it with load_bag and give the log",
+                "E502",
+            )
+        return self._open(bags)
 
     def streams(self) -> Streams:
         """Return all measurements at once.

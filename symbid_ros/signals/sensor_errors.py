@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.choices import SENSOR_ERROR_KINDS
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
-from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
@@ -37,7 +37,7 @@ UNITS = {
     "imu_bias": ("rad/s",) * 3 + ("m/s^2",) * 3,
     "encoder_offset": ("rad",),
 }
-KINDS = tuple(DEVIATIONS)
+KINDS = SENSOR_ERROR_KINDS
 
 _AXES = {1: ("",), 3: ("_x", "_y", "_z")}
 _PAIRS = {
@@ -45,25 +45,6 @@ _PAIRS = {
     "plate_gain": ("moment", "force"),
     "imu_bias": ("gyroscope", "accelerometer"),
 }
-
-
-def parse_kinds(text: str) -> tuple[str, ...]:
-    """Return the kinds that a list with commas names; ``typical`` stands for all.
-
-    Raises
-    ------
-    DataError
-        When a name is not known, or there is none.
-    """
-    names = {name for part in text.split(",") if (name := part.strip())}
-    unknown = sorted(names - {"typical", *KINDS})
-    if unknown:
-        raise DataError(
-            f"no sensor error {unknown[0]!r}; give typical or any of {', '.join(KINDS)}"
-        )
-    if not names:
-        raise DataError(f"no sensor error is named; give typical or any of {', '.join(KINDS)}")
-    return tuple(kind for kind in KINDS if kind in names or "typical" in names)
 
 
 @dataclass(frozen=True)

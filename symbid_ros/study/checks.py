@@ -9,13 +9,13 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import read_streams, read_truth
+from symbid_ros.choices import GAUSSIAN
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, known_force
 from symbid_ros.errors import StudyError
 from symbid_ros.identification.evaluation import TrueMotion
 from symbid_ros.identification.prediction import evaluate_realistic
-from symbid_ros.identification.problem import GAUSSIAN
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
 from symbid_ros.report.content import TRUTH

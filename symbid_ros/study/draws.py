@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -10,6 +10,8 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import write_text
+from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.choices import GAUSSIAN
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import Information
@@ -17,14 +19,15 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.truncated_svd import METHODS as TRUNCATED
 from symbid_ros.estimation.truncated_svd import LeastSquares, select_rank
+from symbid_ros.identification.calibration import Tare, read_tare
 from symbid_ros.identification.evaluation import Judge, link_errors
-from symbid_ros.identification.prior_information import Facts, PriorChoice
-from symbid_ros.identification.problem import GAUSSIAN, Problem, Truncation
+from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import Prepared, prepare
-from symbid_ros.offline.job import Job
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.study.logs import identified, truth
@@ -114,8 +117,11 @@ def _gaussian(plan: Plan, space: Workspace, data: str, spread: Spread, prior: Pr
     log = plan.data[data]
     if log.cure:
         weighed = np.random.default_rng(prior.seed).normal(_mass(space, log), WEIGHING_STD)
-        facts = Facts(total_mass=(weighed, WEIGHING_STD), tare=(space.tare(log),))
-        solver = _prepared(space, log).under(prior, facts).solver
+        problem, tare = _loaded(space, log), space.tare(log)
+        options = replace(
+            problem.options, total_mass=weighed, total_mass_std=WEIGHING_STD, tare=(tare,)
+        )
+        solver = problem.under(prior, options, _tares(tare)).solver
     else:
         rows = _archive(space.rows(log, log.sensors, None))
         solver = Solver.of(Problem(rows, identified(log), prior))
@@ -172,13 +178,21 @@ def _motion_judge(space: Workspace, ideal: Log, every: float) -> Judge:
 
 
 @lru_cache(maxsize=1)
-def _prepared(space: Workspace, log: Log) -> Prepared:
-    anything = PriorChoice(percent=25.0)
-    model, terms = config_file("symbitron.xml"), identified(log).terms
+def _loaded(space: Workspace, log: Log) -> LoadedProblem:
     bag = space.log(log)
     # In a tare the hoist carries the robot, which is no sensor of this log.
-    job = Job((bag,), model, prior=anything, terms=terms, unchecked=True)
-    return prepare(job)
+    options = IdentifyOptions(
+        prior_percent=25.0,
+        friction=log.friction,
+        armature=log.friction,
+        unchecked=True,
+    )
+    return BagRequest((bag,), config_file("symbitron.xml"), options).load()
+
+
+@lru_cache(maxsize=4)
+def _tares(bag: Path) -> dict[str, Tare]:
+    return read_tare(bag_log([bag]))
 
 
 @lru_cache(maxsize=4)

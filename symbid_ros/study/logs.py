@@ -7,13 +7,14 @@ from typing import Any
 
 from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import bag_log
+from symbid_ros.choices import Channels, Term
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.aligned_log import AlignedLog
-from symbid_ros.identification.dataset import Processing, fold_record
+from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet, joint_terms
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
-from symbid_ros.signals.filters import Channels, LowPass
+from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
@@ -50,8 +51,8 @@ def truth(log: Log, space: Workspace) -> ParameterSet:
     return ParameterSet(load_model(space.robot(log)), _terms(log))
 
 
-def _terms(log: Log) -> tuple[Any, ...]:
-    return joint_terms(friction=log.friction, armature=log.friction, offset=False)
+def _terms(log: Log) -> tuple[Term, ...]:
+    return ("viscous", "coulomb", "armature") if log.friction else ()
 
 
 def _options(log: Log) -> dict[str, Any]:
@@ -82,7 +83,7 @@ def fold_rows(
     smoothing = None if cutoff is None else LowPass(cutoff, channels)
     parameters = identified(log)
     bag = space.log(log)
-    record = fold_record(_segments(bag, log), str(bag), parameters, Processing(smoothing))
+    record = fold_dataset(_segments(bag, log), str(bag), parameters, Processing(smoothing))
     observations = observe_sensed(record, parameters, sensing)
     write_archive(space.rows(log, sensing, cutoff), observations)
 

@@ -5,10 +5,8 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from symbid_ros.choices import GAUSSIAN, METHODS, Channels, Criterion, Method
 from symbid_ros.estimation.prior import Kind
-from symbid_ros.estimation.truncated_svd import Criterion
-from symbid_ros.identification.problem import GAUSSIAN, METHODS, Method
-from symbid_ros.signals.filters import Channels
 from symbid_ros.study.scores import METRICS
 from symbid_ros.study.sensor_subsets import Sensing
 

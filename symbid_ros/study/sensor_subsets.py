@@ -20,7 +20,7 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.information import RowLayout, random_motions
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.identification.dataset import BLOCK, Record, observe
+from symbid_ros.identification.dataset import BLOCK, Dataset, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
@@ -188,7 +188,7 @@ class SensedRows:
 
 
 def observe_sensed(
-    record: Record, parameters: ParameterSet, sensing: Sensing
+    record: Dataset, parameters: ParameterSet, sensing: Sensing
 ) -> tuple[Observations, ...]:
     """Return what a record says to a robot with fewer sensors.
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from symbid_ros.identification.problem import GAUSSIAN
+from symbid_ros.choices import GAUSSIAN
 from symbid_ros.report.content import TRUTH
 from symbid_ros.study.checks import believers, check_equation, check_realistic, run_loop, run_truth
 from symbid_ros.study.draws import solve_draw

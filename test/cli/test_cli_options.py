@@ -6,9 +6,9 @@ import sys
 
 import pytest
 import typer.main
+from symbid_ros.offline.job import chosen_filter
 
 from symbid_ros.cli.app import app
-from symbid_ros.offline.job import chosen_filter
 from symbid_ros.package_paths import config_file
 
 

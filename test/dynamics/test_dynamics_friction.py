@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
+from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import (
     COULOMB_SPEED,
     coulomb_column,
@@ -18,7 +19,7 @@ from symbid_ros.dynamics.regressor import (
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.model.parameters import ParameterSet
 
 DRY = mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
 

@@ -12,12 +12,13 @@ import pytest
 from random_robots import CONFIG
 from scipy.linalg import cho_factor, cho_solve
 
+from symbid_ros.choices import METHODS
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.identification.dataset import observe
-from symbid_ros.identification.problem import METHODS, Problem, Truncation
+from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model

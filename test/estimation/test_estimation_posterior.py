@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.linalg import block_diag, eigh
 from scipy.optimize import minimize_scalar
 
+from symbid_ros.choices import TERMS
 from symbid_ros.estimation import posterior as production
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
-from symbid_ros.model.parameters import TERMS
 
 few = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 10**6)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_robots import CONFIG, random_robot, with_drives
 
+from symbid_ros.choices import TERMS
 from symbid_ros.errors import PriorError, SymbidError
 from symbid_ros.estimation.prior import (
     Prior,
@@ -23,7 +24,7 @@ from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent, phi_from_pseudo_inertia, pseudo_inertia
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.model.parameters import ParameterSet
 
 
 @pytest.fixture(scope="module")

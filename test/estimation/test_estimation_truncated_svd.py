@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_robots import random_robot, random_samples
 
+from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.information import Information, RowLayout
@@ -15,7 +16,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.estimation.truncated_svd import METHODS, LeastSquares, select_rank
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import SampledRows
 
 

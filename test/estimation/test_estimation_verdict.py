@@ -8,6 +8,7 @@ from gaussian_logs import gaussian_log, prior_of
 from random_robots import random_samples
 from scipy.linalg import eigh
 
+from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.posterior import posterior
@@ -19,7 +20,6 @@ from symbid_ros.estimation.verdict import (
     SUSPICIOUS_WHITENESS,
     assess,
 )
-from symbid_ros.model.parameters import TERMS
 
 
 class Judged:

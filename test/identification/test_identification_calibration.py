@@ -8,19 +8,19 @@ import yaml
 from analytic_log import analytic_segment, noisy, spoilt
 from foreign_bags import imu, joint_state, wrench, write_rosbags
 from random_robots import CONFIG, random_robot
+from symbid_ros.offline.job import Job
 
 from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.errors import DataError, EstimateError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.calibration import Tare, Wanted, calibrate, read_tare
-from symbid_ros.identification.dataset import Processing, Record
+from symbid_ros.identification.dataset import Dataset, Processing
 from symbid_ros.identification.prior_information import Facts, PriorChoice
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, SensorErrors
 from symbid_ros.signals.weak_form import WINDOWS
@@ -207,7 +207,7 @@ def test_any_trees_sensors_are_calibrated(seed, floating):
     theta = errors.std * rng.standard_normal(len(errors))
     levels = {"position": 1e-5, "rate": 2e-3, "acceleration": 0.02, "effort": 0.05, "wrench": 0.3}
     segment = noisy(spoilt(perfect, errors, theta), rng, **levels)
-    log = Record(source="log", segments=(segment,), samples=None, observations=())
+    log = Dataset(source="log", segments=(segment,), samples=None, observations=())
     offset = errors.of_kind("plate_offset", theta)[0]
     tare = {errors.wrench_frames[0]: Tare(offset, np.repeat([1e-3, 1e-2], 3))}
     prior = draw_prior(parameters, "percent", 25, seed)
@@ -232,7 +232,7 @@ def test_any_trees_sensors_are_calibrated(seed, floating):
 def test_sensors_without_noise_are_calibrated():
     parameters = ParameterSet(random_robot(1, links=4))
     segment = analytic_segment(parameters, 3.9, 1, start=0.05)
-    log = Record(source="log", segments=(segment,), samples=None, observations=())
+    log = Dataset(source="log", segments=(segment,), samples=None, observations=())
     prior = draw_prior(parameters, "percent", 25, 1)
     found = calibrate(log, parameters, prior, Wanted(KINDS, {}), None)
     after = posterior(found.observations[-1], found.prior, count=len(parameters))

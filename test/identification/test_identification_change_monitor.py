@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 from live_feed import feed_of
+from symbid_ros.offline.job import Job
 
 from symbid_ros.estimation.change import LinkChange
 from symbid_ros.identification.change_monitor import Change
 from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.job import Job
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file

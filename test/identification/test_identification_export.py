@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 from random_logs import LogPlan, random_streams, small_robot, write_bag
+from symbid_ros.offline.job import Job
 
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive
@@ -16,7 +17,6 @@ from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 
 MISSING = Path("missing")
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from bag_surgery import Messages, operate
 from random_robots import CONFIG
+from symbid_ros.offline.job import Job
 
 from symbid_ros.errors import DataError
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 
 RIGHT = "/right_foot/wrench"
 

@@ -12,7 +12,7 @@ from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.prior import model_prior
-from symbid_ros.identification.dataset import Processing, Record, fold_record
+from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.model.parameters import ParameterSet
@@ -25,7 +25,7 @@ SPAN = 60 * 10**9
 ARM, LEGGED = (ParameterSet(small_robot(3, floating=floating)) for floating in (False, True))
 
 
-def record_of(parameters: ParameterSet, plan: LogPlan, windows: tuple[float, ...] = ()) -> Record:
+def record_of(parameters: ParameterSet, plan: LogPlan, windows: tuple[float, ...] = ()) -> Dataset:
     """Take a random log as far as its rows, cut into minutes as that of a bag is."""
     streams, _ = mask_faulty_messages(random_streams(parameters.model, plan, 1))
     whole = moving_segments(streams, parameters.model)
@@ -36,7 +36,7 @@ def record_of(parameters: ParameterSet, plan: LogPlan, windows: tuple[float, ...
         for part in cut_to(whole, minute * SPAN, (minute + 1) * SPAN)
     ]
     processing = Processing(windows=windows) if windows else Processing()
-    return fold_record(segments, "log", parameters, processing)
+    return fold_dataset(segments, "log", parameters, processing)
 
 
 def identified(parameters: ParameterSet, plan: LogPlan) -> Identification:

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_robots import CONFIG
+from symbid_ros.offline.job import Job
 
+from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.constraints import total_mass_row
@@ -22,9 +24,8 @@ from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import TERMS, ParameterSet
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.signals.weak_form import BLOCK, WindowedRows
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.settings import load_friction

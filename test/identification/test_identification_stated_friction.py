@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
+from symbid_ros.offline.job import Job
 from tree_simulation import TreeSimulation
 
 from symbid_ros.identification.dataset import Processing
@@ -18,7 +19,6 @@ from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import Frame
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.signals.filters import SavitzkyGolay
 from symbid_ros.simulation.recording import record

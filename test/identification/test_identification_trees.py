@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from random_robots import random_robot
+from symbid_ros.offline.job import Job
 from tree_simulation import TreeSimulation
 
 from symbid_ros.estimation.prior import draw_prior
@@ -14,7 +15,6 @@ from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay
 from symbid_ros.simulation.recording import record

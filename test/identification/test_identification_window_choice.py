@@ -1,12 +1,12 @@
 """Windows are compared again as data come, without keeping an estimate waiting."""
 
 import pytest
+from symbid_ros.offline.job import Job
 
 from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.identification.window_choice import WindowChoice
 from symbid_ros.identification.window_comparison import WindowComparison
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.package_paths import config_file
 
 

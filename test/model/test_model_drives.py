@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 from random_robots import CONFIG, random_robot, with_drives
 
+from symbid_ros.choices import TERMS
 from symbid_ros.errors import ModelError
 from symbid_ros.model.export_mjcf import mjcf_text, replaced_values
 from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import (
-    TERMS,
-    ParameterSet,
-    joint_terms,
-    terms_in,
-)
+from symbid_ros.model.parameters import ParameterSet, joint_terms, terms_in
 
 MJCF = """<mujoco model="arm">
   <default><default class="drive"><joint damping="0.30" armature="0.010"/></default></default>

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from junk_messages import some_malformed
 from live_feed import Feed, feed_of
+from symbid_ros.offline.job import Job
 
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import write_archive
@@ -19,7 +20,6 @@ from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file
@@ -135,9 +135,10 @@ def test_there_is_news_once_every_topic_has_told_more(start, feed) -> None:
 
 
 def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
-    from symbid_ros.bags.streams.reader import read_streams
-    from symbid_ros.identification.dataset import fold_record
     from symbid_ros.signals.samples import moving_segments
+
+    from symbid_ros.bags.streams.reader import read_streams
+    from symbid_ros.identification.dataset import fold_dataset
 
     streams = read_streams([bag])
     live, done = start(), 0.0
@@ -145,7 +146,7 @@ def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
         feed.between(done, stop).into(live)
         done = stop
         segments = moving_segments(_cut(streams, stop), parameters.model)
-        cut = fold_record(segments, str(bag), parameters, Processing())
+        cut = fold_dataset(segments, str(bag), parameters, Processing())
         assert_same(live.solve(exactly=True).found.observations, cut.observations)
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from live_feed import feed_of
 from random_logs import LogPlan, random_streams, small_robot, write_bag
+from symbid_ros.offline.job import Job
 
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.prior_information import PriorChoice
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.identify import prepare
-from symbid_ros.offline.job import Job
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows

@@ -7,8 +7,8 @@ import yaml
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from symbid_ros.choices import METHODS
 from symbid_ros.errors import StudyError, SymbidError
-from symbid_ros.identification.problem import METHODS
 from symbid_ros.package_paths import config_file
 from symbid_ros.study.plan import Plan, Spread
 from symbid_ros.study.plan_file import load_plan, studies

@@ -14,7 +14,7 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.dataset import Processing, read_record
+from symbid_ros.identification.dataset import Processing, read_dataset
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
@@ -42,7 +42,7 @@ def motion(simulated, symbitron):
 
 @pytest.fixture(scope="module")
 def record(simulated, symbitron):
-    return read_record(
+    return read_dataset(
         bag_log([simulated("smooth", moves=3, motion_seed=21, noise_seed=5)]), symbitron
     )
 
@@ -182,7 +182,7 @@ def test_without_torque_sensors_efforts_are_not_looked_at(motion, symbitron):
 
 def test_every_row_tells_something(record, simulated, symbitron):
     prior = draw_prior(symbitron, "percent", 25.0, 3)
-    filtered = read_record(
+    filtered = read_dataset(
         bag_log([simulated("smooth", moves=3, motion_seed=21, noise_seed=5)]),
         symbitron,
         Processing(LowPass(30.0)),

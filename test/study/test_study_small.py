@@ -17,7 +17,7 @@ from small_study import PLAN, SmallStudy, symbid
 
 from symbid_ros.bags.streams.reader import bag_log
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.dataset import Processing, read_record
+from symbid_ros.identification.dataset import Processing, read_dataset
 from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solver import Solver
@@ -60,9 +60,9 @@ def direct(tmp_path_factory) -> dict[tuple[str, str], dict[str, float]]:
     parameters = ParameterSet(load_model(config_file("symbitron.xml")))
     filtered = Processing(LowPass(30.0))
     log, ideal = (
-        read_record(bag_log([folder / n]), parameters, filtered) for n in ("log", "ideal")
+        read_dataset(bag_log([folder / n]), parameters, filtered) for n in ("log", "ideal")
     )
-    windows = read_record(bag_log([folder / "log"]), parameters)
+    windows = read_dataset(bag_log([folder / "log"]), parameters)
     motion = read_true_motion([folder / "ideal"], parameters.model)[::10]
     means = {}
     for label, (kind, amount) in KINDS.items():

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.bags.container.files import join_names, read_blocks
+from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
 from symbid_ros.bags.streams.slices import DEFAULT_SELECTION, iterate_slices
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.decoder import TopicDecoder
@@ -50,7 +50,11 @@ def bag_log(
     def read(span: int | None, warn: bool) -> Iterator[Slice]:
         return iterate_slices(bags, topics, span=span, part=part, warn=warn)
 
-    return Log(join_names(bags), tuple(bags), _read=read)
+    def other(bags: tuple[Path, ...]) -> Log:
+        count_messages(bags)
+        return bag_log(bags, model, topics)
+
+    return Log(join_names(bags), tuple(bags), _read=read, _open=other)
 
 
 def read_streams(bags: Sequence[Path], topics: TopicSelection = DEFAULT_SELECTION) -> Streams:

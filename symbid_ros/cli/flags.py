@@ -1,0 +1,96 @@
+"""A command's flags, generated from dataclasses of options."""
+
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_type_hints
+
+import typer
+
+from symbid_ros.choices import Base
+from symbid_ros.options import Option, options_of, spelled
+
+Model = Annotated[Path, typer.Option(help="Robot model, URDF or MJCF.")]
+BaseKind = Annotated[
+    Base,
+    typer.Option(help="Whether the base of a URDF may move; auto: it does unless it is 'world'."),
+]
+
+
+def flag(name: str) -> str:
+    """Return how a command spells an option."""
+    return f"--{name.replace('_', '-')}"
+
+
+def with_flags(function: Callable[..., None]) -> Callable[..., None]:
+    """Replace each parameter that is a dataclass of options by one flag for each option.
+
+    The function gets the dataclass, made of the values of its flags.
+    """
+    hints = get_type_hints(function, include_extras=True)
+    groups: dict[str, type] = {}
+    shown: list[inspect.Parameter] = []
+    for parameter in inspect.signature(function).parameters.values():
+        hint = hints[parameter.name]
+        options = options_of(hint) if hasattr(hint, "__dataclass_fields__") else ()
+        if options:
+            groups[parameter.name] = hint
+            shown += [_parameter(option) for option in options]
+        else:
+            shown.append(parameter.replace(annotation=hint))
+    # Python wants parameters without a default first; typer does not mind the kind.
+    shown = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in shown]
+
+    @wraps(function)
+    def command(**values: Any) -> None:
+        for name, kind in groups.items():
+            given = {option.name: values.pop(option.name) for option in options_of(kind)}
+            values[name] = kind(**{key: _value(value) for key, value in given.items()})
+        function(**values)
+
+    command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
+    command.__annotations__ = {one.name: one.annotation for one in shown}
+    return command
+
+
+def _parameter(option: Option) -> inspect.Parameter:
+    kind: Any = Literal[option.choices] if option.choices else option.kind
+    if option.is_sequence:
+        kind = list[kind]
+    elif option.length:
+        kind = tuple.__class_getitem__((kind,) * option.length)
+    default = None if option.is_sequence else option.default
+    if default is None:
+        kind |= None
+    words = {int: "<integer>", float: "<number>", Path: "<path>", str: "<text>"}
+    metavar = None if option.choices else words.get(option.kind)
+    info = typer.Option(
+        flag(option.name),
+        help=_help(option),
+        min=option.minimum,
+        max=option.maximum,
+        metavar=option.metavar or (f"<{option.unit}>" if option.unit else metavar),
+        rich_help_panel=option.group or None,
+        show_default=default not in (None, "", False, 0.0),
+    )
+    return inspect.Parameter(
+        option.name,
+        inspect.Parameter.KEYWORD_ONLY,
+        default=default,
+        annotation=Annotated[kind, info],
+    )
+
+
+def _help(option: Option) -> str:
+    words = [spelled(option.help, flag)]
+    if option.is_sequence:
+        words.append("Repeatable.")
+    if option.unset:
+        words.append(f"Default: {spelled(option.unset, flag)}.")
+    return " ".join(words)
+
+
+def _value(value: Any) -> Any:
+    """Return what a field takes; flags that were not given are None or empty."""
+    return tuple(value or ()) if isinstance(value, list) else value

@@ -1,0 +1,237 @@
+"""A log and a robot, read and checked once, to be solved with any method and any prior."""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from symbid_ros.choices import Method
+from symbid_ros.diagnosis.stream_checks import StreamChecks
+from symbid_ros.errors import DataError, EstimateError, OptionError
+from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.information import INCOMPATIBLE
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.prior import Prior
+from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
+from symbid_ros.identification.calibration import Tare, Wanted, calibrate, read_tare
+from symbid_ros.identification.dataset import Dataset, Processing, read_dataset
+from symbid_ros.identification.export import check_output
+from symbid_ros.identification.options import IdentifyOptions, Source
+from symbid_ros.identification.preflight import examine
+from symbid_ros.identification.prior_information import known_rows, prior_of
+from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.log import Log
+
+logger = logging.getLogger(__name__)
+
+ALIKE = "identify both with the same model, joint terms and sensor errors"
+
+
+@dataclass(frozen=True)
+class LoadedProblem:
+    """Everything that an identification reads, read.
+
+    Attributes
+    ----------
+    options : IdentifyOptions
+    inputs : tuple of str
+        Files that the estimate comes from.
+    parameters : ParameterSet
+        The p parameters of the robot.
+    prior : Prior
+        Of these.
+    dataset : Dataset
+        The log.
+    solver : Solver
+    validation : Dataset or None
+        Log on which to choose the number of singular values.
+    tares : mapping of str to Tare
+        What the unloaded wrench sensors read, by frame.
+    """
+
+    options: IdentifyOptions
+    inputs: tuple[str, ...]
+    parameters: ParameterSet
+    prior: Prior
+    dataset: Dataset
+    solver: Solver
+    validation: Dataset | None
+    tares: Mapping[str, Tare]
+
+    def under(
+        self,
+        prior: Prior,
+        options: IdentifyOptions | None = None,
+        tares: Mapping[str, Tare] | None = None,
+    ) -> "LoadedProblem":
+        """Return the same log under another prior and, if given, other options and tares."""
+        options = options or self.options
+        tares = self.tares if tares is None else tares
+        solver = _solver(
+            options, self.inputs, self.parameters, prior, dataset=self.dataset, tares=tares
+        )
+        return replace(self, options=options, prior=prior, solver=solver, tares=tares)
+
+    def solve(self, method: Method | None = None) -> Identification:
+        """Identify with one method; the one of the options by default."""
+        method = method or self.options.method
+        if method == "map_lmi":
+            return self.solver.map_lmi()
+        if method == "map":
+            return self.solver.map()
+        deviation = None
+        if self.options.sensor_std is not None:
+            sensors = SensorNoise(*self.options.sensor_std)
+            deviation = sensor_row_std(self.parameters.model, self.dataset.samples, sensors)
+        validation = () if self.validation is None else self.validation.observations
+        truncation = Truncation(self.options.rank, validation, self.options.select_by)
+        return self.solver.truncated(method, truncation, deviation)
+
+
+def load_problem(
+    robot: RobotModel,
+    log: Log,
+    options: IdentifyOptions | None = None,
+    out: Path | None = None,
+) -> LoadedProblem:
+    """Read and check a log and everything that the options name.
+
+    Small files, options and the folder ``out`` for the results are checked before the log is read,
+    which takes long.
+
+    Raises
+    ------
+    SymbidError
+        When a file, the data or an option is invalid.
+    """
+    options = options or IdentifyOptions()
+    parameters = load_parameters(robot, options)
+    prior = prior_of(options, parameters)
+    known_rows(options, parameters, prior)
+    if out is not None:
+        check_output(parameters, out)
+    _check_sizes(options, parameters)
+    tare = _opened(options.tare, log)
+    (other,) = _opened((options.validate,), log) if options.validate else (None,)
+    dataset = _checked_dataset(log, options, parameters, prior)
+    validation = None if other is None else _checked_dataset(other, options, parameters, prior)
+    tares = {frame: one for each in tare for frame, one in read_tare(each).items()}
+    inputs = tuple(map(str, (*log.files, robot.source, *options.files)))
+    solver = _solver(options, inputs, parameters, prior, dataset=dataset, tares=tares)
+    return LoadedProblem(options, inputs, parameters, prior, dataset, solver, validation, tares)
+
+
+def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet:
+    """Return the parameters to identify, and warn of joint terms that the model file states."""
+    parameters = ParameterSet(robot, options.terms)
+    for term, values in parameters.known_terms.items():
+        stated = [
+            name for name, value in zip(robot.joint_names, values, strict=True) if value != 0.0
+        ]
+        flag = "armature" if term == "armature" else "friction"
+        logger.warning(
+            "%s states %s of %s, which is taken as known; identify it with `%s` if it may be wrong",
+            robot.source,
+            f"{term} friction" if flag == "friction" else term,
+            ", ".join(stated),
+            flag,
+        )
+    return parameters
+
+
+def _opened(sources: tuple[Source, ...], log: Log) -> list[Log]:
+    """Return logs; bags given by their paths continue one another."""
+    logs = [source for source in sources if isinstance(source, Log)]
+    bags = tuple(source for source in sources if not isinstance(source, Log))
+    return [*logs, *([log.other(bags)] if bags else [])]
+
+
+def _checked_dataset(
+    log: Log, options: IdentifyOptions, parameters: ParameterSet, prior: Prior
+) -> Dataset:
+    """Read a log and check it as `symbid bag doctor` does, unless the options skip that."""
+    processing = Processing.of(options)
+    if options.unchecked:
+        return read_dataset(log, parameters, processing)
+    checks = StreamChecks(parameters.model)
+    dataset = read_dataset(log, parameters, processing, checks)
+    examine(dataset, checks, parameters, prior)
+    return dataset
+
+
+def _check_sizes(options: IdentifyOptions, parameters: ParameterSet) -> None:
+    """Refuse a rank and an information file that do not fit the parameters."""
+    if options.rank is not None and options.rank > len(parameters):
+        raise OptionError(
+            f"`rank` {options.rank} exceeds {len(parameters)}, the number of parameters; choose "
+            "a smaller one",
+            "E501",
+        )
+    if options.information is None:
+        return
+    p, coordinates = len(parameters), parameters.model.coordinates
+    for earlier in load_archive(options.information):
+        layout = earlier.layout
+        if (layout.parameters[:p], layout.coordinates) != (parameters.names, coordinates):
+            raise EstimateError(f"{options.information}: {INCOMPATIBLE}; {ALIKE}", "E505")
+
+
+def _solver(
+    options: IdentifyOptions,
+    inputs: tuple[str, ...],
+    parameters: ParameterSet,
+    prior: Prior,
+    *,
+    dataset: Dataset,
+    tares: Mapping[str, Tare],
+) -> Solver:
+    known = known_rows(options, parameters, prior)
+    problem = Problem(
+        dataset.observations,
+        parameters,
+        prior,
+        known=known,
+        empirical=options.is_empirical,
+        inputs=inputs,
+        has_wrenches=bool(dataset.samples.wrench_frames),
+    )
+    if options.sensor_error_kinds:
+        wanted = Wanted(options.sensor_error_kinds, dict(tares))
+        problem = problem.calibrated(calibrate(dataset, parameters, prior, wanted, known))
+    observations = _with_earlier(options.information, problem.observations)
+    return Solver.of(replace(problem, observations=observations))
+
+
+def _with_earlier(
+    information: Path | None, observations: tuple[Observations, ...]
+) -> tuple[Observations, ...]:
+    """Return observations with those of an earlier run added, window by window."""
+    if information is None:
+        return observations
+    earlier = {one.window: one for one in load_archive(information)}
+    now, before = (
+        frozenset[int]().union(*(one.seconds for one in run))
+        for run in (observations, earlier.values())
+    )
+    if again := now & before:
+        raise EstimateError(
+            f"{information}: holds {len(again)} s of this log already, which would be counted "
+            "twice; leave `information` out, or name another log",
+            "E506",
+        )
+    try:
+        both = tuple(
+            earlier[one.window].merge(one) for one in observations if one.window in earlier
+        )
+    except DataError as error:
+        raise EstimateError(f"{information}: {error}; {ALIKE}", "E505") from None
+    if not both:
+        raise EstimateError(
+            f"{information}: its rows are averaged over other windows than those of this run; "
+            "identify both with the same `filter` and `sensor_errors`",
+            "E505",
+        )
+    return both

@@ -1,0 +1,280 @@
+"""Options of one identification, the same for the Python API, the command and the node."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from symbid_ros.choices import (
+    GAUSSIAN,
+    SENSOR_ERROR_KINDS,
+    TERMS,
+    Channels,
+    Criterion,
+    Filter,
+    Method,
+    SensorErrorKind,
+    Term,
+)
+from symbid_ros.errors import OptionError
+from symbid_ros.options import check_values, option
+
+if TYPE_CHECKING:
+    from symbid_ros.signals.log import Log
+
+    # A bag by its path, or a log that has been opened.
+    Source = Path | Log
+else:
+    Source = Path  # NumPy is not loaded for a command's help
+
+KNOWN = "Prior knowledge"
+JOINTS = "Parameters to identify in addition to the links"
+ROWS = "Rows of the equation of motion"
+TRUNCATED = "For ols, wls_r, wls_c and wls_rc only"
+
+WEIGHING_STD = 0.05  # kg; what a good floor scale does
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifyOptions:
+    """How to identify a robot; every field has a default that suits most logs.
+
+    Raises
+    ------
+    OptionError
+        When a value is invalid, or two options contradict each other.
+    """
+
+    method: Method = option(
+        "map_lmi",
+        "Estimator. map_lmi: most probable parameters of physically possible links; map: most "
+        "probable parameters; ols, wls_r, wls_c, wls_rc: truncated least squares, rows (r) or "
+        "columns (c) scaled.",
+        metavar="METHOD",
+    )
+    prior: Path | None = option(
+        None,
+        "Prior file (prior.json).",
+        group=KNOWN,
+        unset="values of the model; the data decide how far to trust them",
+    )
+    prior_percent: float | None = option(
+        None,
+        "Standard deviation of the model's values, in percent of each value.",
+        unit="%",
+        minimum=0.0,
+        group=KNOWN,
+    )
+    prior_absolute: float | None = option(
+        None,
+        "Standard deviation of the model's values, the same number in SI units for each.",
+        minimum=0.0,
+        group=KNOWN,
+    )
+    total_mass: float | None = option(
+        None, "Weighed mass of the whole robot.", unit="kg", minimum=0.0, group=KNOWN
+    )
+    total_mass_std: float | None = option(
+        None,
+        "Standard deviation of `total_mass`.",
+        unit="kg",
+        minimum=0.0,
+        group=KNOWN,
+        unset="0.05",
+    )
+    mirror: float | None = option(
+        None,
+        "How far left and right links may differ, in standard deviations of the prior, such as "
+        "0.1.",
+        minimum=0.0,
+        group=KNOWN,
+        unset="left and right are independent",
+    )
+    tare: tuple[Source, ...] = option(
+        (),
+        "Bag recorded with unloaded wrench sensors; sensor errors are then identified as well.",
+        group=KNOWN,
+    )
+    information: Path | None = option(
+        None, "information.npz of an earlier run, whose data are added.", group=KNOWN
+    )
+    friction: bool = option(
+        False, "Identify viscous and Coulomb friction of every joint.", group=JOINTS
+    )
+    armature: bool = option(
+        False, "Identify the reflected inertia of every drive, as felt at the joint.", group=JOINTS
+    )
+    offset: bool = option(False, "Identify a constant torque of every joint.", group=JOINTS)
+    sensor_errors: tuple[str, ...] = option(
+        (),
+        f"Sensor errors to identify: typical (all of these), or a comma-separated list of "
+        f"{', '.join(SENSOR_ERROR_KINDS)}.",
+        group=JOINTS,
+    )
+    filter: Filter | None = option(
+        None,
+        "weak: average the equation of motion over short windows; butterworth, savitzky_golay: "
+        "filter the signals and use single instants.",
+        group=ROWS,
+        metavar="FILTER",
+        unset="weak, or butterworth if a truncated method is used with `cutoff` or `channels`",
+    )
+    window: float | None = option(
+        None,
+        "Length of the windows.",
+        unit="s",
+        minimum=0.0,
+        group=ROWS,
+        unset="weak: the most informative of 0.081, 0.161 and 0.321, longer below 75 Hz; "
+        "savitzky_golay: 0.081",
+    )
+    cutoff: float | None = option(
+        None,
+        "Cutoff frequency of butterworth; 0 for no filter.",
+        unit="Hz",
+        minimum=0.0,
+        group=ROWS,
+        unset="30",
+    )
+    channels: Channels | None = option(
+        None,
+        "Signals that butterworth filters: all, or the thesis's choice.",
+        group=ROWS,
+        unset="all",
+    )
+    rank: int | None = option(
+        None,
+        "Number of singular values to use.",
+        minimum=1,
+        group=TRUNCATED,
+        unset="as many as the data determine better than the prior",
+    )
+    validate: Source | None = option(
+        None, "Bag on which to choose the number of singular values.", group=TRUNCATED
+    )
+    select_by: Criterion = option(
+        "gen_force", "Prediction error that is minimised on `validate`.", group=TRUNCATED
+    )
+    sensor_std: tuple[float, float, float] | None = option(
+        None,
+        "Standard deviations of effort, force and moment readings (Nm, N, Nm), to weight rows.",
+        minimum=0.0,
+        group=TRUNCATED,
+        metavar="EFFORT FORCE MOMENT",
+        unset="those of the residuals",
+    )
+    unchecked: bool = option(False, "Skip the checks of the log (`symbid bag doctor`).")
+
+    def __post_init__(self) -> None:
+        """Refuse options that contradict each other, or have no effect with this method."""
+        check_values(self)
+        self._check_rows()
+        self._check_sensor_errors()
+        sources = self.prior, self.prior_percent, self.prior_absolute
+        if sum(source is not None for source in sources) > 1:
+            raise OptionError(
+                "give only one of `prior`, `prior_percent` and `prior_absolute`", "E502"
+            )
+        if self.total_mass_std is not None and self.total_mass is None:
+            raise OptionError(
+                "`total_mass_std` has no effect without `total_mass`; give both", "E503"
+            )
+        if self.rank is not None and self.validate is not None:
+            raise OptionError(
+                "`rank` and `validate` both choose the singular values; give one", "E502"
+            )
+        if self.method in GAUSSIAN:
+            if not (self.rank is None and self.validate is None and self.sensor_std is None):
+                raise OptionError(
+                    f"{self.method} truncates no singular values and weights rows by their "
+                    "residuals; leave `rank`, `validate` and `sensor_std` out, or use `method` "
+                    "wls_rc",
+                    "E503",
+                )
+        elif self.sensor_error_kinds or self.total_mass is not None or self.mirror is not None:
+            raise OptionError(
+                f"{self.method} supports neither `sensor_errors`, `tare`, `total_mass` nor "
+                "`mirror`; use `method` map or map_lmi",
+                "E503",
+            )
+        if self.sensor_error_kinds and self.row_filter != "weak":
+            raise OptionError(
+                "sensor errors need rows averaged over windows; leave `filter` out", "E503"
+            )
+
+    @cached_property
+    def terms(self) -> tuple[Term, ...]:
+        """Joint terms to identify."""
+        chosen: dict[Term, bool] = {
+            "viscous": self.friction,
+            "coulomb": self.friction,
+            "armature": self.armature,
+            "offset": self.offset,
+        }
+        return tuple(term for term in TERMS if chosen[term])
+
+    @cached_property
+    def sensor_error_kinds(self) -> tuple[SensorErrorKind, ...]:
+        """Kinds of sensor errors to identify: all of them if there is a tare, unless named."""
+        named = set(self._named_sensor_errors)
+        if not named and self.tare:
+            named = {"typical"}
+        return tuple(kind for kind in SENSOR_ERROR_KINDS if named & {kind, "typical"})
+
+    @property
+    def _named_sensor_errors(self) -> list[str]:
+        parts = ",".join(self.sensor_errors).split(",")
+        return [name for part in parts if (name := part.strip())]
+
+    def _check_sensor_errors(self) -> None:
+        known = "typical", *SENSOR_ERROR_KINDS
+        if self.sensor_errors and not self._named_sensor_errors:
+            raise OptionError(f"`sensor_errors` names none; give {' or '.join(known)}", "E501")
+        for name in self._named_sensor_errors:
+            if name not in known:
+                raise OptionError(
+                    f"`sensor_errors`: {name!r} is not known; give typical or any of "
+                    f"{', '.join(SENSOR_ERROR_KINDS)}",
+                    "E501",
+                )
+
+    @property
+    def weighing(self) -> tuple[float, float] | None:
+        """Mass of the robot and its standard deviation, kg."""
+        if self.total_mass is None:
+            return None
+        return self.total_mass, WEIGHING_STD if self.total_mass_std is None else self.total_mass_std
+
+    @property
+    def is_empirical(self) -> bool:
+        """Whether the evidence sets the scale of the prior."""
+        return self.prior is None and self.prior_percent is None and self.prior_absolute is None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Input files other than the log and the model."""
+        logs = [self.prior, *self.tare, self.information, self.validate]
+        named = [(one,) if isinstance(one, Path) else one.files for one in logs if one is not None]
+        return tuple(path for paths in named for path in paths)
+
+    @property
+    def row_filter(self) -> Filter:
+        """Filter of the rows: the one named, or the one that other options imply."""
+        if self.filter is not None:
+            return self.filter
+        # The thesis's methods were published with Butterworth-filtered rows.
+        wants_butterworth = self.cutoff is not None or self.channels is not None
+        return "butterworth" if self.method not in GAUSSIAN and wants_butterworth else "weak"
+
+    def _check_rows(self) -> None:
+        if self.window is not None and self.window <= 0:
+            raise OptionError(f"`window` must be positive, got {self.window:g} s", "E501")
+        if self.row_filter == "butterworth":
+            if self.window is not None:
+                raise OptionError("butterworth has no `window`; give `cutoff` instead", "E503")
+        elif self.cutoff is not None or self.channels is not None:
+            raise OptionError(
+                f"{self.row_filter} has neither `cutoff` nor `channels`; leave them out, or use "
+                "`filter` butterworth",
+                "E503",
+            )

@@ -1,0 +1,206 @@
+"""Options defined once: dataclass fields that carry what every front end shows of them.
+
+A command's flags, a node's parameters, parameter files, launch arguments and the reference page
+are generated from the fields, so that none of them can drift apart.
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from symbid_ros.errors import OptionError
+
+_KEY = "option"
+
+
+@dataclass(frozen=True)
+class _Note:
+    help: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    group: str
+    metavar: str
+    unset: str
+
+
+def option(
+    default: Any,
+    help: str,
+    *,
+    unit: str = "",
+    minimum: float | None = None,
+    maximum: float | None = None,
+    group: str = "",
+    metavar: str = "",
+    unset: str = "",
+) -> Any:
+    """Return a dataclass field that is an option.
+
+    Parameters
+    ----------
+    default : object
+        None if the option is not given by default.
+    help : str
+        What it does, one or two sentences; other options in backquotes.
+    unit : str
+        SI unit or ``%``.
+    minimum, maximum : float, optional
+        Inclusive range of a number.
+    group : str
+        Heading under which a command lists it.
+    metavar : str
+        How a command's help shows the value.
+    unset : str
+        What happens if it is not given, where the default is None.
+    """
+    note = _Note(help, unit, minimum, maximum, group, metavar, unset)
+    return field(default=default, metadata={_KEY: note})
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a dataclass of options.
+
+    Attributes
+    ----------
+    name : str
+    kind : type
+        bool, int, float, str or Path; of the elements if there are several.
+    default : object
+        None if it is not given by default.
+    choices : tuple of str
+        Allowed values; any if empty.
+    is_sequence : bool
+        Whether any number of values may be given.
+    length : int
+        Number of values of a fixed-length tuple; 0 for other kinds.
+    help, unit, group, metavar, unset, minimum, maximum
+        As in :func:`option`.
+    """
+
+    name: str
+    kind: type
+    default: Any
+    choices: tuple[str, ...]
+    is_sequence: bool
+    length: int
+    help: str
+    unit: str
+    minimum: float | None
+    maximum: float | None
+    group: str
+    metavar: str
+    unset: str
+
+    @property
+    def is_optional(self) -> bool:
+        """Whether None, not given, is a value."""
+        return self.default is None
+
+    def value_of(self, value: Any) -> Any:
+        """Return a value in the option's own type.
+
+        Raises
+        ------
+        OptionError
+            When the value has another type or lies outside the range; the message names the field.
+        """
+        if value is None and self.is_optional:
+            return None
+        if self.is_sequence or self.length:
+            if isinstance(value, str | Path) or not isinstance(value, Sequence):
+                value = (value,)
+            if self.length and len(value) != self.length:
+                raise self._error(value)
+            return tuple(self._single(one) for one in value)
+        return self._single(value)
+
+    def _single(self, value: Any) -> Any:
+        if self.choices and value not in self.choices:
+            raise self._error(value)
+        if self.kind is Path and isinstance(value, str):
+            return Path(value)
+        if self.kind in (int, float):
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not is_number or (self.kind is int and value != int(value)):
+                raise self._error(value)
+            low = -math.inf if self.minimum is None else self.minimum
+            high = math.inf if self.maximum is None else self.maximum
+            if not low <= value <= high:  # refuses NaN
+                raise self._error(value)
+            return self.kind(value)
+        if self.kind is bool and not isinstance(value, bool):
+            raise self._error(value)
+        return value
+
+    def _error(self, value: Any) -> OptionError:
+        return OptionError(f"`{self.name}`: {value!r} is not valid; give {self.expected}", "E501")
+
+    @property
+    def expected(self) -> str:
+        """What may be given, in words."""
+        if self.choices:
+            return f"one of {', '.join(self.choices)}"
+        names = {bool: "True or False", int: "an integer", float: "a number", Path: "a path"}
+        words = names.get(self.kind, "text")
+        if self.length:
+            words = f"{self.length} numbers"
+        bounds = [
+            f"{word} {bound:g}"
+            for word, bound in (("at least", self.minimum), ("at most", self.maximum))
+            if bound is not None
+        ]
+        unit = f" ({self.unit})" if self.unit else ""
+        return " ".join(filter(None, [words + unit, " and ".join(bounds)]))
+
+
+def options_of(kind: type) -> tuple[Option, ...]:
+    """Return the options that a dataclass defines, in order."""
+    hints = get_type_hints(kind)
+    return tuple(
+        _option(entry.name, hints[entry.name], entry.default, entry.metadata[_KEY])
+        for entry in fields(kind)
+        if _KEY in entry.metadata
+    )
+
+
+def check_values(options: Any) -> None:
+    """Bring each field of a frozen dataclass of options into its type; call in __post_init__.
+
+    Raises
+    ------
+    OptionError
+        When a value has another type or lies outside its range.
+    """
+    for each in options_of(type(options)):
+        object.__setattr__(options, each.name, each.value_of(getattr(options, each.name)))
+
+
+def spelled(message: str, spelling: Callable[[str], str]) -> str:
+    """Return a message with options, which it names in backquotes, as a front end spells them."""
+    return re.sub(r"`([a-z][a-z_]*)`", lambda found: spelling(found[1]), message)
+
+
+def _option(name: str, hint: Any, default: Any, note: _Note) -> Option:
+    present = [one for one in _alternatives(hint) if one is not NoneType]
+    hint = present[0]
+    choices: tuple[str, ...] = ()
+    is_sequence, length = False, 0
+    if get_origin(hint) is tuple:
+        arguments = get_args(hint)
+        is_sequence = arguments[-1] is Ellipsis
+        length = 0 if is_sequence else len(arguments)
+        hint = next(one for one in _alternatives(arguments[0]))
+    if get_origin(hint) is Literal:
+        choices, hint = get_args(hint), str
+    notes: Mapping[str, Any] = vars(note)
+    return Option(name, hint, default, choices, is_sequence, length, **notes)
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    return get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
