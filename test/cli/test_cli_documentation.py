@@ -1,19 +1,32 @@
-"""Every command in README and the pages under docs/ does what it is shown for.
+"""Each code block of README and the pages under docs/ does what it is shown for.
 
-Commands of ``symbid`` are run as they stand, in a folder that looks like the checkout. The rest
-(NOT_RUN says why) are held against the parser, parameters or launch arguments they are meant for.
+Commands of ``symbid`` and Python are run as they stand, in a folder with the reader's own files;
+what a command prints is compared with the page. All other commands (NOT_RUN says why) are held
+against the parser, parameters or launch arguments they are meant for.
+
+``UPDATE_PAGES=1 pytest test/cli/test_cli_documentation.py`` writes into the pages what the commands
+print now.
 """
 
 import ast
+import contextlib
+import io
+import json
+import os
 import re
 import shlex
+import shutil
 import subprocess
+import tomllib
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 import typer.main
 import yaml
+from documented_robots import write_arm, write_inaccurate
 
 from symbid_ros.cli.app import app
 from symbid_ros.ros.launch_arguments import launch_arguments
@@ -35,23 +48,25 @@ PROGRAMS = [
     "unset",
     "pip",
     "python3",
+    "python",
     "sudo",
     "source",
     "rosdep",
+    "git",
 ]
-DRAWN = set("│─")  # of diagrams
 NODES = {"mujoco_bridge", "balance_controller", "recorder", "player", "identifier", "monitor"}
 NOT_RUN = {
     r"symbid demo\b": "runs for a minute; test_cli_demo.py and test_cli_online_demo.py run it",
     r"symbid study\b": "runs for hours; test_study_small.py runs a small one",
     r"symbid udp-client\b": "needs a simulated robot; test_cli_udp_client.py runs it",
-    r"make \w+": "installs, tests or demonstrates everything",
+    r"make\b": "installs, tests or demonstrates everything",
+    r"git\b": "fetches the project",
     r"(ros2 run symbid_ros )?(" + "|".join(NODES) + r")\b": "a node, which needs a robot",
-    r"ros2 (launch|service|param)\b": "needs ROS's own command line, and a running graph",
+    r"ros2 (launch|service|param|topic|run)\b": "needs ROS's own command line and a running graph",
     r"(python3 -m )?colcon (build|test)\b": "test_packaging.py builds and tests",
     r"(export|unset|source)\b": "sets up the user's shell",
     r"(sudo|pip|python3|rosdep)\b": "installs",
-    r"python bench/": "measures for minutes",
+    r"python (bench|test)/": "measures for minutes",
 }
 # Of rcl, of rosbag2 and of bench/recorder.py.
 OTHER_OPTIONS = {
@@ -62,29 +77,76 @@ OTHER_OPTIONS = {
     "--images",
     "--show-args",
 }
+SHELL = ("", "sh", "console")
+PROMPT = "$ "
+TRIMMED = "..."
+# Run by a test of their own.
+ENDLESS = {"udp.md"}  # test_simulation_udp.py
 
 
-def shown(page: Path) -> list[str]:
-    """Return the commands that a page shows in indented or fenced blocks, without comments."""
-    lines, is_fenced, language, found = page.read_text(encoding="utf-8").splitlines(), False, "", []
-    for line in lines:
-        if line.lstrip().startswith("```"):
-            is_fenced, language = not is_fenced, line.strip().removeprefix("```")
-        elif DRAWN.intersection(line):
-            continue
-        elif (is_fenced and language in ("", "sh", "bash", "console")) or (
-            not is_fenced and line.startswith("    ")
-        ):
-            text = re.sub(r"\s+#.*", "", line).strip().removeprefix("$ ")
-            for command in map(str.strip, text.split("&&")):
-                plain = command.removeprefix(".venv/bin/")
-                if plain != command or command.split(" ")[0] in PROGRAMS:
-                    found.append(plain)
+@dataclass(frozen=True)
+class Block:
+    """A fenced block; an indented one has no language."""
+
+    page: Path
+    language: str
+    lines: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command without ``.venv/bin/``, and what it is shown to print, if anything is."""
+
+    page: Path
+    words: str
+    output: tuple[str, ...] | None = None
+
+    @property
+    def label(self) -> str:
+        return f"{self.page.relative_to(ROOT)}: {self.words}"
+
+
+def blocks(page: Path) -> list[Block]:
+    found, lines, fence = [], [], None
+    for line in [*page.read_text(encoding="utf-8").splitlines(), ""]:
+        marker = re.match(r"\s*(`{3,}|:{3,})(.*)", line)
+        if fence is not None and marker and marker[1] == fence[0] and not marker[2]:
+            found.append(Block(page, fence[1], tuple(lines)))
+            lines, fence = [], None
+        elif fence is not None:
+            lines.append(line)
+        elif marker:
+            fence = (marker[1], marker[2].strip())
+        elif line.startswith("    "):
+            lines.append(line[4:])
+        elif lines:
+            found.append(Block(page, "", tuple(lines)))
+            lines = []
     return found
 
 
-COMMANDS = [(page, command) for page in PAGES for command in shown(page)]
-RUN = [each for each in COMMANDS if not any(re.match(one, each[1]) for one in NOT_RUN)]
+def commands(block: Block) -> list[Command]:
+    """Return the commands that a block of a shell shows, without comments."""
+    if block.language not in SHELL:
+        return []
+    found: list[Command] = []
+    has_output = block.language == "console"
+    for line in block.lines:
+        if has_output and not line.startswith(PROMPT):
+            last = found.pop()
+            found.append(Command(last.page, last.words, (*(last.output or ()), line)))
+            continue
+        text = re.sub(r"\s+#.*", "", line).strip().removeprefix(PROMPT)
+        for words in map(str.strip, text.split("&&")):
+            plain = words.removeprefix(".venv/bin/")
+            if plain != words or words.split(" ")[0] in PROGRAMS:
+                found.append(Command(block.page, plain, () if has_output else None))
+    return found
+
+
+BLOCKS = [block for page in PAGES for block in blocks(page)]
+COMMANDS = [command for block in BLOCKS for command in commands(block)]
+RUN = [each for each in COMMANDS if not any(re.match(one, each.words) for one in NOT_RUN)]
 INLINE = [
     (page, span)
     for page in PAGES
@@ -92,46 +154,111 @@ INLINE = [
 ]
 
 
-def name(command: tuple[Path, str]) -> str:
-    page, words = command
-    return f"{page.relative_to(ROOT)}: {words}"
+def shown_by(pattern: str) -> list:
+    """Return the commands that match, each a case of a test."""
+    return [pytest.param(one, id=one.label) for one in COMMANDS if re.search(pattern, one.words)]
 
 
 @pytest.fixture(scope="module")
-def checkout(tmp_path_factory) -> Path:
+def checkout(tmp_path_factory, simulated) -> Path:
     """Return a folder with what the pages take for granted."""
     folder = tmp_path_factory.mktemp("checkout")
     (folder / "config").symlink_to(ROOT / "config")
+    (folder / "my_bag").symlink_to(simulated("smooth", moves=5, motion_seed=1))
+    write_inaccurate(ROOT / "config" / "symbitron.urdf", folder / "my_robot.urdf", seed=1)
+    write_arm(folder)
     return folder
-
-
-def in_the_checkout(command: str) -> str:
-    """Return a command with the reader's own files replaced by those of bags/README.md."""
-    for own, ours in {
-        "my_bag": "bags/sample",
-        "my_robot.urdf": "config/symbitron.urdf",
-        " result": " sample_result",
-    }.items():
-        command = command.replace(own, ours)
-    return command
 
 
 def test_the_pages_show_what_they_did() -> None:
     """Should the blocks be written in another way, none of them would be looked at."""
-    assert len(RUN) >= 7
+    assert len(RUN) >= 10
+    assert sum(each.output is not None for each in RUN) >= 4
     assert len(COMMANDS) >= 25
-    unused = [one for one in NOT_RUN if not any(re.match(one, words) for _, words in COMMANDS)]
-    assert set(unused) <= {r"(sudo|pip|python3|rosdep)\b", r"python bench/"}
+    unused = [one for one in NOT_RUN if not any(re.match(one, each.words) for each in COMMANDS)]
+    assert set(unused) <= {r"(sudo|pip|python3|rosdep)\b", r"python (bench|test)/"}
 
 
-def test_commands_of_symbid_run_as_they_are_shown(symbid_here, checkout, monkeypatch) -> None:
+def test_commands_of_symbid_do_and_print_what_is_shown(symbid_here, checkout, monkeypatch) -> None:
     monkeypatch.chdir(checkout)
-    # What several pages show is run once.
-    for command, page in {in_the_checkout(words): page for page, words in RUN}.items():
-        program, *words = shlex.split(command)
-        assert program == "symbid", f"{page}: {command}: say in NOT_RUN why it is not run"
-        ended = symbid_here(*words)
-        assert (ended.returncode, ended.stderr) == (0, ""), f"{page}: {command}"
+    printed: dict[str, list[str]] = {}
+    for each in RUN:
+        if each.words not in printed:  # what several pages show is run once
+            program, *words = shlex.split(each.words)
+            assert program == "symbid", f"{each.label}: say in NOT_RUN why it is not run"
+            if words[0] == "identify":  # pages share the names of folders
+                shutil.rmtree(words[words.index("--out") + 1], ignore_errors=True)
+            ended = symbid_here(*words)
+            assert (ended.returncode, ended.stderr) == (0, ""), each.label
+            printed[each.words] = ended.stdout.rstrip("\n").split("\n")
+        if each.output is not None and os.environ.get("UPDATE_PAGES"):
+            update(each, printed[each.words])
+        elif each.output is not None:
+            require_output(each, printed[each.words])
+
+
+def require_output(command: Command, printed: list[str]) -> None:
+    """Require that a command prints what is shown; a line of ``...`` stands for any lines."""
+    place = 0
+    may_skip = False
+    for line in command.output or ():
+        if line.strip() == TRIMMED:
+            may_skip = True
+            continue
+        found = next((i for i in range(place, len(printed)) if are_alike(line, printed[i])), None)
+        assert found is not None, f"{command.label}: does not print: {line}"
+        assert may_skip or found == place, f"{command.label}: prints more before: {line}"
+        place, may_skip = found + 1, False
+    assert may_skip or place == len(printed), f"{command.label}: prints more: {printed[place:]}"
+
+
+NUMBER = re.compile(r"\d+(?:\.\d+)?(?:e[+-]\d+)?")
+
+
+def are_alike(shown: str, printed: str) -> bool:
+    """Return whether lines agree but for blanks and the last digits of numbers."""
+    if NUMBER.sub("#", "".join(shown.split())) != NUMBER.sub("#", "".join(printed.split())):
+        return False
+    pairs = zip(NUMBER.findall(shown), NUMBER.findall(printed), strict=True)
+    return all(float(a) == pytest.approx(float(b), rel=0.02, abs=0.002) for a, b in pairs)
+
+
+def update(command: Command, printed: list[str]) -> None:
+    """Write what a command prints into its page, trimmed where it was trimmed before."""
+    old = [*(command.output or ())]
+    new = [line.rstrip() for line in printed]
+    if TRIMMED in old:
+        before, after = old.index(TRIMMED), len(old) - old.index(TRIMMED) - 1
+        new = [*new[:before], TRIMMED, *new[len(new) - after :]]
+    shown = re.escape(command.words + "\n" + "".join(f"{line}\n" for line in old))
+    text = command.page.read_text(encoding="utf-8")
+    whole = command.words + "\n" + "".join(f"{line}\n" for line in new)
+    text = re.sub(rf"(?<=\n\$ )(\.venv/bin/)?{shown}", lambda found: (found[1] or "") + whole, text)
+    command.page.write_text(text, encoding="utf-8")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_python_runs_as_it_is_shown(page, checkout, monkeypatch) -> None:
+    programs = [each.lines for each in BLOCKS if (each.page, each.language) == (page, "python")]
+    if not programs or page.name in ENDLESS:
+        pytest.skip("shows none that ends")
+    monkeypatch.chdir(checkout)
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(compile("\n".join("\n".join(lines) for lines in programs), page, "exec"), {})
+
+
+def test_data_is_well_formed() -> None:
+    read = {
+        "yaml": yaml.safe_load,
+        "json": json.loads,
+        "toml": tomllib.loads,
+        "xml": ElementTree.fromstring,
+    }
+    languages = {block.language for block in BLOCKS if not block.language.startswith("{")}
+    assert languages <= {*SHELL, *read, "python", "text"}
+    for block in BLOCKS:
+        if block.language in read:
+            assert read[block.language]("\n".join(block.lines)) is not None
 
 
 def command_named(words: list[str]):
@@ -148,25 +275,21 @@ def options_of(command) -> set[str]:
     return options.union({"--help"}, *map(options_of, below))
 
 
-@pytest.mark.parametrize(
-    "command", [each for each in COMMANDS if each[1].startswith("symbid ")], ids=name
-)
+@pytest.mark.parametrize("command", shown_by(r"^symbid "))
 def test_the_parser_takes_every_command(command) -> None:
-    found, words = command_named(shlex.split(command[1])[1:])
+    found, words = command_named(shlex.split(command.words)[1:])
     found.make_context("symbid", words)
 
 
-@pytest.mark.parametrize(
-    "command", [each for each in COMMANDS if each[1].startswith("make ")], ids=name
-)
+@pytest.mark.parametrize("command", shown_by(r"^make "))
 def test_the_makefile_has_every_target(command) -> None:
     targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    assert {word for word in command[1].split()[1:] if "=" not in word} <= set(targets)
+    assert {word for word in command.words.split()[1:] if "=" not in word} <= set(targets)
 
 
-@pytest.mark.parametrize("command", [each for each in COMMANDS if ":=" in each[1]], ids=name)
+@pytest.mark.parametrize("command", shown_by(":="))
 def test_nodes_and_launch_files_know_every_argument(command) -> None:
-    words = shlex.split(command[1])
+    words = shlex.split(command.words)
     given = dict(word.split(":=", 1) for word in words if ":=" in word)
     if words[:2] == ["ros2", "launch"]:
         tree = ast.parse((ROOT / "launch" / words[3]).read_text())
@@ -182,13 +305,9 @@ def test_nodes_and_launch_files_know_every_argument(command) -> None:
         parameters[key].require(yaml.safe_load(text))
 
 
-@pytest.mark.parametrize(
-    "command",
-    [each for each in COMMANDS if re.match(r"ros2 (param set|service call)", each[1])],
-    ids=name,
-)
+@pytest.mark.parametrize("command", shown_by("^ros2 (param set|service call)"))
 def test_nodes_have_every_parameter_and_service(command) -> None:
-    _, kind, _, target, which = command[1].split()[:5]
+    _, kind, _, target, which = command.words.split()[:5]
     node = target.split("/")[1]
     if kind == "param":
         live = {p.name for p in import_module(f"symbid_ros.ros.{node}").PARAMETERS if p.live}
@@ -205,8 +324,8 @@ def test_commands_in_running_text_have_the_options_named() -> None:
         if (plain := span.removeprefix(".venv/bin/")).startswith("symbid "):
             command, words = command_named(plain.split()[1:])
             named = {word.split("=")[0] for word in words if word.startswith("--")}
-            assert named <= options_of(command), name((page, span))
-            assert command.name != "symbid" or not words or named, name((page, span))
+            assert named <= options_of(command), f"{page.name}: {span}"
+            assert command.name != "symbid" or not words or named, f"{page.name}: {span}"
 
 
 def test_options_in_running_text_are_those_of_a_command() -> None:
@@ -214,7 +333,7 @@ def test_options_in_running_text_are_those_of_a_command() -> None:
     for page, span in INLINE:
         if span.startswith("--") and page.name != "CONTRIBUTING.md":
             option = span.split()[0].split("=")[0]
-            assert option in known | OTHER_OPTIONS, name((page, span))
+            assert option in known | OTHER_OPTIONS, f"{page.name}: {span}"
 
 
 def test_measurements_have_the_options_named() -> None:
@@ -227,13 +346,15 @@ def test_measurements_have_the_options_named() -> None:
         assert {word for word in words if word.startswith("--")} <= set(known), span
 
 
-@pytest.mark.parametrize(
-    "command", [each for each in COMMANDS if each[1].startswith("export")], ids=name
-)
+@pytest.mark.parametrize("command", shown_by("^export"))
 def test_files_that_a_shell_is_pointed_to_exist(command) -> None:
     done = subprocess.run(
-        ["bash", "-ec", f"{command[1]}; env"], cwd=ROOT, capture_output=True, text=True, check=True
+        ["bash", "-ec", f"{command.words}; env"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    variable = command[1].split()[1].split("=")[0]
+    variable = command.words.split()[1].split("=")[0]
     (value,) = re.findall(rf"^{variable}=(.*)", done.stdout, re.MULTILINE)
     assert not value.startswith("/") or Path(value).is_file()

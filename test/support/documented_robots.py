@@ -1,0 +1,39 @@
+"""The reader's own files that the documentation takes for granted: models and bags."""
+
+from dataclasses import replace
+from importlib.metadata import files
+from pathlib import Path
+
+from random_logs import LogPlan, random_streams, write_bag
+
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+
+CAD_ERROR = 25.0  # percent
+
+
+def write_inaccurate(source: Path, path: Path, seed: int) -> None:
+    """Write a copy of a URDF whose links differ by up to 25 %, and are physically possible."""
+    parameters = ParameterSet(load_model(source))
+    drawn = draw_prior(parameters, "consistent", CAD_ERROR, seed)
+    path.write_text(urdf_text(parameters.apply(drawn.mean), source))
+
+
+def ur5_urdf() -> Path:
+    """Return the UR5 of example-robot-data, which its wheel puts outside of any package."""
+    (found,) = (each for each in files("example-robot-data") or () if each.name == "ur5_robot.urdf")
+    return Path(str(found.locate()))
+
+
+def write_arm(folder: Path) -> None:
+    """Write ``my_arm.urdf`` and ``arm_bag``: a UR5 with friction that its file does not state."""
+    model = load_model(ur5_urdf())
+    joints = tuple(
+        replace(joint, damping=2.0 - 0.25 * index, friction_loss=3.0 - 0.4 * index)
+        for index, joint in enumerate(model.joints)
+    )
+    plan = LogPlan(rate=250.0, count=10_000)
+    write_bag(random_streams(replace(model, joints=joints), plan, seed=3), folder / "arm_bag")
+    write_inaccurate(ur5_urdf(), folder / "my_arm.urdf", seed=4)
