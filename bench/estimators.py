@@ -14,24 +14,25 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from symbid_ros.offline.job import Job
 from threadpoolctl import threadpool_limits
 
+from symbid_ros.bags import bag_log
 from symbid_ros.choices import METHODS
 from symbid_ros.estimation.directions import determined_directions
 from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.identification.calibration import read_tare
 from symbid_ros.identification.evaluation import TrueMotion, evaluate
 from symbid_ros.identification.intervals import HALF_WIDTH, summarise_intervals
-from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record
@@ -154,15 +155,18 @@ def identified(
     """Yield the log's estimate under each prior; the log is read once."""
     first = log.parent / "prior.json"
     priors[0].write(first)
-    prepared = prepare(Job((log,), MODEL, prior=PriorChoice(first)))
+    problem = BagRequest((log,), MODEL, IdentifyOptions(prior=first)).load()
+    tares = None if tare is None else read_tare(bag_log([tare]))
     for prior in priors:
-        facts = None
+        options = None
         if tare is not None:
             rng = np.random.default_rng(prior.seed)
             mass = parameters.values[: parameters.inertial : 10].sum()
             weighed = mass + WEIGHING_STD * rng.normal()
-            facts = Facts(total_mass=(weighed, WEIGHING_STD), tare=(tare,))
-        yield prepared.under(prior, facts).solve(given.method), prior
+            options = replace(
+                problem.options, total_mass=weighed, total_mass_std=WEIGHING_STD, tare=(tare,)
+            )
+        yield problem.under(prior, options, tares).solve(given.method), prior
 
 
 def score(

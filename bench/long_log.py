@@ -17,14 +17,13 @@ from pathlib import Path
 
 import numpy as np
 from reading import peak_memory
-from symbid_ros.offline.job import Job
 
 from symbid_ros.bags.container.files import read_blocks
 from symbid_ros.bags.writing.writer import BagWriter
-from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.types import fill_stamp, read_stamp
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
@@ -59,8 +58,8 @@ def lengthened(log: Path, out: Path, minutes: float) -> None:
 def identify(bag: Path) -> tuple[float, float]:
     """Return seconds and peak memory in MB of one identification."""
     begun = time.perf_counter()
-    job = Job((bag,), MODEL, prior=PriorChoice(percent=25.0), method="map")
-    prepare(job).solve("map")
+    options = IdentifyOptions(prior_percent=25.0, method="map")
+    BagRequest((bag,), MODEL, options).load().solve()
     took = time.perf_counter() - begun
     return took, peak_memory()
 

@@ -22,12 +22,11 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from symbid_ros.offline.job import Job
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.bags.replay import Recording
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -160,8 +159,9 @@ def _looks(simulator: Simulator, seconds: float, seed: int, memory: float) -> It
         topics = {name: Topic(name, one.msgtype) for name, one in recording.topics.items()}
         selector.counts = {topic: 1 for topic in topics.values() if selector.wants(topic)}
         selected = selector.selected()
-        job = Job((), MODEL, prior=PriorChoice(Path(folder) / "prior.json"))
-        live = OnlineIdentification(InitialState.of(job), selected, Pace(memory, share=1.0))
+        options = IdentifyOptions(prior=Path(folder) / "prior.json")
+        initial = InitialState.of(load_model(MODEL), options)
+        live = OnlineIdentification(initial, selected, Pace(memory, share=1.0))
         due = recording.start + 1_000_000_000
         names = {topic.name for topic in selected.all}
         for message in recording.messages(names, recording.start, recording.end + 1):

@@ -15,16 +15,15 @@ import logging
 import tempfile
 from pathlib import Path
 
-from symbid_ros.offline.job import Job
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.intervals import summarise_intervals
-from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.offline.truth import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.sensor_errors import KINDS
@@ -33,7 +32,7 @@ from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.systematic_errors import ERRORS, TYPICAL
 
 MODEL = config_file("symbitron.xml")
-MASS = (41.05, 0.02)
+WEIGHED = {"total_mass": 41.05, "total_mass_std": 0.02}
 NAMES = ("", *TYPICAL, "typical", *(name for name in ERRORS if name not in TYPICAL))
 
 
@@ -50,11 +49,11 @@ def main() -> None:
         bench = Bench(Path(folder), arguments.seed)
         for name in arguments.only:
             log, tare = bench.simulate(name, "smooth"), bench.simulate(name, "tare")
-            plain = bench.identify(log, Facts())
-            cured = bench.identify(log, Facts(total_mass=MASS, tare=(tare,)))
+            plain = bench.identify(log)
+            cured = bench.identify(log, **WEIGHED, tare=(tare,))
             print(f"{name or 'none':16} {plain[0]} {cured[0]}  {plain[1]}, {cured[1]}", flush=True)
             if name == "typical":
-                without = bench.identify(log, Facts(total_mass=MASS, sensor_errors=KINDS))
+                without = bench.identify(log, **WEIGHED, sensor_errors=KINDS)
                 print(f"{'  without a tare':16} {'':28} {without[0]}  -, {without[1]}", flush=True)
 
 
@@ -78,10 +77,10 @@ class Bench:
         record(Simulator(scenario, errors=errors, error_seed=self.seed, **seeds), bag)
         return bag
 
-    def identify(self, log: Path, facts: Facts) -> tuple[str, int]:
+    def identify(self, log: Path, **known: object) -> tuple[str, int]:
         """Return the errors as text, and the number of alarms."""
-        prepared = prepare(Job((log,), MODEL, prior=PriorChoice(self.prior), facts=facts))
-        found = prepared.solve("map_lmi")
+        options = IdentifyOptions(prior=self.prior, **known)
+        found = BagRequest((log,), MODEL, options).load().solve()
         value, truth = found.estimate.value, self.parameters.values
         metrics = evaluate(self.parameters, {"it": value}, truth, self.motion)["it"]
         known = summarise_intervals(

@@ -6,7 +6,6 @@ import sys
 
 import pytest
 import typer.main
-from symbid_ros.offline.job import chosen_filter
 
 from symbid_ros.cli.app import app
 from symbid_ros.package_paths import config_file
@@ -26,15 +25,6 @@ def test_help_shows_no_value_beside_a_flag(symbid_here, words):
     assert shown.returncode == 0
     assert "--help" in shown.stdout
     assert not re.search(r"<bool>|BOOL", shown.stdout)
-
-
-@pytest.mark.parametrize("method", ["ols", "wls_r", "wls_c", "wls_rc"])
-@pytest.mark.parametrize(("cutoff", "channels"), [(20.0, None), (0.0, None), (None, "thesis")])
-def test_a_cutoff_with_a_method_of_the_thesis_means_butterworth(method, cutoff, channels):
-    assert chosen_filter(None, method, cutoff, channels) == "butterworth"
-    assert chosen_filter("savitzky_golay", method, cutoff, channels) == "savitzky_golay"
-    assert chosen_filter(None, method, None, None) == "weak"
-    assert chosen_filter(None, "map_lmi", cutoff, channels) == "weak"
 
 
 def test_a_simulated_bag_is_replaced_only_with_overwrite(symbid_here, tmp_path):

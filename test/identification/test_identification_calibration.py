@@ -8,20 +8,18 @@ import yaml
 from analytic_log import analytic_segment, noisy, spoilt
 from foreign_bags import imu, joint_state, wrench, write_rosbags
 from random_robots import CONFIG, random_robot
-from symbid_ros.offline.job import Job
 
 from symbid_ros.bags.streams.reader import bag_log
-from symbid_ros.errors import DataError, EstimateError, SymbidError
+from symbid_ros.errors import DataError, OptionError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.calibration import Tare, Wanted, calibrate, read_tare
-from symbid_ros.identification.dataset import Dataset, Processing
-from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.dataset import Dataset
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import prepare
-from symbid_ros.signals.filters import LowPass
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, SensorErrors
 from symbid_ros.signals.weak_form import WINDOWS
 from symbid_ros.simulation.recording import record
@@ -60,15 +58,11 @@ def wrong(folder):
     return simulator.errors
 
 
-def identified(folder, **facts):
-    job = Job(
-        bags=(folder / "log",),
-        model=MODEL,
-        prior=PriorChoice(folder / "prior.json"),
-        terms=("viscous", "armature", "offset"),
-        facts=Facts(**facts),
+def identified(folder, **known):
+    options = IdentifyOptions(
+        prior=folder / "prior.json", friction=True, armature=True, offset=True, **known
     )
-    return prepare(job)
+    return BagRequest((folder / "log",), MODEL, options).load()
 
 
 class TestTare:
@@ -137,7 +131,7 @@ class TestCure:
     @classmethod
     def cured(cls, folder, wrong):
         assert wrong.encoder_offset.any()
-        return identified(folder, tare=(folder / "tare",), total_mass=(41.05, 0.02))
+        return identified(folder, tare=(folder / "tare",), total_mass=41.05, total_mass_std=0.02)
 
     @pytest.fixture(scope="class")
     @classmethod
@@ -188,14 +182,8 @@ class TestCure:
 
 def test_truncated_methods_and_filtered_rows_know_no_sensor_errors(folder, wrong):
     assert wrong.plate_gain.any()
-    job = Job(
-        bags=(folder / "log",),
-        model=MODEL,
-        facts=Facts(sensor_errors=("torque_gain",)),
-        processing=Processing(LowPass()),
-    )
-    with pytest.raises(EstimateError, match="sensor errors need rows averaged over windows"):
-        prepare(job)
+    with pytest.raises(OptionError, match="sensor errors need rows averaged over windows"):
+        IdentifyOptions(sensor_errors=("torque_gain",), filter="butterworth")
 
 
 @pytest.mark.parametrize(("seed", "floating"), [(1, True), (6, True), (2, False)])

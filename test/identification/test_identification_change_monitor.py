@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 from live_feed import feed_of
-from symbid_ros.offline.job import Job
 
 from symbid_ros.estimation.change import LinkChange
 from symbid_ros.identification.change_monitor import Change
-from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.online.identification import OnlineIdentification, Pace
@@ -31,8 +30,8 @@ def looks(simulated):
         payload_time=BEGUN,
     )
     feed = feed_of(bag)
-    job = Job((), MODEL, prior=PriorChoice(percent=25.0))
-    live = OnlineIdentification(InitialState.of(job), feed.selected, Pace(memory=5.0, share=1.0))
+    state = InitialState.of(load_model(MODEL), IdentifyOptions(prior_percent=25.0))
+    live = OnlineIdentification(state, feed.selected, Pace(memory=5.0, share=1.0))
     outcomes = feed.into(live, solving=1.0)
     live.close()
     return [(outcome.until * 1e-9, outcome) for outcome in outcomes if outcome is not None]

@@ -5,18 +5,18 @@ from pathlib import Path
 
 import pytest
 from random_logs import LogPlan, random_streams, small_robot, write_bag
-from symbid_ros.offline.job import Job
 
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import load_estimate
 from symbid_ros.identification.export import check_output, write_identification
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 
 MISSING = Path("missing")
 
@@ -38,7 +38,7 @@ def found(arm, tmp_path) -> tuple[Identification, ParameterSet]:
     """Return a result whose model file the test may spoil."""
     model = tmp_path / arm[0].name
     model.write_text(arm[0].read_text())
-    prepared = prepare(Job((arm[1],), model), tmp_path / "out")
+    prepared = BagRequest((arm[1],), model).load(tmp_path / "out")
     assert not (tmp_path / "out").exists(), "the check leaves nothing behind"
     return prepared.solve("map"), prepared.parameters
 
@@ -71,19 +71,22 @@ def test_a_folder_that_cannot_be_is_refused_before_any_bag_is_read(arm, tmp_path
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file", tmp_path / "file" / "out", tmp_path / ("long" * 100)):
         with pytest.raises(SymbidError, match="cannot write"):
-            prepare(Job((MISSING,), arm[0]), out)
+            BagRequest((MISSING,), arm[0]).load(out)
 
 
 def test_what_is_read_last_is_looked_at_first(arm, tmp_path) -> None:
     model, _ = arm
-    job = Job((MISSING,), model)
+
+    def load(**options) -> None:
+        BagRequest((MISSING,), model, IdentifyOptions(**options)).load()
+
     with pytest.raises(SymbidError, match="gone"):
-        prepare(Job((MISSING,), model, method="ols", validation=tmp_path / "gone"))
+        load(method="ols", validate=tmp_path / "gone")
     with pytest.raises(SymbidError, match=r"gone\.npz"):
-        prepare(Job((MISSING,), model, information=tmp_path / "gone.npz"))
-    with pytest.raises(SymbidError, match="rank 500 is larger than"):
-        prepare(Job((MISSING,), model, method="ols", rank=500))
+        load(information=tmp_path / "gone.npz")
+    with pytest.raises(SymbidError, match="`rank` 500 exceeds"):
+        load(method="ols", rank=500)
     with pytest.raises(SymbidError, match="missing"):
-        prepare(job)
+        load()
     check_output(ParameterSet(load_model(model)), tmp_path / "deep" / "er")
     assert not (tmp_path / "deep").exists()

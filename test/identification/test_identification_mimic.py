@@ -7,18 +7,15 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
-from symbid_ros.offline.job import Job
 from tree_simulation import TreeSimulation
 
-from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.evaluation import evaluate
-from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import Frame
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.offline.truth import read_true_motion
-from symbid_ros.signals.filters import LowPass
 from symbid_ros.simulation.recording import record
 
 PANDA = (
@@ -83,12 +80,10 @@ def gripper(tmp_path_factory):
 @pytest.mark.parametrize("method", ["map_lmi", "wls_rc"])
 def test_a_finger_that_follows_needs_no_readings(gripper, method):
     folder, robot = gripper
-    prior = PriorChoice(percent=25.0)
-    processing = Processing() if method == "map_lmi" else Processing(LowPass(cutoff=0))
-    job = Job(
-        (folder / "log",), folder / "robot.urdf", "fixed", prior, method, processing=processing
-    )
-    prepared = prepare(job)
+    cutoff = None if method == "map_lmi" else 0.0
+    options = IdentifyOptions(prior_percent=25.0, method=method, cutoff=cutoff)
+    request = BagRequest((folder / "log",), folder / "robot.urdf", options, base="fixed")
+    prepared = request.load()
     wrong = robot.with_phi(1.2 * robot.phi)
     parameters = prepared.parameters
     prior_mean = replace(prepared.prior, mean=parameters.values * 1.2)

@@ -1,18 +1,17 @@
 """What is held against the model before anything is identified."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from bag_surgery import Messages, operate
 from random_robots import CONFIG
-from symbid_ros.offline.job import Job
 
 from symbid_ros.errors import DataError
-from symbid_ros.identification.dataset import Processing
-from symbid_ros.messages.topics import TopicSelection
-from symbid_ros.offline.identify import prepare
+from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.offline.identify import BagRequest
 
+ALL = LogOptions()
 RIGHT = "/right_foot/wrench"
 
 
@@ -21,8 +20,9 @@ def log(simulated):
     return simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
 
 
-def job(bag) -> Job:
-    return Job((bag,), CONFIG / "symbitron.urdf", processing=Processing(windows=(0.081,)))
+def load(bag, log: LogOptions = ALL, **options) -> LoadedProblem:
+    options = IdentifyOptions(window=0.081, **options)
+    return BagRequest((bag,), CONFIG / "symbitron.urdf", options, log).load()
 
 
 def reversed_wrench(messages: Messages) -> None:
@@ -35,7 +35,7 @@ def halved_effort(messages: Messages) -> None:
 
 
 def test_a_clean_log_is_believed_without_a_word(log, caplog) -> None:
-    prepare(job(log))
+    load(log)
     assert caplog.messages == []
 
 
@@ -44,22 +44,22 @@ def test_a_reversed_wrench_is_refused_and_named_unless_it_is_not_to_be_checked(
 ) -> None:
     bag = operate(log, tmp_path / "reversed", {RIGHT: reversed_wrench})
     with pytest.raises(DataError, match=f"reversed: {RIGHT}: has its sign reversed") as refusal:
-        prepare(job(bag))
-    assert "--unchecked" in str(refusal.value)
+        load(bag)
+    assert "`unchecked`" in str(refusal.value)
     assert "\n" not in str(refusal.value)
-    wrong = prepare(replace(job(bag), unchecked=True))
-    right = prepare(job(log))
-    assert np.array_equal(wrong.record.samples.stamp, right.record.samples.stamp)
+    wrong = load(bag, unchecked=True)
+    right = load(log)
+    assert np.array_equal(wrong.dataset.samples.stamp, right.dataset.samples.stamp)
 
 
 def test_a_contact_left_out_is_refused_although_the_others_are_named(log) -> None:
-    left_alone = TopicSelection(wrenches=("/left_foot/wrench",))
+    left_alone = LogOptions(wrench_topic=("/left_foot/wrench",))
     with pytest.raises(DataError, match="record the wrench of every contact"):
-        prepare(replace(job(log), processing=Processing(), topics=left_alone))
+        load(log, left_alone)
 
 
 def test_a_doubtful_gain_is_warned_of(log, tmp_path, caplog) -> None:
     bag = operate(log, tmp_path / "halved", {"/joint_states": halved_effort})
-    prepare(job(bag))
+    load(bag)
     (message,) = caplog.messages
     assert "/joint_states: effort of R_hfe reads 0." in message

@@ -5,27 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_robots import CONFIG
-from symbid_ros.offline.job import Job
 
-from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import Rows
-from symbid_ros.errors import EstimateError
+from symbid_ros.errors import EstimateError, OptionError
 from symbid_ros.estimation.constraints import total_mass_row
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.posterior import posterior
-from symbid_ros.estimation.prior import Prior, draw_prior
+from symbid_ros.estimation.prior import Prior, draw_prior, model_prior
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.export import write_identification
-from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.signals.weak_form import BLOCK, WindowedRows
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.settings import load_friction
@@ -57,18 +55,14 @@ def symbitron():
     return ParameterSet(load_model(MODEL))
 
 
-def job(folder, *bags, **options):
-    return Job(
-        bags=tuple(folder / bag for bag in bags),
-        model=MODEL,
-        prior=PriorChoice(folder / "prior.json"),
-        **options,
-    )
+def load(folder, *bags, **options):
+    options = IdentifyOptions(**({"prior": folder / "prior.json"} | options))
+    return BagRequest(tuple(folder / bag for bag in bags), MODEL, options).load()
 
 
 @pytest.fixture(scope="module")
 def whole(folder):
-    return prepare(job(folder, "first", "second"))
+    return load(folder, "first", "second")
 
 
 def square_of_normalised_errors(found, truth):
@@ -137,8 +131,9 @@ def test_truncated_methods_choose_z_for_themselves(whole, symbitron, method):
 
 def test_rows_are_weighed_by_the_noise_of_the_sensors_where_it_is_given(whole, symbitron):
     sensors = SensorNoise(effort=0.5, force=3.0, moment=0.2)
-    given = replace(whole, job=replace(whole.job, rank=20, sensors=sensors))
-    sigma = sensor_row_std(symbitron.model, whole.record.samples, sensors)
+    options = IdentifyOptions(method="wls_r", rank=20, sensor_std=(0.5, 3.0, 0.2))
+    given = replace(whole, options=options)
+    sigma = sensor_row_std(symbitron.model, whole.dataset.samples, sensors)
     assert sigma.max() > 5 * sigma.min()
     # Dense: the weighted normal equations about the prior, and their 20 largest eigenvalues.
     rows, prior = whole.solver.chosen.rows, whole.prior.mean
@@ -152,14 +147,14 @@ def test_rows_are_weighed_by_the_noise_of_the_sensors_where_it_is_given(whole, s
     kept = directions[:, -20:]
     expected = prior + kept @ (kept.T @ target / values[-20:])
     np.testing.assert_allclose(given.solve("wls_r").estimate.value, expected, rtol=1e-6, atol=1e-8)
-    unweighted = replace(given, job=replace(given.job, sensors=None))
+    unweighted = replace(given, options=replace(options, sensor_std=None))
     assert not np.allclose(unweighted.solve("wls_r").estimate.value, expected, rtol=1e-3)
 
 
 def test_truncated_methods_take_what_they_are_given(whole):
-    given = replace(whole, job=replace(whole.job, rank=12))
+    given = replace(whole, options=IdentifyOptions(method="wls_rc", rank=12))
     assert given.solve("wls_rc").estimate.rank == 12
-    validated = replace(whole, validation=whole.record)
+    validated = replace(whole, validation=whole.dataset)
     chosen = validated.solve("wls_rc").estimate
     rows = whole.solver.chosen.rows
 
@@ -169,13 +164,13 @@ def test_truncated_methods_take_what_they_are_given(whole):
     # Not the best on those rows, but the simplest that is about as good.
     assert chosen.rank < whole.solve("wls_rc").estimate.rank
     assert error(chosen) < 1.5 * error(whole.solve("wls_rc").estimate)
-    excessive = replace(whole, job=replace(whole.job, rank=500))
+    excessive = replace(whole, options=IdentifyOptions(method="ols", rank=500))
     with pytest.raises(EstimateError, match="rank 500 is not between 1 and"):
         excessive.solve("ols")
 
 
 def test_truncated_methods_refuse_what_they_cannot_use(folder):
-    weighed = prepare(job(folder, "second", facts=Facts(total_mass=(41.05, 0.02))))
+    weighed = load(folder, "second", total_mass=41.05, total_mass_std=0.02)
     for method in TRUNCATED:
         with pytest.raises(EstimateError, match=f"{method} takes neither sensor errors"):
             weighed.solve(method)
@@ -187,13 +182,13 @@ def test_truncated_methods_refuse_what_they_cannot_use(folder):
 
 @pytest.fixture(scope="module")
 def begun(folder):
-    return prepare(job(folder, "first"))
+    return load(folder, "first")
 
 
 @pytest.fixture(scope="module")
 def chained(folder, begun):
     write_identification(begun.solve("map_lmi"), begun.parameters, folder / "begun")
-    return prepare(job(folder, "second", information=folder / "begun/information.npz"))
+    return load(folder, "second", information=folder / "begun/information.npz")
 
 
 def test_two_chained_halves_give_the_estimate_of_the_whole(whole, chained):
@@ -215,31 +210,29 @@ def test_half_a_log_knows_less_than_all_of_it(begun, chained):
     assert half.verdict.effective < all_of_it.verdict.effective
 
 
-def test_rows_over_other_windows_are_not_added(chained):
-    other = replace(chained.job, processing=Processing(windows=(0.1,)))
+def test_rows_over_other_windows_are_not_added(folder, chained):
     with pytest.raises(EstimateError, match="averaged over other windows"):
-        prepare(other)
+        load(folder, "second", information=chained.options.information, window=0.1)
 
 
 def test_a_weighing_that_contradicts_the_prior_is_refused_in_one_line(folder):
     for mass in (20.0, 80.0):
         with pytest.raises(EstimateError) as caught:
-            prepare(job(folder, "first", facts=Facts(total_mass=(mass, 0.02))))
+            load(folder, "first", total_mass=mass, total_mass_std=0.02)
         message = str(caught.value)
         assert f"a total mass of {mass:g} kg contradicts the prior" in message
-        assert "check --total-mass" in message
+        assert "check `total_mass`" in message
         assert "\n" not in message
 
 
 def test_one_source_of_a_prior_at_a_time(folder):
-    twice = replace(job(folder, "first"), prior=PriorChoice(folder / "prior.json", percent=25))
-    with pytest.raises(EstimateError, match="give one of --prior, --prior-percent"):
-        prepare(twice)
+    with pytest.raises(OptionError, match="give only one of `prior`, `prior_percent`"):
+        IdentifyOptions(prior=folder / "prior.json", prior_percent=25)
 
 
 def test_a_log_at_rest_tells_of_weight_and_balance_alone(folder, symbitron):
     """What nothing moves, no force tells of: second moments stay the prior's, and say so."""
-    prepared = prepare(job(folder, "rest"))
+    prepared = load(folder, "rest")
     for method in ("map", "map_lmi"):
         estimate = prepared.solve(method).estimate
         inertia = np.array([name.partition("/")[2].startswith("I") for name in estimate.names])
@@ -290,9 +283,9 @@ def test_the_evidence_recovers_the_scale_of_the_prior(whole, scale):
 
 
 def test_a_model_that_is_right_is_found_to_need_no_width(folder, symbitron):
-    prepared = prepare(replace(job(folder, "second"), prior=PriorChoice()))
+    prepared = load(folder, "second", prior=None)
     estimate = prepared.solve("map").estimate
-    believed = PriorChoice(percent=25).load(symbitron)
+    believed = model_prior(symbitron, 25)
     assert np.all(prepared.solver.posterior.prior.std < 0.5 * believed.std)
     assert np.abs((estimate.value - symbitron.values) / believed.std).max() < 0.5
 
@@ -345,7 +338,7 @@ def test_few_rows_of_a_joint_are_not_taken_for_exact():
 def test_friction_armature_and_offsets_are_found_within_their_uncertainty(folder):
     rubbing = Simulator("smooth", moves=2, motion_seed=32, noise_seed=6, friction=True)
     record(rubbing, folder / "rubbing")
-    prepared = prepare(job(folder, "rubbing", terms=TERMS))
+    prepared = load(folder, "rubbing", friction=True, armature=True, offset=True)
     parameters = prepared.parameters
     truth = with_friction(parameters)
     for method in ("map", "map_lmi"):

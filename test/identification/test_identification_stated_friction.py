@@ -7,20 +7,18 @@ import mujoco
 import numpy as np
 import pinocchio
 import pytest
-from symbid_ros.offline.job import Job
 from tree_simulation import TreeSimulation
 
-from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.evaluation import evaluate, predict
 from symbid_ros.identification.export import write_identification
 from symbid_ros.identification.loaded_model import load_subject
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.prediction import RealisticMotion, predict_realistic
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import Frame
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.offline.truth import read_true_motion
-from symbid_ros.signals.filters import SavitzkyGolay
 from symbid_ros.simulation.recording import record
 
 Z1 = (
@@ -64,11 +62,12 @@ def rms(error):
     return np.sqrt(np.mean(np.sum(error**2, axis=1)))
 
 
-@pytest.mark.parametrize("processing", [Processing(), Processing(SavitzkyGolay(0.011))], ids=str)
-def test_stated_friction_is_known_and_not_identified_away(arm, processing, tmp_path, caplog):
-    prepared = prepare(Job((arm / "log",), arm / "robot.urdf", "fixed", processing=processing))
+@pytest.mark.parametrize("rows", [{}, {"filter": "savitzky_golay", "window": 0.011}], ids=str)
+def test_stated_friction_is_known_and_not_identified_away(arm, rows, tmp_path, caplog):
+    options = IdentifyOptions(**rows)
+    prepared = BagRequest((arm / "log",), arm / "robot.urdf", options, base="fixed").load()
     assert "states viscous friction of joint1" in caplog.text
-    assert "taken as known; identify it with --friction" in caplog.text
+    assert "taken as known; identify it with `friction`" in caplog.text
     found = prepared.solve("map_lmi")
     write_identification(found, prepared.parameters, tmp_path)
     robot = load_model(arm / "robot.urdf", "fixed")
@@ -98,7 +97,7 @@ def test_stated_friction_is_known_and_not_identified_away(arm, processing, tmp_p
 
 
 def test_an_estimate_that_knows_no_friction_is_judged_without_the_true_robots(arm, tmp_path):
-    prepared = prepare(Job((arm / "log",), arm / "smooth.urdf", "fixed"))
+    prepared = BagRequest((arm / "log",), arm / "smooth.urdf", base="fixed").load()
     write_identification(prepared.solve("map_lmi"), prepared.parameters, tmp_path)
     robot = load_model(arm / "robot.urdf", "fixed")
     motion = read_true_motion([arm / "other"], robot)

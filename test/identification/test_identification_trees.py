@@ -3,20 +3,17 @@
 import numpy as np
 import pytest
 from random_robots import random_robot
-from symbid_ros.offline.job import Job
 from tree_simulation import TreeSimulation
 
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.evaluation import evaluate
 from symbid_ros.identification.export import write_identification
-from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.offline.truth import read_true_motion
-from symbid_ros.signals.filters import LowPass, SavitzkyGolay
 from symbid_ros.simulation.recording import record
 
 
@@ -35,28 +32,26 @@ def tree(request, tmp_path_factory):
 
 
 METHODS = [
-    ("map_lmi", Processing()),
-    ("map", Processing(SavitzkyGolay(0.011))),
-    ("wls_rc", Processing(LowPass(cutoff=0))),
+    {"method": "map_lmi"},
+    {"method": "map", "filter": "savitzky_golay", "window": 0.011},
+    {"method": "wls_rc", "cutoff": 0.0},
 ]
 
 
-@pytest.mark.parametrize(("method", "processing"), METHODS)
-def test_any_tree_is_identified_from_its_bag(tree, method, processing, tmp_path):
+@pytest.mark.parametrize("chosen", METHODS, ids=lambda chosen: chosen["method"])
+def test_any_tree_is_identified_from_its_bag(tree, chosen, tmp_path):
     folder, truth = tree
-    job = Job(
-        bags=(folder / "log",),
-        model=folder / "robot.xml",
-        prior=PriorChoice(folder / "prior.json"),
-        method=method,
-        processing=processing,
-        validation=folder / "other" if method == "wls_rc" else None,
+    method = chosen["method"]
+    options = IdentifyOptions(
+        prior=folder / "prior.json",
+        validate=folder / "other" if method == "wls_rc" else None,
+        **chosen,
     )
-    prepared = prepare(job)
+    prepared = BagRequest((folder / "log",), folder / "robot.xml", options).load()
     assert prepared.solver.problem.has_wrenches == any(
         frame.name.startswith("wrench") for frame in truth.model.frames
     )
-    found = prepared.solve(method)
+    found = prepared.solve()
     motion = read_true_motion([folder / "other"], truth.model)
     vectors = {"found": found.estimate.value, "prior": prepared.prior.mean}
     metrics = evaluate(truth, vectors, truth.values, motion)

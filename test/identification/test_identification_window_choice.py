@@ -1,20 +1,19 @@
 """Windows are compared again as data come, without keeping an estimate waiting."""
 
 import pytest
-from symbid_ros.offline.job import Job
 
-from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.window_choice import WindowChoice
 from symbid_ros.identification.window_comparison import WindowComparison
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.package_paths import config_file
 
 
 @pytest.fixture(scope="module")
 def problem(simulated):
     bag = simulated(scenario="smooth", moves=3, motion_seed=51, noise_seed=52)
-    job = Job((bag,), config_file("symbitron.xml"), prior=PriorChoice(percent=25.0), method="map")
-    return prepare(job).solver.problem
+    options = IdentifyOptions(prior_percent=25.0, method="map")
+    return BagRequest((bag,), config_file("symbitron.xml"), options).load().solver.problem
 
 
 def test_compared_at_once_first_and_one_by_one_when_there_is_twice_as_much(problem) -> None:

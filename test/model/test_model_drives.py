@@ -13,7 +13,7 @@ from symbid_ros.errors import ModelError
 from symbid_ros.model.export_mjcf import mjcf_text, replaced_values
 from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet, joint_terms, terms_in
+from symbid_ros.model.parameters import ParameterSet, terms_in
 
 MJCF = """<mujoco model="arm">
   <default><default class="drive"><joint damping="0.30" armature="0.010"/></default></default>
@@ -118,13 +118,6 @@ def test_only_terms_in_use_have_columns_and_an_unknown_one_is_refused(arm):
     assert len(ParameterSet(arm)) == 30
     with pytest.raises(ModelError, match="no term 'stiffness'; choose from viscous, coulomb"):
         ParameterSet(arm, ("viscous", "stiffness"))
-
-
-def test_options_choose_terms():
-    assert joint_terms(False, False, False) == ()
-    assert joint_terms(True, False, False) == ("viscous", "coulomb")
-    assert joint_terms(False, True, True) == ("armature", "offset")
-    assert joint_terms(True, True, True) == TERMS
 
 
 def test_stated_terms_that_are_not_identified_are_known(arm):

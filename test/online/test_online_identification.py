@@ -10,20 +10,18 @@ import numpy as np
 import pytest
 from junk_messages import some_malformed
 from live_feed import Feed, feed_of
-from symbid_ros.offline.job import Job
 
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.dataset import Processing
-from symbid_ros.identification.prior_information import Facts, PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file
-from symbid_ros.signals.filters import LowPass
 
 MODEL = config_file("symbitron.xml")
 LOG = {"scenario": "smooth", "moves": 3, "motion_seed": 51, "noise_seed": 52}
@@ -47,7 +45,7 @@ def feed(bag):
 
 @pytest.fixture(scope="module")
 def offline(bag):
-    return prepare(job((bag,)))
+    return BagRequest((bag,), MODEL, options()).load()
 
 
 @pytest.fixture
@@ -55,8 +53,8 @@ def start(feed):
     """Begin an online identification, and give it up at the test's end."""
     begun = []
 
-    def begin(pace=HURRIED, **options):
-        begun.append(OnlineIdentification(InitialState.of(job(**options)), feed.selected, pace))
+    def begin(pace=HURRIED, **chosen):
+        begun.append(OnlineIdentification(initial(**chosen), feed.selected, pace))
         return begun[-1]
 
     yield begin
@@ -64,8 +62,12 @@ def start(feed):
         one.close()
 
 
-def job(bags=(), **options):
-    return Job(bags, MODEL, prior=PriorChoice(percent=25.0), method="map", **options)
+def options(**chosen):
+    return IdentifyOptions(**({"prior_percent": 25.0, "method": "map"} | chosen))
+
+
+def initial(**chosen):
+    return InitialState.of(load_model(MODEL), options(**chosen))
 
 
 def gram(observations):
@@ -268,7 +270,7 @@ def renamed(payload: bytes) -> bytes:
 def undisturbed(feed):
     """What two seconds of the log tell."""
     part = feed.between(0.0, 2.0)
-    live = OnlineIdentification(InitialState.of(job()), part.selected, HURRIED)
+    live = OnlineIdentification(initial(), part.selected, HURRIED)
     part.into(live)
     value = values_of(live)
     live.close()
@@ -320,7 +322,7 @@ def test_late_and_missing_messages_are_counted(start, feed) -> None:
 def test_a_robot_whose_forces_do_not_carry_it_is_refused(feed) -> None:
     gone = feed.selected.wrenches[0]
     halved = replace(feed.selected, wrenches=feed.selected.wrenches[1:])
-    other = OnlineIdentification(InitialState.of(job()), halved, HURRIED)
+    other = OnlineIdentification(initial(), halved, HURRIED)
     feed.between(0.0, 3.0).without(gone.name).into(other)
     with pytest.raises(DataError, match=r"differ by \d+ % of the prior's weight"):
         other.solve()
@@ -328,22 +330,22 @@ def test_a_robot_whose_forces_do_not_carry_it_is_refused(feed) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("chosen", "says"),
     [
-        ({"processing": Processing(LowPass())}, "leave the filter out"),
-        ({"facts": Facts(sensor_errors=("plate_offset",))}, "several passes"),
-        ({"rank": 3}, "cuts off no singular values"),
+        ({"filter": "butterworth"}, "leave `filter` out"),
+        ({"sensor_errors": ("plate_offset",)}, "several passes"),
+        ({"rank": 3}, "truncates no singular values"),
     ],
     ids=["filter", "sensor errors", "rank"],
 )
-def test_what_takes_a_whole_log_is_refused(start, options, says) -> None:
+def test_what_takes_a_whole_log_is_refused(start, chosen, says) -> None:
     with pytest.raises(EstimateError, match=says):
-        start(**options)
+        start(**chosen)
 
 
 def test_a_memory_set_while_running_holds_from_then_on(start, feed) -> None:
     def known(first, then):
-        live = start(Pace(memory=first, share=1.0), processing=Processing(windows=(0.1,)))
+        live = start(Pace(memory=first, share=1.0), window=0.1)
         for begin, stop, memory in ((0.0, 4.5, then), (4.5, 8.2, np.inf)):
             feed.between(begin, stop).into(live)
             live.advance()

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from live_feed import feed_of
 from random_logs import LogPlan, random_streams, small_robot, write_bag
-from symbid_ros.offline.job import Job
 
 from symbid_ros.estimation.archive import write_archive
-from symbid_ros.identification.prior_information import PriorChoice
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
-from symbid_ros.offline.identify import prepare
+from symbid_ros.offline.identify import BagRequest
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
@@ -34,17 +33,16 @@ def test_a_slow_log_fed_live_tells_what_its_bag_tells(robot_and_bag, tmp_path) -
     model, bag, rate = robot_and_bag
     expected = suited_windows(ALL_WINDOWS, rate)
 
-    def job(bags=(), **options) -> Job:
-        return Job(bags, model, prior=PriorChoice(percent=25.0), method="map", **options)
+    def initial(**chosen) -> InitialState:
+        options = IdentifyOptions(prior_percent=25.0, method="map", **chosen)
+        return InitialState.of(load_model(model), options)
 
-    live = OnlineIdentification(
-        InitialState.of(job()), (feed := feed_of(bag)).selected, Pace(share=1)
-    )
+    live = OnlineIdentification(initial(), (feed := feed_of(bag)).selected, Pace(share=1))
     outcomes = feed.into(live, solving=8.0)
     assert [outcome for outcome in outcomes if outcome is not None]
     exact = live.solve(exactly=True).found
     live.close()
-    solver = prepare(job((bag,))).solver
+    solver = BagRequest((bag,), model, initial().options).load().solver
     offline = solver.problem.observations
     assert [one.window for one in exact.observations] == [one.window for one in offline]
     assert tuple(one.window for one in offline) == expected
@@ -57,5 +55,5 @@ def test_a_slow_log_fed_live_tells_what_its_bag_tells(robot_and_bag, tmp_path) -
     # Resumed, it has the windows of the run before.
     archive = tmp_path / "information.npz"
     write_archive(archive, exact.observations)
-    resumed = InitialState.of(job(information=archive))
+    resumed = initial(information=archive)
     assert tuple(one.window for one in resumed.observations) == expected

@@ -9,7 +9,6 @@ from random_robots import CONFIG, random_robot
 
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.errors import DataError
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.noise_floor import FORCES, MOTION
@@ -21,7 +20,6 @@ from symbid_ros.signals.sensor_errors import (
     SensorErrors,
     calibrating_rows,
     error_columns,
-    parse_kinds,
 )
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import BLOCK, equation_rows, windowed_rows
@@ -143,15 +141,6 @@ def test_moments_come_before_forces_and_gyroscopes_before_accelerometers():
     assert errors.names[start] == "imu_link/imu_bias_gyroscope_x"
     assert errors.names[start + 3] == "imu_link/imu_bias_accelerometer_x"
     assert errors.units[start : start + 6] == ("rad/s",) * 3 + ("m/s^2",) * 3
-
-
-def test_kinds_are_parsed_in_their_own_order():
-    with pytest.raises(DataError, match="no sensor error is named"):
-        parse_kinds(" ,")
-    assert parse_kinds("typical") == KINDS
-    assert parse_kinds(" torque_gain, plate_offset,") == ("plate_offset", "torque_gain")
-    with pytest.raises(DataError, match="no sensor error 'encoder'; give typical or any of plate_"):
-        parse_kinds("plate_gain,encoder")
 
 
 def simulated_readings(errors):

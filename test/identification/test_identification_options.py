@@ -1,0 +1,117 @@
+"""Options are checked alike for every front end, which all offer the same ones."""
+
+import inspect
+import math
+from pathlib import Path
+
+import pytest
+
+from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
+from symbid_ros.errors import OptionError
+from symbid_ros.identification.dataset import Processing
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.options import options_of, spelled
+from symbid_ros.signals.filters import LowPass, SavitzkyGolay
+
+NAMES = {each.name for kind in (IdentifyOptions, LogOptions) for each in options_of(kind)}
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ({"method": "guess"}, ["method"]),
+        ({"rank": 0, "method": "ols"}, ["rank"]),
+        ({"rank": 1.5, "method": "ols"}, ["rank"]),
+        ({"prior_percent": -1}, ["prior_percent"]),
+        ({"prior_percent": math.nan}, ["prior_percent"]),
+        ({"friction": "yes"}, ["friction"]),
+        ({"sensor_std": (1.0, 2.0), "method": "ols"}, ["sensor_std"]),
+        ({"window": 0.0}, ["window"]),
+        ({"sensor_errors": "plate_gain,encoder"}, ["sensor_errors"]),
+        ({"sensor_errors": " ,"}, ["sensor_errors"]),
+        ({"prior": "p.json", "prior_percent": 25}, ["prior", "prior_percent"]),
+        ({"total_mass_std": 0.1}, ["total_mass_std", "total_mass"]),
+        ({"rank": 3}, ["rank"]),
+        ({"method": "ols", "rank": 3, "validate": "bag"}, ["rank", "validate"]),
+        ({"method": "ols", "total_mass": 40}, ["total_mass"]),
+        ({"method": "ols", "tare": "bag"}, ["tare"]),
+        ({"cutoff": 20}, ["cutoff"]),
+        ({"filter": "butterworth", "window": 0.1}, ["window"]),
+        ({"filter": "butterworth", "sensor_errors": "typical"}, ["filter"]),
+    ],
+    ids=str,
+)
+def test_what_is_invalid_is_refused_by_the_names_of_its_fields(given, names) -> None:
+    with pytest.raises(OptionError) as refusal:
+        IdentifyOptions(**given)
+    for name in names:
+        assert f"`{name}`" in str(refusal.value)
+    assert refusal.value.code.startswith("E50")
+
+
+def test_values_get_the_type_of_their_field() -> None:
+    options = IdentifyOptions(prior="p.json", tare="bag", sensor_errors="typical", mirror=1)
+    assert options.prior == Path("p.json")
+    assert options.tare == (Path("bag"),)
+    assert isinstance(options.mirror, float)
+    assert options.files == (Path("p.json"), Path("bag"))
+
+
+def test_sensor_errors_are_named_or_all() -> None:
+    assert IdentifyOptions().sensor_error_kinds == ()
+    assert IdentifyOptions(tare="bag").sensor_error_kinds == SENSOR_ERROR_KINDS
+    assert IdentifyOptions(sensor_errors="typical").sensor_error_kinds == SENSOR_ERROR_KINDS
+    named = IdentifyOptions(sensor_errors=(" torque_gain, plate_offset,",), tare="bag")
+    assert named.sensor_error_kinds == ("plate_offset", "torque_gain")
+
+
+def test_terms_follow_from_three_options() -> None:
+    assert IdentifyOptions().terms == ()
+    assert IdentifyOptions(friction=True).terms == ("viscous", "coulomb")
+    assert IdentifyOptions(armature=True, offset=True).terms == ("armature", "offset")
+    assert IdentifyOptions(friction=True, armature=True, offset=True).terms == TERMS
+
+
+@pytest.mark.parametrize("method", ["ols", "wls_r", "wls_c", "wls_rc"])
+@pytest.mark.parametrize("given", [{"cutoff": 20.0}, {"cutoff": 0.0}, {"channels": "thesis"}])
+def test_a_cutoff_with_a_method_of_the_thesis_means_butterworth(method, given) -> None:
+    assert IdentifyOptions(method=method, **given).row_filter == "butterworth"
+    assert IdentifyOptions(method=method).row_filter == "weak"
+
+
+def test_rows_are_processed_as_the_options_say() -> None:
+    assert Processing.of(IdentifyOptions()) == Processing()
+    assert Processing.of(IdentifyOptions(window=0.1)).windows == (0.1,)
+    filtered = IdentifyOptions(method="ols", cutoff=20.0, channels="thesis")
+    assert Processing.of(filtered).smoothing == LowPass(20.0, "thesis")
+    polynomial = IdentifyOptions(filter="savitzky_golay", window=0.05)
+    assert Processing.of(polynomial).smoothing == SavitzkyGolay(0.05)
+
+
+def test_no_option_exists_in_one_front_end_only() -> None:
+    from symbid_ros.cli.identify import identify
+    from symbid_ros.ros.identifier_parameters import PARAMETERS
+
+    flags = set(inspect.signature(identify).parameters)
+    parameters = {parameter.name for parameter in PARAMETERS}
+    assert flags >= NAMES
+    assert parameters >= NAMES
+    only_the_command = {"bags", "overwrite"}  # a node has `bag`, and never overwrites
+    assert flags - NAMES - only_the_command <= parameters
+
+
+def test_backquoted_names_are_spelled_by_the_front_end() -> None:
+    assert (
+        spelled("give `prior_percent`, not `/a/b`", str.upper) == "give PRIOR_PERCENT, not `/a/b`"
+    )
+    for each in (*options_of(IdentifyOptions), *options_of(LogOptions)):
+        for text in (each.help, each.unset):
+            spelled(text, lambda name: name if name in NAMES else pytest.fail(name))
+
+
+def test_part_of_a_log() -> None:
+    assert LogOptions().end == math.inf
+    assert LogOptions(start=1, stop=2).end == 2.0
+    with pytest.raises(OptionError, match="`stop`"):
+        LogOptions(start=2, stop=1)
