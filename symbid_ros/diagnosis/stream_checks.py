@@ -162,7 +162,7 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
                 "",
                 Severity.UNUSABLE,
                 f"{streams.source}: the base of {model.source} floats, but no topic is of type "
-                "sensor_msgs/msg/Imu; record the IMU, or give --base fixed if it is bolted down",
+                "sensor_msgs/msg/Imu; record the IMU, or give `base` fixed if it is bolted down",
             )
         )
     return found

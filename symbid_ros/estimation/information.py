@@ -129,7 +129,7 @@ def random_motions(model: RobotModel, count: int) -> Samples:
     if not model.coordinates:
         raise EstimateError(
             f"{model.source}: its base is fixed and no joint moves, so no force tells of its "
-            "inertia; name a model with joints, or give --base floating"
+            "inertia; name a model with joints, or give `base` floating"
         )
     rng = np.random.default_rng(0)
     joints, base = (count, len(model.joints)), (3, count, 3)

@@ -253,7 +253,7 @@ def _consistent(
     if eigenvalues[0] < -1e-12 * abs(eigenvalues[-1]):
         raise PriorError(
             "the model has a physically impossible link, so no consistent prior can be drawn "
-            "around it; mend the model or use --percent"
+            "around it; correct the model or use --percent"
         )
     root = axes * np.sqrt(np.maximum(eigenvalues, 0))
     turn, upper = np.linalg.qr(rng.normal(size=(4, 4)))
@@ -317,7 +317,7 @@ def _check_size(path: Path, values: dict[str, tuple[float, float]]) -> None:
         if 0 < std < LEAST_STD or std > LARGEST:
             raise PriorError(
                 f"{path}: {name} has std {std:g}; give one from {LEAST_STD:g} to {LARGEST:g}, or "
-                "drop --prior and give --prior-percent"
+                "drop `prior` and give `prior_percent`"
             )
 
 

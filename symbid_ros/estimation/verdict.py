@@ -176,11 +176,11 @@ def alarms(posterior: Posterior, whiteness: float, *, has_wrenches: bool = True)
             "the kinematics or a sensor's calibration is wrong"
         )
     if whiteness > SUSPICIOUS_WHITENESS:
-        tare = "--tare, " if has_wrenches else ""
+        tare = "a tare, " if has_wrenches else ""
         found.append(
             f"residuals last longer than noise would (whiteness {whiteness:.1f}, at most 1 for "
-            f"noise): the model or a sensor's calibration is wrong; add {tare}--sensor-errors "
-            "typical or the joint terms that are missing (--friction, --armature, --offset)"
+            f"noise): the model or a sensor's calibration is wrong; identify {tare}sensor_errors "
+            "typical or the joint terms that are missing (friction, armature, offset)"
         )
     if posterior.noise_share > SUSPICIOUS_NOISE:
         found.append(

@@ -114,7 +114,7 @@ def realistic_motion(
     if model.floating and not streams.imus:
         raise DataError(
             f"{streams.source}: the base of {model.source} floats, but the bag has no "
-            "sensor_msgs/msg/Imu topic; record the IMU, or give --base fixed if it is bolted down"
+            "sensor_msgs/msg/Imu topic; record the IMU, or give `base` fixed if it is bolted down"
         )
     low_pass = low_pass or CausalLowPass()
     known = [_known(segment, streams, model, low_pass) for segment in align(streams, model)]

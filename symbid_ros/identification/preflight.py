@@ -72,4 +72,4 @@ def _refuse(source: str, findings: Sequence[Finding]) -> None:
 def _refusal(source: str, wrong: Sequence[Finding]) -> str:
     others = ", ".join(f"{one.kind.value} of {one.stream or 'all'}" for one in wrong[1:])
     also = f"; also {others}" if others else ""
-    return f"{source}: {wrong[0].message}{also}; --unchecked goes on all the same"
+    return f"{source}: {wrong[0].message}{also}; give `unchecked` to use the log anyway"

@@ -168,7 +168,7 @@ class Solver:
             if not 1 <= z <= scaled.rank:
                 raise EstimateError(
                     f"rank {z} is not between 1 and {scaled.rank}, the rank of this log's "
-                    "equations; choose another --rank"
+                    "equations; choose another `rank`"
                 )
         elif truncation.validation:
             validation = _same_window(truncation.validation, self.chosen.window)

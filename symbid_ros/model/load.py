@@ -54,7 +54,7 @@ def _require_base(model: RobotModel, path: Path, base: Base) -> None:
     if base == "floating" and not model.floating:
         raise ModelError(
             f"{path}: its base has no free joint, so it is fixed; add <freejoint/> to the base, "
-            "or drop --base floating"
+            "or drop `base` floating"
         )
 
 

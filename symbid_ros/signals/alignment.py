@@ -96,7 +96,7 @@ def moving_segments(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     if model.floating and not streams.imus:
         raise DataError(
             f"{streams.source}: the base of {model.source} floats, but the bag has no "
-            "sensor_msgs/msg/Imu topic; record the IMU, or give --base fixed if it is bolted down"
+            "sensor_msgs/msg/Imu topic; record the IMU, or give `base` fixed if it is bolted down"
         )
     sensors: list[ImuStream | WrenchStream] = [
         *(streams.imus if model.floating else ()),
@@ -118,8 +118,7 @@ def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: st
             raise ModelError(f"{source}: {sensor.topic}: {error}") from error
         raise ModelError(
             f"{source}: {sensor.topic}: frame {frame!r} is not in model {model.source}, but "
-            f"{frame.removeprefix(prefix)!r} is; give --frame-prefix {prefix} (parameter "
-            f"frame_prefix:={prefix})"
+            f"{frame.removeprefix(prefix)!r} is; give `frame_prefix` {prefix}"
         ) from error
 
 
@@ -232,7 +231,7 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Channel, Measu
         row, column = np.argwhere(~is_finite)[0]
         action = "let its driver publish it"
         if not streams.is_live:
-            action += ", leave that part of the bag out (--start, --stop)"
+            action += ", leave that part of the bag out (`start`, `stop`)"
         raise DataError(
             f"{topic} has no finite position of joint {model.joint_names[column]!r} at "
             f"{stamp[row] * 1e-9:.3f} s, as in half of the messages or more; {action}, or give a "
@@ -270,8 +269,8 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
     if missing:
         raise ModelError(
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
-            f"has {', '.join(names)}; name every topic of joint states (--joint-topic, parameter "
-            "joint_topic), or the model of this robot"
+            f"has {', '.join(names)}; name every topic of joint states (`joint_topic`), "
+            "or the model of this robot"
         )
     leaders = [
         index if joint.mimic is None else joint.mimic.leader

@@ -176,7 +176,7 @@ def test_a_weighing_that_truncated_methods_cannot_use(fails, good) -> None:
 
 
 def test_a_rank_beyond_what_the_log_has(fails, good) -> None:
-    fails("rank 1000", "choose another --rank", **good | {"method": "ols", "rank": 1000})
+    fails("rank 1000", "--rank 1000 exceeds", **good | {"method": "ols", "rank": 1000})
 
 
 def test_a_topic_that_is_not_there(fails, good) -> None:

@@ -194,7 +194,7 @@ def test_a_prefix_of_frames_is_suggested_and_removed(feed, model) -> None:
     faulty = changed(clean, prefixed)
     (fault,) = heard(faulty, model).faults
     assert "/imu/data: frame 'robot1/imu_link' is not in model" in fault
-    assert "parameter frame_prefix:=robot1/" in fault
+    assert "`frame_prefix` robot1/" in fault
     assert_equal(heard(faulty, model, "robot1/").blocks, heard(clean, model).blocks)
 
 

@@ -139,7 +139,7 @@ def test_frames_with_a_prefix_are_taken_once_it_is_given(talk: Talk, model) -> N
     while "/imu/data" not in lost.missing():
         talk.say()
         assert lost.look() is None
-    assert "frame_prefix:=robot1/" in lost.missing()["/imu/data"]
+    assert "`frame_prefix` robot1/" in lost.missing()["/imu/data"]
     found = sensors(talk, model, selection=TopicSelection(frame_prefix="robot1/"))
     while (selected := found.look()) is None or len(selected.all) < len(OWN):
         talk.say()
