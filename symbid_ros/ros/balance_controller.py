@@ -21,32 +21,32 @@ from symbid_ros.ros.bridge_parameters import robot_name
 from symbid_ros.ros.commands import CommandPublisher
 from symbid_ros.ros.diagnostics import OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.ros.parameters import Parameter
-from symbid_ros.ros.process import built, run_node
+from symbid_ros.ros.process import construct, run_node
 from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
 from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.standing_controller import StandingController
 
-DEPTH = 1000  # messages
-KEPT = 100  # stamps of one topic that the other may lag behind
-# Beyond these no robot works, and a single such value would spoil the controller's filters.
+DEPTH = 1000  # length of the queues, messages
+KEPT = 100  # messages that wait for the message of the other topic with the same stamp
+# No robot reaches these values, and a single one would corrupt the controller's filters.
 LARGEST_POSITION, LARGEST_RATE = 1e6, 1e3  # rad, rad/s
-UNIT = 0.9, 1.1  # norms of quaternions that are taken for orientations
-LISTEN = 0.05  # s; how soon a signal to stop is seen
-SILENCE = 0.5  # s without a measurement after which that is said
+UNIT = 0.9, 1.1  # accepted norms of the orientation quaternion
+LISTEN = 0.05  # s; longest delay until a stop signal is noticed
+SILENCE = 0.5  # s without a measurement until the status becomes a warning
 WARNING_PERIOD = 5.0  # s between two warnings of one kind
 PARAMETERS = (
     Parameter("scenario", "smooth", "What the robot does.", choices=("smooth", "squat")),
     Parameter("moves", 20, "Number of moves of the centre of mass.", minimum=1, maximum=100_000),
-    Parameter("motion_seed", 0, "Draws the moves; the same seed moves the same.", minimum=0),
+    Parameter("motion_seed", 0, "Random seed of the moves.", minimum=0),
     Parameter(
-        "model", "", "MJCF that the robot is believed to be; empty for the package's Symbitron."
+        "model", "", "The controller's MJCF model of the robot; empty for the package's Symbitron."
     ),
 )
 
 
 @dataclass(frozen=True)
 class BalanceFeedback:
-    """Joints and IMU of one instant.
+    """Joint states and IMU data with the same stamp.
 
     Attributes
     ----------
@@ -55,9 +55,9 @@ class BalanceFeedback:
     joint_position, joint_velocity : (J,) float64
         rad and rad/s.
     imu_orientation : (4,) float64
-        Quaternion xyzw of the IMU in the world.
+        Quaternion xyzw that rotates from the IMU to the world frame.
     imu_angular_velocity : (3,) float64
-        In the IMU's axes, rad/s.
+        Angular velocity in IMU axes, rad/s.
     """
 
     stamp: int
@@ -68,116 +68,121 @@ class BalanceFeedback:
 
 
 class FeedbackSubscriber:
-    """Subscribes to ``joint_states`` and ``imu/data`` and pairs them by their stamps.
+    """Subscribes to ``joint_states`` and ``imu/data`` and pairs messages with equal stamps.
 
     Parameters
     ----------
     node : Node
     joint_names : sequence of str
-        Order of joint arrays; messages are read by name.
+        Order of the joints in arrays. Messages may list them in any order.
 
     Attributes
     ----------
-    passed_over : int
-        Instants that were never the newest: others came with them.
-    refused : int
-        Messages dropped as malformed or of another robot, and readings that are not finite.
+    skipped : int
+        Instants skipped because a newer one had already arrived.
+    rejected : int
+        Messages that were malformed, from another robot or had invalid values.
     """
 
     def __init__(self, node: Node, joint_names: Sequence[str]) -> None:
         self._node, self._joint_names = node, tuple(joint_names)
         self._joints = DecodedSubscription(node, "joint_states", JOINT_STATE, DEPTH)
         self._imu = DecodedSubscription(node, "imu/data", IMU, DEPTH)
-        self._waiting: tuple[dict[int, DecodedMessage], dict[int, DecodedMessage]] = ({}, {})
+        self._unpaired: tuple[dict[int, DecodedMessage], dict[int, DecodedMessage]] = ({}, {})
         self._layout: Layout | None = None
-        self._refusal: DataError | None = None
-        self.passed_over = self.refused = 0
-        self._places: IntArray = np.arange(len(self._joint_names))
+        self._error: DataError | None = None
+        self.skipped = self.rejected = 0
+        self._indices: IntArray = np.arange(len(self._joint_names))
 
-    def wait(self, seconds: float) -> None:
-        """Sleep until a message comes, for so many seconds at most."""
-        wait_for_any(self._node, [self._joints, self._imu], seconds)
+    def wait(self, timeout: float) -> None:
+        """Sleep until a message arrives, at most ``timeout`` seconds."""
+        wait_for_any(self._node, [self._joints, self._imu], timeout)
 
     def newest(self) -> BalanceFeedback | None:
-        """Return the readings last stamped of those that have arrived, if they are new.
+        """Return the newest feedback if it has not been returned before.
 
-        Those stamped before and after a clock that jumped back are never mixed up: whatever
-        arrived before the last jump is forgotten.
+        Messages from before and after a backward jump of the clock are never paired: the jump
+        clears all earlier messages.
 
         Raises
         ------
         DataError
-            When a message was dropped since the last call because it is malformed, of another
-            robot, or because its values are not finite. The next call returns what came with it.
+            When a message has been rejected since the last call. The next call returns the valid
+            messages that arrived with it.
         """
-        self._take()
-        if self._refusal is not None:
-            refusal, self._refusal = self._refusal, None
-            raise refusal
-        joints, imu = self._waiting
+        self._receive()
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+        joints, imu = self._unpaired
         stamp = max(joints.keys() & imu.keys(), default=None)
         if stamp is None:
             return None
         pair = joints[stamp], imu[stamp]
-        self.passed_over += sum(each < stamp for each in joints)
-        for waiting in self._waiting:
-            for done in [each for each in waiting if each <= stamp]:
-                del waiting[done]
-        return self._readings(stamp, *pair)
+        self.skipped += sum(each < stamp for each in joints)
+        for messages in self._unpaired:
+            for done in [each for each in messages if each <= stamp]:
+                del messages[done]
+        return self._feedback(stamp, *pair)
 
-    def _take(self) -> None:
-        """Keep what has arrived and could be of use; foreign messages displace nothing."""
-        for mailbox, waiting in zip((self._joints, self._imu), self._waiting, strict=True):
-            for payload in mailbox.payloads():
+    def _receive(self) -> None:
+        """Decode and store what has arrived; messages from other robots displace nothing."""
+        for source, unpaired in zip((self._joints, self._imu), self._unpaired, strict=True):
+            for payload in source.take():
                 try:
-                    letter = mailbox.read(payload)
-                    if mailbox is self._joints and letter.layout is not self._layout:
-                        self._places, self._layout = self._find(letter.layout), letter.layout
+                    message = source.decode(payload)
+                    if source is self._joints:
+                        self._use_layout(message.layout)
                 except DataError as error:
-                    self.refused += 1
-                    self._refusal = error
+                    self.rejected += 1
+                    self._error = error
                 else:
-                    _keep(waiting, letter)
+                    _store(unpaired, message)
 
-    def _readings(self, stamp: int, joints: DecodedMessage, imu: DecodedMessage) -> BalanceFeedback:
-        if joints.layout is not self._layout:  # another one came in between
-            self._places, self._layout = self._find(joints.layout), joints.layout
-        readings = BalanceFeedback(
+    def _feedback(self, stamp: int, joints: DecodedMessage, imu: DecodedMessage) -> BalanceFeedback:
+        self._use_layout(joints.layout)
+        feedback = BalanceFeedback(
             stamp,
-            joints.record["position"][0, self._places],
-            joints.record["velocity"][0, self._places],
+            joints.record["position"][0, self._indices],
+            joints.record["velocity"][0, self._indices],
             imu.record["orientation"][0],
             imu.record["angular_velocity"][0],
         )
-        fault = _fault(readings)
+        fault = _find_fault(feedback)
         if fault:
-            self.refused += 1
-            raise DataError(f"joint_states, imu/data: {fault} at {stamp / 1e9:.3f} s")
-        return readings
+            self.rejected += 1
+            raise DataError(f"joint_states, imu/data: {fault} at {stamp / 1e9:.3f} s", "E817")
+        return feedback
 
-    def _find(self, layout: Layout) -> IntArray:
-        """Return where each joint lies in messages of a layout."""
+    def _use_layout(self, layout: Layout) -> None:
+        """Look up the index of each joint in messages of a layout."""
+        if layout is self._layout:
+            return
         names = layout.text["name"]
         missing = sorted(set(self._joint_names) - set(names))
         if missing:
             raise DataError(
-                f"joint_states: no joint {', '.join(missing)}; publish it or choose another model"
+                f"joint_states: no joint {', '.join(missing)}; publish it or choose another model",
+                "E816",
             )
         if {layout.dtype[field].shape for field in ("position", "velocity")} != {(len(names),)}:
             raise DataError(
-                "joint_states: positions and velocities are not one for each name; publish both"
+                "joint_states: the numbers of names, positions and velocities differ; publish one "
+                "position and one velocity for each name",
+                "E816",
             )
-        return np.array([names.index(name) for name in self._joint_names])
+        self._indices = np.array([names.index(name) for name in self._joint_names])
+        self._layout = layout
 
 
-def _fault(readings: BalanceFeedback) -> str:
-    """Return what is wrong with the values; empty if nothing is."""
-    rates = np.concatenate([readings.joint_velocity, readings.imu_angular_velocity])
-    norm = float(np.linalg.norm(readings.imu_orientation))
-    values = (*readings.joint_position, *rates, norm)
+def _find_fault(feedback: BalanceFeedback) -> str:
+    """Return what is wrong with the values; empty if they are valid."""
+    rates = np.concatenate([feedback.joint_velocity, feedback.imu_angular_velocity])
+    norm = float(np.linalg.norm(feedback.imu_orientation))
+    values = (*feedback.joint_position, *rates, norm)
     if not np.isfinite(values).all():
         return "NaN or infinite values"
-    if np.abs(readings.joint_position).max() > LARGEST_POSITION:
+    if np.abs(feedback.joint_position).max() > LARGEST_POSITION:
         return f"positions above {LARGEST_POSITION:g} rad"
     if np.abs(rates).max() > LARGEST_RATE:
         return f"rates above {LARGEST_RATE:g} rad/s"
@@ -186,27 +191,27 @@ def _fault(readings: BalanceFeedback) -> str:
     return ""
 
 
-def _keep(waiting: dict[int, DecodedMessage], letter: DecodedMessage) -> None:
-    stamp = letter.stamp
-    if waiting and stamp < max(waiting):
-        waiting.clear()
-    waiting[stamp] = letter
-    if len(waiting) > KEPT:
-        del waiting[min(waiting)]
+def _store(unpaired: dict[int, DecodedMessage], message: DecodedMessage) -> None:
+    stamp = message.stamp
+    if unpaired and stamp < max(unpaired):
+        unpaired.clear()
+    unpaired[stamp] = message
+    if len(unpaired) > KEPT:
+        del unpaired[min(unpaired)]
 
 
 @dataclass
 class ControlCounts:
-    """How the control has gone.
+    """Counts of the controller's answers.
 
     Attributes
     ----------
     answered : int
-        Measurements answered.
+        Measurements answered with torques.
     unanswered : int
-        Measurements for which there were no torques.
+        Measurements for which no torques could be computed.
     restarts : int
-        How often the clock jumped back.
+        Number of times the clock jumped back.
     """
 
     answered: int = 0
@@ -216,7 +221,7 @@ class ControlCounts:
 
 @dataclass
 class AnswerTimes:
-    """How long answers took since the last look.
+    """Computing times of the answers since the last status.
 
     Attributes
     ----------
@@ -230,14 +235,14 @@ class AnswerTimes:
     longest: float = 0.0
 
     def add(self, seconds: float) -> None:
-        """Note one answer."""
+        """Add one answer."""
         self.count += 1
         self.total += seconds
         self.longest = max(self.longest, seconds)
 
     @property
     def mean_ms(self) -> float:
-        """Mean, 0 without answers."""
+        """Mean, ms; 0 if there were no answers."""
         return 1e3 * self.total / self.count if self.count else 0.0
 
     @property
@@ -247,13 +252,13 @@ class AnswerTimes:
 
 
 class BalanceNode:
-    """Answers the newest measurement with a command.
+    """Answers the newest measurement with a torque command.
 
     Parameters
     ----------
     node : Node
     values : dict
-        Of its parameters, declared.
+        Values of the node's declared parameters.
     """
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
@@ -264,71 +269,71 @@ class BalanceNode:
             motion_seed=values["motion_seed"],
             model_path=Path(values["model"]) if values["model"] else None,
         )
-        self._intake = FeedbackSubscriber(node, self._controller.joint_names)
+        self._subscriber = FeedbackSubscriber(node, self._controller.joint_names)
         self._publisher = CommandPublisher(node, self._controller.drive_names)
-        self._record = ControlCounts()
+        self._control_counts = ControlCounts()
         self._stamp = 0
         self._heard = float("-inf")
-        self._pace = AnswerTimes()
-        self._health = StatusPublisher(node, self._look, robot_name(values))
+        self._times = AnswerTimes()
+        self._health = StatusPublisher(node, self._current_status, robot_name(values))
 
     def run(self, stop: Event) -> None:
-        """Answer measurements until stopped, then say how many."""
+        """Answer measurements until stopped, then print the counts as JSON."""
         while not stop.is_set():
             try:
-                readings = self._intake.newest()
+                feedback = self._subscriber.newest()
             except DataError as error:
                 self._warn(f"not answered: {error}")
                 continue
-            if readings is None:
-                self._intake.wait(LISTEN)
+            if feedback is None:
+                self._subscriber.wait(LISTEN)
             else:
-                self._answer(readings)
-        print(json.dumps(self._figures()), flush=True)
+                self._answer(feedback)
+        print(json.dumps(self._counts()), flush=True)
 
-    def _answer(self, readings: BalanceFeedback) -> None:
+    def _answer(self, feedback: BalanceFeedback) -> None:
         start = time.monotonic()
-        if readings.stamp < self._stamp:
-            self._record.restarts += 1
+        if feedback.stamp < self._stamp:
+            self._control_counts.restarts += 1
             self._node.get_logger().warning(
                 f"the clock jumped back from {self._stamp / 1e9:.3f} s to "
-                f"{readings.stamp / 1e9:.3f} s: the moves begin anew"
+                f"{feedback.stamp / 1e9:.3f} s; the motion restarts"
             )
-        self._stamp, self._heard = readings.stamp, start
+        self._stamp, self._heard = feedback.stamp, start
         try:
-            torques = self._controller.torques(readings)
+            torques = self._controller.torques(feedback)
         except RobotFailureError as error:
-            self._record.unanswered += 1
+            self._control_counts.unanswered += 1
             self._warn(f"not answered: {error}")
             return
-        self._publisher.publish(readings.stamp, torques)
-        self._record.answered += 1
-        self._pace.add(time.monotonic() - start)
+        self._publisher.publish(feedback.stamp, torques)
+        self._control_counts.answered += 1
+        self._times.add(time.monotonic() - start)
 
     def _warn(self, text: str) -> None:
         self._node.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD)
 
-    def _figures(self) -> dict[str, int]:
-        intake = self._intake
-        return asdict(self._record) | {
-            "unusable": intake.refused,
-            "passed_over": intake.passed_over,
+    def _counts(self) -> dict[str, int]:
+        subscriber = self._subscriber
+        return asdict(self._control_counts) | {
+            "unusable": subscriber.rejected,
+            "passed_over": subscriber.skipped,
         }
 
-    def _look(self) -> list[NodeStatus]:
-        pace, self._pace = self._pace, AnswerTimes()
+    def _current_status(self) -> list[NodeStatus]:
+        times, self._times = self._times, AnswerTimes()
         level, message = OK, "measurements are answered"
         if time.monotonic() - self._heard > SILENCE:
             level, message = WARN, "no measurements on joint_states and imu/data"
-        elif not pace.count:
+        elif not times.count:
             level, message = WARN, "measurements cannot be answered"
         values = {
             "motion_time": f"{self._stamp / 1e9:.3f}",
-            "rate": pace.count,
-            "mean_ms": f"{pace.mean_ms:.3f}",
-            "longest_ms": f"{pace.longest_ms:.3f}",
+            "rate": times.count,
+            "mean_ms": f"{times.mean_ms:.3f}",
+            "longest_ms": f"{times.longest_ms:.3f}",
         }
-        return [NodeStatus("control", level, message, values | self._figures())]
+        return [NodeStatus("control", level, message, values | self._counts())]
 
 
 def main(args: Sequence[str] | None = None) -> None:
@@ -337,9 +342,9 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(
         run_node(
             "balance_controller",
-            lambda node, values, stop: built(BalanceNode, node, values, stop).run(stop),
+            lambda node, values, stop: construct(BalanceNode, node, values, stop).run(stop),
             args,
-            purpose="Keep the robot in balance: joint_states and imu/data in, joint_command out.",
+            purpose="Balance the robot: read joint_states and imu/data, publish joint_command.",
             parameters=PARAMETERS,
         )
     )

@@ -114,7 +114,7 @@ class BridgeTopics:
         return all(entry.every == 1 for entry in self._feedback)
 
     @property
-    def audience(self) -> tuple[int, ...]:
+    def feedback_subscribers(self) -> tuple[int, ...]:
         """Number of subscribers to joint states and to the IMU."""
         return subscribers(self._feedback)
 
@@ -123,7 +123,7 @@ class BridgeTopics:
         for entry in (*self._sensors, *self._others):
             entry.publish(step, instant)
 
-    def repeat_feedback(self, instant: Instant) -> None:
+    def republish_feedback(self, instant: Instant) -> None:
         """Publish joint states and IMU of an instant once more."""
         for entry in self._feedback:
             entry.publish(0, instant)

@@ -24,21 +24,21 @@ from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.udp_server import UdpServer
 
 TOPIC = "joint_command"
-DEPTH = 100  # commands; at most one of them answers the newest measurement
-FIRST = 5.0  # s of waiting for a controller's first command
-LISTEN = 0.05  # s; how soon a signal to stop is seen
+DEPTH = 100  # length of the queue, commands; at most one answers the newest measurement
+FIRST_TIMEOUT = 5.0  # s to wait for a controller's first command
+LISTEN = 0.05  # s; longest delay until a stop signal is noticed
 WARNING_PERIOD = 5.0  # s between two warnings
 REASONS = ("malformed", "joints", "length", "not_finite", "beyond_limit", "old", "future")
 
 
 class CommandPublisher:
-    """Publishes torques on the topic, as bytes patched in place.
+    """Publishes torques on the topic ``joint_command`` by patching serialized bytes in place.
 
     Parameters
     ----------
     node : Node
     drive_names : sequence of str
-        Joint of each drive, order of torques.
+        Joint of each drive, in the order of the torques.
     """
 
     def __init__(self, node: Node, drive_names: Sequence[str]) -> None:
@@ -50,14 +50,14 @@ class CommandPublisher:
         )
 
     def publish(self, stamp: int, torques: FloatArray) -> None:
-        """Publish torques (n_actuated,), Nm, that answer the measurement of a stamp (ns)."""
+        """Publish torques (n_actuated,), Nm, in answer to the measurement with a stamp, ns."""
         fill_stamp(self._columns, stamp)
         self._columns["effort"][0] = torques
         self._publisher.publish(self._record.tobytes())
 
 
 def effort_layout(names: tuple[str, ...]) -> Layout:
-    """Return the layout of a JointState with names and efforts alone."""
+    """Return the layout of a JointState that has names and efforts only."""
     types, nothing = typestore().types, np.zeros(0)
     header = types["std_msgs/msg/Header"](
         stamp=types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id=""
@@ -73,23 +73,23 @@ def effort_layout(names: tuple[str, ...]) -> Layout:
 
 
 class InvalidCommandError(DataError):
-    """A command that must not move the robot; the message is the reason in a word."""
+    """A command that the robot must not obey; the message is one of `REASONS`."""
 
 
 @dataclass
 class TopicCommandCounts:
-    """What has come in so far.
+    """Counts of received commands.
 
     Attributes
     ----------
     accepted : int
         Commands obeyed.
     timeouts : int
-        How often a controller fell silent.
+        Number of times a controller stopped answering.
     rejected : dict of str to int
-        Commands by the reason why they were not obeyed: ``malformed`` bytes, ``joints`` missing,
-        unknown or twice, ``length`` of the efforts, ``not_finite``, ``beyond_limit``, and
-        ``old`` or ``future`` for stamps other than that of the measurement to be answered.
+        Invalid commands by reason: ``malformed`` bytes; ``joints`` that are missing, unknown or
+        repeated; wrong ``length`` of the efforts; ``not_finite``; ``beyond_limit``; ``old`` or
+        ``future`` stamps, which differ from that of the measurement.
     """
 
     accepted: int = 0
@@ -98,34 +98,32 @@ class TopicCommandCounts:
 
 
 class TopicCommands:
-    """Waits, an instant at a time, for the command that answers it.
+    """Waits after each measurement for the command that answers it.
 
-    A command is a JointState with an effort (Nm) for every drive, by joint name in any order;
-    its header stamp is that of the measurement it answers. Who answers is in control: every
-    measurement waits for its command, ``timeout`` seconds of real time at most. After such a
-    silence torques are the safe ones of `Drives`, at once and not waited for, until a command
-    comes again, late as it may be: from the next measurement on it is waited for again.
+    A command is a JointState with an effort (Nm) for every drive, by joint name in any order.
+    Its header stamp equals that of the measurement. The simulation waits at most ``timeout``
+    seconds of real time for each command. After a timeout it stops waiting and applies the safe
+    torques of `Drives`. It waits again as soon as another valid command arrives, even a late one.
 
     Parameters
     ----------
     node : Node
     drives : Drives
-        Limits and safe torques.
+        Torque limits and safe torques.
     drive_names : sequence of str
         Joint of each drive.
-    audience : callable
+    subscriber_counts : callable
         Number of subscribers of each topic that a controller may need.
-    repeat : callable
-        Publishes an instant's measurement once more.
+    republish : callable
+        Publishes the measurements of an instant again.
     timeout : float
-        s of real time.
+        Longest wait for a command, s of real time.
 
     Attributes
     ----------
     counts : TopicCommandCounts
-        What has come in so far.
     is_controlled : bool
-        Whether there is a controller to wait for.
+        Whether a controller answers.
     """
 
     def __init__(
@@ -134,84 +132,88 @@ class TopicCommands:
         drives: Drives,
         drive_names: Sequence[str],
         *,
-        audience: Callable[[], Sequence[int]],
-        repeat: Callable[[Instant], None],
+        subscriber_counts: Callable[[], Sequence[int]],
+        republish: Callable[[Instant], None],
         timeout: float,
     ) -> None:
         self._node, self._drives, self._timeout = node, drives, timeout
         self._drive_names = tuple(drive_names)
-        self._audience, self._repeat = audience, repeat
-        self._mailbox = DecodedSubscription(node, TOPIC, JOINT_STATE, DEPTH)
+        self._subscriber_counts, self._republish = subscriber_counts, republish
+        self._subscription = DecodedSubscription(node, TOPIC, JOINT_STATE, DEPTH)
         self._layout: Layout | None = None
-        self._places: IntArray = np.arange(len(self._drive_names))
-        self._answered = 0  # stamp of the instant last answered
-        self._asked = 0  # stamp of the instant last asked for
-        self._invited: tuple[int, ...] = ()
+        self._indices: IntArray = np.arange(len(self._drive_names))
+        self._answered = 0  # stamp of the newest instant that was answered
+        self._requested = 0  # stamp of the newest instant for which a command was requested
+        self._initial_counts: tuple[int, ...] = ()
         self.counts = TopicCommandCounts()
         self.is_controlled = False
 
     @property
-    def place(self) -> str:
-        """Where it is listened to."""
-        return str(self._mailbox.subscription.topic_name)
+    def source(self) -> str:
+        """Name of the topic."""
+        return str(self._subscription.subscription.topic_name)
 
     @property
     def controllers(self) -> tuple[str, ...]:
-        """Nodes that publish there now."""
-        found = self._node.get_publishers_info_by_topic(self.place)
+        """Nodes that publish commands."""
+        found = self._node.get_publishers_info_by_topic(self.source)
         return tuple(f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in found)
 
     def await_controller(self, stop: Event) -> bool:
-        """Wait until somebody publishes commands and somebody listens, and nobody else turns up.
+        """Wait until commands have a publisher, measurements a subscriber, and discovery settles.
 
-        What lies in the queue then was for a run before and is thrown away.
+        Commands that are in the queue by then belong to an earlier run and are discarded.
         """
-        await_settled(lambda: (self._mailbox.senders, max(self._audience())), stop, self._audience)
-        for _ in self._mailbox.payloads():
+        await_settled(
+            lambda: (self._subscription.publisher_count, max(self._subscriber_counts())),
+            stop,
+            self._subscriber_counts,
+        )
+        for _ in self._subscription.take():
             pass
-        self._answered, self._invited = 0, self._present()
+        self._answered, self._initial_counts = 0, self._counts_now()
         self.is_controlled = not stop.is_set()
         return self.is_controlled
 
     def exchange(self, instant: Instant, stop: Event) -> Command:
-        """Return the command that answers an instant just published, or a safe one.
+        """Return the command that answers an instant just published, or safe torques.
 
-        Returns within ``timeout``, and at once when nobody is in control or the stop is set. The
-        first command is waited for longer, as a controller may have more to do before it, until
-        somebody else turns up who has not heard of the instant; asked for again, it is published
-        again.
+        The wait ends after ``timeout``, and immediately when no controller answers or ``stop`` is
+        set. The first command may take up to `FIRST_TIMEOUT`, because a controller may initialize
+        first. That wait also ends when another node joins that has missed the instant. A second
+        call for the same instant publishes it again.
         """
-        if instant.stamp == self._asked:
-            self._repeat(instant)
-        self._asked = instant.stamp
+        if instant.stamp == self._requested:
+            self._republish(instant)
+        self._requested = instant.stamp
         is_first = not self._answered
-        deadline = time.monotonic() + max(self._timeout, FIRST * is_first)
+        deadline = time.monotonic() + max(self._timeout, FIRST_TIMEOUT * is_first)
         while True:
-            torques = self._answer(instant.stamp)
+            torques = self._find_answer(instant.stamp)
             if torques is not None:
                 return Command(torques, is_safe=False)
-            left = deadline - time.monotonic()
-            if left <= 0.0 or not self.is_controlled or stop.is_set():
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0 or not self.is_controlled or stop.is_set():
                 break
-            if is_first and self._present() != self._invited:
+            if is_first and self._counts_now() != self._initial_counts:
                 break
-            wait_for_any(self._node, [self._mailbox], min(left, LISTEN))
+            wait_for_any(self._node, [self._subscription], min(remaining, LISTEN))
         if self.is_controlled and not stop.is_set():
             self.is_controlled = False
             self.counts.timeouts += not is_first
         return Command(self._drives.safe_torques(instant.joint_velocity), is_safe=True)
 
-    def _present(self) -> tuple[int, ...]:
-        return self._mailbox.senders, *self._audience()
+    def _counts_now(self) -> tuple[int, ...]:
+        return self._subscription.publisher_count, *self._subscriber_counts()
 
-    def _answer(self, stamp: int) -> FloatArray | None:
-        """Look through the queue for the command that answers the instant of a stamp."""
+    def _find_answer(self, stamp: int) -> FloatArray | None:
+        """Search the queue for the command that answers the instant with a stamp."""
         found = None
-        for payload in self._mailbox.payloads():
+        for payload in self._subscription.take():
             try:
-                found = self._torques(self._mailbox.read(payload), stamp)
-            except InvalidCommandError as refusal:
-                self._reject(str(refusal))
+                found = self._torques(self._subscription.decode(payload), stamp)
+            except InvalidCommandError as error:
+                self._reject(str(error))
             except DataError:
                 self._reject("malformed")
             else:
@@ -221,89 +223,89 @@ class TopicCommands:
     def _reject(self, reason: str) -> None:
         self.counts.rejected[reason] += 1
         self._node.get_logger().warning(
-            f"{self.place}: a command is ignored ({reason}); docs/ros.md lists the reasons",
+            f"{self.source}: command ignored ({reason}); docs/ros.md lists the reasons",
             throttle_duration_sec=WARNING_PERIOD,
         )
 
-    def _torques(self, letter: DecodedMessage, stamp: int) -> FloatArray:
-        if letter.layout is not self._layout:
-            self._places = self._find(letter.layout)
-            self._layout = letter.layout
-        torques: FloatArray = letter.record["effort"][0, self._places]
+    def _torques(self, command: DecodedMessage, stamp: int) -> FloatArray:
+        if command.layout is not self._layout:
+            self._indices = self._find_indices(command.layout)
+            self._layout = command.layout
+        torques: FloatArray = command.record["effort"][0, self._indices]
         objection = self._drives.validate(torques)
         if objection is not None:
-            raise InvalidCommandError(objection)
-        if letter.stamp > stamp:
-            raise InvalidCommandError("future")
-        # Too late, but alive: it is worth waiting for again.
+            raise InvalidCommandError(objection, "E818")
+        if command.stamp > stamp:
+            raise InvalidCommandError("future", "E818")
+        # Even a late command shows that the controller answers again.
         self.is_controlled = True
-        if letter.stamp < stamp or stamp == self._answered:
-            raise InvalidCommandError("old")
+        if command.stamp < stamp or stamp == self._answered:
+            raise InvalidCommandError("old", "E818")
         self._answered = stamp
         return torques
 
-    def _find(self, layout: Layout) -> IntArray:
-        """Return where each drive's torque lies in messages of a layout."""
+    def _find_indices(self, layout: Layout) -> IntArray:
+        """Return the index of each drive's torque in messages of a layout."""
         names = layout.text["name"]
         if sorted(names) != sorted(self._drive_names):
-            raise InvalidCommandError("joints")
+            raise InvalidCommandError("joints", "E818")
         if layout.dtype["effort"].shape != (len(names),):
-            raise InvalidCommandError("length")
+            raise InvalidCommandError("length", "E818")
         return np.array([names.index(drive) for drive in self._drive_names])
 
 
 class CommandSource(Protocol):
-    """A controller elsewhere, asked in lockstep."""
+    """An external controller that commands the drives in lockstep with the simulation."""
 
     @property
-    def place(self) -> str:
-        """Where it is listened to."""
+    def source(self) -> str:
+        """Topic or address on which commands are received."""
         ...
 
     @property
     def controllers(self) -> tuple[str, ...]:
-        """Who may be heard there now."""
+        """Names or addresses of the current controllers."""
         ...
 
     @property
     def counts(self) -> TopicCommandCounts | CommandCounts:
-        """What has come in so far."""
+        """Counts of received commands."""
         ...
 
     def await_controller(self, stop: Event) -> bool:
-        """Wait until there is a controller and tell whether it came to that before the stop."""
+        """Wait for a controller; return False if ``stop`` is set before one appears."""
         ...
 
     def exchange(self, instant: Instant, stop: Event) -> Command:
-        """Return the command that answers an instant just published, or a safe one."""
+        """Return the command that answers an instant just published, or safe torques."""
         ...
 
 
 class UdpSource(UdpServer):
-    """Datagrams as a command source."""
+    """A command source that receives UDP datagrams."""
 
     @property
-    def place(self) -> str:
-        """Where it is listened to."""
+    def source(self) -> str:
+        """Address on which commands are received."""
         return "udp {}:{}".format(*self.address)
 
     @property
     def controllers(self) -> tuple[str, ...]:
-        """Address of who is in control."""
+        """Address of the current controller."""
         return () if self.controller is None else ("{}:{}".format(*self.controller),)
 
 
 def command_source(
     node: Node, robot: Simulator, topics: BridgeTopics, values: Values
 ) -> CommandSource | None:
-    """Return what a node's parameters ask for, None for the scenario's own controller.
+    """Return the command source that parameters select, None for the internal controller.
 
     Raises
     ------
     SimulationError
-        When the address for datagrams cannot be had.
+        When the UDP address cannot be bound.
     ParameterError
-        When no controller could answer every instant.
+        When the parameter ``errors`` leaves instants without feedback for a controller.
     """
     source, timeout = values["command_source"], values["command_timeout"]
     if source == INTERNAL:
@@ -319,14 +321,15 @@ def command_source(
         )
     if not topics.has_feedback:
         raise ParameterError(
-            "parameter errors: sample_rates leaves instants without IMU, which no controller can "
-            "answer; leave it out or choose another command_source"
+            "parameter errors: sample_rates leaves instants without IMU data, which a controller "
+            "cannot answer; remove sample_rates or choose another command_source",
+            "E804",
         )
     return TopicCommands(
         node,
         drives,
         robot.drive_names,
-        audience=lambda: topics.audience,
-        repeat=topics.repeat_feedback,
+        subscriber_counts=lambda: topics.feedback_subscribers,
+        republish=topics.republish_feedback,
         timeout=timeout,
     )

@@ -15,17 +15,17 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 
 @dataclass(frozen=True)
 class NodeStatus:
-    """One status.
+    """The status of one part of a node.
 
     Attributes
     ----------
     part : str
-        Of the node; the status is named ``<node>: <part>``.
+        Part of the node; the status is named ``<node>: <part>``.
     level : bytes
         ``OK``, ``WARN`` or ``ERROR``.
     message : str
     values : mapping of str to object
-        Figures in constant order.
+        Key-value pairs in a constant order.
     """
 
     part: str
@@ -35,23 +35,23 @@ class NodeStatus:
 
 
 class StatusPublisher:
-    """Publishes a node's health while its executor spins.
+    """Publishes the statuses of a node while its executor spins.
 
     Parameters
     ----------
     node : Node
-    look : callable
-        Returns the statuses of this moment.
+    current : callable
+        Returns the current statuses.
     hardware_id : str
-        Which robot or bag they are about.
+        Name of the robot or bag.
     """
 
     def __init__(
-        self, node: Node, look: Callable[[], Sequence[NodeStatus]], hardware_id: str
+        self, node: Node, current: Callable[[], Sequence[NodeStatus]], hardware_id: str
     ) -> None:
-        self._node, self._look, self._hardware_id = node, look, hardware_id
+        self._node, self._current, self._hardware_id = node, current, hardware_id
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", reliable_qos(10))
-        # Simulated time may stand still, and health is asked for then most of all.
+        # The status must be published even while simulated time stands still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(PERIOD, self._publish, clock=steady)
 
@@ -61,20 +61,20 @@ class StatusPublisher:
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.status = [
             DiagnosticStatus(
-                level=health.level,
+                level=status.level,
                 hardware_id=self._hardware_id,
-                name=f"{name}: {health.part}",
-                message=health.message,
+                name=f"{name}: {status.part}",
+                message=status.message,
                 values=[
-                    KeyValue(key=key, value=str(value)) for key, value in health.values.items()
+                    KeyValue(key=key, value=str(value)) for key, value in status.values.items()
                 ],
             )
-            for health in (*self._look(), *self._messages())
+            for status in (*self._current(), *self._dropped_messages())
         ]
         self._publisher.publish(message)
 
-    def _messages(self) -> Sequence[NodeStatus]:
-        """Return what the node's executor had to drop; nothing as long as there is nothing."""
+    def _dropped_messages(self) -> Sequence[NodeStatus]:
+        """Return a warning if the node's executor has dropped messages."""
         dropped = getattr(self._node.executor, "dropped", {})
         if not dropped:
             return ()

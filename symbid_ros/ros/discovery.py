@@ -114,9 +114,9 @@ class TopicDiscovery:
         if not publishers:
             return False
         find_definition(publishers[0].topic_type)
-        intake = subscribe(self.node, topic, self.depth, self._group)
-        if intake is None:
+        subscription = subscribe(self.node, topic, self.depth, self._group)
+        if subscription is None:
             return False
         self._seen.add(topic)
-        announce(intake)
+        announce(subscription)
         return True

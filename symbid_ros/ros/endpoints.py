@@ -1,4 +1,4 @@
-"""Message classes and qualities of service by the names that bags use."""
+"""What publishers and subscriptions share: message classes, QoS profiles and waiting."""
 
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -18,10 +18,10 @@ from rclpy.qos import (
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.topics import OfferedQos
 
-SETTLE = 0.5  # s; discovery of the remaining subscribers after the needed ones are there
+SETTLE = 0.5  # s without a new subscriber after which discovery counts as complete
 POLL = 0.02  # s
-ACKNOWLEDGE = 20.0  # s; a subscriber that takes longer is given up, as by the middleware
-FAREWELL = 0.5  # s; the same for a node that was asked to end
+ACKNOWLEDGE = 20.0  # s; the middleware also abandons a subscriber that takes longer
+SHUTDOWN_ACKNOWLEDGE = 0.5  # s; limit for a node that has been told to stop
 
 
 def message_class(msgtype: str) -> type[Any]:
@@ -31,13 +31,14 @@ def message_class(msgtype: str) -> type[Any]:
         found: type[Any] = getattr(import_module(f"{package}.{kind}"), name)
     except (ValueError, ImportError, AttributeError) as error:
         raise SymbidError(
-            f"message type {msgtype}: not installed; install its package or leave the topic out"
+            f"message type {msgtype}: not installed; install its package or leave the topic out",
+            "E801",
         ) from error
     return found
 
 
 def reliable_qos(depth: int) -> QoSProfile:
-    """Return reliable, volatile, keep-last with a queue of ``depth``."""
+    """Return a profile that is reliable, volatile and keeps the last ``depth`` messages."""
     return QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
         depth=depth,
@@ -47,10 +48,10 @@ def reliable_qos(depth: int) -> QoSProfile:
 
 
 def strictest_common_qos(offers: Sequence[QoSProfile], depth: int) -> QoSProfile:
-    """Return the strictest profile that all publishers satisfy.
+    """Return the strictest profile that is compatible with the offers of all publishers.
 
-    Reliable publishers are told to wait where they can: nothing is overwritten that has been
-    acknowledged. Of others ``depth`` messages are kept.
+    If all are reliable, the history keeps all messages, so that a full queue blocks publishers
+    instead of dropping messages. Otherwise it keeps the last ``depth`` messages.
     """
     is_reliable = all(offer.reliability == QoSReliabilityPolicy.RELIABLE for offer in offers)
     is_latched = all(offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers)
@@ -67,7 +68,7 @@ def strictest_common_qos(offers: Sequence[QoSProfile], depth: int) -> QoSProfile
 
 
 def is_compatible(offer: QoSProfile, request: QoSProfile) -> bool:
-    """Tell whether a publisher's offer is enough for a subscription's request."""
+    """Return whether a publisher's offer satisfies a subscription's request."""
     is_reliable = offer.reliability == QoSReliabilityPolicy.RELIABLE
     is_latched = offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
     asks_reliable = request.reliability == QoSReliabilityPolicy.RELIABLE
@@ -76,23 +77,23 @@ def is_compatible(offer: QoSProfile, request: QoSProfile) -> bool:
 
 
 def recorded_qos(profile: QoSProfile) -> OfferedQos:
-    """Return a publisher's profile in a bag's words."""
-    latched = profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
-    dependable = profile.reliability == QoSReliabilityPolicy.RELIABLE
+    """Return a publisher's profile as the metadata of a bag describes it."""
+    is_latched = profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
+    is_reliable = profile.reliability == QoSReliabilityPolicy.RELIABLE
     return OfferedQos(
         depth=profile.depth,
-        # Discovery tells neither history nor depth; rosbag2 writes the same word.
+        # Discovery reports neither history nor depth; rosbag2 writes "unknown" as well.
         history={
             QoSHistoryPolicy.KEEP_LAST: "keep_last",
             QoSHistoryPolicy.KEEP_ALL: "keep_all",
         }.get(profile.history, "unknown"),
-        reliability="reliable" if dependable else "best_effort",
-        durability="transient_local" if latched else "volatile",
+        reliability="reliable" if is_reliable else "best_effort",
+        durability="transient_local" if is_latched else "volatile",
     )
 
 
 def latched_qos() -> QoSProfile:
-    """Return reliable and transient local: whoever subscribes later gets the last message."""
+    """Return a reliable, transient-local profile: late subscribers get the last message."""
     return QoSProfile(
         history=QoSHistoryPolicy.KEEP_LAST,
         depth=1,
@@ -106,13 +107,13 @@ def await_settled(
     stop: Event,
     others: Callable[[], Sequence[int]] = tuple,
 ) -> None:
-    """Wait until no count is 0 that is needed, and none has changed for a while."""
+    """Wait until all needed counts are positive and no count has changed for ``SETTLE`` seconds."""
     seen: tuple[int, ...] = ()
     since = time.monotonic()
     while not stop.is_set():
-        wanted = needed()
-        counts = (*wanted, *others())
-        if counts != seen or not all(wanted):
+        required = needed()
+        counts = (*required, *others())
+        if counts != seen or not all(required):
             seen, since = counts, time.monotonic()
         elif time.monotonic() - since >= SETTLE:
             return
@@ -120,15 +121,18 @@ def await_settled(
 
 
 def await_acknowledgement(publishers: Iterable[Publisher], stop: Event) -> None:
-    """Give reliable subscribers time to fetch what is still on its way; little once stopped."""
-    begun = time.monotonic()
+    """Wait until reliable subscribers have received all messages, at most ``ACKNOWLEDGE`` seconds.
+
+    After ``stop`` is set, the limit is ``SHUTDOWN_ACKNOWLEDGE`` seconds.
+    """
+    began = time.monotonic()
     stopped: float | None = None
     for publisher in publishers:
         while not publisher.wait_for_all_acked(Duration(seconds=POLL)):
             now = time.monotonic()
             if stop.is_set():
                 stopped = stopped or now
-                if now - stopped > FAREWELL:
+                if now - stopped > SHUTDOWN_ACKNOWLEDGE:
                     return
-            if now - begun > ACKNOWLEDGE:
+            if now - began > ACKNOWLEDGE:
                 return

@@ -31,7 +31,7 @@ from symbid_ros.ros.identifier_parameters import (
 )
 from symbid_ros.ros.node_logging import FaultReporter
 from symbid_ros.ros.online_identifier import OnlineIdentifier
-from symbid_ros.ros.process import built, run_node
+from symbid_ros.ros.process import construct, run_node
 from symbid_ros.shutdown import interruptible
 
 TOPIC = "robot_description"
@@ -149,9 +149,9 @@ def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
         if complete is None:
             return
         if is_online(complete):
-            built(OnlineIdentifier, node, complete, stop).run(stop)
+            construct(OnlineIdentifier, node, complete, stop).run(stop)
         else:
-            built(OfflineIdentifier, node, complete, stop).run(stop)
+            construct(OfflineIdentifier, node, complete, stop).run(stop)
 
 
 def main(args: Sequence[str] | None = None) -> None:

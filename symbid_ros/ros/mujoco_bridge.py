@@ -23,7 +23,7 @@ from symbid_ros.ros.bridge_topics import BridgeTopics
 from symbid_ros.ros.commands import CommandSource, TopicCommandCounts, command_source
 from symbid_ros.ros.diagnostics import ERROR, OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.ros.parameters import watch
-from symbid_ros.ros.process import built, run_node
+from symbid_ros.ros.process import construct, run_node
 from symbid_ros.simulation.body_inertia import Payload
 from symbid_ros.simulation.command import CommandCounts
 from symbid_ros.simulation.plant import RobotFailureError
@@ -264,7 +264,7 @@ class MujocoBridge:
         self._again.clear()
         if self._commands is not None:
             record.is_waiting = True
-            self._node.get_logger().info(f"waiting for a controller: {self._commands.place}")
+            self._node.get_logger().info(f"waiting for a controller: {self._commands.source}")
             self._commands.await_controller(stop)
         self._schedule.restart()
 
@@ -351,7 +351,7 @@ class MujocoBridge:
         found = [record.simulation(values["scenario"], self._schedule.late)]
         if self._commands is not None:
             counts = self._commands.counts
-            found.append(record.commands(self._commands.place, self._commands.controllers, counts))
+            found.append(record.commands(self._commands.source, self._commands.controllers, counts))
         return found
 
 
@@ -360,7 +360,7 @@ def main(args: Sequence[str] | None = None) -> None:
     sys.exit(
         run_node(
             "mujoco_bridge",
-            lambda node, values, stop: built(MujocoBridge, node, values, stop).run(stop),
+            lambda node, values, stop: construct(MujocoBridge, node, values, stop).run(stop),
             args,
             purpose="Publish a simulated robot on ROS 2 topics in real time.",
             parameters=PARAMETERS,

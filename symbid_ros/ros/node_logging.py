@@ -10,14 +10,15 @@ from dataclasses import dataclass, field
 from rclpy.node import Node
 
 PACKAGE_LOGGER = "symbid_ros"
-MOST_KEPT = 1000
-# A number by itself: digits in names of topics, files and joints tell warnings apart.
-FIGURE = re.compile(r"(?<![\w/])[-+]?\d[\d.]*(?:e[-+]?\d+)?")
-PERIOD = 60.0  # s
+PERIOD = 60.0  # s between two equal messages
+MOST_KEPT = 1000  # messages remembered
+# Matches free-standing numbers. Digits inside names of topics, files and joints stay, because
+# they distinguish messages.
+NUMBER = re.compile(r"(?<![\w/])[-+]?\d[\d.]*(?:e[-+]?\d+)?")
 
 
 class NodeLogHandler(logging.Handler):
-    """Hands records to a node's logger, whose level decides.
+    """Forwards log records to a node's logger, whose level filters them.
 
     Parameters
     ----------
@@ -32,7 +33,7 @@ class NodeLogHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Log a record's message with its severity."""
         message = self.format(record)
-        # One call for each severity: rclpy ties a severity to the place of its call.
+        # One call per severity: rclpy allows a call site one severity only.
         if record.levelno >= logging.CRITICAL:
             self._logger.fatal(message)
         elif record.levelno >= logging.ERROR:
@@ -47,12 +48,12 @@ class NodeLogHandler(logging.Handler):
 
 @contextmanager
 def forward_python_logs(node: Node) -> Iterator[None]:
-    """Let all Python loggers of the process log through a node."""
+    """Forward all Python loggers of the process to a node's logger."""
     handler = NodeLogHandler(node)
     root, package = logging.getLogger(), logging.getLogger(PACKAGE_LOGGER)
     before = package.level
     root.addHandler(handler)
-    # The node's level may change while it runs, so that it alone decides about our own messages.
+    # The node's level may change at run time, so it alone filters the package's messages.
     package.setLevel(logging.DEBUG)
     try:
         yield
@@ -62,9 +63,9 @@ def forward_python_logs(node: Node) -> Iterator[None]:
 
 
 class OncePerMinute(logging.Filter):
-    """Passes a message at most once a minute, whatever the figures in it.
+    """Passes each message at most once a minute, ignoring the numbers in it.
 
-    Put it on a handler: a filter on a logger does not see the records of its child loggers.
+    It belongs on a handler: a filter on a logger does not see records of child loggers.
     """
 
     def __init__(self) -> None:
@@ -72,8 +73,8 @@ class OncePerMinute(logging.Filter):
         self._passed: dict[tuple[str, str], float] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether a record passes."""
-        key, now = (record.name, FIGURE.sub("#", record.getMessage())), time.monotonic()
+        """Return whether a record is logged."""
+        key, now = (record.name, NUMBER.sub("#", record.getMessage())), time.monotonic()
         if now - self._passed.get(key, float("-inf")) < PERIOD:
             return False
         if len(self._passed) >= MOST_KEPT:
@@ -84,30 +85,30 @@ class OncePerMinute(logging.Filter):
 
 @dataclass
 class FaultReporter:
-    """Reports the current faults of a node on its console and on ``/rosout``.
+    """Logs a fault when it appears, every minute while it lasts, and when it ends.
 
     Attributes
     ----------
     node : Node
-        Whose logger is used.
+        Node whose logger is used: the console and ``/rosout``.
     """
 
     node: Node
     _reported: dict[str, float] = field(default_factory=dict)
 
     def update(self, faults: Mapping[str, str]) -> None:
-        """Take what is wrong now.
+        """Report new, lasting and ended faults.
 
         Parameters
         ----------
         faults : mapping of str to str
-            Messages by what they are about. A message may change its figures from one update to
-            the next; the key stays.
+            Current messages by subject. The numbers in a message may change from one update to
+            the next; the key stays the same.
         """
         now, logger = time.monotonic(), self.node.get_logger()
         for key in [key for key in self._reported if key not in faults]:
             del self._reported[key]
-            logger.info(f"{key}: in order now")
+            logger.info(f"{key}: resolved")
         for key, message in faults.items():
             if now - self._reported.get(key, float("-inf")) >= PERIOD:
                 self._reported[key] = now

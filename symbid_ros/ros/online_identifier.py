@@ -99,7 +99,7 @@ class OnlineIdentifier:
         self._identification: OnlineIdentification | None = None
         self._selected: SelectedTopics | None = None
         self._declined: set[str] = set()
-        self._intakes: tuple[tuple[Topic, RawSubscription], ...] = ()
+        self._subscriptions: tuple[tuple[Topic, RawSubscription], ...] = ()
         self._topics = EstimateTopics(node, self._parameters)
         self._described = float("-inf")
         self._solves = 0
@@ -169,7 +169,7 @@ class OnlineIdentifier:
             self._node.get_logger().warning(f"topics turned up late, begins anew with {names}")
             self._identification.close()
         self._identification = OnlineIdentification(self._beginning, selected, self._pace)
-        self._intakes = self._sensors.intakes(selected)
+        self._subscriptions = self._sensors.subscriptions(selected)
         self._selected = selected
         model = self._parameters.model.name
         self._node.get_logger().info(f"identifying {model} from {names}")
@@ -196,8 +196,8 @@ class OnlineIdentifier:
             now = time.monotonic()
             if now - looked >= LOOK_AGAIN:
                 self._look()
-                for _, intake in self._intakes:
-                    intake.follow()
+                for _, subscription in self._subscriptions:
+                    subscription.match_publishers()
                 looked = now
             if now >= due:
                 faults = self._health.heard(self._live)
@@ -225,11 +225,11 @@ class OnlineIdentifier:
     def _drain(self, until: int = FOREVER) -> int:
         """Take messages, a batch of each topic; return how many arrived up to a time, ns."""
         count = 0
-        for topic, intake in self._intakes:
-            for arrival in intake.arrivals():
+        for topic, subscription in self._subscriptions:
+            for message in subscription.take():
                 if self._is_enabled:
-                    self._live.feed(topic, arrival.payload)
-                count += arrival.received <= until
+                    self._live.feed(topic, message.payload)
+                count += message.received <= until
         return count
 
     def _drain_until(self, until: int, longest: float = float("inf")) -> None:

@@ -26,34 +26,34 @@ from symbid_ros.ros.node_logging import forward_python_logs
 from symbid_ros.ros.parameters import Parameter, declare
 from symbid_ros.shutdown import interruptible, stop_on_signals
 
+FAILURE = 2  # exit status
+WARNING_PERIOD = 5.0  # s between two warnings
 PROFILE, TRANSPORTS = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS"
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
-OLD_RANGE = "ROS_LOCALHOST_ONLY"  # deprecated; "1" outweighs the others
+OLD_RANGE = "ROS_LOCALHOST_ONLY"  # deprecated; "1" overrides the others
 PEERS = "ROS_STATIC_PEERS"
-FAILURE = 2
-Built = TypeVar("Built")
+Constructed = TypeVar("Constructed")
 Work = Callable[[Node, dict[str, Any], threading.Event], None]
-WARNING_PERIOD = 5.0  # s between two warnings
 Callback = Callable[[], Coroutine[Any, Any, None]]
 
 
 def use_udp(environment: MutableMapping[str, str], middleware: str) -> None:
-    """Have Fast DDS send by UDP alone and not through shared memory as well.
+    """Make Fast DDS send by UDP only, without shared memory.
 
-    Who publishes into memory that is shared with a subscriber is held up for seconds when that
-    subscriber is killed, and at times hangs for ever (Fast DDS 2.14,
-    https://github.com/eProsima/Fast-DDS/issues/6485). A robot's driver must outlive an
-    identifier or a recorder.
+    A publisher that shares memory with a subscriber blocks for seconds when that subscriber is
+    killed, and sometimes hangs forever (Fast DDS 2.14,
+    https://github.com/eProsima/Fast-DDS/issues/6485). A robot's driver must survive the end of
+    an identifier or a recorder.
 
-    What the user has chosen stays: a profile or transports, another middleware, and peers on
-    other machines beside the range ``LOCALHOST``, which a profile of the loopback would cut off.
+    The user's own choices are kept: a profile, transports, another middleware, and static peers
+    combined with the range ``LOCALHOST``, which a loopback profile would cut off.
 
     Parameters
     ----------
     environment : mutable mapping of str to str
-        That of the process, before its first node. The discovery range ``LOCALHOST`` is taken
-        out of it: the middleware would add shared memory to any profile. The profile that
-        replaces it is narrower, its sockets are bound to 127.0.0.1.
+        Environment of the process, before its first node. The discovery range ``LOCALHOST`` is
+        removed from it, because the middleware would then add shared memory to any profile. The
+        profile that replaces it is stricter: its sockets are bound to 127.0.0.1.
     middleware : str
         Name of the RMW implementation.
     """
@@ -84,43 +84,42 @@ def run_node(
 ) -> int:
     """Run a node until its work is done and return the exit status.
 
-    Services and parameters are answered by an executor in a thread of its own, once
-    all parameters are declared; the work has the main thread. rclpy's own signal
-    handlers are not used: they would invalidate the context first, and what still
-    lies in the queues could not be read any more.
+    The work runs in the main thread. An executor in a second thread serves services and
+    parameters once all parameters are declared. rclpy's signal handlers are disabled: they
+    invalidate the context, after which queued messages can no longer be read.
 
     Parameters
     ----------
     name : str
-        Of the node and its executable.
+        Name of the node and of its executable.
     work : callable
-        ``work(node, values, stop)``, with the parameters' values by name, returns soon
-        after SIGINT or SIGTERM has set ``stop``.
+        ``work(node, values, stop)`` gets the parameters' values by name. It returns soon after
+        SIGINT or SIGTERM sets ``stop``.
     args : sequence of str, optional
-        Arguments without the executable's name; the process's own if left out.
+        Arguments without the executable's name; by default those of the process.
     purpose : str
-        What ``--help`` says that the node does.
+        Description of the node for ``--help``.
     parameters : sequence of Parameter
-        What the node declares and ``--help`` lists.
+        Parameters that the node declares and ``--help`` lists.
     """
     arguments = list(sys.argv if args is None else [name, *args])
     stop = stop_on_signals()
     try:
-        _refuse_foreign_arguments(name, purpose, parameters, remove_ros_args(arguments)[1:])
+        _parse_arguments(name, purpose, parameters, remove_ros_args(arguments)[1:])
         use_udp(os.environ, rclpy.get_rmw_implementation_identifier())
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name)
         try:
             with forward_python_logs(node):
                 values = declare(node, parameters)
-                _work_beside_executor(node, lambda: work(node, values, stop), stop)
+                _run_with_executor(node, lambda: work(node, values, stop), stop)
         finally:
             node.destroy_node()
     except SymbidError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return FAILURE
     except OSError as error:
-        # The operating system refuses a path, such as a name that is too long for it.
+        # The operating system rejects a path, for example because its name is too long.
         if error.filename is None:
             raise
         place = os.fsdecode(error.filename)
@@ -137,21 +136,21 @@ def run_node(
     return 0
 
 
-def built(
-    make: Callable[[Node, dict[str, Any]], Built],
+def construct(
+    make: Callable[[Node, dict[str, Any]], Constructed],
     node: Node,
     values: dict[str, Any],
     stop: threading.Event,
-) -> Built:
-    """Return what a node works with; a signal ends the process while that is made."""
+) -> Constructed:
+    """Return ``make(node, values)``; a signal during construction ends the process."""
     with interruptible(stop):
         return make(node, values)
 
 
-def _refuse_foreign_arguments(
+def _parse_arguments(
     name: str, purpose: str, parameters: Sequence[Parameter], arguments: Sequence[str]
 ) -> None:
-    """Answer ``--help``, and exit on what rcl would silently ignore."""
+    """Answer ``--help`` and exit on unknown arguments, which rcl would silently ignore."""
     lines = [f"  {each.name} ({each.default!r}): {each.description}" for each in parameters]
     argparse.ArgumentParser(
         prog=name,
@@ -161,7 +160,7 @@ def _refuse_foreign_arguments(
     ).parse_args(arguments)
 
 
-def _work_beside_executor(node: Node, work: Callable[[], None], stop: threading.Event) -> None:
+def _run_with_executor(node: Node, work: Callable[[], None], stop: threading.Event) -> None:
     executor = MessageExecutor()
     executor.add_node(node)
     end: Future = Future()
@@ -171,7 +170,7 @@ def _work_beside_executor(node: Node, work: Callable[[], None], stop: threading.
         try:
             executor.spin_until_future_complete(end)
         except Exception as failure:
-            # A node whose services have died must not go on as if it were well.
+            # A node whose executor has failed must stop: its services no longer answer.
             failures.append(failure)
             stop.set()
 
@@ -180,7 +179,7 @@ def _work_beside_executor(node: Node, work: Callable[[], None], stop: threading.
     try:
         work()
     finally:
-        # Shut down while it executes a callback, rclpy's executor trips over itself.
+        # rclpy's executor fails when it is shut down while it executes a callback.
         end.set_result(None)
         spinner.join()
         executor.shutdown()
@@ -199,16 +198,17 @@ def _is_argument_error(error: Exception) -> bool:
 
 
 class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
-    """Drops and counts the messages that do not decode or that their callback cannot use.
+    """Drops and counts messages that cannot be decoded or that make their callback fail.
 
-    rclpy lets such an exception end the thread that spins: a negative time on ``/clock`` ends
-    every node that follows it. Malformed bytes are dropped by the middleware without a word to the
-    node, therefore they are decoded here. Exceptions of timers and services still end the node.
+    In rclpy's own executors such an exception ends the spinning thread: a negative time on
+    ``/clock`` ends every node that uses simulated time. The middleware drops malformed bytes
+    silently, so this executor decodes them itself. Exceptions of timers and services still end
+    the node.
 
     Attributes
     ----------
     dropped : Counter of str
-        Messages dropped, by topic.
+        Number of dropped messages by topic.
     """
 
     def __init__(self, *, context: Context | None = None) -> None:
@@ -219,7 +219,7 @@ class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
         try:
             with subscription.handle:
                 taken = subscription.handle.take_message(subscription.msg_type, True)
-        except rclpy_implementation.InvalidHandle:  # destroyed meanwhile
+        except rclpy_implementation.InvalidHandle:  # the subscription has just been destroyed
             return None
         if taken is None:
             return None
@@ -227,7 +227,7 @@ class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
 
         async def work() -> None:
             try:
-                message = payload if subscription.raw else _decoded(payload, subscription.msg_type)
+                message = payload if subscription.raw else _decode(payload, subscription.msg_type)
                 wants_details = (
                     subscription._callback_type is not Subscription.CallbackType.MessageOnly
                 )
@@ -243,14 +243,14 @@ class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
         self.dropped[topic] += 1
         for node in self.get_nodes():
             node.get_logger().warning(
-                f"{topic}: a message was dropped ({self.dropped[topic]} so far): {error}; "
-                "check its publisher",
+                f"{topic}: message dropped ({self.dropped[topic]} so far): {error}; "
+                "check the publisher",
                 throttle_duration_sec=WARNING_PERIOD,
             )
 
 
-def _decoded(payload: bytes, kind: type[Any]) -> Any:
+def _decode(payload: bytes, kind: type[Any]) -> Any:
     try:
         return deserialize_message(payload, kind)
-    except Exception as error:  # of no common base: rmw's own, or Unicode's
-        raise DataError(f"it is not a valid {kind.__name__}") from error
+    except Exception as error:  # rmw's and Unicode's exceptions have no common base
+        raise DataError(f"the bytes are not a valid {kind.__name__}", "E819") from error

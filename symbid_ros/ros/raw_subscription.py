@@ -28,21 +28,21 @@ from symbid_ros.ros.endpoints import (
     strictest_common_qos,
 )
 
-# Messages, and bytes of them, taken from one queue before the next has its turn.
-BATCH = 256
-BATCH_SIZE = 1 << 20
+# Limits of what is taken from one queue before the next queue has its turn.
+BATCH = 256  # messages
+BATCH_SIZE = 1 << 20  # bytes
 
 
 class PolledGroup(CallbackGroup):  # type: ignore[misc]
     """Keeps its subscriptions out of every executor."""
 
     def can_execute(self, entity: Any) -> bool:
-        """Return that the executor has nothing to do here."""
+        """Return False: an executor never executes these subscriptions."""
         return False
 
 
 class ReceivedMessage(NamedTuple):
-    """One message as it came: bytes, time of receipt and of publishing in nanoseconds."""
+    """The bytes of a message with the times when it was received and published, ns."""
 
     payload: bytes
     received: int
@@ -50,126 +50,15 @@ class ReceivedMessage(NamedTuple):
 
 
 @dataclass(frozen=True)
-class RawSubscription:
-    """Raw subscriptions to one topic: one, or more where publishers' qualities of service differ.
-
-    Attributes
-    ----------
-    node : Node
-    topic, msgtype : str
-        Fully qualified name and type.
-    depth : int
-        Messages that may wait.
-    group : PolledGroup
-    qos : tuple of OfferedQos
-        What its publishers offered when it was found.
-    """
-
-    node: Node
-    topic: str
-    msgtype: str
-    depth: int
-    group: PolledGroup
-    qos: tuple[OfferedQos, ...]
-    _subscriptions: list[Subscription] = field(default_factory=list)
-    _returned: list[ReceivedMessage] = field(default_factory=list)
-    _recent: dict[tuple[int, int], None] = field(default_factory=dict)
-
-    def arrivals(self) -> Iterator[ReceivedMessage]:
-        """Take what lies in the queues, a batch of each at most; no message twice."""
-        while self._returned:
-            yield self._returned.pop(0)
-        for subscription in tuple(self._subscriptions):
-            for arrival in _taken(subscription):
-                if len(self._subscriptions) == 1 or self._is_new(arrival):
-                    yield arrival
-
-    def give_back(self, arrival: ReceivedMessage) -> None:
-        """Let a message be the next to arrive."""
-        self._returned.insert(0, arrival)
-
-    def follow(self) -> None:
-        """Subscribe once more where a publisher offers less than has been asked for so far."""
-        offers = [each.qos_profile for each in _publishers(self.node, self.topic, self.msgtype)]
-        asked = [each.qos_profile for each in self._subscriptions]
-        unmet = [offer for offer in offers if not any(is_compatible(offer, one) for one in asked)]
-        if unmet:
-            subscription = self.node.create_subscription(
-                message_class(self.msgtype),
-                self.topic,
-                _unused,
-                strictest_common_qos(unmet, self.depth),
-                callback_group=self.group,
-                raw=True,
-            )
-            self._subscriptions.append(subscription)
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        while self._subscriptions:
-            self.node.destroy_subscription(self._subscriptions.pop())
-
-    def _is_new(self, arrival: ReceivedMessage) -> bool:
-        """Tell whether no other of the subscriptions has brought a message already."""
-        key = arrival.published, hash(arrival.payload)
-        if key in self._recent:
-            return False
-        self._recent[key] = None
-        if len(self._recent) > self.depth:
-            del self._recent[next(iter(self._recent))]
-        return True
-
-
-def _taken(subscription: Subscription) -> Iterator[ReceivedMessage]:
-    handle, kind = subscription.handle, subscription.msg_type
-    size = 0
-    with handle:
-        for _ in range(BATCH):
-            taken = None if size >= BATCH_SIZE else handle.take_message(kind, True)
-            if taken is None:
-                return
-            payload, times = taken
-            size += len(payload)
-            yield ReceivedMessage(payload, times["received_timestamp"], times["source_timestamp"])
-
-
-def _publishers(node: Node, topic: str, msgtype: str) -> list[TopicEndpointInfo]:
-    found = node.get_publishers_info_by_topic(topic)
-    return [publisher for publisher in found if publisher.topic_type == msgtype]
-
-
-def _unused(message: Any) -> None:
-    """Stand where rclpy wants a callback."""
-
-
-def subscribe(
-    node: Node, topic: str, depth: int, group: PolledGroup, msgtype: str | None = None
-) -> RawSubscription | None:
-    """Subscribe to a topic as its publishers offer it; None while there is none.
-
-    Where publishers disagree about the type, it is ``msgtype``, or else the first one's.
-    """
-    kinds = [publisher.topic_type for publisher in node.get_publishers_info_by_topic(topic)]
-    kind = msgtype or next(iter(kinds), "")
-    publishers = _publishers(node, topic, kind)
-    if not publishers:
-        return None
-    offers = tuple(recorded_qos(publisher.qos_profile) for publisher in publishers)
-    intake = RawSubscription(node, topic, kind, depth, group, offers)
-    intake.follow()
-    return intake
-
-
-@dataclass(frozen=True)
 class DecodedMessage:
-    """One message in numbers.
+    """The strings and numbers of one message.
 
     Attributes
     ----------
     layout : Layout
-        With its strings, such as joint names.
+        Layout of the message, which holds its strings such as joint names.
     record : (1,) record array
-        Its numbers by path.
+        Numbers by field path.
     """
 
     layout: Layout
@@ -182,8 +71,76 @@ class DecodedMessage:
         return int(stamps[0])
 
 
+@dataclass(frozen=True)
+class RawSubscription:
+    """Subscribes to one topic, once for each incompatible quality of service of its publishers.
+
+    Attributes
+    ----------
+    node : Node
+    topic, msgtype : str
+        Fully qualified name and type.
+    depth : int
+        Length of the queue, messages.
+    group : PolledGroup
+    qos : tuple of OfferedQos
+        Profiles that the publishers offered when the topic was found.
+    """
+
+    node: Node
+    topic: str
+    msgtype: str
+    depth: int
+    group: PolledGroup
+    qos: tuple[OfferedQos, ...]
+    _subscriptions: list[Subscription] = field(default_factory=list)
+    _returned: list[ReceivedMessage] = field(default_factory=list)
+    _recent: dict[tuple[int, int], None] = field(default_factory=dict)
+
+    def take(self) -> Iterator[ReceivedMessage]:
+        """Take at most one batch from each queue, without duplicates."""
+        while self._returned:
+            yield self._returned.pop(0)
+        for subscription in tuple(self._subscriptions):
+            for message in _take_batch(subscription):
+                if len(self._subscriptions) == 1 or self._is_new(message):
+                    yield message
+
+    def put_back(self, message: ReceivedMessage) -> None:
+        """Make a message the next one that is taken."""
+        self._returned.insert(0, message)
+
+    def match_publishers(self) -> None:
+        """Subscribe once more if a publisher's offer matches none of the subscriptions."""
+        offers = [each.qos_profile for each in _publishers(self.node, self.topic, self.msgtype)]
+        requests = [each.qos_profile for each in self._subscriptions]
+        unmatched = [
+            offer for offer in offers if not any(is_compatible(offer, one) for one in requests)
+        ]
+        if unmatched:
+            qos = strictest_common_qos(unmatched, self.depth)
+            self._subscriptions.append(
+                _subscribe_raw(self.node, self.topic, self.msgtype, qos, self.group)
+            )
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        while self._subscriptions:
+            self.node.destroy_subscription(self._subscriptions.pop())
+
+    def _is_new(self, message: ReceivedMessage) -> bool:
+        """Return whether no other subscription has delivered this message."""
+        key = message.published, hash(message.payload)
+        if key in self._recent:
+            return False
+        self._recent[key] = None
+        if len(self._recent) > self.depth:
+            del self._recent[next(iter(self._recent))]
+        return True
+
+
 class DecodedSubscription:
-    """A subscription that accepts any quality of service and is polled.
+    """Subscribes with best effort, which matches every publisher, and decodes the messages.
 
     Parameters
     ----------
@@ -191,53 +148,96 @@ class DecodedSubscription:
     topic, msgtype : str
         Relative name, and for example ``sensor_msgs/msg/JointState``.
     depth : int
-        Messages that may wait; older ones go first.
+        Length of the queue, messages; a full queue drops the oldest.
     """
 
     def __init__(self, node: Node, topic: str, msgtype: str, depth: int) -> None:
-        self.subscription = node.create_subscription(
-            message_class(msgtype),
-            topic,
-            lambda message: None,
-            QoSProfile(
-                history=QoSHistoryPolicy.KEEP_LAST,
-                depth=depth,
-                reliability=QoSReliabilityPolicy.BEST_EFFORT,
-            ),
-            callback_group=PolledGroup(),
-            raw=True,
+        qos = QoSProfile(
+            history=QoSHistoryPolicy.KEEP_LAST,
+            depth=depth,
+            reliability=QoSReliabilityPolicy.BEST_EFFORT,
         )
+        self.subscription = _subscribe_raw(node, topic, msgtype, qos, PolledGroup())
         name = str(self.subscription.topic_name)
         self._messages = SingleMessageDecoder(Topic(name, msgtype))
 
     @property
-    def senders(self) -> int:
-        """Number of publishers matched."""
+    def publisher_count(self) -> int:
+        """Number of matched publishers."""
         return int(self.subscription.get_publisher_count())
 
-    def payloads(self) -> Iterator[bytes]:
-        """Take what has arrived, oldest first."""
+    def take(self) -> Iterator[bytes]:
+        """Take all messages from the queue, oldest first."""
         handle, kind = self.subscription.handle, self.subscription.msg_type
         with handle:
             while (taken := handle.take_message(kind, True)) is not None:
                 yield taken[0]
 
-    def read(self, payload: bytes) -> DecodedMessage:
-        """Decode one of its payloads; those laid out like a recent one cost a comparison.
+    def decode(self, payload: bytes) -> DecodedMessage:
+        """Decode a message; one with the layout of a recent message costs a comparison.
 
         Raises
         ------
         DataError
-            When it is not a message of this type.
+            When the bytes are not a message of this type.
         """
         return DecodedMessage(*self._messages.decode(payload))
 
 
-def wait_for_any(node: Node, mailboxes: Sequence[DecodedSubscription], seconds: float) -> None:
-    """Sleep until one of the mailboxes holds a message, or for so many seconds."""
-    handles = [mailbox.subscription.handle for mailbox in mailboxes]
-    waiting = rclpy_implementation.WaitSet(len(handles), 0, 0, 0, 0, 0, node.context.handle)
-    waiting.clear_entities()
+def subscribe(
+    node: Node, topic: str, depth: int, group: PolledGroup, msgtype: str | None = None
+) -> RawSubscription | None:
+    """Subscribe to a topic with the QoS of its publishers; return None if it has no publisher.
+
+    Publishers of another type than ``msgtype``, by default the first publisher's, are ignored.
+    """
+    kinds = [publisher.topic_type for publisher in node.get_publishers_info_by_topic(topic)]
+    kind = msgtype or next(iter(kinds), "")
+    publishers = _publishers(node, topic, kind)
+    if not publishers:
+        return None
+    offers = tuple(recorded_qos(publisher.qos_profile) for publisher in publishers)
+    subscription = RawSubscription(node, topic, kind, depth, group, offers)
+    subscription.match_publishers()
+    return subscription
+
+
+def wait_for_any(node: Node, subscriptions: Sequence[DecodedSubscription], timeout: float) -> None:
+    """Sleep until a message arrives on one of the subscriptions, at most ``timeout`` seconds."""
+    handles = [each.subscription.handle for each in subscriptions]
+    wait_set = rclpy_implementation.WaitSet(len(handles), 0, 0, 0, 0, 0, node.context.handle)
+    wait_set.clear_entities()
     for handle in handles:
-        waiting.add_subscription(handle)
-    waiting.wait(max(0, round(seconds * 1e9)))
+        wait_set.add_subscription(handle)
+    wait_set.wait(max(0, round(timeout * 1e9)))
+
+
+def _subscribe_raw(
+    node: Node, topic: str, msgtype: str, qos: QoSProfile, group: PolledGroup
+) -> Subscription:
+    return node.create_subscription(
+        message_class(msgtype),
+        topic,
+        lambda message: None,  # never called, but rclpy requires a callback
+        qos,
+        callback_group=group,
+        raw=True,
+    )
+
+
+def _publishers(node: Node, topic: str, msgtype: str) -> list[TopicEndpointInfo]:
+    found = node.get_publishers_info_by_topic(topic)
+    return [publisher for publisher in found if publisher.topic_type == msgtype]
+
+
+def _take_batch(subscription: Subscription) -> Iterator[ReceivedMessage]:
+    handle, kind = subscription.handle, subscription.msg_type
+    size = 0
+    with handle:
+        for _ in range(BATCH):
+            taken = None if size >= BATCH_SIZE else handle.take_message(kind, True)
+            if taken is None:
+                return
+            payload, times = taken
+            size += len(payload)
+            yield ReceivedMessage(payload, times["received_timestamp"], times["source_timestamp"])

@@ -167,7 +167,7 @@ class RecordingProgress:
 class _Recording:
     """A topic being recorded."""
 
-    intake: RawSubscription
+    subscription: RawSubscription
     topic: int
     gaps: GapCounter | None  # without stamps there is nothing to count
 
@@ -259,10 +259,14 @@ class Recorder:
         while any(message.log_time <= until for message in self._drain()):
             pass
 
-    def _announce(self, intake: RawSubscription) -> None:
-        topic = self._writer.add_topic(intake.topic, intake.msgtype, intake.qos)
-        is_stamped = intake.msgtype in typestore().fielddefs and has_stamp(intake.msgtype)
-        self._recordings.append(_Recording(intake, topic, GapCounter() if is_stamped else None))
+    def _announce(self, subscription: RawSubscription) -> None:
+        topic = self._writer.add_topic(subscription.topic, subscription.msgtype, subscription.qos)
+        is_stamped = subscription.msgtype in typestore().fielddefs and has_stamp(
+            subscription.msgtype
+        )
+        self._recordings.append(
+            _Recording(subscription, topic, GapCounter() if is_stamped else None)
+        )
 
     def _refuse(self, topic: str, error: SymbidError) -> None:
         _warn(f"{topic}: not recorded: {error}")
@@ -270,15 +274,15 @@ class Recorder:
     def _drain(self) -> list[QueuedMessage]:
         messages = []
         for recording in tuple(self._recordings):
-            for arrival in recording.intake.arrivals():
+            for received in recording.subscription.take():
                 messages.append(
                     QueuedMessage(
-                        recording.topic, arrival.received, arrival.published, arrival.payload
+                        recording.topic, received.received, received.published, received.payload
                     )
                 )
                 # Publishers are not trusted to send whole messages.
-                if recording.gaps is not None and len(arrival.payload) >= STAMPED:
-                    recording.gaps.add(read_leading_stamp(arrival.payload))
+                if recording.gaps is not None and len(received.payload) >= STAMPED:
+                    recording.gaps.add(read_leading_stamp(received.payload))
         if messages:
             self._writer.put(messages)
         return messages
@@ -315,7 +319,7 @@ class Recorder:
             "recorded": self._bag.counts,
             "lost": self._writer.lost,
             "gaps": {
-                recording.intake.topic: asdict(recording.gaps.gaps)
+                recording.subscription.topic: asdict(recording.gaps.gaps)
                 for recording in self._recordings
                 if recording.gaps is not None
             },

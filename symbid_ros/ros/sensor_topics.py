@@ -52,7 +52,7 @@ class CandidateTopic:
     Attributes
     ----------
     topic : Topic
-    intake : RawSubscription or None
+    subscription : RawSubscription or None
         None once it is known that the topic is not used.
     frame : str
         ``header.frame_id`` of the newest message looked at; empty before one came.
@@ -61,7 +61,7 @@ class CandidateTopic:
     """
 
     topic: Topic
-    intake: RawSubscription | None
+    subscription: RawSubscription | None
     frame: str = ""
     is_placed: bool = False
 
@@ -77,18 +77,18 @@ class CandidateTopic:
         """
         if self.topic.msgtype == JOINT_STATE:
             self.is_placed = True
-        if self.is_placed or self.intake is None:
+        if self.is_placed or self.subscription is None:
             return
         messages = SingleMessageDecoder(self.topic)
-        for arrival in self.intake.arrivals():
+        for message in self.subscription.take():
             try:
-                layout, _ = messages.decode(arrival.payload)
+                layout, _ = messages.decode(message.payload)
             except DataError:
                 continue
             self.frame = layout.text["header.frame_id"][0]
             if self.frame.removeprefix(prefix) in frames:
                 self.is_placed = True
-                self.intake.give_back(arrival)
+                self.subscription.put_back(message)
                 return
 
 
@@ -155,28 +155,28 @@ class SensorTopics:
             self.own.selection.joint_names,
         )
 
-    def intakes(self, selected: SelectedTopics) -> tuple[tuple[Topic, RawSubscription], ...]:
+    def subscriptions(self, selected: SelectedTopics) -> tuple[tuple[Topic, RawSubscription], ...]:
         """Return the selected topics with their subscriptions, and let go of all others."""
         self._used = frozenset(selected.all)
         self.release()
         found = []
         for topic in selected.all:
             candidate = self._candidates[topic]
-            if candidate.intake is None:
-                candidate.intake = subscribe(
+            if candidate.subscription is None:
+                candidate.subscription = subscribe(
                     self.node, topic.name, self.depth, self._group, topic.msgtype
                 )
-            if candidate.intake is not None:
-                found.append((topic, candidate.intake))
+            if candidate.subscription is not None:
+                found.append((topic, candidate.subscription))
         return tuple(found)
 
     def release(self) -> None:
         """Unsubscribe from topics that are not used, so that their queues do not fill."""
         for candidate in self._candidates.values():
             is_idle = candidate.topic not in self._used and candidate.frame
-            if is_idle and candidate.intake is not None:
-                candidate.intake.close()
-                candidate.intake = None
+            if is_idle and candidate.subscription is not None:
+                candidate.subscription.close()
+                candidate.subscription = None
 
     @property
     def found(self) -> tuple[Topic, ...]:
@@ -244,14 +244,14 @@ class SensorTopics:
     def _subscribe(self, topics: Iterable[Topic]) -> None:
         wanted = set(topics)
         for topic in wanted - self._candidates.keys():
-            intake = subscribe(self.node, topic.name, self.depth, self._group, topic.msgtype)
-            if intake is not None:
-                self._candidates[topic] = CandidateTopic(topic, intake)
+            subscription = subscribe(self.node, topic.name, self.depth, self._group, topic.msgtype)
+            if subscription is not None:
+                self._candidates[topic] = CandidateTopic(topic, subscription)
         # Taken for the robot's until its owner turned up; what is in use stays.
         for topic in self._candidates.keys() - wanted - self._used:
             candidate = self._candidates.pop(topic)
-            if candidate.intake is not None:
-                candidate.intake.close()
+            if candidate.subscription is not None:
+                candidate.subscription.close()
 
     def _choice(self) -> list[Topic]:
         """Return the topics to use, the best of each frame, in the order of their names."""

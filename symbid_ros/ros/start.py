@@ -1,4 +1,4 @@
-"""The executables: one that is interrupted while its libraries still load ends quietly, too."""
+"""Entry points of the executables; Ctrl-C ends each one quietly even while its libraries load."""
 
 import os
 import signal
@@ -40,10 +40,10 @@ def monitor() -> None:
 
 def _run(node: str) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
-        # At once: a library may turn an exception raised while it loads into one of its own. So
-        # far there is nothing to clean up.
+        # Exit at once: a library that is still loading may replace an exception by its own. There
+        # is nothing to clean up yet.
         signal.signal(number, lambda number, _: os._exit(128 + number))
-    # Loading takes seconds; the node then has handlers of its own.
+    # Loading takes seconds; the node then installs its own handlers.
     try:
         run = import_module(f"{__package__}.{node}").main
     except ModuleNotFoundError as error:

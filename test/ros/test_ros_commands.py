@@ -50,8 +50,8 @@ class Bench:
             node,
             drives,
             DRIVES,
-            audience=lambda: (1, 1),
-            repeat=lambda instant: self.repeated.append(instant.stamp),
+            subscriber_counts=lambda: (1, 1),
+            republish=lambda instant: self.repeated.append(instant.stamp),
             timeout=timeout,
         )
         self.stop = threading.Event()
@@ -70,7 +70,7 @@ class Bench:
 
     def wait(self) -> None:
         """Wait until what was sent lies in the queue."""
-        wait_for_any(self.node, [self.commands._mailbox], 300.0)
+        wait_for_any(self.node, [self.commands._subscription], 300.0)
 
     @property
     def rejected(self) -> dict[str, int]:

@@ -163,26 +163,28 @@ def test_a_publisher_of_another_type_is_passed_over(talk: Talk, model, stranger:
     found = sensors(talk, model)
     while (selected := found.look()) is None or len(selected.all) < len(OWN):
         talk.say()
-    assert dict(found.intakes(selected))[selected.clock].msgtype == "sensor_msgs/msg/JointState"
+    assert (
+        dict(found.subscriptions(selected))[selected.clock].msgtype == "sensor_msgs/msg/JointState"
+    )
 
 
 def test_a_publisher_that_offers_less_is_heard_as_well_and_nothing_twice(talk: Talk) -> None:
     robot, listener = talk.node("other"), talk.node("listener")
     first = robot.create_publisher(Imu, "imu/data", 10)
-    intake = None
-    while intake is None:
-        intake = subscribe(listener, "/imu/data", 100, PolledGroup())
+    subscription = None
+    while subscription is None:
+        subscription = subscribe(listener, "/imu/data", 100, PolledGroup())
     less = QoSProfile(depth=10, reliability=QoSReliabilityPolicy.BEST_EFFORT)
     second = robot.create_publisher(Imu, "imu/data", less)
     while second.get_subscription_count() == 0 or first.get_subscription_count() < 2:
-        intake.follow()
+        subscription.match_publishers()
     heard: list[bytes] = []
     for number in range(20):
         message = Imu()
         message.linear_acceleration.x = float(number)
         (first, second)[number % 2].publish(message)
         while len(heard) <= number:
-            heard += [arrival.payload for arrival in intake.arrivals()]
+            heard += [message.payload for message in subscription.take()]
     first.wait_for_all_acked()
-    heard += [arrival.payload for arrival in intake.arrivals()]
+    heard += [message.payload for message in subscription.take()]
     assert len(heard) == len(set(heard)) == 20

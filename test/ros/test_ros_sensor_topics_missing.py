@@ -108,7 +108,7 @@ def test_faults_are_named_and_their_cures_noticed_while_the_node_lives(arm: Robo
     arm.wait_for("waiting for topic /arm/joint_states (parameter joint_topic)", "/arm/joint_state;")
     cured = arm.node.create_publisher(JointState, "/arm/joint_states", 100)
     arm.wait_for("identifying arm from /arm/joint_states")
-    arm.wait_for("/arm/joint_states: in order now")
+    arm.wait_for("/arm/joint_states: resolved")
 
     message = JointState(name=["elbow"], position=[0.1], velocity=[0.0], effort=[1.0])
     arm.wait_for(
