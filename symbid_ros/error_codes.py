@@ -26,7 +26,91 @@ CODES: dict[str, Entry] = {
     # E4xx: priors and estimates
     # E5xx: options and their combinations
     # E6xx: simulation
+    "E601": Entry(
+        "MuJoCo cannot compile the model file of the simulated robot.",
+        "Correct the file at the place named in the message.",
+    ),
+    "E602": Entry(
+        "The model file lacks a site, sensor, keyframe or joint that the simulator needs.",
+        "Add the named element; config/symbitron.xml shows all of them.",
+    ),
+    "E603": Entry(
+        "A noise or friction file cannot be read or is not valid YAML.",
+        "Name an existing file and correct the named line.",
+    ),
+    "E604": Entry(
+        "An entry of a noise or friction file is missing, unknown or not a valid number.",
+        "Give each entry of config/noise.yaml or config/friction.yaml a finite number, 0 or more.",
+    ),
+    "E605": Entry(
+        "A number of moves, seed, noise factor or payload time is out of range.",
+        "Give at least one move, and finite numbers of 0 or more for the others.",
+    ),
+    "E606": Entry(
+        "The scenario does not exist, or does not stand as a balance controller requires.",
+        "Choose one of the scenarios in the message.",
+    ),
+    "E607": Entry(
+        "The name of a systematic error is unknown.",
+        "Give names from the message, separated by commas, or ``typical``.",
+    ),
+    "E608": Entry(
+        "A payload has an invalid mass, position or radius.",
+        "Give a positive mass, three coordinates and a radius of 0 or more, all finite.",
+    ),
+    "E609": Entry(
+        "The robot has no link of the given name.",
+        "Name a link of the model file.",
+    ),
+    "E610": Entry(
+        "A link or the whole robot has no mass, hence no centre of mass to control.",
+        "Give the controller inertias with mass.",
+    ),
+    "E611": Entry(
+        "The simulator cannot apply the given torques.",
+        "Create the simulator with ``is_commanded`` and give one finite torque for each drive.",
+    ),
+    "E612": Entry(
+        "The simulated robot fell.",
+        "Choose another motion seed, a lighter payload, or other torques if you command the robot.",
+    ),
+    "E613": Entry(
+        "A joint of the simulated robot reached its end stop, whose force no sensor measures.",
+        "Widen the joint's range in the model file or choose another motion seed.",
+    ),
+    "E614": Entry(
+        "The balance controller found no torques that keep the robot standing.",
+        "Choose another motion seed or raise the torque limits in the model file.",
+    ),
+    "E615": Entry(
+        "The inertias of the controller's model give a mass matrix that is not positive definite.",
+        "Give the controller physically possible inertias, such as those of ``map_lmi``.",
+    ),
+    "E616": Entry(
+        "The address for UDP datagrams does not exist or is in use.",
+        "Choose another host or port; 127.0.0.1 reaches programs on this machine alone.",
+    ),
+    "E617": Entry(
+        "No measurement arrived from the simulator in time.",
+        "Start the simulator at this host and port, or increase ``--timeout``.",
+    ),
+    "E618": Entry(
+        "A UDP datagram does not follow the protocol.",
+        "Send datagrams as in the documentation of the UDP loop; the message names the rule.",
+    ),
     # E7xx: studies and reports
+    "E750": Entry(
+        "The estimates of one report have different parameters.",
+        "Report on identifications of one robot with the same joint terms.",
+    ),
+    "E751": Entry(
+        "The arrays of a report do not match in length or time.",
+        "Give one value for each time, joint or link, and predict along one motion.",
+    ),
+    "E752": Entry(
+        "The methods of a report have equal labels, or none of them is the chosen one.",
+        "Give each method a label of its own and choose one with an estimate.",
+    ),
     # E8xx: ROS nodes
     "E801": Entry(
         "A topic has a message type that is not installed on this machine.",

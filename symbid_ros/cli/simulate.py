@@ -138,5 +138,5 @@ def udp_client(
         counts = client.counts
     typer.echo(
         f"{host}:{port}: answered {counts.answered} measurements, {counts.repeated} of them again; "
-        f"{counts.passed_over} datagrams passed over, {counts.unanswered} left unanswered"
+        f"{counts.ignored} datagrams ignored, {counts.unanswered} left unanswered"
     )

@@ -1,1 +1,1 @@
-"""MuJoCo plant, balance controller, sensors."""
+"""Simulation of the robot: MuJoCo plant, balance controller, sensors and their errors."""

@@ -1,4 +1,4 @@
-"""The robot in balance by an estimate: what errors of the model cost in closed loop."""
+"""Closed-loop evaluation of an estimate: the balance controller uses the estimated inertias."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,31 +13,31 @@ from symbid_ros.simulation.controller_model import replace_inertias
 from symbid_ros.simulation.plant import Plant, RobotFailureError
 from symbid_ros.simulation.scenario import SOLES, Scenario, ScenarioRun, require_seed, standing_task
 
-# Periods between two looks at the torques that come from the model alone: each costs a programme.
+# Periods between two samples of the torques without feedback: each sample solves one more QP.
 FEED_FORWARD_EVERY = 10
 
 
 @dataclass(frozen=True)
 class BalanceResult:
-    """How well the true robot was balanced by a controller with a model of its own.
+    """How well a controller with an estimated model balanced the true robot.
 
     Attributes
     ----------
     com_rmse_mm : float
         Root mean square distance of the true centre of mass from its reference over the whole
-        motion, mm; nan if the robot did not last.
+        motion, mm; NaN if the run failed.
     com_bias_mm : tuple of 3 floats
-        Mean of true centre of mass minus reference in world axes, mm; nan likewise.
+        Mean of true centre of mass minus reference in world axes, mm; NaN if the run failed.
     feed_forward_share : float
-        From 0 to 1: one minus what the feedback adds to the torques, relative to them (rms over
-        time and drives); nan likewise.
+        From 0 to 1: one minus the ratio of feedback torque to total torque (rms over time and
+        drives); NaN if the run failed.
     failed_at : float or None
-        When it failed, s after the motion's beginning and negative while it settled; None if it
-        lasted.
+        Time of the failure after the start of the motion, s, negative while the robot settled;
+        None if the run did not fail.
     failure : str
-        What happened then; empty if it lasted.
+        Cause of the failure; empty if the run did not fail.
     duration : float
-        Of the whole motion, s, also if it did not last.
+        Planned duration of the motion, s.
     """
 
     com_rmse_mm: float
@@ -55,19 +55,19 @@ def balance(
     motion_seed: int,
     model_path: Path | None = None,
 ) -> BalanceResult:
-    """Let the true robot stand and move as in ``smooth``, its controller believing an estimate.
+    """Simulate the scenario ``smooth`` with a controller that uses estimated inertias.
 
-    The true state is fed back, so that the model is all that the controller has wrong. A fall,
-    an end stop, a programme without solution and inertias of no use to a controller are outcomes.
+    The controller receives the true state, so its model is its only error. A fall, an end stop,
+    a QP without solution and an indefinite mass matrix are returned as failures.
 
     Parameters
     ----------
     inertias : mapping of str to (10,) float64 or None
-        By body name, as in `replace_inertias`; None for the truth.
+        By body name, as in `replace_inertias`; None for the true inertias.
     moves : int
         Number of moves of the centre of mass.
     motion_seed : int
-        Decides the moves.
+        Seed of the random moves.
     model_path : Path or None
         MJCF of the true robot; None for config/symbitron.xml.
 
@@ -82,11 +82,11 @@ def balance(
     model = plant.model if inertias is None else replace_inertias(plant.model, inertias)
     gains = BalanceGains()
     controller = BalanceController(model, task, SOLES, gains)
-    # On its own, lest its programme's last solution be where the other one's next begins.
+    # A separate controller, because each QP starts from its own previous solution.
     feed_forward = BalanceController(model, task, SOLES, gains.feed_forward)
     run = ScenarioRun(plant, Scenario(controller, None, task.duration))
     errors = np.zeros((run.steps, 3))
-    torques, from_model = [], []
+    torques, model_torques = [], []
     duration = run.steps * plant.period
     try:
         for _ in run.settle():
@@ -96,14 +96,14 @@ def balance(
             errors[step] = plant.com - task.com.at(truth.state.time)[0]
             if step % FEED_FORWARD_EVERY == 0:
                 torques.append(truth.effort[plant.driven - 6])
-                from_model.append(feed_forward.torques(truth.state))
-    except RobotFailureError as breakdown:
+                model_torques.append(feed_forward.torques(truth.state))
+    except RobotFailureError as failure:
         nan = float("nan")
-        return BalanceResult(nan, (nan, nan, nan), nan, breakdown.time, breakdown.cause, duration)
+        return BalanceResult(nan, (nan, nan, nan), nan, failure.time, failure.cause, duration)
     errors_mm = 1e3 * errors
     x, y, z = errors_mm.mean(axis=0).tolist()
     applied = np.array(torques)
-    feedback = _rms(applied - np.array(from_model)) / _rms(applied)
+    feedback = _rms(applied - np.array(model_torques)) / _rms(applied)
     return BalanceResult(
         com_rmse_mm=float(np.sqrt(np.mean(np.sum(errors_mm**2, axis=1)))),
         com_bias_mm=(x, y, z),

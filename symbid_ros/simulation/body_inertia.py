@@ -1,4 +1,4 @@
-"""A mass that is fastened to a link while the robot runs."""
+"""Inertias of bodies in a compiled MuJoCo model, and payloads that change them at run time."""
 
 import math
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.model.inertia import com_from_phi, phi_from_com
 
-# What the compiler noted where frames coincide and inertias are diagonal, to compute less.
+# Flags set by MuJoCo's compiler: coinciding frames and diagonal inertias allow faster formulas.
 SHORTCUTS = ("body_sameframe", "geom_sameframe", "site_sameframe", "body_simple", "dof_simplenum")
-INERTIAL = ("body_mass", "body_ipos", "body_inertia", "body_iquat", *SHORTCUTS)
+INERTIAL_FIELDS = ("body_mass", "body_ipos", "body_inertia", "body_iquat", *SHORTCUTS)
 
 
 def body_phi(model: mujoco.MjModel, body: int) -> FloatArray:
-    """Return φ (10,) of a body about its origin, in its axes."""
+    """Return the inertial parameters φ (10,) of a body about its origin, in its axes."""
     axes = np.zeros(9)
     mujoco.mju_quat2Mat(axes, model.body_iquat[body])
     rotation = axes.reshape(3, 3)
@@ -25,7 +25,7 @@ def body_phi(model: mujoco.MjModel, body: int) -> FloatArray:
 
 
 def set_body_phi(model: mujoco.MjModel, body: int, phi: FloatArray) -> None:
-    """Give a body φ (10,) about its origin, in its axes, possible or not."""
+    """Set a body's φ (10,) about its origin, in its axes; φ may be physically impossible."""
     mass, com, central = com_from_phi(phi)
     moments, axes = np.linalg.eigh(central)
     if np.linalg.det(axes) < 0.0:
@@ -35,21 +35,21 @@ def set_body_phi(model: mujoco.MjModel, body: int, phi: FloatArray) -> None:
     mujoco.mju_mat2Quat(model.body_iquat[body], axes.ravel())
 
 
-def drop_shortcuts(model: mujoco.MjModel) -> None:
-    """Let MuJoCo compute in full what it does not for the inertias it was compiled with."""
+def disable_shortcuts(model: mujoco.MjModel) -> None:
+    """Make MuJoCo use its general formulas, which hold for inertias set after compilation."""
     for name in SHORTCUTS:
         getattr(model, name)[:] = 0
 
 
 def copy_inertias(source: mujoco.MjModel, target: mujoco.MjModel) -> None:
-    """Give a model the inertias, and the shortcuts these allow, of another of the same robot."""
-    for name in INERTIAL:
+    """Copy the inertias, with the shortcuts they allow, between two models of one robot."""
+    for name in INERTIAL_FIELDS:
         getattr(target, name)[:] = getattr(source, name)
 
 
 @dataclass(frozen=True)
 class Payload:
-    """A solid sphere fastened to a link.
+    """A solid sphere attached to a link.
 
     Attributes
     ----------
@@ -58,14 +58,14 @@ class Payload:
     mass : float
         kg.
     position : tuple of 3 floats
-        Of its centre in the link's frame, m.
+        Centre of the sphere in the link's frame, m.
     radius : float
         m; 0 for a point mass.
 
     Raises
     ------
     SimulationError
-        When a number is not finite, the mass not positive or the radius negative.
+        When a number is not finite, the mass is not positive or the radius is negative.
     """
 
     link: str
@@ -76,15 +76,18 @@ class Payload:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.mass) and self.mass > 0.0):
             raise SimulationError(
-                f"payload on {self.link}: mass {self.mass:g} kg; give a finite, positive one"
+                f"payload on {self.link}: mass {self.mass:g} kg; give a finite, positive mass",
+                "E608",
             )
         if len(self.position) != 3 or not all(map(math.isfinite, self.position)):
             raise SimulationError(
-                f"payload on {self.link}: position {self.position}; give three finite numbers, m"
+                f"payload on {self.link}: position {self.position}; give three finite numbers, m",
+                "E608",
             )
         if not (math.isfinite(self.radius) and self.radius >= 0.0):
             raise SimulationError(
-                f"payload on {self.link}: radius {self.radius:g} m; give a finite one, 0 or more"
+                f"payload on {self.link}: radius {self.radius:g} m; give a finite radius >= 0",
+                "E608",
             )
 
     @property
@@ -95,23 +98,25 @@ class Payload:
 
 
 def link_index(model: mujoco.MjModel, link: str) -> int:
-    """Return the index of a link of the robot.
+    """Return the body index of a link of the robot.
 
     Raises
     ------
     SimulationError
-        When there is none of that name.
+        When the robot has no link of that name.
     """
     body = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, link))
     base = int(model.jnt_bodyid[0])
     if body < 0 or model.body_rootid[body] != base:
         links = [model.body(i).name for i in range(model.nbody) if model.body_rootid[i] == base]
-        raise SimulationError(f"no link {link!r} for a payload; name one of {', '.join(links)}")
+        raise SimulationError(
+            f"no link {link!r} for a payload; name one of {', '.join(links)}", "E609"
+        )
     return body
 
 
 def add_payload(model: mujoco.MjModel, payload: Payload) -> None:
-    """Give the payload's link the inertias of both together; constants of the model are left."""
+    """Add a payload's inertia to its link; constants derived from inertias are not updated."""
     body = link_index(model, payload.link)
     set_body_phi(model, body, body_phi(model, body) + payload.phi)
-    drop_shortcuts(model)
+    disable_shortcuts(model)

@@ -1,4 +1,4 @@
-"""What drives are told from outside: torques, checked, and what they do without."""
+"""External torque commands: their validation, and safe torques when no command arrives."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,13 +8,13 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 
-# Nm s/rad: a falling robot is slowed down like a person going limp, and at 1 kHz, a period late,
-# this is far from making the lightest joint, an ankle, oscillate.
-SAFE_DAMPING = 2.0
+# Slows down a falling robot. At 1 kHz with one period of delay, the lightest joint (an ankle) stays
+# far from instability.
+SAFE_DAMPING = 2.0  # Nm s/rad
 
 
 class Rejection(StrEnum):
-    """Why a command was not obeyed."""
+    """Reason why a command was rejected."""
 
     LENGTH = "length"
     MAGIC = "magic"
@@ -31,14 +31,14 @@ class Rejection(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """Torques for one period.
+    """Drive torques for one period.
 
     Attributes
     ----------
     torques : (n_actuated,) float64
-        Of the drives, Nm.
+        Nm.
     is_safe : bool
-        Whether they are the safe ones, for want of a command.
+        Whether these are the safe torques because no command arrived.
     """
 
     torques: FloatArray
@@ -47,20 +47,20 @@ class Command:
 
 @dataclass
 class CommandCounts:
-    """What has come in so far.
+    """Counts of received datagrams, retries and timeouts.
 
     Attributes
     ----------
     accepted : int
-        Commands obeyed.
+        Commands executed.
     hellos : int
-        Datagrams that asked for measurements.
+        Datagrams that requested measurements.
     resent : int
-        Measurements sent once more, as no answer had come.
+        Measurements sent again because no command arrived.
     timeouts : int
-        How often a controller fell silent.
+        Number of times a controller stopped responding.
     rejected : dict of str to int
-        Datagrams by the reason why they were not obeyed.
+        Rejected datagrams by reason.
     """
 
     accepted: int = 0
@@ -71,9 +71,9 @@ class CommandCounts:
 
 
 class Drives:
-    """Limits of the drives, and the torques that are safe whatever the robot does.
+    """Torque limits of the drives, and safe torques.
 
-    Safe are torques that only ever brake: each drive's joint is damped, at zero torque otherwise.
+    Safe torques damp each driven joint and are otherwise zero.
 
     Parameters
     ----------
@@ -94,12 +94,12 @@ class Drives:
         return len(self._joints)
 
     def safe_torques(self, joint_velocity: FloatArray) -> FloatArray:
-        """Return torques (n_actuated,), Nm, that brake joints of measured rates (J,), rad/s."""
-        braking = -SAFE_DAMPING * joint_velocity[self._joints]
-        return np.clip(braking, self._lowest, self._highest)
+        """Return damping torques (n_actuated,), Nm, for measured joint velocities (J,), rad/s."""
+        damping = -SAFE_DAMPING * joint_velocity[self._joints]
+        return np.clip(damping, self._lowest, self._highest)
 
     def validate(self, torques: FloatArray) -> Rejection | None:
-        """Return why torques (n_actuated,), Nm, are not to be applied, if there is a reason."""
+        """Return the reason to reject torques (n_actuated,), Nm, or None if they are valid."""
         if not np.all(np.isfinite(torques)):
             return Rejection.NOT_FINITE
         if np.any(torques < self._lowest) or np.any(torques > self._highest):

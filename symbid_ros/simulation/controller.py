@@ -1,4 +1,4 @@
-"""Balance by control of the centroidal dynamics, one quadratic programme per period."""
+"""Whole-body balance control by one quadratic program (QP) per period."""
 
 import sys
 from collections import deque
@@ -17,10 +17,10 @@ from symbid_ros.simulation.trajectory import Trajectory
 
 
 class _NarrowInstructions(ModuleType):
-    """Stands in for the module that proxsuite asks about the processor, during its import.
+    """Replaces the module that tells proxsuite which vector instructions the processor has.
 
-    proxsuite's builds for AVX round differently when a vector is not aligned to 32 or 64 bytes, and
-    alignment differs between processes: runs with equal seeds would differ by 1e-6 Nm. Problems
+    The AVX builds of proxsuite round differently when vectors are not aligned to 32 or 64 bytes.
+    Alignment differs between processes, so runs with equal seeds would differ by 1e-6 Nm. Problems
     with twenty unknowns are solved just as fast without AVX.
     """
 
@@ -29,9 +29,9 @@ class _NarrowInstructions(ModuleType):
 
 sys.modules.setdefault("proxsuite.instructionset", _NarrowInstructions("proxsuite.instructionset"))
 
-from proxsuite import proxqp  # noqa: E402 (the stand-in above must come first)
+from proxsuite import proxqp  # noqa: E402 (the replacement above must come first)
 
-# r @ CROSS is the matrix [r ×], row by row.
+# r @ CROSS is the matrix [r ×], flattened row by row.
 CROSS = np.array(
     [
         [0, 0, 0, 0, 0, -1, 0, 1, 0],
@@ -43,10 +43,10 @@ CROSS = np.array(
 
 
 class Controller(Protocol):
-    """Anything that turns a state into torques."""
+    """A controller with full-state feedback."""
 
     def torques(self, state: State) -> FloatArray:
-        """Return the drives' torques (n_actuated,), Nm."""
+        """Return the drive torques (n_actuated,), Nm."""
         ...
 
 
@@ -57,20 +57,20 @@ class BalanceGains:
     Attributes
     ----------
     com_stiffness, com_damping : float
-        Of the centre of mass, 1/s² and 1/s.
+        Feedback of the centre of mass, 1/s² and 1/s.
     momentum_damping : float
-        Of the angular momentum about the centre of mass, 1/s.
+        Feedback of the angular momentum about the centre of mass, 1/s.
     sole_damping : float
-        Velocity feedback that keeps the soles still, 1/s.
+        Velocity feedback that keeps the soles at rest, 1/s.
     trunk_stiffness, trunk_damping : float
-        Of the base's orientation, 1/s² and 1/s.
+        Feedback of the base's orientation, 1/s² and 1/s.
     com_weight, momentum_weight, sole_weight, trunk_weight, wrench_weight : float
         Weights of the squared task errors, in m/s², Nm, rad/s² and m/s², rad/s², N and Nm.
     friction : float
-        Coefficient the planned contact forces keep to; less than the floor's.
+        Friction coefficient of the planned contact forces; less than that of the floor.
     sole_margin : float
-        Distance the planned centres of pressure keep from the soles' edges, m: a sole loaded
-        at its very edge tips, and falls back with a blow.
+        Minimum distance of the planned centres of pressure from the soles' edges, m: a sole
+        loaded at its edge tips and then hits the floor.
     """
 
     com_stiffness: float = 60.0
@@ -89,7 +89,7 @@ class BalanceGains:
 
     @property
     def feed_forward(self) -> "BalanceGains":
-        """The same weights without any feedback: what is left comes from model and reference."""
+        """The same weights without feedback: torques follow from model and reference alone."""
         return replace(
             self,
             com_stiffness=0.0,
@@ -103,17 +103,17 @@ class BalanceGains:
 
 @dataclass(frozen=True)
 class BalanceTask:
-    """What the balance controller is to do.
+    """Reference motion of the balance controller.
 
     Attributes
     ----------
     com : Trajectory
-        Path of the centre of mass in the world, m.
+        Centre of mass in the world, m.
     attitude : (4,) float64
-        Quaternion wxyz of the base in the world that its turns start from.
+        Initial quaternion wxyz of the base in the world.
     turns : Trajectory
-        Rotation vectors of the base from there, in base axes, rad. Only their position is
-        followed: feedback without feed-forward rounds the jumps of their acceleration.
+        Rotation vectors of the base from there, in base axes, rad. Only the position is used:
+        feedback without feed-forward smooths the jumps of the acceleration.
     """
 
     com: Trajectory
@@ -122,27 +122,28 @@ class BalanceTask:
 
     @property
     def duration(self) -> float:
-        """End of both, s."""
+        """End of both trajectories, s."""
         return max(self.com.duration, self.turns.duration)
 
 
 class BalanceController:
     """Whole-body controller that moves the centre of mass along a reference.
 
-    Unknowns are the drives' torques and a wrench at each sole; the accelerations follow from the
-    equation of motion, the centroidal momentum's rate from the wrenches (Newton and Euler about
-    the centre of mass: ``m a = Σ f + m g``, ``dL/dt = Σ n + r × f``). Constraints: torque limits,
-    and for each sole the friction pyramid and a centre of pressure within its contact points, as
-    the feet stand flat with their toes along world x. Tasks, weighted against each other:
-    acceleration of the centre of mass, damped angular momentum about it, soles that stay still,
-    and a trunk that softly follows its turns.
+    The unknowns of its QP are the drive torques and a wrench at each sole. The accelerations
+    follow from the equation of motion. The rate of the centroidal momentum follows from the
+    wrenches: ``m a = Σ f + m g``, ``dL/dt = Σ n + r × f`` about the centre of mass.
+
+    Constraints are the torque limits and, for each sole, the friction pyramid and a centre of
+    pressure within its contact points; the feet stand flat with their toes along world x. Weighted
+    tasks are the acceleration of the centre of mass, damping of the angular momentum, soles at
+    rest, and a trunk that follows its turns with low stiffness.
 
     Parameters
     ----------
     model : mujoco.MjModel
-        What the controller believes the robot to be; it may differ from the plant's.
+        The controller's model of the robot; it may differ from the plant's.
     task : BalanceTask
-        Where centre of mass and trunk are to go.
+        Reference motion of centre of mass and trunk.
     sole_frames : tuple of str
         Sites of the soles.
     gains : BalanceGains
@@ -156,17 +157,17 @@ class BalanceController:
         sole_frames: tuple[str, ...],
         gains: BalanceGains,
     ) -> None:
-        self._belief = belief = ControllerModel(model, sole_frames)
+        self._model = dynamics = ControllerModel(model, sole_frames)
         self._task = task
-        self._wrenches = wrenches = len(belief.sole_jacobian)
+        self._wrenches = wrenches = len(dynamics.sole_jacobian)
         unknowns = wrenches + model.nu
         com, momentum, trunk = np.sqrt(
             np.array([gains.com_weight, gains.momentum_weight, gains.trunk_weight])
             / gains.sole_weight
         )
-        belief.outputs[:3] *= trunk
-        # Residuals of the tasks (centre of mass, momentum, trunk, soles) in units of the soles'
-        # weight: what each unknown adds, and in the last column what there is without them.
+        dynamics.outputs[:3] *= trunk
+        # Task residuals (centre of mass, momentum, trunk, soles), relative to the soles' weight:
+        # one column per unknown; the last column holds the residuals at zero unknowns.
         self._tasks = np.zeros((9 + wrenches, unknowns + 1))
         self._feedback = _feedback(gains, com, momentum, trunk)
         self._com_offset = com * np.array(model.opt.gravity)
@@ -176,68 +177,69 @@ class BalanceController:
         force, moment = slice(3, 6), slice(0, 3)
         self._moment_blocks = []
         for column in range(0, wrenches, 6):
-            self._tasks[:3, column : column + 6][:, force] = com / belief.mass * np.eye(3)
+            self._tasks[:3, column : column + 6][:, force] = com / dynamics.mass * np.eye(3)
             self._tasks[3:6, column : column + 6][:, moment] = momentum * np.eye(3)
             self._moment_blocks.append(self._tasks[3:6, column : column + 6][:, force])
-        self._preference = _preference(belief, gains, unknowns)
+        self._preference = _preference(dynamics, gains, unknowns)
         cones = scipy.linalg.block_diag(
-            *(_contact_cone(bounds, gains) for bounds in belief.sole_bounds())
+            *(_contact_cone(bounds, gains) for bounds in dynamics.sole_bounds())
         )
         limits = model.actuator_ctrlrange
         constraints = scipy.linalg.block_diag(cones, np.eye(model.nu))
         lower = np.concatenate([np.full(len(cones), -np.inf), limits[:, 0]])
         upper = np.concatenate([np.zeros(len(cones)), limits[:, 1]])
-        self._programme = proxqp.dense.QP(unknowns, 0, len(constraints))
-        settings = self._programme.settings
+        self._qp = proxqp.dense.QP(unknowns, 0, len(constraints))
+        settings = self._qp.settings
         settings.eps_abs = 1e-6
         settings.eps_rel = 0.0
-        # No wrench and no torque is always allowed, so that "infeasible" would be a false alarm.
+        # Zero wrenches and torques are always feasible: "infeasible" would be a false alarm.
         settings.eps_primal_inf = settings.eps_dual_inf = 1e-14
         settings.max_iter = 200
         settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
-        # Its preconditioner would be computed for this first, meaningless objective.
-        self._programme.init(
+        # No preconditioner: it would be computed for this first, meaningless objective.
+        self._qp.init(
             np.eye(unknowns), np.zeros(unknowns), None, None, constraints, lower, upper, False
         )
 
     def torques(self, state: State) -> FloatArray:
-        """Return the drives' torques (n_actuated,), Nm, for one state.
+        """Return the drive torques (n_actuated,), Nm, for one state.
 
         Raises
         ------
         RobotFailureError
-            When there are none, or the believed inertias are of no use in this state.
+            When the QP has no solution or the model's mass matrix is not positive definite.
         """
-        self._belief.update(state)
+        self._model.update(state)
         self._set_tasks(state)
         products = np.dot(self._tasks.T, self._tasks)
         np.add(products, self._preference, products)
-        programme = self._programme
-        programme.update(products[:-1, :-1], products[:-1, -1])
-        programme.solve()
-        results = programme.results
+        qp = self._qp
+        qp.update(products[:-1, :-1], products[:-1, -1])
+        qp.solve()
+        results = qp.results
         if results.info.status != proxqp.PROXQP_SOLVED:
             raise RobotFailureError(
                 f"no torques keep the robot standing ({results.info.status.name})",
                 state.time,
-                "ask for slower or smaller moves",
+                "choose another motion seed or raise the torque limits in the MJCF",
+                "E614",
             )
         return np.array(results.x[self._wrenches :])
 
     def _set_tasks(self, state: State) -> None:
-        belief, tasks = self._belief, self._tasks
-        for block, arm in zip(self._moment_blocks, belief.sole_arms, strict=True):
+        model, tasks = self._model, self._tasks
+        for block, arm in zip(self._moment_blocks, model.sole_arms, strict=True):
             block[:] = np.dot(arm, self._cross).reshape(3, 3)
-        np.dot(belief.outputs, belief.response.T, tasks[6:])
-        aim = self._task.attitude.copy()
-        mujoco.mju_quatIntegrate(aim, self._task.turns.at(state.time)[0], 1.0)
-        mujoco.mju_subQuat(self._lean, state.position[3:7], aim)
+        np.dot(model.outputs, model.response.T, tasks[6:])
+        goal = self._task.attitude.copy()
+        mujoco.mju_quatIntegrate(goal, self._task.turns.at(state.time)[0], 1.0)
+        mujoco.mju_subQuat(self._lean, state.position[3:7], goal)
         errors = np.concatenate(
             [
                 self._task.com.at(state.time).ravel(),
-                belief.com,
-                belief.com_velocity,
-                belief.angular_momentum,
+                model.com,
+                model.com_velocity,
+                model.angular_momentum,
                 self._lean,
                 state.velocity[3:6],
             ]
@@ -246,16 +248,16 @@ class BalanceController:
         tasks[:3, -1] = feedback[:3] + self._com_offset
         tasks[3:6, -1] = feedback[3:6]
         tasks[6:9, -1] += feedback[6:]
-        tasks[9:, -1] += belief.sole_drift + self._sole_damping * np.dot(
-            belief.sole_jacobian, state.velocity
+        tasks[9:, -1] += model.sole_drift + self._sole_damping * np.dot(
+            model.sole_jacobian, state.velocity
         )
 
 
 def _feedback(gains: BalanceGains, com: float, momentum: float, trunk: float) -> FloatArray:
-    """(9, 24) residuals of centre of mass, momentum and trunk per unit of what is fed back.
+    """Return the (9, 24) matrix from feedback signals to residuals of CoM, momentum and trunk.
 
-    That is the reference's position, velocity and acceleration, the centre of mass's position
-    and velocity, the angular momentum, the trunk's lean and its angular velocity.
+    The signals are the reference's position, velocity and acceleration, the position and velocity
+    of the centre of mass, the angular momentum, the trunk's lean and its angular velocity.
     """
     blocks = np.zeros((3, 8))
     stiffness, damping = com * gains.com_stiffness, com * gains.com_damping
@@ -265,33 +267,33 @@ def _feedback(gains: BalanceGains, com: float, momentum: float, trunk: float) ->
     return np.asarray(np.kron(blocks, np.eye(3)), dtype=np.float64)
 
 
-def _preference(belief: ControllerModel, gains: BalanceGains, unknowns: int) -> FloatArray:
-    """(unknowns + 1, unknowns + 1) quadratic form that draws each sole to its share of the weight.
+def _preference(model: ControllerModel, gains: BalanceGains, unknowns: int) -> FloatArray:
+    """Return the quadratic form that distributes the weight, (unknowns + 1, unknowns + 1).
 
-    Standing on two feet leaves the wrenches' split between them open; this settles it: half the
-    weight each, in the middle of the sole.
+    Standing on two feet leaves the distribution of the wrenches undetermined. This form prefers
+    half the weight on each sole, with the centre of pressure in its middle.
     """
     weight = gains.wrench_weight / gains.sole_weight
-    bounds = belief.sole_bounds()
-    force = -belief.mass * np.array(belief.model.opt.gravity) / len(bounds)
+    bounds = model.sole_bounds()
+    force = -model.mass * np.array(model.model.opt.gravity) / len(bounds)
     form = np.zeros((unknowns + 1, unknowns + 1))
     for sole, (back, front, right, left) in enumerate(bounds):
         middle = np.array([back + front, right + left, 0.0]) / 2.0
         about_middle = np.eye(6)
         about_middle[:3, 3:] = -(middle @ CROSS).reshape(3, 3)
-        aim = about_middle @ np.concatenate([np.cross(middle, force), force])
+        preferred = about_middle @ np.concatenate([np.cross(middle, force), force])
         block = slice(6 * sole, 6 * sole + 6)
         form[block, block] = weight * about_middle.T @ about_middle
-        form[block, -1] = -weight * about_middle.T @ aim
+        form[block, -1] = -weight * about_middle.T @ preferred
     return form
 
 
 def _contact_cone(bounds: FloatArray, gains: BalanceGains) -> FloatArray:
-    """Rows C with C (moment; force) ≤ 0 for wrenches a flat sole can bear, (10, 6).
+    """Return C (10, 6) such that C (moment; force) ≤ 0 for feasible wrenches at a flat sole.
 
-    Friction pyramid, centre of pressure (x = -n_y / f_z, y = n_x / f_z) within ``bounds``
-    (low x, high x, low y, high y) less the margin, and a twist no larger than friction at half
-    the sole's length gives.
+    The rows are the friction pyramid, a centre of pressure (x = -n_y / f_z, y = n_x / f_z)
+    within ``bounds`` (min x, max x, min y, max y) minus the margin, and a yaw moment of at most
+    the friction force at half the sole's length.
     """
     margin, friction = gains.sole_margin, gains.friction
     back, front, right, left = bounds + margin * np.array([1.0, -1.0, 1.0, -1.0])
@@ -313,20 +315,20 @@ def _contact_cone(bounds: FloatArray, gains: BalanceGains) -> FloatArray:
 
 
 class DegradedFeedback:
-    """Gives a controller states that are late and whose joint velocities are noisy.
+    """Feeds a controller delayed states with noisy joint velocities.
 
-    With a stiff controller this makes the legs vibrate as they do in the thesis's data
-    (chapter 4). The noise belongs to the motion, not to the sensors.
+    With a stiff controller the legs vibrate as in the thesis's data (chapter 4). The noise changes
+    the motion; it is not added to the sensor readings.
 
     Parameters
     ----------
     controller : Controller
-        Who gets the states.
+        Receives the states.
     delay : int
         Periods.
     velocity_noise : float
-        Standard deviation, rad/s: the difference of two noisy encoder readings a period apart,
-        hence mostly of high frequency.
+        Standard deviation, rad/s. The noise is the difference of two noisy encoder readings one
+        period apart, so most of it is at high frequency.
     joints : int
         Number of joints.
     random : numpy.random.Generator
@@ -348,7 +350,7 @@ class DegradedFeedback:
         self._last = np.zeros(joints)
 
     def torques(self, state: State) -> FloatArray:
-        """Return the controller's torques for a state ``delay`` periods ago."""
+        """Return the controller's torques for the state ``delay`` periods ago."""
         velocity = state.velocity.copy()
         reading = self._random.standard_normal(len(velocity) - 6)
         velocity[6:] += self._sigma / np.sqrt(2.0) * (reading - self._last)

@@ -1,4 +1,4 @@
-"""What a controller computes from its own model of the robot, in world axes."""
+"""The controller's model of the robot: its inertias and its dynamics in world axes."""
 
 import copy
 from collections.abc import Mapping
@@ -9,26 +9,26 @@ from scipy.linalg import lapack
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
-from symbid_ros.simulation.body_inertia import drop_shortcuts, set_body_phi
+from symbid_ros.simulation.body_inertia import disable_shortcuts, set_body_phi
 from symbid_ros.simulation.plant import RobotFailureError, State, driven_dofs, model_name, site_ids
 
 
 def replace_inertias(
     plant_model: mujoco.MjModel, inertias: Mapping[str, FloatArray]
 ) -> mujoco.MjModel:
-    """Return a copy of a model in which links have other inertias, possible or not.
+    """Return a copy of a model with other inertias, which may be physically impossible.
 
-    MuJoCo's compiler refuses negative masses and indefinite inertias, which an estimate may well
-    have; its smooth dynamics are sums over the links and take them. The copy is for these alone:
-    constants of contacts and constraints are still the plant's.
+    MuJoCo's compiler rejects negative masses and indefinite inertias, which estimates can have.
+    MuJoCo's smooth dynamics accept them, as they are sums over the links. Use the copy for smooth
+    dynamics alone: its constants of contacts and constraints are those of the plant.
 
     Parameters
     ----------
     plant_model : mujoco.MjModel
-        The robot; stays as it is.
+        The robot; not modified.
     inertias : mapping of str to (10,) float64
         By body name, [m, m·c, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] about the body's origin, products as
-        matrix elements. Other bodies keep their own.
+        matrix elements. Other bodies keep their inertias.
 
     Raises
     ------
@@ -40,36 +40,39 @@ def replace_inertias(
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if body < 0:
             raise SimulationError(
-                f"{model_name(model)}: no body {name} to give inertias to; name one of the model's"
+                f"{model_name(model)}: no body {name}; name a body of the model", "E609"
             )
         if not np.all(np.isfinite(phi)) or (phi[0] == 0.0 and np.any(phi[1:4])):
             raise SimulationError(
                 f"{model_name(model)}: body {name} has mass {phi[0]:g} kg and first moment "
-                f"{phi[1:4]} kg m, hence no centre of mass; give finite numbers and a mass"
+                f"{phi[1:4]} kg m, hence no centre of mass; give finite numbers and a mass",
+                "E610",
             )
         set_body_phi(model, body, phi)
-    drop_shortcuts(model)
+    disable_shortcuts(model)
     model.body_subtreemass[:] = model.body_mass
     for body in range(model.nbody - 1, 0, -1):
         model.body_subtreemass[model.body_parentid[body]] += model.body_subtreemass[body]
     if model.body_subtreemass[model.jnt_bodyid[0]] == 0.0:
         raise SimulationError(
-            f"{model_name(model)}: masses that sum to 0 kg have no centre of mass to control; "
-            "give the robot's links mass"
+            f"{model_name(model)}: the masses sum to 0 kg, so the robot has no centre of mass; "
+            "give its links mass",
+            "E610",
         )
     return model
 
 
 class ControllerModel:
-    """Dynamics of the robot as the controller believes it to be.
+    """Dynamics of the robot according to the controller's model.
 
-    The arrays are refilled in place by `update`. Generalised vectors follow MuJoCo's ``qvel``;
+    `update` refills the arrays in place. Generalised vectors are ordered like MuJoCo's ``qvel``;
     spatial vectors are angular first, in world axes, about the origin of the sole's frame.
 
     Parameters
     ----------
     model : mujoco.MjModel
-        May differ from the plant's, in its inertias for one; these need not be possible.
+        May differ from the plant's model, for example in its inertias, which may be physically
+        impossible.
     sole_frames : tuple of str
         Sites of the F soles; the collision geoms on their links are the contact points.
 
@@ -78,16 +81,16 @@ class ControllerModel:
     mass : float
         kg.
     response : (6 F + A + 1, nv) float64
-        Generalised accelerations that follow, each by itself, from unit wrenches at the soles,
-        from unit torques of the A drives, and (last row) from motion and gravity.
+        Generalised accelerations caused by unit wrenches at the soles, by unit torques of the A
+        drives, and (last row) by motion and gravity.
     outputs : (3 + 6 F, nv) float64
-        Velocities of the trunk (angular, base axes) and of the soles per unit of ``qvel``.
+        Jacobian of the angular velocity of the trunk (base axes) and of the soles' velocities.
     sole_jacobian : (6 F, nv) float64
-        The soles' part of ``outputs``, a view.
+        The rows of ``outputs`` for the soles, a view.
     sole_drift : (6 F,) float64
         Soles' acceleration at q̈ = 0, rad/s² and m/s².
     sole_arms : (F, 3) float64
-        From the centre of mass to the soles' frames, m.
+        Vectors from the centre of mass to the soles' frames, m.
     com, com_velocity, angular_momentum : (3,) float64
         m, m/s, and kg m²/s about the centre of mass.
     """
@@ -98,8 +101,8 @@ class ControllerModel:
         self._feet = model.site_bodyid[self._soles].tolist()
         base, nv, rows = int(model.jnt_bodyid[0]), model.nv, 6 * len(self._soles)
         self.mass = float(model.body_subtreemass[base])
-        # One block, so that neither product nor solution has to gather its rows: trunk, soles,
-        # drives, motion. `outputs` is its first part, the causes of `response` all but the trunk.
+        # One contiguous block (trunk, soles, drives, motion), so that products and solutions need
+        # no copies. `outputs` is its first part; the rows below the trunk cause the `response`.
         block = np.zeros((3 + rows + model.nu + 1, nv))
         block[:3, 3:6] = np.eye(3)
         block[3 + rows + np.arange(model.nu), driven_dofs(model)] = 1.0
@@ -110,9 +113,9 @@ class ControllerModel:
         self.sole_arms = np.zeros((len(self._soles), 3))
         self._rate = np.zeros((rows, nv))
         self._inertia = np.zeros((nv, nv))
-        # MuJoCo divides a subtree's momentum by its mass, held above zero.
-        self._is_mass_negative = bool(np.any(model.body_subtreemass[base:] <= 0.0))
-        # Views into MuJoCo's arrays, which stay where they are: looking them up costs 1 µs each.
+        # MuJoCo divides a subtree's momentum by its mass, which it limits to positive values.
+        self._has_nonpositive_mass = bool(np.any(model.body_subtreemass[base:] <= 0.0))
+        # Views into MuJoCo's arrays, whose addresses are fixed: each lookup costs 1 µs.
         data = self._data
         self.com = data.subtree_com[base]
         self.com_velocity = data.subtree_linvel[base]
@@ -131,7 +134,7 @@ class ControllerModel:
         ]
 
     def update(self, state: State) -> None:
-        """Recompute every array for a state.
+        """Recompute all arrays for a state.
 
         Raises
         ------
@@ -147,7 +150,7 @@ class ControllerModel:
         mujoco.mj_factorM(model, data)
         mujoco.mj_comVel(model, data)
         mujoco.mj_subtreeVel(model, data)
-        if self._is_mass_negative:
+        if self._has_nonpositive_mass:
             self._sum_angular_momentum()
         mujoco.mj_rne(model, data, 0, self._motion)
         np.negative(self._motion, self._motion)
@@ -159,13 +162,14 @@ class ControllerModel:
         mujoco.mj_solveM(model, data, self.response, self._causes)
 
     def _require_definite(self, time: float) -> None:
-        # MuJoCo would replace a negative pivot by a tiny one, and go on.
+        # MuJoCo would replace a negative pivot by a tiny positive one and continue.
         mujoco.mj_fullM(self.model, self._data, self._inertia)
         if lapack.dpotrf(self._inertia)[1]:
             raise RobotFailureError(
-                "the believed mass matrix is not positive definite",
+                "the mass matrix of the controller's model is not positive definite",
                 time,
-                "no controller can use such inertias: give physically possible ones",
+                "give the controller physically possible inertias",
+                "E615",
             )
 
     def _sum_angular_momentum(self) -> None:
@@ -174,11 +178,11 @@ class ControllerModel:
         inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]] = data.cinert[:, :6].T
         inertia[[1, 2, 2], [0, 0, 1]] = data.cinert[:, 3:6].T
         spin, velocity = data.cvel[:, :3], data.cvel[:, 3:]
-        own = np.einsum("ijb,bj->i", inertia, spin)
-        self.angular_momentum[:] = own + np.cross(data.cinert[:, 6:9], velocity).sum(axis=0)
+        spins = np.einsum("ijb,bj->i", inertia, spin)
+        self.angular_momentum[:] = spins + np.cross(data.cinert[:, 6:9], velocity).sum(axis=0)
 
     def sole_bounds(self) -> FloatArray:
-        """(F, 4) lowest and highest x, lowest and highest y of the contact points, sole axes, m."""
+        """Return min x, max x, min y, max y of the contact points in sole axes, (F, 4), m."""
         model = self.model
         bounds = []
         for site, foot in zip(self._soles, self._feet, strict=True):

@@ -1,6 +1,6 @@
-"""The datagrams of the UDP loop: 24 bytes of header, then doubles, all little-endian.
+"""Datagrams of the UDP loop: a header of 24 bytes, then doubles, all little-endian.
 
-docs/udp.md tables every field for those who speak it from elsewhere.
+docs/udp.md documents every field.
 """
 
 import struct
@@ -11,46 +11,46 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.command import Rejection
-from symbid_ros.simulation.sensors import Instant
+from symbid_ros.simulation.sensors import Instant, Measurement
 
 HEADER = struct.Struct("<IHHIIII")  # magic, version, kind, sequence, seconds, nanoseconds, count
 MAGIC = 0x44424D53  # the bytes "SMBD"
 VERSION = 1
 MEASUREMENT, COMMAND = 1, 2
-HELLO = 0  # a command's sequence number that answers no measurement
+HELLO = 0  # sequence number of a command that does not answer a measurement
 MAX_SEQUENCE = 2**32 - 1
 MAX_DATAGRAM_BYTES = 65507  # bytes of a UDP datagram's payload
 NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 class PacketError(SimulationError):
-    """A datagram that is none of ours.
+    """A datagram that does not follow the protocol.
 
     Parameters
     ----------
     reason : Rejection
-        What is wrong with it.
+        The violated rule.
     """
 
     def __init__(self, reason: Rejection) -> None:
-        super().__init__(f"datagram refused for its {reason}; see docs/udp.md")
+        super().__init__(f"datagram rejected ({reason}); see docs/udp.md", "E618")
         self.reason = reason
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """A datagram's content.
+    """Content of a datagram.
 
     Attributes
     ----------
     kind : int
         ``MEASUREMENT`` or ``COMMAND``.
     sequence : int
-        Number of the measurement, or of the one that the command answers.
+        Number of the measurement, or of the measurement that the command answers.
     stamp : int
-        Of that measurement, ns.
+        Stamp of that measurement, ns.
     values : (count,) float64
-        In the units of the kind.
+        Measured values or torques, in SI units.
     """
 
     kind: int
@@ -59,22 +59,8 @@ class Packet:
     values: FloatArray
 
 
-@dataclass(frozen=True)
-class Measurement:
-    """What the sensors say, as in `Instant`."""
-
-    stamp: int
-    joint_position: FloatArray
-    joint_velocity: FloatArray
-    joint_effort: FloatArray
-    imu_orientation: FloatArray
-    imu_angular_velocity: FloatArray
-    imu_linear_acceleration: FloatArray
-    wrenches: FloatArray
-
-
 def encode(packet: Packet) -> bytes:
-    """Return a packet as a datagram."""
+    """Encode a packet as a datagram."""
     seconds, nanoseconds = divmod(packet.stamp, NANOSECONDS_PER_SECOND)
     values = np.ascontiguousarray(packet.values, dtype="<f8")
     header = (MAGIC, VERSION, packet.kind, packet.sequence, seconds, nanoseconds, len(values))
@@ -82,21 +68,21 @@ def encode(packet: Packet) -> bytes:
 
 
 def decode(datagram: bytes, kind: int) -> Packet:
-    """Return the content of a datagram of one kind.
+    """Decode a datagram of the given kind; its values are not checked.
 
     Raises
     ------
     PacketError
-        When length, magic, version or kind are wrong; values may be anything.
+        When length, magic, version or kind are wrong.
     """
     if len(datagram) < HEADER.size:
         raise PacketError(Rejection.LENGTH)
-    magic, version, its_kind, sequence, seconds, nanoseconds, count = HEADER.unpack_from(datagram)
+    magic, version, received, sequence, seconds, nanoseconds, count = HEADER.unpack_from(datagram)
     if magic != MAGIC:
         raise PacketError(Rejection.MAGIC)
     if version != VERSION:
         raise PacketError(Rejection.VERSION)
-    if its_kind != kind:
+    if received != kind:
         raise PacketError(Rejection.KIND)
     if len(datagram) != HEADER.size + 8 * count:
         raise PacketError(Rejection.LENGTH)
@@ -105,7 +91,7 @@ def decode(datagram: bytes, kind: int) -> Packet:
 
 
 def encode_measurement(sequence: int, instant: Instant) -> Packet:
-    """Return what the sensors say at one instant as a packet."""
+    """Return the sensor readings of one instant as a packet."""
     values = [
         instant.joint_position,
         instant.joint_velocity,
@@ -118,13 +104,13 @@ def encode_measurement(sequence: int, instant: Instant) -> Packet:
     return Packet(MEASUREMENT, sequence, instant.stamp, np.concatenate(values))
 
 
-def measurement(packet: Packet, joints: int) -> Measurement:
-    """Return the measurement of a robot of so many joints that a packet holds.
+def decode_measurement(packet: Packet, joints: int) -> Measurement:
+    """Return the measurement in a packet, for a robot with ``joints`` joints.
 
     Raises
     ------
     PacketError
-        When it is no measurement of such a robot, or not all numbers.
+        When the number of values does not match the robot, or a value is NaN or infinite.
     """
     fixed = [joints, joints, joints, 4, 3, 3]
     ends = np.cumsum(fixed).tolist()
@@ -147,10 +133,10 @@ def measurement(packet: Packet, joints: int) -> Measurement:
 
 
 def next_sequence(sequence: int) -> int:
-    """Return the number after one, from 1 again after the largest."""
+    """Return the next sequence number; after the largest comes 1."""
     return sequence % MAX_SEQUENCE + 1
 
 
 def is_before(sequence: int, other: int) -> bool:
-    """Tell whether a number was given before another one, less than half of all numbers ago."""
+    """Tell whether ``sequence`` precedes ``other`` by less than half of all numbers."""
     return 0 < (other - sequence) % MAX_SEQUENCE < MAX_SEQUENCE // 2

@@ -1,4 +1,4 @@
-"""The simulated robot: MuJoCo's model, its state, and the true quantities of one instant."""
+"""The simulated robot: MuJoCo model, state, and the true quantities of one instant."""
 
 import copy
 from dataclasses import dataclass
@@ -12,34 +12,35 @@ from symbid_ros.errors import ModelError, SimulationError
 from symbid_ros.model.mjcf_source import require_files_inside
 from symbid_ros.simulation.body_inertia import Payload, add_payload, copy_inertias
 
-
-class RobotFailureError(SimulationError):
-    """A robot that cannot go on: fallen, at an end stop, or without a command.
-
-    Parameters
-    ----------
-    cause : str
-        What happened, without time and remedy.
-    time : float
-        When, s; negative while the robot settles.
-    remedy : str
-        What to do about it.
-    """
-
-    def __init__(self, cause: str, time: float, remedy: str) -> None:
-        super().__init__(f"{cause} at {time:.3f} s; {remedy}")
-        self.cause = cause
-        self.time = time
-
-
-# MuJoCo has quaternions as wxyz and wrenches as (moment; force); messages the other way round.
+# MuJoCo orders quaternions wxyz and wrenches (moment; force); messages use xyzw and force first.
 SCALAR_LAST = np.array([1, 2, 3, 0])
 FORCE_FIRST = np.array([3, 4, 5, 0, 1, 2])
 
 
+class RobotFailureError(SimulationError):
+    """The robot fell, reached an end stop, or its controller found no torques.
+
+    Parameters
+    ----------
+    cause : str
+        What happened, without time and fix.
+    time : float
+        Time of the failure, s; negative while the robot settles.
+    fix : str
+        What the user can do about it.
+    code : str
+        Key of :data:`symbid_ros.error_codes.CODES`.
+    """
+
+    def __init__(self, cause: str, time: float, fix: str, code: str) -> None:
+        super().__init__(f"{cause} at {time:.3f} s; {fix}", code)
+        self.cause = cause
+        self.time = time
+
+
 @dataclass(frozen=True, slots=True)
 class State:
-    """What a controller is told, in MuJoCo's conventions.
+    """State of the robot, as controllers receive it, in MuJoCo's conventions.
 
     Attributes
     ----------
@@ -48,7 +49,7 @@ class State:
     position : (nq,) float64
         Base position in the world, base quaternion wxyz, joint positions.
     velocity : (nv,) float64
-        Base linear velocity in world axes, angular in base axes, joint velocities.
+        Base linear velocity in world axes, base angular velocity in base axes, joint velocities.
     """
 
     time: float
@@ -58,16 +59,16 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """True quantities of one instant; together they close the equation of motion.
+    """True quantities of one instant; together they satisfy the equation of motion.
 
     Attributes
     ----------
     state : State
-        Before the step.
+        State before the step.
     acceleration : (nv,) float64
-        Time derivative of ``state.velocity``, same axes.
+        Time derivative of ``state.velocity``, in the same axes.
     base_rotation : (3, 3) float64
-        From base to world axes.
+        Rotation from base to world axes.
     effort : (J,) float64
         Torque applied at each joint, Nm.
     imu_orientation : (4,) float64
@@ -75,8 +76,8 @@ class Truth:
     imu_motion : (6,) float64
         Angular velocity (rad/s) and specific force (m/s²) in IMU axes.
     wrenches : (F, 6) float64
-        Force and moment per wrench frame, environment on robot, in the frame's axes
-        about its origin, N and Nm.
+        Force and moment of the environment on the robot at each wrench frame, in the frame's
+        axes about its origin, N and Nm.
     """
 
     state: State
@@ -89,47 +90,51 @@ class Truth:
 
 
 def load_model(path: Path, text: str | None = None) -> mujoco.MjModel:
-    """Compile an MJCF file, or a text in its place, with the file named in any error."""
+    """Compile an MJCF file, or ``text`` in its place; error messages name the file."""
     try:
         require_files_inside(path)
         if text is None:
             return mujoco.MjModel.from_xml_path(str(path))
         spec = mujoco.MjSpec.from_string(text)
-        spec.modelfiledir = str(path.parent)  # where relative mesh paths begin
+        spec.modelfiledir = str(path.parent)  # relative mesh paths start here
         return spec.compile()
     except ModelError as error:
-        raise SimulationError(str(error)) from None
+        raise SimulationError(str(error), "E601") from None
     except ValueError as error:
         reason = " ".join(str(error).split())
-        raise SimulationError(f"{path}: MuJoCo refuses the model ({reason})") from error
+        raise SimulationError(
+            f"{path}: MuJoCo cannot compile the model ({reason}); correct the file", "E601"
+        ) from error
 
 
 def site_ids(model: mujoco.MjModel, names: tuple[str, ...]) -> list[int]:
-    """Return the sites' indices, each checked to exist."""
+    """Return the indices of sites, all of which must exist."""
     ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in names]
     for name, site in zip(names, ids, strict=True):
         if site < 0:
-            raise SimulationError(f"{model_name(model)}: no site {name}; add it to the MJCF")
+            raise SimulationError(
+                f"{model_name(model)}: no site {name}; add it to the MJCF", "E602"
+            )
     return ids
 
 
 def model_name(model: mujoco.MjModel) -> str:
-    """Return the name of the model, the first string of MuJoCo's name buffer."""
+    """Return the name of the model, which is the first string in MuJoCo's name buffer."""
     return str(model.names.split(b"\0", 1)[0].decode())
 
 
 def driven_dofs(model: mujoco.MjModel) -> IntArray:
-    """Return the degree of freedom that each actuator drives, in actuator order."""
+    """Return the degree of freedom driven by each actuator, in actuator order."""
     return np.array(model.jnt_dofadr[model.actuator_trnid[:, 0]], dtype=np.int64)
 
 
 class Plant:
-    """A floating-base robot in MuJoCo, advanced in two halves.
+    """A floating-base robot in MuJoCo, advanced in two half steps.
 
-    `observe` brings everything that depends on the state up to date; then torques and, where
-    there is one, an outside wrench are chosen from that same state and `advance` takes the step.
-    This order keeps state, acceleration, torques and forces of one instant together, without
-    which the equation of motion would not close.
+    `observe` updates everything that depends on the state. The caller then chooses torques, and
+    optionally an external wrench, from that state, and `advance` takes the step. In this order
+    state, acceleration, torques and forces belong to one instant and satisfy the equation of
+    motion.
 
     Parameters
     ----------
@@ -140,16 +145,16 @@ class Plant:
     contact_frames : tuple of str
         Sites at which the contact forces on their bodies are summed.
     text : str or None
-        MJCF to compile in the file's place.
+        MJCF to compile instead of the file's content.
 
     Attributes
     ----------
     model, data : mujoco.MjModel, mujoco.MjData
-        MuJoCo's own, the state at the keyframe to begin with.
+        MuJoCo's model and state; the initial state is the keyframe.
     text : str
         The MJCF.
     joint_names : tuple of str
-        Of all joints but the free one.
+        All joints except the free joint.
     base_frame : str
         The floating body.
     driven : (n_actuated,) int64
@@ -159,7 +164,7 @@ class Plant:
     torque_limits : (n_actuated, 2) float64
         Lowest and highest torque of each drive, Nm.
     period : float
-        Seconds.
+        Time step, s.
     """
 
     def __init__(
@@ -170,7 +175,7 @@ class Plant:
         self.text = path.read_text(encoding="utf-8") if text is None else text
         self.data = mujoco.MjData(self.model)
         self._require(path)
-        self._bare = copy.copy(self.model)
+        self._unloaded_model = copy.copy(self.model)
         model, data = self.model, self.data
         self.joint_names = tuple(model.joint(i).name for i in range(1, model.njnt))
         self.base_frame = str(model.body(model.jnt_bodyid[0]).name)
@@ -189,7 +194,7 @@ class Plant:
         self._orientation = data.sensor("imu_orientation").data
         self._gyroscope = data.sensor("imu_angular_velocity").data
         self._accelerometer = data.sensor("imu_linear_acceleration").data
-        self._outside: list[FloatArray] = []
+        self._applied_wrenches: list[FloatArray] = []
         self._state = State(0.0, data.qpos.copy(), data.qvel.copy())
         mujoco.mj_resetDataKeyframe(model, data, model.key("standing").id)
 
@@ -198,7 +203,11 @@ class Plant:
         kinds = [mujoco.mjtJoint(kind) for kind in model.jnt_type]
         moving = {mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE}
         if kinds[:1] != [mujoco.mjtJoint.mjJNT_FREE] or set(kinds[1:]) - moving:
-            raise SimulationError(f"{path}: needs one free joint, then hinges or slides only")
+            raise SimulationError(
+                f"{path}: the first joint must be free and the others hinges or slides; "
+                "change the joint types",
+                "E602",
+            )
         needed = {
             mujoco.mjtObj.mjOBJ_SENSOR: (
                 "imu_orientation",
@@ -210,7 +219,7 @@ class Plant:
         for kind, names in needed.items():
             for name in names:
                 if mujoco.mj_name2id(model, kind, name) < 0:
-                    raise SimulationError(f"{path}: no {name}; add that sensor or keyframe")
+                    raise SimulationError(f"{path}: no {name}; add that sensor or keyframe", "E602")
 
     @property
     def mass(self) -> float:
@@ -219,44 +228,44 @@ class Plant:
 
     @property
     def com(self) -> FloatArray:
-        """(3,) centre of mass in the world at the state last observed, m."""
+        """(3,) centre of mass in the world at the last observed state, m."""
         return np.array(self._com)
 
     def attach(self, payload: Payload) -> None:
-        """Fasten a payload to a link, in place of any other, from the next `observe` on.
+        """Attach a payload to a link from the next `observe` on, in place of any other payload.
 
-        State and velocities stay as they are: the payload arrives with those of its link.
+        The state does not change: the payload starts with the velocity of its link.
 
         Raises
         ------
         SimulationError
             When the robot has no such link.
         """
-        loaded = copy.copy(self._bare)
+        loaded = copy.copy(self._unloaded_model)
         add_payload(loaded, payload)
         self._set_inertias(loaded)
 
     def detach(self) -> None:
-        """Take the payload off again, if there is one."""
-        self._set_inertias(self._bare)
+        """Remove the payload, if there is one."""
+        self._set_inertias(self._unloaded_model)
 
     def _set_inertias(self, source: mujoco.MjModel) -> None:
         copy_inertias(source, self.model)
-        # Sums of masses and the like; in data of its own, as this moves the robot.
+        # Recomputes sums of masses and similar constants. Needs its own data: it resets the pose.
         mujoco.mj_setConst(self.model, mujoco.MjData(self.model))
 
     def observe(self) -> State:
-        """Compute all that follows from the state alone and return the state."""
+        """Compute everything that depends on the state alone and return the state."""
         mujoco.mj_step1(self.model, self.data)
-        if self._outside:
+        if self._applied_wrenches:
             self.data.qfrc_applied[:] = 0.0
-            self._outside.clear()
+            self._applied_wrenches.clear()
         data = self.data
         self._state = State(data.time, data.qpos.copy(), data.qvel.copy())
         return self._state
 
-    def push(self, site: int, wrench: FloatArray) -> None:
-        """Apply an outside wrench at a site during the coming step.
+    def apply_wrench(self, site: int, wrench: FloatArray) -> None:
+        """Apply an external wrench at a site during the next step.
 
         Parameters
         ----------
@@ -275,17 +284,17 @@ class Plant:
             self.model.site_bodyid[site],
             self.data.qfrc_applied,
         )
-        self._outside.append(wrench)
+        self._applied_wrenches.append(wrench)
 
     def advance(self, torques: FloatArray) -> Truth:
-        """Apply the drives' torques (n_actuated,), Nm, for one period and return the truth.
+        """Apply the drive torques (n_actuated,), Nm, for one period and return the truth.
 
-        Torques beyond a drive's range are cut off at its limit, as the drive would.
+        Torques are clipped to the limits of each drive.
         """
         model, data = self.model, self.data
         data.ctrl[:] = torques
         mujoco.mj_step2(model, data)
-        wrenches = self._contact_wrenches()
+        wrenches, applied = self._contact_wrenches(), self._applied_wrenches
         return Truth(
             state=self._state,
             acceleration=data.qacc.copy(),
@@ -293,12 +302,12 @@ class Plant:
             effort=data.qfrc_actuator[6:].copy(),
             imu_orientation=self._orientation.take(SCALAR_LAST),
             imu_motion=np.concatenate([self._gyroscope, self._accelerometer]),
-            wrenches=np.vstack([wrenches, *self._outside]) if self._outside else wrenches,
+            wrenches=np.vstack([wrenches, *applied]) if applied else wrenches,
         )
 
     def _contact_wrenches(self) -> FloatArray:
-        # MuJoCo sums the contact forces on each body (moment; force) in world axes about the
-        # whole robot's centre of mass; it does so because the model has an accelerometer.
+        # MuJoCo gives the total contact force on each body as (moment; force) in world axes
+        # about the robot's centre of mass. It computes this because the model has an accelerometer.
         wrenches = self._spatial
         for wrench, (force, origin, rotation) in zip(wrenches, self._contact_frames, strict=True):
             mujoco.mju_transformSpatial(wrench, force, 1, origin, self._com, rotation)
@@ -306,7 +315,7 @@ class Plant:
 
     @property
     def joint_at_limit(self) -> str | None:
-        """Name of a joint pressed against its end stop, if there is one."""
+        """Name of a joint that is at its end stop, if any."""
         if self.data.nl == 0:
             return None
         rows = self.data.efc_type == mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT

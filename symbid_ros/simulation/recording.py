@@ -1,4 +1,4 @@
-"""A simulation straight into a bag, as fast as it can be computed."""
+"""Recording of a simulation into a bag, faster or slower than real time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
@@ -12,7 +12,7 @@ from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.topics import sensor_topics, truth_topics
 
-BLOCK = 500  # instants encoded at once: large enough for NumPy, small enough to show progress
+BLOCK = 500  # instants encoded together: large enough to be efficient, small enough for progress
 
 
 def record(
@@ -21,23 +21,23 @@ def record(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, int]:
-    """Run the planned motion and write its sensor and ground-truth topics.
+    """Simulate the motion and write its sensor and ground-truth topics to a bag.
 
-    Messages are logged at their own stamp: the same seeds give the same payloads.
+    The log time of a message is its stamp, so equal seeds give equal message payloads.
 
     Parameters
     ----------
     simulator : Simulator
-        At its start.
+        A simulator that has not been stepped.
     out : Path
-        The bag's folder, which must not exist. It appears when the bag is complete.
+        Folder of the bag, which must not exist; it appears when the bag is complete.
     progress : callable, optional
-        Called with the number of instants written and of all instants.
+        Called with the number of written instants and the total number.
 
     Returns
     -------
     dict of str to int
-        Messages written, by topic.
+        Number of messages by topic.
     """
     topics = [*sensor_topics(simulator), *truth_topics(simulator)]
     with new_folder(out) as folder, BagWriter(folder) as bag:
@@ -46,7 +46,7 @@ def record(
         while done < simulator.steps:
             instants = [simulator.step() for _ in range(min(BLOCK, simulator.steps - done))]
             stamps = np.array([instant.stamp for instant in instants])
-            block = _stacked(instants)
+            block = _stack(instants)
             payloads = []
             for topic in topics:
                 records = topic.layout.records(len(instants))
@@ -62,8 +62,8 @@ def record(
     return bag.counts
 
 
-def _stacked(instants: Sequence[Instant]) -> Instant:
-    """Return one instant whose arrays carry the instants along their first axis."""
+def _stack(instants: Sequence[Instant]) -> Instant:
+    """Return one instant whose arrays have the instants along their first axis."""
     arrays: dict[str, Any] = {
         field.name: np.stack([getattr(instant, field.name) for instant in instants])
         for field in fields(Instant)

@@ -1,4 +1,4 @@
-"""The motions that can be simulated, and what each of them needs."""
+"""The scenarios that can be simulated, and the run of a scenario on a plant."""
 
 import copy
 from collections.abc import Callable, Iterator
@@ -23,8 +23,8 @@ from symbid_ros.simulation.trajectory import MoveRange, Trajectory, draw_traject
 SOLES = ("left_sole", "right_sole")
 SUPPORT_FRAME = "suspension"
 
-# Standing: metres and m/s. Sideways both feet must keep a share of the weight, and low enough that
-# knees stay bent, high enough that ankles keep off their end stops.
+# Standing: metres and m/s. Sideways, both feet must carry part of the weight. Vertically, the knees
+# must stay bent and the ankles away from their end stops.
 COM_MOVES = MoveRange(
     centre=np.array([-0.004, 0.0, -0.018]),
     half_widths=np.array([0.08, 0.08, 0.014]),
@@ -33,9 +33,9 @@ COM_MOVES = MoveRange(
     shortest=0.07,
     rest=0.5,
 )
-# The trunk turns meanwhile, rad and rad/s; the legs allow little about yaw. Only a leaning trunk
-# shows how high its mass is, and only turning brisker than the gyroscope's noise shows inertia
-# (thesis, section IV-A: no torso stabilisation, for that reason).
+# Turns of the trunk at the same time, rad and rad/s; the legs allow little yaw. The height of the
+# trunk's mass is identifiable only if it leans, and its inertia only if its angular acceleration
+# exceeds the gyroscope's noise (thesis, section IV-A: no torso stabilisation, for that reason).
 TRUNK_TURNS = MoveRange(
     centre=np.zeros(3),
     half_widths=np.radians([6.5, 12.0, 6.0]),
@@ -46,8 +46,8 @@ TRUNK_TURNS = MoveRange(
 )
 TURNS_PER_MOVE = 2
 
-# Squatting: metres and m/s, nearly straight up and down. The ankles' end stops bound the depth; a
-# trunk that leans forward keeps them off by letting the hips go back.
+# Squatting: metres and m/s, nearly vertical. The ankles' end stops limit the depth; leaning the
+# trunk forward moves the hips back and keeps the ankles away from them.
 SQUAT_MOVES = MoveRange(
     centre=np.array([-0.004, 0.0, -0.032]),
     half_widths=np.array([0.01, 0.01, 0.028]),
@@ -65,12 +65,12 @@ SQUAT_TURNS = MoveRange(
     rest=0.5,
 )
 
-# Those that stand on their balance alone.
+# Scenarios that a balance controller can execute from sensor readings alone.
 STANDING = {"smooth": (COM_MOVES, TRUNK_TURNS), "squat": (SQUAT_MOVES, SQUAT_TURNS)}
 
-# Suspended: rad and rad/s. The hook rocks by up to 15 degrees, sideways by less and never fast:
-# the undriven ankle joints hang plumb like pendulums and must keep off their end stops.
-HOOK_MOVES = MoveRange(
+# Suspended: rad and rad/s. The hook rotates by up to 15 degrees, sideways by less, and slowly: the
+# undriven ankle joints swing like pendulums and must stay away from their end stops.
+HOOK_TURNS = MoveRange(
     centre=np.zeros(3),
     half_widths=np.radians([11.0, 15.0, 15.0]),
     slowest=0.06,
@@ -78,7 +78,7 @@ HOOK_MOVES = MoveRange(
     shortest=0.2,
     rest=0.5,
 )
-# Each leg's driven joints: hip ab/adduction, hip flexion, knee, ankle flexion.
+# Driven joints of each leg: hip ab/adduction, hip flexion, knee, ankle flexion.
 LEG_CENTRE, LEG_WIDTHS = (0.0, 0.0, -0.15, 0.0), (0.04, 0.25, 0.3, 0.15)
 LEG_MOVES = MoveRange(
     centre=np.tile(LEG_CENTRE, 2),
@@ -88,11 +88,11 @@ LEG_MOVES = MoveRange(
     shortest=0.15,
     rest=0.5,
 )
-LIFT = 0.5  # m from standing to hanging
-TARE = 5.0  # s
+LIFT = 0.5  # height of hanging above standing, m
+TARE_DURATION = 5.0  # s
 
-# Gives joint accelerations of 8 to 10 rad/s² (rms), most of it between 250 and 460 Hz. Friction
-# calms the vibration, which takes more gain then.
+# Joint accelerations of 8 to 10 rad/s² (rms), mostly between 250 and 460 Hz. Friction damps the
+# vibration, so it takes a higher gain.
 VIBRATING_GAINS = BalanceGains(sole_damping=115.0)
 VIBRATING_GAINS_WITH_FRICTION = BalanceGains(sole_damping=130.0)
 FEEDBACK_NOISE = 0.05  # rad/s
@@ -107,21 +107,21 @@ class Scenario:
     ----------
     controller : Controller
         Commands the drives.
-    hoist : OverheadSupport or None
-        Holds the base where the robot does not stand.
+    support : OverheadSupport or None
+        Holds the base; None if the robot stands.
     duration : float
         Seconds.
     """
 
     controller: Controller
-    hoist: OverheadSupport | None
+    support: OverheadSupport | None
     duration: float
 
 
 def require_seed(name: str, seed: int) -> None:
-    """Refuse a seed that no generator takes."""
+    """Raise an error if a seed is negative, which random generators do not accept."""
     if seed < 0:
-        raise SimulationError(f"{name} {seed} is negative; give 0 or more")
+        raise SimulationError(f"{name} {seed} is negative; give 0 or more", "E605")
 
 
 def standing_task(
@@ -131,32 +131,32 @@ def standing_task(
     com_moves: MoveRange = COM_MOVES,
     trunk_turns: MoveRange = TRUNK_TURNS,
 ) -> BalanceTask:
-    """Draw what a standing robot is to do: moves of its centre of mass, turns of its trunk.
+    """Draw the reference motion of a standing robot: moves of its CoM and turns of its trunk.
 
     Parameters
     ----------
     plant : Plant
-        Robot, in the pose in which it starts.
+        Robot in its initial pose.
     moves : int
         Number of moves of the centre of mass.
     seed : int
-        Of the draw.
+        Seed of the random moves and turns.
     com_moves, trunk_turns : MoveRange
-        Metres in the world and rotation vectors (rad) in base axes, from where it starts.
+        Metres in the world and rotation vectors (rad) in base axes, from the initial pose.
     """
     plant.observe()
-    reference = draw_trajectory(plant.com, moves, com_moves, np.random.default_rng([seed, 0]))
+    com = draw_trajectory(plant.com, moves, com_moves, np.random.default_rng([seed, 0]))
     attitude = plant.data.qpos[3:7].copy()
     turns = draw_trajectory(
         np.zeros(3), TURNS_PER_MOVE * moves, trunk_turns, np.random.default_rng([seed, 2])
     )
-    return BalanceTask(reference, attitude, turns)
+    return BalanceTask(com, attitude, turns)
 
 
 def _standing(plant: Plant, task: BalanceTask, gains: BalanceGains) -> Scenario:
-    # A copy: what the plant is loaded with later is nothing that the controller knows of.
-    belief = copy.copy(plant.model)
-    return Scenario(BalanceController(belief, task, SOLES, gains), None, task.duration)
+    # A copy: the controller does not know payloads attached to the plant later.
+    model = copy.copy(plant.model)
+    return Scenario(BalanceController(model, task, SOLES, gains), None, task.duration)
 
 
 def _smooth(plant: Plant, moves: int, seed: int) -> Scenario:
@@ -171,36 +171,37 @@ def _squat(plant: Plant, moves: int, seed: int) -> Scenario:
 def _vibrating(plant: Plant, moves: int, seed: int) -> Scenario:
     has_friction = np.any(plant.model.dof_damping) or np.any(plant.model.dof_frictionloss)
     gains = VIBRATING_GAINS_WITH_FRICTION if has_friction else VIBRATING_GAINS
-    calm = _standing(plant, standing_task(plant, moves, seed), gains)
+    standing = _standing(plant, standing_task(plant, moves, seed), gains)
     controller = DegradedFeedback(
-        calm.controller,
+        standing.controller,
         FEEDBACK_DELAY,
         FEEDBACK_NOISE,
         len(plant.joint_names),
         np.random.default_rng([seed, 1]),
     )
-    return Scenario(controller, None, calm.duration)
+    return Scenario(controller, None, standing.duration)
 
 
 def _suspended(plant: Plant, moves: int, seed: int) -> Scenario:
-    rocking = draw_trajectory(np.zeros(3), moves, HOOK_MOVES, np.random.default_rng([seed, 0]))
+    hook = draw_trajectory(np.zeros(3), moves, HOOK_TURNS, np.random.default_rng([seed, 0]))
     legs = draw_trajectory(_leg_pose(plant), moves, LEG_MOVES, np.random.default_rng([seed, 1]))
-    return _hanging(plant, rocking, legs)
+    return _hanging(plant, hook, legs)
 
 
 def _tare(plant: Plant, moves: int, seed: int) -> Scenario:
-    # At rest from the start: what is not driven and not damped would go on swinging.
+    # At equilibrium from the start: undriven joints without damping would swing forever.
     model, pose = plant.model, plant.data.qpos
     pose[:] = settle_passive_joints(model, pose)
-    weight = gravity_torques(model, pose)[plant.driven]
-    return _hanging(plant, _rest(np.zeros(3), TARE), _rest(_leg_pose(plant), TARE), weight)
+    gravity_torque = gravity_torques(model, pose)[plant.driven]
+    hook, legs = _constant(np.zeros(3), TARE_DURATION), _constant(_leg_pose(plant), TARE_DURATION)
+    return _hanging(plant, hook, legs, gravity_torque)
 
 
 def _hanging(
-    plant: Plant, hook: Trajectory, legs: Trajectory, weight: FloatArray | None = None
+    plant: Plant, hook: Trajectory, legs: Trajectory, gravity_torque: FloatArray | None = None
 ) -> Scenario:
     plant.data.qpos[2] += LIFT
-    controller = JointController(plant.model, plant.data.qpos.copy(), legs, weight)
+    controller = JointController(plant.model, plant.data.qpos.copy(), legs, gravity_torque)
     return Scenario(controller, OverheadSupport(plant, SUPPORT_FRAME, hook), hook.duration)
 
 
@@ -209,7 +210,7 @@ def _leg_pose(plant: Plant) -> FloatArray:
     return np.asarray(plant.data.qpos[driven])
 
 
-def _rest(point: FloatArray, duration: float) -> Trajectory:
+def _constant(point: FloatArray, duration: float) -> Trajectory:
     return Trajectory(np.stack([point, point]), (0.0, duration), duration)
 
 
@@ -222,34 +223,34 @@ SCENARIOS: dict[str, Callable[[Plant, int, int], Scenario]] = {
 }
 
 
-# Long enough for feet and hoist to take the load; none of it counts.
-SETTLING = 1.0  # s
-# A robot whose base has come down this far does not stand any more.
-FALLEN = 0.7  # of the height at the start
+# Time for feet and support to take the load before the motion starts; not part of the log.
+SETTLING_TIME = 1.0  # s
+# The robot has fallen when its base is below this fraction of its initial height.
+FALL_HEIGHT = 0.7
 
 
 class ScenarioRun:
-    """A plant under the command of a scenario.
+    """A plant that executes a scenario, one period at a time.
 
     Parameters
     ----------
     plant : Plant
-        Robot, in the pose in which it starts.
-    motion : Scenario
-        What it does.
+        Robot in its initial pose.
+    scenario : Scenario
+        The motion.
 
     Attributes
     ----------
     steps : int
-        Number of periods of the motion, those of settling not counted.
+        Number of periods of the motion, without settling.
     torques : (n_actuated,) float64
-        Of the drives in the period last taken, as commanded, Nm.
+        Commanded drive torques of the last period, Nm.
     """
 
-    def __init__(self, plant: Plant, motion: Scenario) -> None:
-        self._plant, self._motion = plant, motion
-        self._lowest = FALLEN * float(plant.data.qpos[2])
-        self.steps = round(motion.duration / plant.period)
+    def __init__(self, plant: Plant, scenario: Scenario) -> None:
+        self._plant, self._scenario = plant, scenario
+        self._lowest = FALL_HEIGHT * float(plant.data.qpos[2])
+        self.steps = round(scenario.duration / plant.period)
         self.torques = np.zeros(plant.model.nu)
 
     def settle(self) -> Iterator[Truth]:
@@ -258,41 +259,45 @@ class ScenarioRun:
         Raises
         ------
         RobotFailureError
-            As `advance` does.
+            As in `advance`.
         """
-        for step in range(-round(SETTLING / self._plant.period), 0):
+        for step in range(-round(SETTLING_TIME / self._plant.period), 0):
             yield self.advance(step)
 
     def advance(self, step: int, torques: FloatArray | None = None) -> Truth:
-        """Take one period and return the truth of the instant at its beginning.
+        """Simulate one period and return the truth at its start.
 
         Parameters
         ----------
         step : int
-            Periods since the motion's beginning.
+            Number of periods since the start of the motion.
         torques : (n_actuated,) float64 or None
-            Of the drives, Nm; None for those of the scenario's controller.
+            Drive torques, Nm; None to use the scenario's controller.
 
         Raises
         ------
         RobotFailureError
-            When the robot falls, a joint runs into its end stop, or the controller has no torques.
+            When the robot falls, a joint reaches its end stop, or the controller finds no torques.
         """
-        plant, motion = self._plant, self._motion
-        # Time is counted, not summed up: sums drift off the stamps.
+        plant, scenario = self._plant, self._scenario
+        # Computed from the step: a running sum would drift away from the stamps.
         time = plant.data.time = step * plant.period
         state = plant.observe()
-        self.torques = motion.controller.torques(state) if torques is None else torques
-        if motion.hoist is not None:
-            motion.hoist.pull(time)
+        self.torques = scenario.controller.torques(state) if torques is None else torques
+        if scenario.support is not None:
+            scenario.support.apply(time)
         truth = plant.advance(self.torques)
         if state.position[2] < self._lowest:
-            raise RobotFailureError("the robot fell", time, "ask for slower or smaller moves")
+            raise RobotFailureError(
+                "the robot fell", time, "choose another motion seed or a lighter payload", "E612"
+            )
         joint = plant.joint_at_limit
         if joint is not None:
             raise RobotFailureError(
                 f"joint {joint} ran into its end stop",
                 time,
-                "no sensor sees the force there: widen its range or ask for smaller moves",
+                "no sensor measures the force there: widen the joint's range in the MJCF or "
+                "choose another motion seed",
+                "E613",
             )
         return truth

@@ -1,4 +1,4 @@
-"""From true quantities to what the robot's sensors report."""
+"""The robot's sensors: readings computed from true quantities."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -13,36 +13,24 @@ from symbid_ros.simulation.systematic_errors import Resolution, SystematicErrors
 
 
 @dataclass(frozen=True)
-class Instant:
-    """One millisecond of the robot, every field of the same instant.
+class Measurement:
+    """Sensor readings of one instant.
 
-    ``Sensor*`` topics are made of the first group, ``ground_truth/`` of the second.
     Joint arrays follow the model's joint order; quaternions are xyzw.
 
     Attributes
     ----------
     stamp : int
-        Simulated time in nanoseconds.
+        Simulated time, ns.
     joint_position, joint_velocity, joint_effort : (J,) float64
-        As measured (noise included unless the sensors are ideal).
+        rad, rad/s and Nm.
     imu_orientation : (4,) float64
-        Quaternion xyzw of the IMU frame in the world.
+        Quaternion of the IMU frame in the world.
     imu_angular_velocity, imu_linear_acceleration : (3,) float64
         In the IMU frame; the acceleration is the specific force (REP-145).
     wrenches : (F, 6) float64
-        Per wrench sensor (force; torque), environment on robot, in the
-        sensor frame's axes about its origin.
-    true_position, true_velocity, true_acceleration, true_effort : (J,) float64
-        True joint state and applied torques.
-    base_position : (3,) float64
-        World position of the base origin.
-    base_orientation : (4,) float64
-        Quaternion xyzw of the base in the world.
-    base_linear_velocity, base_angular_velocity : (3,) float64
-        Relative to the world, in base axes.
-    base_linear_acceleration, base_angular_acceleration : (3,) float64
-        Coordinate acceleration of the base origin (no gravity in it) and
-        angular acceleration, in base axes.
+        (force; torque) of the environment on the robot at each wrench sensor, in the sensor
+        frame's axes about its origin.
     """
 
     stamp: int
@@ -53,6 +41,27 @@ class Instant:
     imu_angular_velocity: FloatArray
     imu_linear_acceleration: FloatArray
     wrenches: FloatArray
+
+
+@dataclass(frozen=True)
+class Instant(Measurement):
+    """Sensor readings and true motion of one instant.
+
+    Attributes
+    ----------
+    true_position, true_velocity, true_acceleration, true_effort : (J,) float64
+        True joint state and applied torques.
+    base_position : (3,) float64
+        World position of the base origin.
+    base_orientation : (4,) float64
+        Quaternion xyzw of the base in the world.
+    base_linear_velocity, base_angular_velocity : (3,) float64
+        Relative to the world, in base axes.
+    base_linear_acceleration, base_angular_acceleration : (3,) float64
+        Coordinate acceleration of the base origin (without gravity) and angular acceleration,
+        in base axes.
+    """
+
     true_position: FloatArray
     true_velocity: FloatArray
     true_acceleration: FloatArray
@@ -65,31 +74,31 @@ class Instant:
     base_angular_acceleration: FloatArray
 
 
-# Drawing normal numbers one instant at a time costs several times as much.
-BLOCK = 1024
+BLOCK = 1024  # instants; drawing the noise of one instant at a time takes several times as long
 SCALAR_FIRST = np.array([3, 0, 1, 2])
-JOINTS, IMU, PLATES = 0, 1, 2  # places in SystematicErrors.delays
+JOINTS, IMU, PLATES = 0, 1, 2  # indices in SystematicErrors.delays
 
 
 class Sensors:
     """Encoders, torque sensors, IMU and wrench sensors with systematic errors and white noise.
 
-    A reading is late, then wrong by its systematic error, then noisy, then rounded. The noise
-    has a random generator of its own and nothing flows back to the plant, so that runs with
-    other noise or errors, or none, are runs of the same motion.
+    Each reading is delayed, changed by its systematic error, made noisy and rounded, in this
+    order. The noise has its own random generator and does not influence the plant: runs with
+    different noise or errors have the same motion.
 
     Parameters
     ----------
     driven : (J,) bool
-        Which joints have a drive; the others have no torque sensor and report 0.
+        Whether each joint has a drive; the others have no torque sensor and report 0.
     wrench_count : int
-        Number of wrench sensors, the plates first. Those that are no plate have noise alone.
+        Number of wrench sensors, force plates first. Sensors after the plates have noise but no
+        systematic errors.
     noise : SensorNoise or None
         Standard deviations; None for sensors without noise.
     seed : int
         Seed of the noise.
     errors : SystematicErrors
-        Of J joints and the plates.
+        Errors of the J joints, the IMU and the plates.
     """
 
     def __init__(
@@ -123,7 +132,7 @@ class Sensors:
         self._encoder_offset, self._torque_gain = errors.encoder_offset, 1.0 + errors.torque_gain
         self._plate_offset = errors.plate_offset
         self._plate_matrices = _plate_matrices(errors)
-        self._mounting = np.array([1.0, 0.0, 0.0, 0.0])  # quaternion wxyz of its axes in its frame
+        self._mounting = np.array([1.0, 0.0, 0.0, 0.0])  # wxyz from the IMU's axes to its frame
         mujoco.mju_quatIntegrate(self._mounting, errors.imu_mounting, 1.0)
         mounting = np.zeros(9)
         mujoco.mju_quat2Mat(mounting, self._mounting)
@@ -132,25 +141,25 @@ class Sensors:
         self._delays = errors.delays.tolist()
         self._past: deque[Truth] = deque(maxlen=1 + max(self._delays))
 
-    def watch(self, truth: Truth) -> None:
-        """Let an instant pass that late sensors will still report."""
+    def store(self, truth: Truth) -> None:
+        """Store an instant, which delayed sensors will report later."""
         self._past.append(truth)
 
     def measure(self, truth: Truth, stamp: int) -> Instant:
-        """Return one instant: readings and truth, stamped in nanoseconds."""
-        self.watch(truth)
+        """Return readings and truth of one instant with a stamp in nanoseconds."""
+        self.store(truth)
         state = truth.state
         velocity, acceleration = state.velocity, truth.acceleration
-        imu = self._seen(IMU)
+        imu = self._delayed(IMU)
         readings = np.concatenate(
             [
-                *self._joint_readings(self._seen(JOINTS)),
+                *self._joint_readings(self._delayed(JOINTS)),
                 (imu.imu_motion.reshape(2, 3) @ self._imu_axes).ravel(),
                 self._wrench_readings(truth).ravel(),
             ]
         )
         if self._sigma is not None:
-            readings += self._noise_of_one_instant(self._sigma)
+            readings += self._next_noise(self._sigma)
         if len(self._steps):
             rounded = readings[: len(self._steps)]
             rounded[:] = self._steps * np.rint(rounded / self._steps)
@@ -179,8 +188,8 @@ class Sensors:
             base_angular_acceleration=acceleration[3:6],
         )
 
-    def _seen(self, sensor: int) -> Truth:
-        """Return the instant that a sensor reports now."""
+    def _delayed(self, sensor: int) -> Truth:
+        """Return the past instant that a sensor reports now."""
         return self._past[max(len(self._past) - 1 - self._delays[sensor], 0)]
 
     def _joint_readings(self, truth: Truth) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -193,17 +202,17 @@ class Sensors:
     def _wrench_readings(self, truth: Truth) -> FloatArray:
         readings = truth.wrenches.copy()
         for plate, matrix in enumerate(self._plate_matrices):
-            np.dot(matrix, self._seen(PLATES + plate).wrenches[plate], readings[plate])
+            np.dot(matrix, self._delayed(PLATES + plate).wrenches[plate], readings[plate])
         readings[: len(self._plate_offset)] += self._plate_offset
         return readings
 
     def _orientation(self, quaternion: FloatArray) -> FloatArray:
-        """Return the orientation (xyzw) of the IMU's own axes from that of its frame."""
-        turned = np.zeros(4)
-        mujoco.mju_mulQuat(turned, quaternion.take(SCALAR_FIRST), self._mounting)
-        return turned.take(SCALAR_LAST)
+        """Return the orientation (xyzw) of the IMU's axes from the orientation of its frame."""
+        mounted = np.zeros(4)
+        mujoco.mju_mulQuat(mounted, quaternion.take(SCALAR_FIRST), self._mounting)
+        return mounted.take(SCALAR_LAST)
 
-    def _noise_of_one_instant(self, sigma: FloatArray) -> FloatArray:
+    def _next_noise(self, sigma: FloatArray) -> FloatArray:
         if self._next == len(self._noise):
             self._noise = self._random.standard_normal((BLOCK, len(sigma))) * sigma
             self._next = 0
@@ -213,15 +222,15 @@ class Sensors:
 
 
 def _plate_matrices(errors: SystematicErrors) -> FloatArray:
-    """Return (F, 6, 6) from true wrenches to readings but for their offset, (force; moment)."""
+    """Return the matrices (F, 6, 6) from true (force; moment) to readings without offset."""
     matrices = np.tile(np.eye(6), (len(errors.plate_gain), 1, 1))
-    # n' = n - d × f: moved from the frame's origin to the point that lies d from it.
+    # n' = n - d × f: the moment about a point at distance d from the frame's origin.
     matrices[:, 3:, :3] = -np.cross(errors.plate_pose[:, None], np.eye(3)).swapaxes(1, 2)
     return np.asarray(errors.plate_gain[:, :, None] * matrices + matrices)
 
 
 def _steps(resolution: Resolution | None, joints: int, plates: int) -> FloatArray:
-    """Return the steps of the readings, as far as these are rounded at all."""
+    """Return the quantisation steps of the readings; empty if readings are not rounded."""
     if resolution is None:
         return np.zeros(0)
     wrench = np.repeat([resolution.force, resolution.moment], 3)

@@ -1,4 +1,4 @@
-"""YAML files of numbers, checked entry by entry."""
+"""Sensor noise and joint friction: YAML files of numbers, checked entry by entry."""
 
 import math
 from collections.abc import Sequence
@@ -11,68 +11,70 @@ from symbid_ros.safe_yaml import load_yaml
 
 
 def read_mapping(path: Path) -> dict[str, Any]:
-    """Return a file's YAML mapping.
+    """Return the mapping in a YAML file.
 
     Raises
     ------
     SimulationError
-        When the file is missing or holds anything else.
+        When the file cannot be read or does not contain a mapping.
     """
     try:
         content = load_yaml(path)
     except OSError as error:
         raise SimulationError(
-            f"{path}: cannot be read ({error.strerror}); name an existing file"
+            f"{path}: cannot be read ({error.strerror}); name an existing file", "E603"
         ) from None
     except ValueError as error:
-        raise SimulationError(f"{path}: {error}; correct that line") from None
+        raise SimulationError(f"{path}: {error}; correct that line", "E603") from None
     if not isinstance(content, dict):
-        raise SimulationError(f"{path}: not a mapping; give one line 'name: value' for each entry")
+        raise SimulationError(
+            f"{path}: not a mapping; write one line 'name: value' for each entry", "E604"
+        )
     return {str(name): value for name, value in content.items()}
 
 
 def require_numbers(content: object, names: Sequence[str], where: str) -> dict[str, float]:
-    """Return the named entries of a mapping, each checked to be a finite number, 0 or more.
+    """Return the named entries of a mapping and check that each is a finite number, 0 or more.
 
     Raises
     ------
     SimulationError
-        When an entry is missing, unknown or no such number; the message begins with ``where``.
+        When an entry is missing, unknown or not such a number; the message starts with ``where``.
     """
     if not isinstance(content, dict):
-        raise SimulationError(f"{where}: not a mapping; give {', '.join(names)}")
+        raise SimulationError(f"{where}: not a mapping; give {', '.join(names)}", "E604")
     missing = [name for name in names if name not in content]
     if missing:
-        raise SimulationError(f"{where}: {', '.join(missing)} missing; give 0 for none")
+        raise SimulationError(f"{where}: {', '.join(missing)} missing; give 0 for none", "E604")
     unknown = [str(name) for name in content if name not in names]
     if unknown:
-        raise SimulationError(f"{where}: unknown entry {', '.join(unknown)}; remove it")
+        raise SimulationError(f"{where}: unknown entry {', '.join(unknown)}; remove it", "E604")
     return {name: _number(content[name], name, where) for name in names}
 
 
 def _number(value: object, name: str, where: str) -> float:
-    # YAML reads "yes" as a boolean, which Python would take for the number 1.
+    # YAML parses "yes" as a boolean, which Python would accept as the number 1.
     if isinstance(value, int | float) and not isinstance(value, bool):
         number = float(value)
         if math.isfinite(number) and number >= 0.0:
             return number
-    raise SimulationError(f"{where}: {name} is {value!r}; give a finite number, 0 or more")
+    raise SimulationError(f"{where}: {name} is {value!r}; give a finite number, 0 or more", "E604")
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Standard deviations of white Gaussian noise, per channel and period.
+    """Standard deviations of the sensors' white Gaussian noise, per channel and sample.
 
     Attributes
     ----------
     joint_position, joint_velocity : float
         rad, rad/s.
     joint_effort : float
-        Nm, of joints with a drive.
+        Torque of each driven joint, Nm.
     angular_velocity, linear_acceleration : float
-        Of the IMU: rad/s, m/s².
+        IMU: rad/s, m/s².
     force, moment : float
-        Of every wrench sensor: N, Nm.
+        Every wrench sensor: N, Nm.
     """
 
     joint_position: float
@@ -84,7 +86,7 @@ class SensorNoise:
     moment: float
 
     def scaled(self, factor: float) -> "SensorNoise":
-        """Return the noise with every deviation times ``factor``.
+        """Return the noise with every standard deviation multiplied by ``factor``.
 
         Raises
         ------
@@ -92,7 +94,9 @@ class SensorNoise:
             When the factor is negative or not finite.
         """
         if not (math.isfinite(factor) and factor >= 0.0):
-            raise SimulationError(f"noise factor {factor:g}; give a finite number, 0 or more")
+            raise SimulationError(
+                f"noise factor {factor:g}; give a finite number, 0 or more", "E605"
+            )
         return SensorNoise(**{name: factor * value for name, value in asdict(self).items()})
 
 
@@ -107,7 +111,8 @@ def load_noise(path: Path) -> SensorNoise:
     Raises
     ------
     SimulationError
-        When the file is missing, is not such a mapping, or a value is no standard deviation.
+        When the file cannot be read or is not such a mapping, or when a value is negative or not
+        finite.
     """
     names = [field.name for field in fields(SensorNoise)]
     return SensorNoise(**require_numbers(read_mapping(path), names, str(path)))
@@ -124,7 +129,7 @@ class JointFriction:
     frictionloss : float
         Coulomb friction, Nm or N.
     armature : float
-        Inertia that turns with the joint alone, kg m² or kg.
+        Rotor inertia reflected to the joint, kg m² or kg.
     """
 
     damping: float
@@ -139,12 +144,12 @@ def load_friction(path: Path) -> dict[str, JointFriction]:
     ----------
     path : Path
         YAML mapping of joint names to mappings of every field of `JointFriction` to a number.
-        Joints it does not name keep what the robot's file gives them.
+        Joints that it does not name keep the friction in the robot's model file.
 
     Raises
     ------
     SimulationError
-        When the file is missing or not of that form.
+        When the file cannot be read or does not have that form.
     """
     names = [field.name for field in fields(JointFriction)]
     return {

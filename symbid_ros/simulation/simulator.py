@@ -1,4 +1,4 @@
-"""The simulated robot as a source of instants: what bags and topics are made from."""
+"""The simulator: a scenario executed by the robot and observed by its sensors."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -33,9 +33,9 @@ class WrenchSensor:
     Attributes
     ----------
     topic : str
-        Relative name of its topic.
+        Relative topic name.
     frame_id : str
-        Frame in whose axes and about whose origin it reports.
+        Frame whose axes and origin its wrenches refer to.
     """
 
     topic: str
@@ -43,32 +43,32 @@ class WrenchSensor:
 
 
 class Simulator:
-    """One run of a scenario, an instant at a time.
+    """One run of a scenario, simulated one instant at a time.
 
-    Stamps are multiples of the period and start at one period: a stamp of 0 means "no time"
-    in ROS. Equal seeds give equal instants, bit for bit, on one machine.
+    Stamps are multiples of the period and start at one period, as a stamp of 0 means "no time" in
+    ROS. On one machine, equal seeds give bitwise equal instants.
 
     Parameters
     ----------
     scenario : str
-        ``smooth``, ``squat``, ``vibrating`` (all standing on two feet), ``suspended`` (rocked in
-        a hoist) or ``tare`` (still in the hoist, nothing touching the plates).
+        ``smooth``, ``squat``, ``vibrating`` (all standing on two feet), ``suspended`` (rocked by
+        an overhead support) or ``tare`` (suspended at rest, force plates unloaded).
     moves : int
-        Number of moves; a tare has none.
+        Number of moves; ignored by ``tare``.
     motion_seed : int
-        Decides the moves and, in ``vibrating``, the noise of the feedback; nothing in a tare.
+        Seed of the moves and, in ``vibrating``, of the feedback noise; ignored by ``tare``.
     noise_seed : int
-        Decides the sensors' noise.
+        Seed of the sensor noise.
     noise_factor : float
-        On every deviation of the noise, 0 or more.
+        Multiplies the standard deviations of the noise, 0 or more.
     ideal : bool
         The same motion with noise-free sensors.
     friction : bool
-        Whether the joints have friction and armature; a ``friction_path`` says so too.
+        Whether the joints have friction and armature; implied by ``friction_path``.
     errors : str
-        Systematic errors, a list with commas; see `parse_errors`.
+        Comma-separated names of systematic errors; see `parse_errors`.
     error_seed : int
-        Decides them; equal seeds make one robot of a tare and a log.
+        Seed of these errors; a tare and a log with equal seeds have the same errors.
     model_path : Path or None
         MJCF; None for config/symbitron.xml.
     noise_path : Path or None
@@ -76,11 +76,11 @@ class Simulator:
     friction_path : Path or None
         Friction and armature; None for config/friction.yaml.
     payload : Payload or None
-        Fastened to the robot while it moves; the scenario's controller does not know of it.
+        Attached to the robot during the motion; unknown to the scenario's controller.
     payload_time : float
-        When, in seconds of the motion.
+        When it is attached, in seconds after the start of the motion.
     is_commanded : bool
-        Whether torques come from outside, once the scenario's controller has let the robot settle.
+        Whether external torques drive the robot after the scenario's controller has let it settle.
 
     Attributes
     ----------
@@ -93,13 +93,13 @@ class Simulator:
     period_ns : int
         Nanoseconds from one instant to the next.
     steps : int
-        Number of instants of the whole motion.
+        Number of instants of the motion.
     errors : SystematicErrors
-        As drawn, zero where not asked for.
+        The drawn errors, zero if not requested.
     sample_rates : SampleRates
-        Of its topics, part of these errors.
+        Sample intervals of the topics, part of these errors.
     drive_names : tuple of str
-        The joint of each drive, order of torques.
+        The joint of each drive, in the order of torques.
     torque_limits : (n_actuated, 2) float64
         Lowest and highest torque of each drive, Nm.
     """
@@ -125,7 +125,7 @@ class Simulator:
     ) -> None:
         if scenario not in SCENARIOS:
             raise SimulationError(
-                f"no scenario {scenario!r}; choose one of {', '.join(sorted(SCENARIOS))}"
+                f"no scenario {scenario!r}; choose one of {', '.join(sorted(SCENARIOS))}", "E606"
             )
         for name, seed in (
             ("motion seed", motion_seed),
@@ -142,21 +142,21 @@ class Simulator:
             parse_errors(errors), error_seed, joints=len(plant.joint_names), plates=len(SOLES)
         )
         self.sample_rates = self.errors.sample_rates
-        resistance = {}
+        joint_friction = {}
         if friction or friction_path is not None:
-            resistance = load_friction(friction_path or config_file("friction.yaml"))
+            joint_friction = load_friction(friction_path or config_file("friction.yaml"))
         lengths = {}
         if self.errors.link_length.any():
             lengths = dict(zip(plant.joint_names, self.errors.link_length.tolist(), strict=True))
-        if resistance or lengths:
-            plant = _modified_plant(plant, resistance, lengths)
+        if joint_friction or lengths:
+            plant = _modified_plant(plant, joint_friction, lengths)
         self._plant = plant
         motion = SCENARIOS[scenario](plant, moves, motion_seed)
         self._run = ScenarioRun(plant, motion)
         self.base_frame = plant.base_frame
         self.imu_frame = "imu_link"
         feet = [WrenchSensor(sole.replace("_sole", "_foot/wrench"), sole) for sole in SOLES]
-        hook = [WrenchSensor(f"{SUPPORT_FRAME}/wrench", SUPPORT_FRAME)] if motion.hoist else []
+        hook = [WrenchSensor(f"{SUPPORT_FRAME}/wrench", SUPPORT_FRAME)] if motion.support else []
         self.wrench_sensors = (*feet, *hook)
         self.period_ns = round(plant.period * 1e9)
         self.steps = self._run.steps
@@ -164,23 +164,23 @@ class Simulator:
         self._sensors = Sensors(driven, len(self.wrench_sensors), noise, noise_seed, self.errors)
         self.drive_names, self.torque_limits = plant.drive_names, plant.torque_limits
         self._is_commanded = is_commanded
-        self._scheduled = _scheduled(plant, payload, payload_time)
-        self._taken = 0
+        self._scheduled = _schedule_payload(plant, payload, payload_time)
+        self._steps_done = 0
         for truth in self._run.settle():
-            self._sensors.watch(truth)
+            self._sensors.store(truth)
 
     @property
     def robot(self) -> str:
-        """MJCF of the robot as simulated, with its friction and lengths, without payload."""
+        """MJCF of the simulated robot, with its friction and lengths, without payload."""
         return self._plant.text
 
     def attach(self, payload: Payload | None) -> None:
-        """Fasten a payload in place of any other, from the next period on; None takes it off.
+        """Attach a payload from the next period on, in place of any other; None removes it.
 
         Raises
         ------
         SimulationError
-            When the robot has no such link; what is fastened stays.
+            When the robot has no such link; the current payload then stays.
         """
         if payload is None:
             self._plant.detach()
@@ -188,52 +188,56 @@ class Simulator:
             self._plant.attach(payload)
 
     def step(self, torques: FloatArray | None = None) -> Instant:
-        """Advance one period and return the instant at its beginning.
+        """Simulate one period and return the instant at its start.
 
         Parameters
         ----------
         torques : (n_actuated,) float64 or None
-            Of the drives during this period, Nm, cut off at their limits; given to a commanded
-            robot only, which without them keeps those of the period before. They can be the
-            answer to the instant before this one at best: a real drive is late too.
+            Drive torques during this period, Nm, clipped to their limits; only for a commanded
+            robot, which keeps the last torques if None. They can respond to the previous instant
+            at best, a delay that real drives have too.
 
         Raises
         ------
         SimulationError
-            When torques are given to a robot that is not commanded, or are no such vector.
+            When torques are given to a robot that is not commanded, or have a wrong shape or value.
         RobotFailureError
-            When the robot falls or a joint runs into its end stop.
+            When the robot falls or a joint reaches its end stop.
         """
         if torques is not None:
-            self._require(torques)
+            self._require_valid(torques)
         elif self._is_commanded:
             torques = self._run.torques
-        if self._scheduled is not None and self._taken >= self._scheduled[0]:
+        if self._scheduled is not None and self._steps_done >= self._scheduled[0]:
             self.attach(self._scheduled[1])
             self._scheduled = None
-        truth = self._run.advance(self._taken, torques)
-        self._taken += 1
-        return self._sensors.measure(truth, self._taken * self.period_ns)
+        truth = self._run.advance(self._steps_done, torques)
+        self._steps_done += 1
+        return self._sensors.measure(truth, self._steps_done * self.period_ns)
 
-    def _require(self, torques: FloatArray) -> None:
+    def _require_valid(self, torques: FloatArray) -> None:
         if not self._is_commanded:
-            raise SimulationError("torques for a robot that is not commanded; pass is_commanded")
+            raise SimulationError(
+                "torques for a robot that is not commanded; pass is_commanded", "E611"
+            )
         drives = len(self.drive_names)
         if np.shape(torques) != (drives,) or not np.all(np.isfinite(torques)):
             raise SimulationError(
-                f"torques {torques} for {drives} drives; give that many finite numbers, Nm"
+                f"torques {torques} for {drives} drives; give that many finite numbers, Nm", "E611"
             )
 
     def __iter__(self) -> Iterator[Instant]:
-        """Yield the instants that are left of the motion."""
-        while self._taken < self.steps:
+        """Yield the remaining instants of the motion."""
+        while self._steps_done < self.steps:
             yield self.step()
 
 
-def _scheduled(plant: Plant, payload: Payload | None, time: float) -> tuple[int, Payload] | None:
-    """Return the step at which a payload is to be fastened, and the payload."""
+def _schedule_payload(
+    plant: Plant, payload: Payload | None, time: float
+) -> tuple[int, Payload] | None:
+    """Return the step at which to attach a payload, and the payload."""
     if not (math.isfinite(time) and time >= 0.0):
-        raise SimulationError(f"payload time {time:g} s; give a finite number, 0 or more")
+        raise SimulationError(f"payload time {time:g} s; give a finite number, 0 or more", "E605")
     if payload is None:
         return None
     link_index(plant.model, payload.link)
@@ -243,30 +247,30 @@ def _scheduled(plant: Plant, payload: Payload | None, time: float) -> tuple[int,
 def _modified_plant(
     original: Plant, friction: Mapping[str, JointFriction], lengths: Mapping[str, float]
 ) -> Plant:
-    """Return the plant with other joints and lengths, standing where the original stands."""
+    """Return the plant with joint friction and modified lengths, standing like the original."""
     plant = Plant(original.path, SOLES, modify_mjcf(original.path, friction, lengths))
     plant.data.qpos[:] = level_soles(plant.model, original.model, original.data.qpos, SOLES)
     return plant
 
 
-# The shortest MuJoCo allows at a period of 1 ms: Coulomb friction then either has its full value
-# or stops the joint within the period. By default joints creep, at up to .1 rad/s here.
+# The shortest time constant that MuJoCo allows at a period of 1 ms. Coulomb friction then has its
+# full value or stops the joint within one period; by default joints creep at up to 0.1 rad/s.
 FRICTION_TIME_CONSTANT = 2e-3  # s
 
 
 def modify_mjcf(
     path: Path, friction: Mapping[str, JointFriction], lengths: Mapping[str, float]
 ) -> str:
-    """Return an MJCF file's text with other joints and lengths.
+    """Return the text of an MJCF file with joint friction and modified lengths.
 
     Parameters
     ----------
     path : Path
-        MJCF that MuJoCo compiles, bodies and joints in the file itself.
+        MJCF that contains the bodies and joints itself, without includes.
     friction : mapping of str to JointFriction
         By joint name.
     lengths : mapping of str to float
-        By joint name: how much further from its parent's origin the joint's body lies, m. A
+        By joint name: additional distance of the joint's body from its parent's origin, m. A
         body at its parent's origin stays there.
 
     Raises
@@ -279,7 +283,7 @@ def modify_mjcf(
     missing = [name for name in (*friction, *lengths) if name not in joints]
     if missing:
         raise SimulationError(
-            f"{path}: no joint {missing[0]} to change; name joints of the file's own worldbody"
+            f"{path}: no joint {missing[0]}; name joints in the worldbody of this file", "E602"
         )
     for name, values in friction.items():
         for attribute, value in asdict(values).items():
@@ -289,13 +293,13 @@ def modify_mjcf(
         _integrate_explicitly(root)
     for body in root.iterfind("worldbody//body"):
         names = [joint.get("name") for joint in body.findall("joint")]
-        _lengthen(body, sum(lengths.get(str(name), 0.0) for name in names))
+        _lengthen_body(body, sum(lengths.get(str(name), 0.0) for name in names))
     return ET.tostring(root, encoding="unicode") + "\n"
 
 
 def _integrate_explicitly(root: ET.Element) -> None:
-    # Damping taken implicitly would make the velocity's rate differ from the acceleration of
-    # the equation of motion, by a per cent in the light joints: a log of two truths.
+    # With implicit damping, the change of velocity would differ from the acceleration in the
+    # equation of motion, by one per cent in light joints: the log would be inconsistent.
     option = root.find("option")
     if option is None:
         option = ET.SubElement(root, "option")
@@ -306,7 +310,7 @@ def _integrate_explicitly(root: ET.Element) -> None:
     flag.set("eulerdamp", "disable")
 
 
-def _lengthen(body: ET.Element, amount: float) -> None:
+def _lengthen_body(body: ET.Element, amount: float) -> None:
     offset = np.array(body.get("pos", "0 0 0").split(), dtype=np.float64)
     length = float(np.linalg.norm(offset))
     if amount and length > 0.0:

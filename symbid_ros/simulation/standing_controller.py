@@ -1,4 +1,4 @@
-"""Balance by the robot's own sensors: a controller that can run beside the plant."""
+"""Balance from sensor readings: leg odometry and a controller that runs beside the plant."""
 
 from pathlib import Path
 from typing import Protocol
@@ -15,22 +15,21 @@ from symbid_ros.simulation.plant import Plant, State, site_ids
 from symbid_ros.simulation.scenario import SOLES, STANDING, require_seed, standing_task
 from symbid_ros.simulation.sensors import SCALAR_FIRST
 
-# How far the velocities compared with one another are to be trusted, as standard deviations:
-# two encoder readings a period apart, a gyroscope (both as in config/noise.yaml), and the
-# stillness of a loaded sole.
+# Standard deviations of the velocities in least squares: the difference of two encoder readings,
+# the gyroscope (both as in config/noise.yaml), and the motion of a loaded sole.
 JOINT_RATE, GYROSCOPE = 1.3e-2, 5e-3  # rad/s
 SOLE_TURNING, SOLE_SLIDING = 5e-3, 1e-3  # rad/s, m/s
-# Share of a new velocity in the smoothed one: a lag of 3 periods, which balance does not feel,
-# for a third of the noise, which would make the legs tremble.
-NEW_SHARE = 0.25
+# Weight of the newest velocity in exponential smoothing. The lag of 3 periods does not affect
+# balance; the noise, reduced to a third, no longer makes the legs vibrate.
+SMOOTHING = 0.25
 
 
 class BalanceSensors(Protocol):
-    """The sensors that balance needs; an `Instant` has them, and more."""
+    """The readings that the standing controller needs, a subset of `Measurement`."""
 
     @property
     def stamp(self) -> int:
-        """Time of the readings, ns."""
+        """Stamp of the readings, ns."""
 
     @property
     def joint_position(self) -> FloatArray:
@@ -50,19 +49,19 @@ class BalanceSensors(Protocol):
 
 
 class LegOdometry:
-    """The state of a robot on soles that stand still, from its own sensors alone.
+    """Estimates the robot's state from IMU and joints while its soles are at rest.
 
-    The IMU gives the base's attitude, the legs its position over the soles. The velocities are
-    those that agree best, by weighted least squares, with gyroscope, joint rates and soles at
-    rest, smoothed. In the world the soles are where the standing pose has them, at first;
-    a sole that slides takes its error along.
+    The IMU gives the base's attitude, and the leg kinematics its position above the soles. The
+    velocity is the weighted least-squares fit to gyroscope, joint rates and soles at rest,
+    smoothed over time. The soles' initial positions in the world are those of the standing pose;
+    if a sole slides, the position estimate drifts by the same distance.
 
     Parameters
     ----------
     model : mujoco.MjModel
-        Kinematics of the robot, a free base first; its inertias do not matter.
+        Kinematics of the robot, with a free base first; its inertias are not used.
     standing : (nq,) float64
-        Pose from which the soles' places in the world are taken.
+        Pose that defines the soles' positions in the world.
     sole_frames : tuple of str
         Sites of the F soles.
     imu_frame : str
@@ -83,8 +82,8 @@ class LegOdometry:
         self._anchors = self._data.site_xpos[self._soles]
         self._data.qpos[:7] = 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0
         joints, soles = model.nv - 6, len(self._soles)
-        # Velocities measured, or known to be nil, per unit of ``qvel``: IMU, joints, soles. All
-        # in base axes, where the robot is posed.
+        # Jacobian of the velocities of IMU, joints and soles (zero) with respect to ``qvel``. All
+        # in base axes, as the model's base stays at the origin.
         self._jacobian = np.zeros((3 + joints + 6 * soles, model.nv))
         self._jacobian[3 : 3 + joints, 6:] = np.eye(joints)
         self._sole_rows = [
@@ -98,7 +97,7 @@ class LegOdometry:
         self._velocity: FloatArray | None = None
 
     def state(self, time: float, readings: BalanceSensors) -> State:
-        """Return the state estimated from the readings of one instant at ``time`` (s)."""
+        """Return the state at ``time`` (s), estimated from the readings of one instant."""
         model, data = self._model, self._data
         data.qpos[7:] = readings.joint_position
         mujoco.mj_kinematics(model, data)
@@ -106,12 +105,12 @@ class LegOdometry:
         attitude, rotation = self._attitude(readings.imu_orientation)
         soles = data.site_xpos[self._soles] @ rotation.T
         base = (self._anchors - soles).mean(axis=0)
-        velocity = self._motion(readings)
+        velocity = self._solve_velocity(readings)
         velocity[:3] = rotation @ velocity[:3]
         if self._velocity is None:
-            # The soles are where the legs say: they may have settled further apart.
+            # Use the measured distance between the soles, which may differ from the standing pose.
             self._anchors, self._velocity = base + soles, velocity
-        self._velocity = self._velocity + NEW_SHARE * (velocity - self._velocity)
+        self._velocity = self._velocity + SMOOTHING * (velocity - self._velocity)
         position = np.concatenate([base, attitude, readings.joint_position])
         return State(time, position, self._velocity)
 
@@ -124,8 +123,8 @@ class LegOdometry:
         mujoco.mju_quat2Mat(rotation, attitude)
         return attitude, rotation.reshape(3, 3)
 
-    def _motion(self, readings: BalanceSensors) -> FloatArray:
-        """Return the velocity (nv,) in the pose last computed, all of it in base axes."""
+    def _solve_velocity(self, readings: BalanceSensors) -> FloatArray:
+        """Return the velocity (nv,) in the current pose, entirely in base axes."""
         model, data = self._model, self._data
         mujoco.mj_jacSite(model, data, None, self._turning, self._imu)
         np.dot(data.site_xmat[self._imu].reshape(3, 3).T, self._turning, self._jacobian[:3])
@@ -140,10 +139,10 @@ class LegOdometry:
 
 
 class StandingController:
-    """Stands and moves as a scenario says, told nothing but readings of the sensors.
+    """Executes a standing scenario from sensor readings alone.
 
-    With the plant it shares the model file and the numbers from which the moves are drawn.
-    Stamps that run back are a new beginning, of the moves and of the odometry.
+    It needs the plant's model file, number of moves and motion seed. When stamps decrease, moves
+    and odometry restart.
 
     Parameters
     ----------
@@ -152,18 +151,18 @@ class StandingController:
     moves : int
         Number of moves.
     motion_seed : int
-        Decides the moves.
+        Seed of the random moves.
     model_path : Path or None
-        MJCF that it believes the robot to be; None for config/symbitron.xml.
+        The controller's model of the robot as MJCF; None for config/symbitron.xml.
 
     Attributes
     ----------
     joint_names : tuple of str
         Order of joint arrays.
     drive_names : tuple of str
-        The joint of each drive, order of torques.
+        The joint of each drive, in the order of torques.
     duration : float
-        Of the moves, s; it goes on standing after them.
+        Duration of the moves, s; the robot keeps standing after them.
     """
 
     def __init__(
@@ -176,7 +175,7 @@ class StandingController:
     ) -> None:
         if scenario not in STANDING:
             raise SimulationError(
-                f"no standing in scenario {scenario!r}; choose one of {', '.join(STANDING)}"
+                f"scenario {scenario!r} does not stand; choose one of {', '.join(STANDING)}", "E606"
             )
         require_seed("motion seed", motion_seed)
         robot = Plant(model_path or config_file("symbitron.xml"), SOLES)
@@ -191,22 +190,22 @@ class StandingController:
     def _restart(self) -> None:
         robot = self._robot
         self._odometry = LegOdometry(robot.model, robot.data.qpos, SOLES)
-        # A new one, lest its programme's last solution be where the next begins.
+        # A new controller, as the QP of the old one would start from its last solution.
         self._controller = BalanceController(robot.model, self._task, SOLES, BalanceGains())
 
     def torques(self, readings: BalanceSensors) -> FloatArray:
-        """Return the drives' torques (n_actuated,), Nm, that answer readings of one instant.
+        """Return the drive torques (n_actuated,), Nm, for the readings of one instant.
 
         Raises
         ------
         RobotFailureError
-            When there are none.
+            When the controller finds no torques.
         """
         if readings.stamp < self._stamp:
             self._restart()
         self._stamp = readings.stamp
-        # The motion's first instant is stamped with one period: 0 is no time.
+        # The motion's first instant is stamped with one period, as a stamp of 0 means "no time".
         time = 1e-9 * readings.stamp - self._period
-        wanted = self._controller.torques(self._odometry.state(time, readings))
-        # The programme keeps to the limits within its tolerance, a plant may not forgive that.
-        return np.clip(wanted, *self._limits.T)
+        torques = self._controller.torques(self._odometry.state(time, readings))
+        # The QP exceeds the limits by up to its tolerance, which a plant may reject.
+        return np.clip(torques, *self._limits.T)

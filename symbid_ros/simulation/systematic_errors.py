@@ -1,4 +1,4 @@
-"""Systematic errors of the simulated robot: what calibration leaves behind."""
+"""Systematic errors of the simulated robot, of the size that remains after calibration."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -9,8 +9,8 @@ import numpy as np
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import SimulationError
 
-# Smallest and largest magnitude; in between all are equally likely. Every scalar takes either
-# sign, every vector any direction, so that no draw is harmless by luck.
+# Minimum and maximum of uniformly distributed magnitudes; signs and directions are random. The
+# minimum keeps every drawn error significant.
 PLATE_GAIN = 0.0025, 0.0075  # per channel
 PLATE_FORCE_OFFSET = 1.0, 2.0  # N, per axis
 PLATE_MOMENT_OFFSET = 0.1, 0.2  # Nm, per axis
@@ -19,12 +19,12 @@ TORQUE_GAIN = 0.01, 0.02
 IMU_MOUNTING = np.radians(0.1), np.radians(0.3)
 ENCODER_OFFSET = np.radians(0.05), np.radians(0.15)
 LINK_LENGTH = 1e-3, 2e-3  # m
-LONGEST_DELAY = 5  # periods; the shortest is one, and no two sensors have the same
+LONGEST_DELAY = 5  # periods; the shortest is one, and all sensors have different delays
 
 
 @dataclass(frozen=True)
 class SampleRates:
-    """One sample every so many periods, the first of them at the first instant.
+    """Sample intervals of the sensors, each starting at the first instant.
 
     Attributes
     ----------
@@ -39,18 +39,18 @@ class SampleRates:
 
 @dataclass(frozen=True)
 class Resolution:
-    """Steps to whose nearest multiple each sensor rounds.
+    """Quantisation steps of the sensors.
 
     Attributes
     ----------
     joint_position : float
-        rad; an encoder of 18 bits a turn.
+        rad; encoder with 18 bits per turn.
     joint_velocity : float
-        rad/s; what the drives report it in.
+        rad/s; resolution of the drives' messages.
     joint_effort : float
         Nm; 16 bits for ±100 Nm.
     angular_velocity, linear_acceleration : float
-        rad/s and m/s²; 16 bits for ±250 degrees a second and ±4 g.
+        rad/s and m/s²; 16 bits for ±250 degrees per second and ±4 g.
     force, moment : float
         N and Nm; 16 bits for ±2 kN and ±400 Nm.
     """
@@ -66,33 +66,33 @@ class Resolution:
 
 @dataclass(frozen=True)
 class SystematicErrors:
-    """What is wrong with J joints, their sensors, the IMU and F force plates.
+    """Systematic errors of J joints, their sensors, the IMU and F force plates.
 
     Attributes
     ----------
     plate_gain : (F, 6) float64
         Relative error of each channel of each plate, (force; moment).
     plate_offset : (F, 6) float64
-        What a plate reads when nothing touches it, N and Nm.
+        Reading of an unloaded plate, N and Nm.
     plate_pose : (F, 3) float64
-        From the named frame's origin to the point about which the plate reports its moment,
+        Vector from the frame's origin to the point about which the plate reports its moment,
         in the frame's axes, m.
     torque_gain : (J,) float64
         Relative error of the torque sensors.
     imu_mounting : (3,) float64
-        Rotation vector from the named frame's axes to those in which the IMU reports, rad.
+        Rotation vector from the frame's axes to the axes in which the IMU reports, rad.
     encoder_offset : (J,) float64
-        What the encoders read at true zero, rad (m for a slide).
+        Encoder readings at true zero, rad (m for a slide).
     link_length : (J,) float64
-        How much further than in the model file a joint's body lies from its parent, m. The
-        robot itself has this error, its sensors do not.
+        Additional distance of a joint's body from its parent compared with the model file, m.
+        This is an error of the robot, not of its sensors.
     sample_rates : SampleRates
-        How often each kind of sensor speaks.
+        Sample interval of each kind of sensor.
     delays : (2 + F,) int64
-        Periods that joint states, IMU and plates take to report: a message stamped t shows the
-        robot as it was so much earlier.
+        Delays of joint states, IMU and plates in periods: a message stamped t contains the
+        readings of that many periods earlier.
     quantisation : Resolution or None
-        Steps of the readings.
+        Quantisation steps of the readings.
     """
 
     plate_gain: FloatArray
@@ -108,7 +108,7 @@ class SystematicErrors:
 
     @classmethod
     def none(cls, joints: int, plates: int) -> "SystematicErrors":
-        """Return the errors of a perfect robot."""
+        """Return zero errors."""
         return cls(
             plate_gain=np.zeros((plates, 6)),
             plate_offset=np.zeros((plates, 6)),
@@ -124,19 +124,19 @@ class SystematicErrors:
 
 
 def draw_errors(names: tuple[str, ...], seed: int, *, joints: int, plates: int) -> SystematicErrors:
-    """Draw the named errors and no others.
+    """Draw the named errors at random; all others are zero.
 
-    Each depends on the seed and its own name alone: a robot keeps its plate offsets whatever
-    else is wrong with it, and whatever it does.
+    Each error depends only on the seed and its name: plate offsets, for example, do not change
+    with the other errors or with the motion.
 
     Parameters
     ----------
     names : tuple of str
         Keys of `ERRORS`.
     seed : int
-        Of all draws.
+        Seed of all errors.
     joints, plates : int
-        How many there are.
+        Numbers of joints and plates.
     """
     drawn = {
         name: ERRORS[name](np.random.default_rng([seed, *name.encode()]), joints, plates)
@@ -146,31 +146,32 @@ def draw_errors(names: tuple[str, ...], seed: int, *, joints: int, plates: int) 
 
 
 def parse_errors(text: str) -> tuple[str, ...]:
-    """Return the errors that a list with commas names; ``typical`` stands for `TYPICAL`.
+    """Return the names in a comma-separated list; ``typical`` stands for `TYPICAL`.
 
     Raises
     ------
     SimulationError
-        When a name is not known.
+        When a name is unknown.
     """
     names = {name for part in text.split(",") if (name := part.strip())}
     unknown = sorted(names - {"typical", *ERRORS})
     if unknown:
         raise SimulationError(
-            f"no systematic error {unknown[0]!r}; give typical or any of {', '.join(ERRORS)}"
+            f"no systematic error {unknown[0]!r}; give typical or any of {', '.join(ERRORS)}",
+            "E607",
         )
     if "typical" in names:
         names |= set(TYPICAL)
     return tuple(name for name in ERRORS if name in names)
 
 
-def _scalars(
+def _draw_scalars(
     random: np.random.Generator, size: tuple[float, float], shape: tuple[int, ...]
 ) -> FloatArray:
     return np.asarray(random.uniform(*size, shape) * random.choice([-1.0, 1.0], shape))
 
 
-def _vectors(random: np.random.Generator, size: tuple[float, float], count: int) -> FloatArray:
+def _draw_vectors(random: np.random.Generator, size: tuple[float, float], count: int) -> FloatArray:
     direction = random.standard_normal((count, 3))
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     return np.asarray(random.uniform(*size, (count, 1)) * direction / length)
@@ -179,18 +180,18 @@ def _vectors(random: np.random.Generator, size: tuple[float, float], count: int)
 Draw = Callable[[np.random.Generator, int, int], Any]
 
 ERRORS: dict[str, Draw] = {
-    "plate_gain": lambda random, _, plates: _scalars(random, PLATE_GAIN, (plates, 6)),
+    "plate_gain": lambda random, _, plates: _draw_scalars(random, PLATE_GAIN, (plates, 6)),
     "plate_offset": lambda random, _, plates: np.hstack(
         [
-            _scalars(random, PLATE_FORCE_OFFSET, (plates, 3)),
-            _scalars(random, PLATE_MOMENT_OFFSET, (plates, 3)),
+            _draw_scalars(random, PLATE_FORCE_OFFSET, (plates, 3)),
+            _draw_scalars(random, PLATE_MOMENT_OFFSET, (plates, 3)),
         ]
     ),
-    "plate_pose": lambda random, _, plates: _vectors(random, PLATE_DISPLACEMENT, plates),
-    "torque_gain": lambda random, joints, _: _scalars(random, TORQUE_GAIN, (joints,)),
-    "imu_mounting": lambda random, *_: _vectors(random, IMU_MOUNTING, 1)[0],
-    "encoder_offset": lambda random, joints, _: _scalars(random, ENCODER_OFFSET, (joints,)),
-    "link_length": lambda random, joints, _: _scalars(random, LINK_LENGTH, (joints,)),
+    "plate_pose": lambda random, _, plates: _draw_vectors(random, PLATE_DISPLACEMENT, plates),
+    "torque_gain": lambda random, joints, _: _draw_scalars(random, TORQUE_GAIN, (joints,)),
+    "imu_mounting": lambda random, *_: _draw_vectors(random, IMU_MOUNTING, 1)[0],
+    "encoder_offset": lambda random, joints, _: _draw_scalars(random, ENCODER_OFFSET, (joints,)),
+    "link_length": lambda random, joints, _: _draw_scalars(random, LINK_LENGTH, (joints,)),
     "sample_rates": lambda *_: SampleRates(joints=1, imu=2, plates=3),
     "delays": lambda random, _, plates: 1 + random.permutation(LONGEST_DELAY)[: 2 + plates],
     "quantisation": lambda *_: Resolution(),

@@ -1,4 +1,4 @@
-"""Which topic carries which part of a simulated instant, for bags and for publishers alike."""
+"""Topics of the simulated robot and their messages, for bags and publishers."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -24,13 +24,13 @@ class SimulatedTopic:
     name : str
         Relative topic name.
     layout : Layout
-        Of its messages.
+        Layout of its messages.
     fill : callable
-        ``fill(columns, stamp, instant)`` writes one instant into the columns of one
-        record, or N of them into those of N records when stamp is (N,) and the
-        instant's arrays carry a leading axis of N.
+        ``fill(columns, stamp, instant)`` writes one instant into the columns of one record, or N
+        instants into N records when stamp is (N,) and the instant's arrays have a leading axis
+        of N.
     every : int
-        It speaks at one of so many instants, the first one included.
+        Instants from one message to the next, starting at the first instant.
     """
 
     name: str
@@ -40,7 +40,7 @@ class SimulatedTopic:
 
 
 def sensor_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
-    """Return joint states, IMU and wrenches as the robot's sensors report them."""
+    """Return the topics of joint states, IMU and wrenches."""
     rates = robot.sample_rates
     wrenches = [
         SimulatedTopic(
@@ -64,7 +64,7 @@ def sensor_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
 
 
 def truth_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
-    """Return the true motion, for validation only."""
+    """Return the topics of the true motion, for validation only."""
     return (
         SimulatedTopic(
             "ground_truth/joints", messages.trajectory_layout(robot.joint_names), _fill_true_joints

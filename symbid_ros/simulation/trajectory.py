@@ -1,4 +1,4 @@
-"""Straight moves from point to point, cubic in time: what the robot is asked to do."""
+"""Reference trajectories: straight moves from point to point, cubic in time."""
 
 import math
 from bisect import bisect_right
@@ -12,9 +12,9 @@ from symbid_ros.errors import SimulationError
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A chain of straight moves with a rest before the first and after the last.
+    """A sequence of straight moves with a pause before the first and after the last.
 
-    Each move goes ``p(u) = a + (3u² - 2u³)(b - a)`` with u from 0 to 1, at rest at both ends
+    Each move follows ``p(u) = a + (3u² - 2u³)(b - a)`` with u from 0 to 1, at rest at both ends
     (thesis, section IV-A). The points may be positions, rotation vectors or joint angles.
 
     Attributes
@@ -22,9 +22,9 @@ class Trajectory:
     points : (n + 1, D) float64
         Start and the n targets.
     starts : tuple of n + 1 floats
-        Time at which each move starts, s, and at which the last one ends.
+        Start time of each move, then the end of the last one, s.
     duration : float
-        End of the last rest, s.
+        End of the last pause, s.
     """
 
     points: FloatArray
@@ -32,37 +32,37 @@ class Trajectory:
     duration: float
 
     def at(self, time: float) -> FloatArray:
-        """Position, velocity and acceleration at ``time`` (s), one a row, (3, D)."""
+        """Return position, velocity and acceleration at ``time`` (s) as the rows of a (3, D)."""
         starts = self.starts
         move = min(max(bisect_right(starts, time) - 1, 0), len(starts) - 2)
         span = starts[move + 1] - starts[move]
         u = (time - starts[move]) / span
         if not 0.0 <= u < 1.0:
             u, span = min(max(u, 0.0), 1.0), math.inf
-        gone = u * u * (3.0 - 2.0 * u)
+        blend = u * u * (3.0 - 2.0 * u)
         speed, change = 6.0 * u * (1.0 - u) / span, 6.0 * (1.0 - 2.0 * u) / (span * span)
-        shape = np.array([1.0 - gone, gone, -speed, speed, -change, change]).reshape(3, 2)
+        shape = np.array([1.0 - blend, blend, -speed, speed, -change, change]).reshape(3, 2)
         rows: FloatArray = np.dot(shape, self.points[move : move + 2])
         return rows
 
 
 @dataclass(frozen=True)
 class MoveRange:
-    """Where targets may lie and how fast they are reached.
+    """Range of the targets and of the speeds of random moves.
 
     Attributes
     ----------
     centre : (D,) float64
-        Centre of the ellipsoid near whose surface the targets lie, from the start.
+        Centre of the ellipsoid near whose surface the targets lie, relative to the start.
     half_widths : (D,) float64
         Its half axes.
     slowest, fastest : float
-        Mean speed of the first and last move, and of the one amid the set, per second.
+        Mean speed of the first and last move, and of the move in the middle, per second.
     shortest : float
-        No move is shorter; with ``fastest`` this bounds the acceleration by
-        ``6 fastest² / shortest``. Less than the largest half width, or there may be no next target.
+        Minimum length of a move. The acceleration is at most ``6 fastest² / shortest``. Must be
+        smaller than the largest half width, or there may be no next target.
     rest : float
-        Time before the first and after the last move, s.
+        Pause before the first and after the last move, s.
     """
 
     centre: FloatArray
@@ -76,21 +76,21 @@ class MoveRange:
 def draw_trajectory(
     start: FloatArray, moves: int, span: MoveRange, random: np.random.Generator
 ) -> Trajectory:
-    """Draw a set of moves whose speed grows, then shrinks.
+    """Draw random moves whose speed increases up to the middle and then decreases.
 
     Parameters
     ----------
     start : (D,) float64
-        Where the set begins.
+        First point.
     moves : int
         Number of moves, at least 1.
     span : MoveRange
         Targets and speeds.
     random : numpy.random.Generator
-        Source of the targets; the same state gives the same set.
+        Source of the targets; the same state gives the same trajectory.
     """
     if moves < 1:
-        raise SimulationError(f"{moves} moves asked for; a motion has at least one")
+        raise SimulationError(f"{moves} moves; set moves to 1 or more", "E605")
     points = [np.zeros_like(start)]
     while len(points) <= moves:
         direction = random.standard_normal(start.size)

@@ -1,4 +1,4 @@
-"""The controller's end of the UDP loop: measurements in, torques out."""
+"""UDP client of the simulator: receives measurements and sends torques."""
 
 import select
 import socket
@@ -15,88 +15,88 @@ from symbid_ros.simulation.packet import (
     HELLO,
     MAX_DATAGRAM_BYTES,
     MEASUREMENT,
-    Measurement,
     Packet,
     PacketError,
     decode,
+    decode_measurement,
     encode,
     is_before,
-    measurement,
 )
 from symbid_ros.simulation.plant import RobotFailureError
+from symbid_ros.simulation.sensors import Measurement
 from symbid_ros.simulation.standing_controller import StandingController
 
-HELLO_PERIOD = 0.1  # s of silence after which the client says hello, again and again
+HELLO_PERIOD = 0.1  # s without measurements after which the client sends a hello
 
 
 @dataclass
 class ClientCounts:
-    """What the client has done.
+    """Counts of sent and ignored datagrams.
 
     Attributes
     ----------
     answered : int
-        Measurements, each counted once.
+        Measurements answered, each counted once.
     repeated : int
-        Answers given once more to a measurement that came once more.
+        Commands sent again because their measurement arrived again.
     hellos : int
-        Sent.
-    passed_over : int
-        Datagrams that are no measurement of this robot, or older than the last.
+        Hellos sent.
+    ignored : int
+        Invalid datagrams, and measurements older than the last.
     unanswered : int
-        Measurements to which the controller had no torques.
+        Measurements for which the controller found no torques.
     """
 
     answered: int = 0
     repeated: int = 0
     hellos: int = 0
-    passed_over: int = 0
+    ignored: int = 0
     unanswered: int = 0
 
 
 class UdpClient:
-    """Answers a plant's measurements with the torques of a controller.
+    """Answers the measurements of a UDP server with the torques of a controller.
 
-    It says hello until the plant sends measurements, and again whenever it has been silent for
-    `HELLO_PERIOD`; the measurement after that may have any number, as another plant may be
-    there. A measurement that comes again, because it or its answer was lost, gets the same
-    answer again; the controller is asked once.
+    The client sends hellos until measurements arrive, and again after `HELLO_PERIOD` without any.
+    The next measurement may then have any sequence number, as the server may have restarted. If a
+    measurement arrives again, because it or its command was lost, the client sends the same
+    command again without a new call of the controller.
 
     Parameters
     ----------
-    host : str
-        Where the plant listens.
-    port : int
-        Its UDP port.
+    host, port : str, int
+        Address of the server.
     controller : StandingController
-        Who answers.
+        Computes the torques.
 
     Attributes
     ----------
     counts : ClientCounts
-        What it has done so far.
+        Counts since the start.
 
     Raises
     ------
     SimulationError
-        When the host has no such address.
+        When the address cannot be resolved.
     """
 
     def __init__(self, host: str, port: int, controller: StandingController) -> None:
         self._where = f"udp {host}:{port}"
         self._controller = controller
         self._hello = encode(Packet(COMMAND, HELLO, 0, np.zeros(len(controller.drive_names))))
-        self._last: tuple[int, int] | None = None  # number and stamp of the last measurement
-        self._answer: bytes | None = None
+        self._last: tuple[int, int] | None = None  # sequence and stamp of the last measurement
+        self._command: bytes | None = None
         self.counts = ClientCounts()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            # Connected, it hears nobody but the plant.
+            # A connected socket receives datagrams from the server only.
             self._socket.connect((host, port))
         except (OSError, OverflowError, ValueError) as error:
             self._socket.close()
             raise SimulationError(
-                f"{self._where}: no such address ({error}); name where the plant listens"
+                f"{self._where}: no such address ({error}); set --host and --port to the "
+                "simulator's address",
+                "E616",
             ) from error
         self._socket.setblocking(False)
 
@@ -107,67 +107,68 @@ class UdpClient:
         self._socket.close()
 
     def run(self, stop: Event, timeout: float) -> None:
-        """Answer measurements until stopped.
+        """Answer measurements until ``stop`` is set.
 
         Raises
         ------
         SimulationError
-            When nothing comes from the plant for ``timeout`` seconds.
+            When no datagram arrives for ``timeout`` seconds.
         """
-        heard = time.monotonic()
-        due = heard
+        received_at = time.monotonic()
+        hello_due = received_at
         while not stop.is_set():
             now = time.monotonic()
             datagram = self._receive()
             if datagram is not None:
-                heard, due = now, now + HELLO_PERIOD
-                self._take(datagram)
+                received_at, hello_due = now, now + HELLO_PERIOD
+                self._process(datagram)
                 continue
-            if now - heard > timeout:
+            if now - received_at > timeout:
                 raise SimulationError(
-                    f"{self._where}: no measurement for {timeout:g} s; "
-                    "start the plant there, or give --timeout more"
+                    f"{self._where}: no measurement for {timeout:g} s; start the simulator there "
+                    "or increase --timeout",
+                    "E617",
                 )
-            if now >= due:
-                self._say_hello()
-                due = now + HELLO_PERIOD
-            select.select([self._socket], [], [], due - now)
+            if now >= hello_due:
+                self._send_hello()
+                hello_due = now + HELLO_PERIOD
+            select.select([self._socket], [], [], hello_due - now)
 
-    def _say_hello(self) -> None:
+    def _send_hello(self) -> None:
         self._last = None
         self.counts.hellos += 1
         self._send(self._hello)
 
-    def _take(self, datagram: bytes) -> None:
+    def _process(self, datagram: bytes) -> None:
         try:
             packet = decode(datagram, MEASUREMENT)
-            readings = measurement(packet, len(self._controller.joint_names))
+            measurement = decode_measurement(packet, len(self._controller.joint_names))
         except PacketError:
-            self.counts.passed_over += 1
+            self.counts.ignored += 1
             return
         number = packet.sequence, packet.stamp
         if number == self._last:
             self.counts.repeated += 1
         elif self._last is not None and is_before(packet.sequence, self._last[0]):
-            self.counts.passed_over += 1
+            self.counts.ignored += 1
             return
         else:
-            self._last, self._answer = number, self._answered(packet, readings)
-        if self._answer is not None:
-            self._send(self._answer)
+            self._last, self._command = number, self._compute_command(packet, measurement)
+        if self._command is not None:
+            self._send(self._command)
 
-    def _answered(self, packet: Packet, readings: Measurement) -> bytes | None:
+    def _compute_command(self, packet: Packet, measurement: Measurement) -> bytes | None:
         try:
-            torques = self._controller.torques(readings)
+            torques = self._controller.torques(measurement)
         except RobotFailureError:
-            # The plant knows what to do without an answer, and may well start again.
+            # The server brakes the robot when no command arrives, and may restart the motion.
             self.counts.unanswered += 1
             return None
         self.counts.answered += 1
         return encode(Packet(COMMAND, packet.sequence, packet.stamp, torques))
 
     def _send(self, datagram: bytes) -> None:
-        # Refused where no plant listens yet; otherwise as good as lost on its way.
+        # Fails while no server listens; any other failure is equivalent to a lost datagram.
         with suppress(OSError):
             self._socket.send(datagram)
 

@@ -1,4 +1,4 @@
-"""The plant's end of the UDP loop: measurements out, torques in, in lockstep."""
+"""UDP server of the simulator: sends measurements and receives commands, in lockstep."""
 
 import select
 import socket
@@ -28,24 +28,24 @@ LATE = frozenset({Rejection.OLD, Rejection.DUPLICATE})
 
 
 class CommandValidator:
-    """Lets the one command pass that answers the measurement last sent, from one controller.
+    """Accepts the one command that answers the last measurement, from one controller.
 
-    In control is who last said hello or answered. As long as it does, nobody else is listened
-    to; once it has been given up (`release`), the first who speaks is.
+    A controller takes control by a hello or a valid command. Datagrams of others are rejected
+    until `release`; the next sender then takes control.
 
     Parameters
     ----------
     drives : Drives
-        Of the robot.
+        Number and limits of the torques.
 
     Attributes
     ----------
     counts : CommandCounts
-        Of all that was offered.
+        Counts of all received datagrams.
     controller : tuple of str and int or None
-        Host and port of who is in control, or was last.
+        Host and port of the current or last controller.
     is_controlled : bool
-        Whether it still is.
+        Whether a controller is in control.
     """
 
     def __init__(self, drives: Drives) -> None:
@@ -58,18 +58,18 @@ class CommandValidator:
         self.is_controlled = False
 
     def expect(self, instant: Instant) -> bytes:
-        """Return the datagram of an instant, whose answer is awaited from now on."""
+        """Return the datagram of an instant and expect its command from now on."""
         self._sequence, self._stamp = next_sequence(self._sequence), instant.stamp
         return encode(encode_measurement(self._sequence, instant))
 
     def release(self) -> None:
-        """Give up who is in control: it, or anybody else, may begin anew."""
+        """Take control from the controller; any sender may then take control."""
         self.is_controlled = False
 
-    def offer(self, datagram: bytes, address: Address) -> FloatArray | None:
-        """Return the torques (n_actuated,), Nm, if a datagram is the answer, and count it.
+    def process(self, datagram: bytes, address: Address) -> FloatArray | None:
+        """Count a datagram; return its torques (n_actuated,), Nm, if it is the expected command.
 
-        Raises nothing, whatever the datagram holds.
+        Invalid datagrams are counted by reason; none raises an error.
         """
         if self.is_controlled and address != self.controller:
             self._reject(Rejection.STRANGER)
@@ -81,18 +81,18 @@ class CommandValidator:
             return None
         if packet.sequence == HELLO:
             self.counts.hellos += 1
-            self._hand_over(address)
+            self._give_control(address)
             return None
         rejection = self._rejection(packet)
         if rejection is not None:
             if rejection in LATE and address == self.controller:
-                # Too late, but alive: it is worth waiting for again.
+                # The controller is slow but responds: the next measurement waits for it again.
                 self.is_controlled = True
             self._reject(rejection)
             return None
         self._accepted = packet.sequence
         self.counts.accepted += 1
-        self._hand_over(address)
+        self._give_control(address)
         return packet.values
 
     def _decode(self, datagram: bytes) -> Packet:
@@ -111,52 +111,52 @@ class CommandValidator:
             return Rejection.STAMP
         return self._drives.validate(packet.values)
 
-    def _hand_over(self, address: Address) -> None:
+    def _give_control(self, address: Address) -> None:
         self.controller, self.is_controlled = address, True
 
     def _reject(self, reason: Rejection) -> None:
         self.counts.rejected[reason] += 1
 
 
-RETRY_PERIOD = 0.002  # s; a few times what an answer takes on one machine
+RETRY_PERIOD = 0.002  # s; a few times the response time of a controller on the same machine
 COMMAND_TIMEOUT = 0.1  # s
-LOOK_PERIOD = 0.05  # s between two looks at whether to stop
+STOP_CHECK_PERIOD = 0.05  # s
 
 
 class UdpServer:
-    """Asks a controller elsewhere for torques, an instant at a time.
+    """Exchanges measurements and commands with an external controller, one instant at a time.
 
-    An instant's measurement is sent to who is in control, and again until answered: datagrams
-    get lost. Without an answer within ``command_timeout`` the controller
-    loses control; torques are the safe ones of `Drives`, at once and not waited for, until it or
-    another one says hello.
+    The server sends each measurement to the controller, repeatedly until the command arrives, as
+    datagrams can get lost. If none arrives within ``command_timeout``, the controller loses
+    control. The server then returns the safe torques of `Drives` without waiting, until a
+    controller sends a hello.
 
     Parameters
     ----------
     host : str
-        Address to listen at; 127.0.0.1 keeps everybody outside this machine out.
+        Address to listen on; 127.0.0.1 accepts datagrams from this machine only.
     port : int
-        UDP port; 0 for any free one.
+        UDP port; 0 for any free port.
     drives : Drives
         Limits and safe torques.
     command_timeout : float
         s of wall time.
     retry_period : float
-        s from the first to the second time that a measurement is sent; each wait after that is
-        twice as long, lest a slow controller's queue fill up.
+        s until a measurement is sent for the second time; each further wait is twice as long, so
+        that the queue of a slow controller does not fill up.
     reply_port : int
-        Port of the controller's host that measurements go to; 0 for the one that it sends
-        from. Simulink's blocks send and receive by different ports.
+        Port of the controller's host to which measurements are sent; 0 for the port that it sends
+        from. Simulink's blocks send and receive on different ports.
 
     Attributes
     ----------
     address : tuple of str and int
-        Host and port it listens at.
+        Host and port that the server listens on.
 
     Raises
     ------
     SimulationError
-        When it cannot listen there.
+        When the server cannot listen on this address.
     """
 
     def __init__(
@@ -169,9 +169,11 @@ class UdpServer:
         retry_period: float = RETRY_PERIOD,
         reply_port: int = 0,
     ) -> None:
-        if not host:  # which sockets take for every address of the machine
-            raise SimulationError("udp: no host to listen at; give 127.0.0.1 or another address")
-        self._drives, self._gate = drives, CommandValidator(drives)
+        if not host:  # sockets would listen on all addresses of the machine
+            raise SimulationError(
+                "udp: no host to listen on; give 127.0.0.1 or another address", "E616"
+            )
+        self._drives, self._validator = drives, CommandValidator(drives)
         self._timeout, self._retry = command_timeout, retry_period
         self._reply_port = reply_port
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -180,7 +182,7 @@ class UdpServer:
         except (OSError, OverflowError, ValueError) as error:
             self._socket.close()
             raise SimulationError(
-                f"udp {host}:{port}: cannot listen ({error}); choose another host or port"
+                f"udp {host}:{port}: cannot listen ({error}); choose another host or port", "E616"
             ) from error
         self._socket.setblocking(False)
         self.address: Address = self._socket.getsockname()
@@ -197,64 +199,64 @@ class UdpServer:
 
     @property
     def counts(self) -> CommandCounts:
-        """What has come in so far."""
-        return self._gate.counts
+        """Counts of received datagrams, retries and timeouts."""
+        return self._validator.counts
 
     @property
     def controller(self) -> Address | None:
-        """Host and port of who is in control, if somebody is."""
-        return self._gate.controller if self._gate.is_controlled else None
+        """Host and port of the controller; None if there is none."""
+        return self._validator.controller if self._validator.is_controlled else None
 
     def await_controller(self, stop: Event) -> bool:
-        """Wait until somebody says hello and tell whether it came to that before the stop."""
-        self._gate.release()
-        while not self._gate.is_controlled and not stop.is_set():
+        """Wait for a controller's hello; return False if ``stop`` was set before."""
+        self._validator.release()
+        while not self._validator.is_controlled and not stop.is_set():
             received = self._receive()
             if received is None:
-                self._wait(LOOK_PERIOD)
+                self._wait(STOP_CHECK_PERIOD)
             else:
-                self._gate.offer(*received)
-        return self._gate.is_controlled
+                self._validator.process(*received)
+        return self._validator.is_controlled
 
     def exchange(self, instant: Instant, stop: Event) -> Command:
-        """Send an instant's measurement and return the command that answers it, or a safe one.
+        """Send the measurement of an instant and return its command, or safe torques.
 
-        Returns within ``command_timeout``, and at once when nobody is in control or the stop
+        Returns within ``command_timeout``, and immediately if there is no controller or ``stop``
         is set.
         """
-        torques = self._ask(self._gate.expect(instant), stop)
+        torques = self._request(self._validator.expect(instant), stop)
         if torques is not None:
             return Command(torques, is_safe=False)
         return Command(self._drives.safe_torques(instant.joint_velocity), is_safe=True)
 
-    def _ask(self, datagram: bytes, stop: Event) -> FloatArray | None:
-        gate = self._gate
+    def _request(self, datagram: bytes, stop: Event) -> FloatArray | None:
+        validator = self._validator
         now = due = time.monotonic()
         deadline, sent = now + self._timeout, 0
         while now < deadline and not stop.is_set():
             if now >= due:
                 self._send(datagram)
-                gate.counts.resent += sent > 0
+                validator.counts.resent += sent > 0
                 due, sent = now + self._retry * 2**sent, sent + 1
             received = self._receive()
             if received is not None:
-                torques = gate.offer(*received)
+                torques = validator.process(*received)
                 if torques is not None:
                     return torques
-            elif gate.is_controlled:
+            elif validator.is_controlled:
                 self._wait(min(due, deadline) - now)
             else:
                 return None
             now = time.monotonic()
-        if gate.is_controlled and not stop.is_set():
-            gate.counts.timeouts += 1
-            gate.release()
+        if validator.is_controlled and not stop.is_set():
+            validator.counts.timeouts += 1
+            validator.release()
         return None
 
     def _send(self, datagram: bytes) -> None:
-        if self._gate.controller is not None:
-            host, port = self._gate.controller
-            # What cannot be sent is as good as lost on its way, and will be sent again.
+        if self._validator.controller is not None:
+            host, port = self._validator.controller
+            # A failure is equivalent to a lost datagram, which is sent again.
             with suppress(OSError):
                 self._socket.sendto(datagram, (host, self._reply_port or port))
 

@@ -29,7 +29,7 @@ def test_interrupted_it_says_what_it_did():
             said, errors = client.communicate(timeout=300)
     assert (client.returncode, errors) == (0, "")
     assert said.startswith(f"127.0.0.1:{port}: answered 0 measurements")
-    assert "1 datagrams passed over" in said
+    assert "1 datagrams ignored" in said
 
 
 def test_silence_ends_it_with_one_line(symbid_here):
@@ -40,7 +40,7 @@ def test_silence_ends_it_with_one_line(symbid_here):
     assert done.returncode == 2
     assert done.stderr == (
         f"symbid: udp 127.0.0.1:{port}: no measurement for 0.2 s; "
-        "start the plant there, or give --timeout more\n"
+        "start the simulator there or increase --timeout\n"
     )
 
 

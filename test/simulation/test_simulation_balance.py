@@ -117,7 +117,7 @@ def test_impossible_link_need_not_keep_the_robot_from_standing(truth):
 @pytest.mark.parametrize("links", [("R_foot",), ("base_link", "R_thigh", "L_thigh")])
 def test_model_of_no_use_to_a_controller_is_reported(truth, links):
     result = run({name: -phi for name, phi in by_link(PARAMETERS.values).items() if name in links})
-    assert result.failure == "the believed mass matrix is not positive definite"
+    assert result.failure == "the mass matrix of the controller's model is not positive definite"
     assert result.failed_at == -1.0
     assert np.isnan([result.com_rmse_mm, *result.com_bias_mm, result.feed_forward_share]).all()
     assert result.duration == truth.duration

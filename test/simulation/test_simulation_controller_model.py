@@ -139,7 +139,7 @@ def test_momentum_of_impossible_inertias_is_the_regressor_s(plant_model, state, 
 def test_mass_matrix_that_is_not_positive_definite_is_refused(plant_model, state, capfd):
     foot = -by_link(PARAMETERS.values)["R_foot"]
     belief = ControllerModel(replace_inertias(plant_model, {"R_foot": foot}), SOLES)
-    with pytest.raises(RobotFailureError, match=r"mass matrix .* at 0\.250 s; .* give") as caught:
+    with pytest.raises(RobotFailureError, match=r"mass matrix .* at 0\.250 s; give") as caught:
         belief.update(state)
     assert caught.value.time == state.time
     assert "\n" not in str(caught.value)

@@ -30,9 +30,9 @@ def awaiting() -> CommandValidator:
     """Return a gate that has had its first answer and awaits the second."""
     drives, instants = run()
     gate = CommandValidator(drives)
-    gate.offer(hello(), CLIENT)
+    gate.process(hello(), CLIENT)
     sequence, stamp = sequence_and_stamp(gate.expect(instants[0]))
-    assert gate.offer(command(sequence, stamp, TORQUES), CLIENT) is not None
+    assert gate.process(command(sequence, stamp, TORQUES), CLIENT) is not None
     gate.expect(instants[1])
     return gate
 
@@ -59,7 +59,7 @@ def test_a_measurement_says_all_that_the_sensors_say(gate, instants):
 
 
 def test_the_answer_passes_and_its_torques_are_in_order(gate, instants):
-    passed = gate.offer(command(2, instants[1].stamp, TORQUES), CLIENT)
+    passed = gate.process(command(2, instants[1].stamp, TORQUES), CLIENT)
     assert passed.tolist() == TORQUES
     assert rejected(gate) == {}
     assert (gate.counts.accepted, gate.counts.hellos) == (2, 1)
@@ -93,47 +93,47 @@ REJECTIONS = [
 
 @pytest.mark.parametrize(("reason", "datagram"), REJECTIONS)
 def test_what_is_no_answer_is_counted_by_its_reason(gate, reason, datagram):
-    assert gate.offer(datagram, CLIENT) is None
+    assert gate.process(datagram, CLIENT) is None
     assert rejected(gate) == {reason: 1}
     assert gate.counts.accepted == 1
     # It has changed nothing: the answer still passes.
-    assert gate.offer(ANSWER, CLIENT) is not None
+    assert gate.process(ANSWER, CLIENT) is not None
 
 
 def test_an_answer_is_obeyed_once(gate):
-    assert gate.offer(ANSWER, CLIENT) is not None
-    assert gate.offer(ANSWER, CLIENT) is None
+    assert gate.process(ANSWER, CLIENT) is not None
+    assert gate.process(ANSWER, CLIENT) is None
     assert rejected(gate) == {"duplicate": 1}
 
 
 def test_strangers_are_not_heard_while_somebody_is_in_control(gate, instants):
     for datagram in (hello(), ANSWER, b"nonsense"):
-        assert gate.offer(datagram, OTHER) is None
+        assert gate.process(datagram, OTHER) is None
     assert rejected(gate) == {"stranger": 3}
     assert gate.controller == CLIENT
 
 
 def test_whoever_says_hello_first_follows(gate, instants):
     gate.release()
-    gate.offer(hello(), OTHER)
+    gate.process(hello(), OTHER)
     assert (gate.controller, gate.is_controlled) == (OTHER, True)
-    assert gate.offer(ANSWER, CLIENT) is None
-    assert gate.offer(ANSWER, OTHER).tolist() == TORQUES
+    assert gate.process(ANSWER, CLIENT) is None
+    assert gate.process(ANSWER, OTHER).tolist() == TORQUES
     assert rejected(gate) == {"stranger": 1}
 
 
 def test_a_late_answer_does_not_move_the_robot_but_is_a_sign_of_life(gate, instants):
     gate.release()
     gate.expect(instants[2])
-    assert gate.offer(ANSWER, OTHER) is None
+    assert gate.process(ANSWER, OTHER) is None
     assert not gate.is_controlled
-    assert gate.offer(ANSWER, CLIENT) is None
+    assert gate.process(ANSWER, CLIENT) is None
     assert gate.is_controlled
     assert rejected(gate) == {"old": 2}
 
 
 def test_hello_moves_nothing(gate):
-    assert gate.offer(command(0, STAMP, TORQUES), CLIENT) is None
+    assert gate.process(command(0, STAMP, TORQUES), CLIENT) is None
     assert (gate.counts.hellos, gate.counts.accepted) == (2, 1)
 
 
@@ -160,7 +160,7 @@ def mutated(changes: list[tuple[int, int]]) -> bytes:
 def test_whatever_comes_nothing_is_raised_and_no_torque_exceeds_its_limit(datagrams):
     gate = awaiting()
     for datagram in datagrams:
-        passed = gate.offer(datagram, CLIENT)
+        passed = gate.process(datagram, CLIENT)
         if passed is not None:
             # Only bits of the torques themselves can have been changed.
             assert datagram[:24] == ANSWER[:24]
