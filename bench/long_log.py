@@ -39,7 +39,7 @@ def lengthened(log: Path, out: Path, minutes: float) -> None:
             if "ground_truth" not in topic.name:
                 decoder = decoders.setdefault(topic.name, TopicDecoder(str(log), topic))
                 decoder.add(block.data, spans)
-    pieces = {name: decoder.pieces for name, decoder in decoders.items()}
+    pieces = {name: decoder.batches for name, decoder in decoders.items()}
     stamps = {name: [read_stamp(p.records) for p in parts] for name, parts in pieces.items()}
     length = max(int(part[-1]) for parts in stamps.values() for part in parts)
     with BagWriter(out) as bag:

@@ -22,6 +22,100 @@ class Entry(NamedTuple):
 CODES: dict[str, Entry] = {
     # E1xx: robot models
     # E2xx: bags and messages
+    "E201": Entry(
+        "There is no bag at the given path.",
+        "Give the folder of one recording or one of its .mcap or .db3 files.",
+    ),
+    "E202": Entry("No bag was given.", "Name at least one bag."),
+    "E203": Entry(
+        "A file that the bag's metadata.yaml lists is missing.",
+        "Restore the file, or give the other files one by one.",
+    ),
+    "E204": Entry(
+        "The file is not in MCAP or SQLite format, or is compressed as a whole.",
+        "Convert or decompress it with the command that the message names.",
+    ),
+    "E205": Entry(
+        "The recording was interrupted, so the file has no footer.",
+        "Run `symbid bag recover` on it and use the new bag.",
+    ),
+    "E206": Entry(
+        "The file is damaged.",
+        "Use another copy, or run `symbid bag recover` on it and use the new bag.",
+    ),
+    "E207": Entry(
+        "A size stated in the file exceeds its limit, as in a damaged or malicious file.",
+        "Run `symbid bag recover` on it, or record in smaller chunks.",
+    ),
+    "E208": Entry(
+        "The operating system cannot read the file.", "Check its permissions and the disk."
+    ),
+    "E209": Entry(
+        "A metadata.yaml is not one that rosbag2 writes.",
+        "Give the .mcap file instead of the folder.",
+    ),
+    "E210": Entry(
+        "The bag or the ROS graph does not have the topic.", "Name one of the listed topics."
+    ),
+    "E211": Entry(
+        "The topic has the wrong message type, or two types.",
+        "Name another topic, or give bags of different recordings separately.",
+    ),
+    "E212": Entry(
+        "There are several topics of joint states and none was chosen.",
+        "Name the topic to use, or all topics whose joints are to be merged.",
+    ),
+    "E213": Entry(
+        "The bag or one of its topics holds no message.",
+        "Record it again, or leave the topic out.",
+    ),
+    "E214": Entry("A ground-truth topic was selected as a sensor.", "Name the topic of a sensor."),
+    "E215": Entry(
+        "The definition of a message type is missing or invalid.",
+        "Source the workspace that defines it, or leave the topic out.",
+    ),
+    "E216": Entry(
+        "A message is not a valid message of its topic's type.",
+        "Check the publisher, leave the topic out, or use another copy of the bag.",
+    ),
+    "E217": Entry(
+        "The encoding of a topic's messages or the type of a field is not supported.",
+        "Leave the topic out, or record it in CDR.",
+    ),
+    "E218": Entry(
+        "There is already something at the path of the new bag.",
+        "Choose another name, or remove what is there.",
+    ),
+    "E219": Entry(
+        "The operating system cannot create or write the bag.",
+        "Free space on the disk, check the permissions, or choose another folder.",
+    ),
+    "E220": Entry(
+        "A file of the bag was deleted or moved while the bag was being written.",
+        "Record again, and leave the bag in place until the recording has ended.",
+    ),
+    "E221": Entry("Nothing in the damaged bag can be recovered.", "Use another copy of the bag."),
+    "E222": Entry("A topic was added to a bag twice.", "Add each topic once."),
+    "E223": Entry(
+        "The ground-truth topics are missing or incomplete.",
+        "Use a bag of this package's simulator with all three ground_truth/ topics.",
+    ),
+    "E230": Entry("A JointState message names a joint twice.", "Fix the driver."),
+    "E231": Entry(
+        "An IMU marks its angular velocity or linear acceleration as absent (covariance -1).",
+        "Leave the topic out.",
+    ),
+    "E232": Entry(
+        "No JointState message of the topic names its joints.",
+        "Have the driver fill JointState.name.",
+    ),
+    "E233": Entry(
+        "The header.frame_id of a sensor's messages changes.", "Give each sensor its own topic."
+    ),
+    "E234": Entry(
+        "At least half of a sensor's messages hold NaN or infinite values.",
+        "Fix the driver, or leave the topic out.",
+    ),
     # E3xx: measurements
     # E4xx: priors and estimates
     # E5xx: options and their combinations

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Serialised ROS 2 messages to arrays and back, shared by bags and nodes."""

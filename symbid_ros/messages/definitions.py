@@ -1,4 +1,4 @@
-"""Message definitions and type hashes: ROS 2 Jazzy's own, and those of installed packages."""
+"""Message definitions and type hashes of ROS 2 Jazzy and of installed packages."""
 
 import json
 import os
@@ -20,14 +20,14 @@ SEPARATOR = "=" * 80
 
 @dataclass(frozen=True)
 class Definition:
-    """A message type as bags carry it.
+    """The definition of a message type, as bags store it.
 
     Attributes
     ----------
     text : str
-        In ros2msg, its dependencies behind it.
+        Definition in ros2msg, followed by those of its parts.
     type_hash : str
-        RIHS01; empty where the package does not tell.
+        RIHS01 hash; empty if the package does not state it.
     """
 
     text: str
@@ -41,7 +41,7 @@ def find_definition(msgtype: str) -> Definition:
     Raises
     ------
     BagError
-        When the type is neither ROS 2 Jazzy's nor an installed package's.
+        When neither ROS 2 Jazzy nor an installed package defines the type.
     """
     store = typestore()
     if msgtype in store.fielddefs:
@@ -56,7 +56,7 @@ def find_definition(msgtype: str) -> Definition:
 
 
 def _collect(msgtype: str, texts: dict[str, str]) -> None:
-    """Add the text of a type and of all that it consists of."""
+    """Add the definitions of a type and of all its parts."""
     if msgtype in texts:
         return
     file = _installed(msgtype, ".msg")
@@ -65,7 +65,7 @@ def _collect(msgtype: str, texts: dict[str, str]) -> None:
         fields = get_types_from_msg(text, msgtype)[msgtype][1]
     except (TypesysError, OSError, ValueError) as error:
         raise BagError(
-            f"message type {msgtype}: its definition cannot be read; leave the topic out"
+            f"message type {msgtype}: its definition cannot be read; leave the topic out", "E215"
         ) from error
     for name in _parts(fields):
         _collect(name, texts)
@@ -81,8 +81,8 @@ def _parts(fields: Iterable[tuple[str, Any]]) -> Iterator[str]:
 def _installed(msgtype: str, suffix: str) -> Path:
     """Return a file of the package that defines a type.
 
-    The prefixes of ``AMENT_PREFIX_PATH`` (colcon, apt) come before the environment, whose
-    wheels set no such variable.
+    The prefixes in ``AMENT_PREFIX_PATH`` (colcon, apt) are searched before the Python environment,
+    whose wheels set no such variable.
     """
     package, _, name = msgtype.partition("/")
     prefixes = [Path(p) for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
@@ -92,7 +92,8 @@ def _installed(msgtype: str, suffix: str) -> Path:
             return file
     raise BagError(
         f"message type {msgtype}: neither part of ROS 2 Jazzy nor installed; "
-        "source its workspace or leave the topic out"
+        "source its workspace or leave the topic out",
+        "E215",
     )
 
 
@@ -102,7 +103,7 @@ def _type_hash(msgtype: str) -> str:
         hashes = {each["type_name"]: each["hash_string"] for each in content["type_hashes"]}
         return str(hashes.get(msgtype, ""))
     except (BagError, OSError, ValueError, KeyError, TypeError):
-        return ""  # a file of another rosidl's making; rosbag2 writes nothing then
+        return ""  # another rosidl wrote the file; rosbag2 stores no hash either
 
 
 def _short(msgtype: str) -> str:

@@ -1,10 +1,10 @@
-"""Where every number of a serialised message lies, so that blocks of messages become arrays.
+"""Byte layouts of serialised messages, which turn many messages into arrays at once.
 
-CDR (OMG DDS-RTPS 2.5, section 10; XCDR version 1) writes a message's fields one
-after the other, each aligned to its own size behind a 4-byte encapsulation
-header. Two messages whose strings and sequence lengths agree therefore have all
-numbers at the same places: a NumPy record type with explicit offsets reads and
-writes any number of them at once.
+CDR (OMG DDS-RTPS 2.5, section 10; XCDR version 1) writes a message's fields one after the other,
+each aligned to its own size, after a 4-byte encapsulation header. Messages with equal strings and
+sequence lengths therefore have all numbers at the same offsets. A NumPy record type with these
+offsets reads and writes any number of such messages. rosbags, which supplies the definitions,
+deserialises one message at a time and is too slow for whole logs.
 """
 
 from collections.abc import Iterator
@@ -25,8 +25,9 @@ ByteArray = NDArray[np.uint8]
 Records = NDArray[np.void]
 Columns = dict[str, NDArray[Any]]
 
-CDR = "cdr"  # its name as a message encoding
+CDR = "cdr"  # name of the encoding in bags
 ENCAPSULATION = 4
+MAX_TRAILING = 32  # Fast CDR pads after the last field and, more than once, after empty sequences
 NUMBERS = {
     "bool": "u1",
     "byte": "u1",
@@ -47,28 +48,28 @@ NUMBERS = {
 
 @cache
 def typestore() -> Typestore:
-    """Return ROS 2 Jazzy's message definitions; no ROS installation is asked."""
+    """Return the message definitions of ROS 2 Jazzy; this needs no ROS installation."""
     return Typestore(ros2_jazzy)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The bytes that all messages of one kind share and the places of their numbers.
+    """Bytes that messages of one shape have in common, and the offsets of their numbers.
 
     Attributes
     ----------
     msgtype : str
         For example ``sensor_msgs/msg/Imu``.
     template : bytes
-        One such message, serialised little-endian with its encapsulation header.
+        One such message, serialised in little-endian order with its encapsulation header.
     dtype : numpy record type of ``len(template)`` bytes
-        One entry per number or array of numbers, named by its path
-        (``header.stamp.sec``, ``points.0.positions``). A message of equal numbers
-        (Vector3, Quaternion, Point) is one entry, components in message order.
+        One field for each number or array of numbers, named by its path
+        (``header.stamp.sec``, ``points.0.positions``). A message whose fields have one number type
+        (Vector3, Quaternion, Point) is one field with the components in message order.
     text : dict of str to tuple of str
         Strings by path; a single string is a tuple of one.
     constant : (len(template),) bool
-        True where a byte is neither a number's nor padding.
+        True for bytes that belong neither to a number nor to padding.
     """
 
     msgtype: str
@@ -79,29 +80,29 @@ class Layout:
 
     @classmethod
     def of(cls, message: object, msgtype: str) -> "Layout":
-        """Return the layout of one message object of rosbags' classes."""
+        """Return the layout of a message object of rosbags."""
         template = bytes(typestore().serialize_cdr(message, msgtype, little_endian=True))
-        walk = _Walk()
-        walk.message(message, msgtype, "")
+        builder = _LayoutBuilder()
+        builder.message(message, msgtype, "")
         constant = np.zeros(len(template), dtype=bool)
         constant[:2] = True
-        for start, stop in walk.fixed:
+        for start, stop in builder.fixed:
             constant[start:stop] = True
         dtype = np.dtype(
             {
-                "names": [name for name, _, _ in walk.numbers],
-                "formats": [form for _, form, _ in walk.numbers],
-                "offsets": [offset for _, _, offset in walk.numbers],
+                "names": [name for name, _, _ in builder.numbers],
+                "formats": [form for _, form, _ in builder.numbers],
+                "offsets": [offset for _, _, offset in builder.numbers],
                 "itemsize": len(template),
             }
         )
-        return cls(msgtype, template, dtype, walk.text, constant)
+        return cls(msgtype, template, dtype, builder.text, constant)
 
     @cached_property
     def _fixed(self) -> tuple[IntArray, NDArray[Any], NDArray[Any]]:
-        """Return places, mask and content (W,) of the words that hold constant bytes.
+        """Return offsets, mask and content (W,) of the words that hold constant bytes.
 
-        They are of four bytes where messages consist of such, as most do: that is faster.
+        Words have four bytes if the length is a multiple of four: comparing these is faster.
         """
         word = np.dtype(np.uint8 if len(self.template) % 4 else np.uint32)
         mask = np.where(self.constant, 0xFF, 0).astype(np.uint8).view(word)
@@ -119,7 +120,7 @@ class Layout:
         return {path: records[path] for path in self.dtype.names or ()}
 
     @cached_property
-    def _needed(self) -> np.dtype[np.void]:
+    def _packed(self) -> np.dtype[np.void]:
         return np.dtype(
             [
                 (path, form.base, (1,)) if path.endswith("_covariance") else (path, form)
@@ -127,20 +128,19 @@ class Layout:
             ]
         )
 
-    def condensed(self, records: Records) -> Records:
-        """Return the numbers of records (N,) alone, without text and padding.
+    def packed(self, records: Records) -> Records:
+        """Return the numbers of records (N,), without text and padding.
 
-        Of a covariance the first element is kept, which tells whether its field is absent
-        (REP-145).
+        Only the first element of a covariance is kept; -1 marks an absent field (REP-145).
         """
-        numbers = np.empty(len(records), dtype=self._needed)
-        for path, (form, *_) in (self._needed.fields or {}).items():
+        numbers = np.empty(len(records), dtype=self._packed)
+        for path, (form, *_) in (self._packed.fields or {}).items():
             values = records[path]
             numbers[path] = values[:, :1] if form.shape == (1,) and values.ndim == 2 else values
         return numbers
 
     def matches(self, rows: ByteArray) -> BoolArray:
-        """Tell which rows (N, len(template)) of bytes follow this layout."""
+        """Return which rows (N, len(template)) of bytes have this layout."""
         places, mask, content = self._fixed
         words = rows.view(mask.dtype)[:, places]
         words &= mask
@@ -148,13 +148,20 @@ class Layout:
         return verdict
 
     def view(self, rows: ByteArray) -> Records:
-        """Return C-contiguous rows (N, len(template)) of bytes as (N,) records."""
+        """View C-contiguous rows (N, len(template)) of bytes as (N,) records."""
         return rows.view(self.dtype)[:, 0]
+
+    def matches_payload(self, payload: ByteArray) -> bool:
+        """Return whether one message has this layout, apart from trailing padding."""
+        size = len(self.template)
+        if not 0 <= len(payload) - size <= MAX_TRAILING:
+            return False
+        return bool(self.matches(payload[None, :size])[0])
 
 
 @dataclass
-class _Walk:
-    """A walk over one message in serialisation order."""
+class _LayoutBuilder:
+    """Collects the offsets of one message's fields in serialisation order."""
 
     offset: int = 0
     numbers: list[tuple[str, Any, int]] = field(default_factory=list)
@@ -198,7 +205,7 @@ class _Walk:
         self.offset += -self.offset % size
 
     def _fix(self, size: int) -> None:
-        """Pass a 32-bit length and the bytes it announces."""
+        """Add a 32-bit length and its constant bytes."""
         self._align(4)
         start = ENCAPSULATION + self.offset
         self.fixed.append((start, start + size))
@@ -212,16 +219,16 @@ class _Walk:
     def _number(self, path: str, form: str, shape: tuple[int, ...]) -> None:
         size = np.dtype(form).itemsize
         count = shape[0] if shape else 1
-        if count:  # an empty sequence aligns nothing behind its length
+        if count:  # an empty sequence has no padding after its length
             self._align(size)
         self.numbers.append((path, (form, shape), ENCAPSULATION + self.offset))
         self.offset += count * size
 
 
 def gather_rows(data: ByteArray, starts: IntArray, size: int) -> ByteArray:
-    """Return the ``size`` bytes (N, size) that begin at each start (N,), all inside the data.
+    """Return the ``size`` bytes (N, size) that begin at each start (N,), all within the data.
 
-    Taken as records of overlapping views: an index for every byte would take ten times as long.
+    Overlapping views are ten times faster than an index for each byte.
     """
     if not len(starts):
         return np.empty((0, size), dtype=np.uint8)
@@ -232,13 +239,15 @@ def gather_rows(data: ByteArray, starts: IntArray, size: int) -> ByteArray:
 
 def _format(name: str, path: str) -> str:
     if name not in NUMBERS:
-        raise BagError(f"{path}: fields of type {name} cannot be read into arrays")
+        raise BagError(
+            f"{path}: fields of type {name} cannot be read into arrays; leave the topic out", "E217"
+        )
     return NUMBERS[name]
 
 
 @cache
 def _equal_numbers(msgtype: str) -> str | None:
-    """Return the number format all fields of a message share, if they do."""
+    """Return the number format that all fields of a message have, if it is the same."""
     kinds = set(_primitive_kinds(msgtype))
     only = kinds.pop() if len(kinds) == 1 else None
     return NUMBERS.get(only) if only is not None else None

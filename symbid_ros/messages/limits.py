@@ -1,8 +1,8 @@
-"""How much of a bag is believed before memory is given to it.
+"""Limits on the sizes that files state about themselves, and decompression within them.
 
-Bags come from anywhere. Every size that a file states about itself is held
-against one of these before anything is allocated; what reads a file of any
-content then stays below 512 MB. Real recordings keep well inside them.
+Bags come from anywhere. Each stated size is checked against one of these limits before memory is
+allocated, so that reading a file of any content takes less than 512 MB. Real recordings stay far
+below the limits.
 """
 
 import threading
@@ -12,58 +12,62 @@ import zstandard
 MIB = 1 << 20
 
 MAX_CHUNK = 96 * MIB
-"""Bytes of a chunk, packed and unpacked, and of a message outside of chunks: writers close a
-chunk of up to 64 MiB only behind the message that fills it, a point cloud of tens of megabytes."""
+"""Bytes of a chunk, compressed and decompressed, and of a message outside of chunks. Writers close
+a chunk of up to 64 MiB after the message that fills it, which may have tens of megabytes."""
 
 MAX_EXPANSION = 1000
-"""Unpacked bytes for each packed one, in chunks of more than `UNSUSPICIOUS` bytes: sensor
-messages pack 2 to 10 times smaller, blank images some hundred times, a bomb 30 000 times."""
+"""Compression ratio of chunks larger than `ANY_RATIO_SIZE`. Sensor messages reach 2 to 10, blank
+images some hundred, and decompression bombs 30 000."""
 
-UNSUSPICIOUS = 16 * MIB
-"""Bytes that a chunk may unpack to from however few: what one blank image or map may need."""
+ANY_RATIO_SIZE = 16 * MIB
+"""Bytes that a chunk may decompress to at any ratio: one blank image or map may need as many."""
 
 MAX_WINDOW = 32 * MIB
-"""Bytes that a zstd frame may want to look back; level 19 looks back 8 MiB."""
+"""Bytes of a zstd frame's window; level 19 uses 8 MiB."""
 
 MAX_RECORD = 16 * MIB
-"""Bytes of a schema, channel, statistics or chunk index record, strings and maps in them
-included; the definition of the largest common message type takes 20 kB."""
+"""Bytes of a schema, channel, statistics or chunk index record, including its strings and maps.
+The definition of the largest common message type takes 20 kB."""
 
-MAX_CATALOGUE = 64 * MIB
+MAX_REGISTRY = 64 * MIB
 """Bytes of all schemas and channels of a file; 500 topics take about 2 MB."""
 
 MAX_CHANNELS = 4096
 """Channels, and schemas, of a file; large robots publish some hundred topics."""
 
 MAX_EXTENTS = 1_000_000
-"""Chunks of a file: 64 KiB each, that is 64 GB or most of a day at 4 x 1 kHz."""
+"""Chunks of a file. At 64 KiB each they make 64 GB, most of a day of four sensors at 1 kHz."""
 
 MAX_MESSAGE = 256 * 1024
-"""Bytes of a sensor message that is read; 1000 joints take 60 kB. Other topics' are skipped."""
+"""Bytes of a decoded sensor message; 1000 joints take 60 kB. Other topics are not decoded."""
 
 MAX_NAMES = 4096
-"""Strings of a sensor message that is read, most of them joint names."""
+"""Strings of a decoded sensor message, most of them joint names."""
 
 MAX_DEFINITION = 64 * 1024
-"""Bytes of the definition of a type that is read; ROS 2's own take 6 kB."""
+"""Bytes of the definition of a decoded type; those of ROS 2 take 6 kB."""
 
 MAX_METADATA = 8 * MIB
 """Bytes of a metadata.yaml; 500 topics with eight publishers each take about 2 MB."""
 
 MAX_YAML_NODES = 250_000
-"""Keys, values and lists of a metadata.yaml or a quality of service, repetitions written out; 500
-topics with eight publishers each take 100 000."""
+"""Keys, values and lists of a metadata.yaml or a quality of service, with YAML aliases expanded.
+500 topics with eight publishers each take 100 000."""
 
 MAX_QOS = 64 * 1024
 """Bytes of a topic's offered_qos_profiles; 100 publishers take 40 kB."""
 
 
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+MESSAGE = "a message"
+
+
 class OverLimitError(ValueError):
-    """A file states a size beyond what is believed."""
+    """A size stated by a file exceeds its limit."""
 
 
 def check_limit(what: str, size: int, limit: int) -> int:
-    """Return a size that a file states, if it is believed.
+    """Return a size that a file states, checked against its limit.
 
     Raises
     ------
@@ -75,12 +79,8 @@ def check_limit(what: str, size: int, limit: int) -> int:
     return size
 
 
-ZSTD_FRAME = b"\x28\xb5\x2f\xfd"
-MESSAGE = "a message"
-
-
 class _Zstd(threading.local):
-    """A decompressor for each thread, because it has a state that two must not share."""
+    """One decompressor for each thread: its state must not be shared."""
 
     def __init__(self) -> None:
         self.decompressor = zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW)
@@ -90,11 +90,12 @@ _ZSTD = _Zstd()
 
 
 def decompress_message(payload: bytes, limit: int) -> bytes:
-    """Return a message that was compressed by itself, ``limit`` bytes at most; others as they are.
+    """Decompress a message of at most ``limit`` bytes; return one that is not compressed as it is.
 
-    rosbag2 does so in its compression mode MESSAGE. No encapsulation header begins like a frame.
+    In its compression mode MESSAGE, rosbag2 compresses each message by itself. No encapsulation
+    header equals the first bytes of a zstd frame.
     """
-    if not payload.startswith(ZSTD_FRAME):
+    if not payload.startswith(ZSTD_MAGIC):
         return payload
     size = zstandard.frame_content_size(payload)
     data = decompress_zstd(
@@ -105,8 +106,8 @@ def decompress_message(payload: bytes, limit: int) -> bytes:
 
 
 def decompress_zstd(data: memoryview, size: int) -> bytes:
-    """Return at most one byte more than the stated size."""
-    # The frame's own size wins over max_output_size: only a true one goes the direct way.
+    """Decompress, and stop one byte after the stated size."""
+    # zstandard obeys the frame's own size rather than max_output_size, so they must agree.
     if zstandard.frame_content_size(data) == size:
         return _ZSTD.decompressor.decompress(data, max_output_size=size, allow_extra_data=False)
     with _ZSTD.decompressor.stream_reader(data, read_across_frames=True) as reader:

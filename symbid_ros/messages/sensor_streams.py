@@ -1,4 +1,8 @@
-"""Decoded messages into sensor streams, without what would spoil an identification."""
+"""Convert decoded messages to sensor streams and drop messages unfit for identification.
+
+Joint states of one topic are split by the joints that the messages name: drivers of arms and legs
+may share a topic, each publishing its own joints.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -16,84 +20,83 @@ from symbid_ros.signals.joint_merging import merged_joints
 from symbid_ros.signals.stamps import kept_in_order, seconds
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
-# Without a model, joints count as the robot's if this share as many messages name them.
-SIMILAR = 0.5
+AXES = ("x", "y", "z")
+S = TypeVar("S", ImuStream, WrenchStream)
+
+# Without a model, a group of joints counts as the robot's if its number of messages is at least
+# this share of the largest group's.
+MIN_GROUP_SHARE = 0.5
+MAX_INVALID_SHARE = 0.5  # from here on a topic is useless
 
 
 def split_by_joints(
     decoder: TopicDecoder, needed: frozenset[str], tally: DefectCounts
 ) -> tuple[TopicDecoder, ...]:
-    """Return the messages of a topic, one decoder for each group of joints published together.
+    """Split the messages of a topic into one decoder for each group of joints published together.
 
     Parameters
     ----------
     decoder : TopicDecoder
-        Of a JointState topic.
+        Decoder of a JointState topic.
     needed : frozenset of str
-        Joints of the model; messages that name none of them are counted and ignored. Where it is
-        empty, groups that about as many messages name as the most frequent one are parts.
+        Joints of the model; messages that name none of them are counted and ignored. If it is
+        empty, a group counts when it has about as many messages as the largest one.
     tally : DefectCounts
-        Of the topic.
+        Defects of the topic.
     """
     groups = group_joints(decoder, needed)
     if not groups:
         return (decoder,)
     members: list[list[DecodedBatch]] = [[] for _ in groups]
-    for piece in decoder.pieces:
-        names = _names(piece)
+    for batch in decoder.batches:
+        names = _names(batch)
         if needed and names and not names & needed:
             tally.add(
                 Defect.OTHER_JOINTS,
-                read_stamp(piece.records),
-                np.ones(len(piece.index), dtype=bool),
+                read_stamp(batch.records),
+                np.ones(len(batch.index), dtype=bool),
             )
             continue
         shared = [len(group & names) for group in groups]
-        members[shared.index(max(shared))].append(piece)
-    return tuple(_of_pieces(decoder, pieces) for pieces in members)
+        members[shared.index(max(shared))].append(batch)
+    return tuple(_of_pieces(decoder, batches) for batches in members)
 
 
 def group_joints(decoder: TopicDecoder, needed: frozenset[str]) -> list[frozenset[str]]:
-    """Return which joints of a topic are published together; nothing if all messages agree."""
+    """Return which joints of a topic are published together; empty if all messages agree."""
     counts: Counter[frozenset[str]] = Counter()
-    for piece in decoder.pieces:
-        counts[_names(piece)] += len(piece.index)
+    for batch in decoder.batches:
+        counts[_names(batch)] += len(batch.index)
     counts.pop(frozenset(), None)
     return _groups(counts, needed) if len(counts) > 1 else []
 
 
-def _names(piece: DecodedBatch) -> frozenset[str]:
-    return frozenset(piece.layout.text["name"])
+def _names(batch: DecodedBatch) -> frozenset[str]:
+    return frozenset(batch.layout.text["name"])
 
 
 def _groups(counts: Counter[frozenset[str]], needed: frozenset[str]) -> list[frozenset[str]]:
-    """Return the groups of joints; their order depends on their names alone."""
+    """Return the groups of joints, sorted by their names."""
     most = max(counts.values())
     groups: list[frozenset[str]] = []
     covered: set[str] = set()
     for names, count in sorted(counts.items(), key=lambda entry: (-entry[1], sorted(entry[0]))):
         own = names & needed if needed else names
-        # Messages that share a joint are of one driver, some of them incomplete.
-        if own and not own & covered and (needed or count >= SIMILAR * most):
+        # Messages that share a joint come from one driver, some of them incomplete.
+        if own and not own & covered and (needed or count >= MIN_GROUP_SHARE * most):
             groups.append(names)
             covered |= own
     return sorted(groups, key=sorted)
 
 
-def _of_pieces(decoder: TopicDecoder, pieces: list[DecodedBatch]) -> TopicDecoder:
-    """Return a decoder of some of the pieces, their messages numbered anew in the same order."""
-    index = np.sort(np.concatenate([piece.index for piece in pieces]))
+def _of_pieces(decoder: TopicDecoder, batches: list[DecodedBatch]) -> TopicDecoder:
+    """Return a decoder with some of the batches and their messages renumbered in order."""
+    index = np.sort(np.concatenate([batch.index for batch in batches]))
     renumbered = [
-        DecodedBatch(piece.layout, np.searchsorted(index, piece.index), piece.records)
-        for piece in pieces
+        DecodedBatch(batch.layout, np.searchsorted(index, batch.index), batch.records)
+        for batch in batches
     ]
     return TopicDecoder(decoder.source, decoder.topic, renumbered, len(index))
-
-
-AXES = ("x", "y", "z")
-S = TypeVar("S", ImuStream, WrenchStream)
-
-MOST = 0.5  # a topic of which such a share has no finite values is of no use
 
 
 def sensor_streams(
@@ -102,9 +105,9 @@ def sensor_streams(
     decoders: Mapping[Topic, TopicDecoder],
     tallies: Mapping[Topic, DefectCounts],
 ) -> Streams:
-    """Return the streams of a robot's topics, none of which may be silent.
+    """Return the streams of a robot's topics, each of which must have messages.
 
-    What is wrong with messages is counted in their topic's tally.
+    Defects of messages are counted in ``tallies``.
     """
     joints = [
         joint_stream(part, tallies[topic])
@@ -131,36 +134,38 @@ def _without_prefix(stream: S, prefix: str) -> S:
 
 
 def stamps(decoder: TopicDecoder) -> IntArray:
-    """Return (N,) header stamps in order of recording."""
+    """Return (N,) header stamps, nanoseconds, in order of recording."""
     stamp = np.empty(decoder.count, dtype=np.int64)
-    for piece in decoder.pieces:
-        stamp[_rows(piece)] = read_stamp(piece.records)
+    for batch in decoder.batches:
+        stamp[_rows(batch)] = read_stamp(batch.records)
     return stamp
 
 
 def column(decoder: TopicDecoder, path: str) -> FloatArray:
     """Return one field of all messages, (N, width)."""
-    width = decoder.pieces[0].records[path].shape[1]
+    width = decoder.batches[0].records[path].shape[1]
     values = np.empty((decoder.count, width))
-    for piece in decoder.pieces:
-        values[_rows(piece)] = piece.records[path]
+    for batch in decoder.batches:
+        values[_rows(batch)] = batch.records[path]
     return values
 
 
-def _rows(piece: DecodedBatch) -> IntArray | slice:
-    """Return where a piece's messages stand; a slice, which copies faster, if they are in a row."""
-    first, last = int(piece.index[0]), int(piece.index[-1])
-    if last - first == len(piece.index) - 1:
+def _rows(batch: DecodedBatch) -> IntArray | slice:
+    """Return the positions of a batch's messages, as a slice if they are consecutive.
+
+    A slice copies faster.
+    """
+    first, last = int(batch.index[0]), int(batch.index[-1])
+    if last - first == len(batch.index) - 1:
         return slice(first, last + 1)
-    return piece.index
+    return batch.index
 
 
 def joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
-    """Return joint states of the joints that most messages name, as the first of these orders them.
+    """Return the states of the joints that most messages name, in the order of the first of these.
 
-    Messages of other joints alone, as a gripper's driver may publish beside an arm's, are left out.
-    What a message does not say of a joint is NaN: drivers fill what they do not know with it, and
-    only a model says whether the joint matters.
+    Messages that name only other joints, such as a gripper's, are dropped. Missing values are NaN,
+    as drivers use it for unknown values; only the model tells whether a joint matters.
     """
     topic = decoder.topic.name
     names = _joint_names(decoder)
@@ -172,14 +177,15 @@ def joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
     unknown = np.zeros(decoder.count, dtype=bool)
     reordered = np.zeros(decoder.count, dtype=bool)
     foreign = np.zeros(decoder.count, dtype=bool)
-    for piece in decoder.pieces:
-        given, rows = piece.layout.text["name"], _rows(piece)
+    for batch in decoder.batches:
+        given, rows = batch.layout.text["name"], _rows(batch)
         if len(set(given)) != len(given):
             raise DefectError(
                 topic,
                 Defect.NAMED_TWICE,
                 f"{decoder.source}: {topic}: a joint is named twice at "
-                f"{seconds(stamp[piece.index[0]])}; repair the driver",
+                f"{seconds(stamp[batch.index[0]])}; fix the driver",
+                "E230",
             )
         sources = [column for column, name in enumerate(given) if name in place]
         targets = [place[given[column]] for column in sources]
@@ -187,15 +193,15 @@ def joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
         unknown[rows] = 0 < len(sources) < len(given)
         reordered[rows] = targets != sorted(targets)
         for name, values in fields.items():
-            read = piece.records[name]
-            if read.shape[1] != len(given):  # empty or short: no value belongs to a name
+            read = batch.records[name]
+            if read.shape[1] != len(given):  # empty or too short to match names
                 values[rows] = np.nan
                 continue
             if given == names:
                 values[rows] = read
             else:
                 values[rows] = np.nan
-                values[piece.index[:, None], targets] = read[:, sources]
+                values[batch.index[:, None], targets] = read[:, sources]
     tally.add(Defect.OTHER_JOINTS, stamp, foreign)
     tally.add(Defect.UNKNOWN_JOINT, stamp, unknown)
     tally.add(Defect.REORDERED_JOINTS, stamp, reordered)
@@ -205,7 +211,7 @@ def joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
 
 
 def imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
-    """Return an IMU's messages; the orientation is None where REP-145 says it is absent."""
+    """Return an IMU's messages; without any orientation (REP-145), that is None."""
     topic = decoder.topic.name
     frame_id = _frame_id(decoder)
     stamp = stamps(decoder)
@@ -217,6 +223,7 @@ def imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
                 Defect.ABSENT,
                 f"{decoder.source}: {topic}: {name} is marked absent (covariance -1); "
                 "leave the topic out",
+                "E231",
             )
         readings[name] = column(decoder, name)
     usable = _usable_vectors(tally, stamp, readings)
@@ -255,28 +262,30 @@ def wrench_stream(decoder: TopicDecoder, tally: DefectCounts) -> WrenchStream:
 def _joint_names(decoder: TopicDecoder) -> tuple[str, ...]:
     first: dict[frozenset[str], tuple[str, ...]] = {}
     counts: Counter[frozenset[str]] = Counter()
-    for piece in sorted(decoder.pieces, key=lambda piece: int(piece.index[0])):
-        if names := piece.layout.text["name"]:
+    for batch in sorted(decoder.batches, key=lambda batch: int(batch.index[0])):
+        if names := batch.layout.text["name"]:
             first.setdefault(frozenset(names), names)
-            counts[frozenset(names)] += len(piece.index)
+            counts[frozenset(names)] += len(batch.index)
     if counts:
         return first[max(counts, key=counts.__getitem__)]
     raise DefectError(
         decoder.topic.name,
         Defect.NO_NAMES,
         f"{decoder.source}: {decoder.topic.name}: no message names its joints; "
-        "let the driver fill JointState.name",
+        "have the driver fill JointState.name",
+        "E232",
     )
 
 
 def _frame_id(decoder: TopicDecoder) -> str:
-    frames = {piece.layout.text["header.frame_id"][0] for piece in decoder.pieces}
+    frames = {batch.layout.text["header.frame_id"][0] for batch in decoder.batches}
     if len(frames) > 1:
         raise DefectError(
             decoder.topic.name,
             Defect.OTHER_FRAME,
             f"{decoder.source}: {decoder.topic.name}: header.frame_id changes between "
-            f"{', '.join(sorted(frames))}; give every sensor a topic of its own",
+            f"{', '.join(sorted(frames))}; give each sensor its own topic",
+            "E233",
         )
     return frames.pop()
 
@@ -296,18 +305,19 @@ def _usable(
     values: Callable[[], FloatArray],
     labels: Sequence[str],
 ) -> IntArray:
-    """Return the places of the messages of which all values (N, c) are finite."""
+    """Return the positions of the messages whose values (N, c) are all finite."""
     if finite.all():
         return np.arange(len(stamp))
     wrong = np.logical_or.reduce(~finite, axis=1)
-    if np.count_nonzero(wrong) >= MOST * len(stamp):
+    if np.count_nonzero(wrong) >= MAX_INVALID_SHARE * len(stamp):
         row, bad = np.argwhere(~finite)[0]
         raise DefectError(
             tally.topic,
             Defect.NOT_FINITE,
             f"{tally.source}: {tally.topic}: {labels[bad]} is {values()[row, bad]} at "
-            f"{seconds(stamp[row])}, as in half of the messages or more; repair the driver or "
-            "leave the topic out",
+            f"{seconds(stamp[row])}, and at least half of the messages hold NaN or infinite "
+            "values; fix the driver or leave the topic out",
+            "E234",
         )
     bad_labels = [labels[column] for column in np.flatnonzero(~finite.all(axis=0)).tolist()]
     tally.add(Defect.NOT_FINITE, stamp, wrong, bad_labels)
@@ -316,7 +326,7 @@ def _usable(
 
 
 def _in_order(usable: IntArray, stamp: IntArray, tally: DefectCounts) -> IntArray | slice:
-    """Return which messages to keep in which order; of a clean log all, without a copy."""
+    """Return which messages to keep, sorted; a slice of all avoids copying a clean log."""
     kept = usable[kept_in_order(stamp[usable], tally)]
     if len(kept) == len(stamp) and np.all(np.diff(kept) == 1):
         return slice(None)

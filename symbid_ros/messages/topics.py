@@ -1,4 +1,4 @@
-"""Which topics of a bag feed an identification."""
+"""Topics of a robot, and the selection of those that an identification reads."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -10,12 +10,12 @@ from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 TRUTH = "ground_truth"
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
-ENCODED = " encoded as "  # between the name of a type and what its messages are instead
+ENCODED = " encoded as "  # between a type's name and an encoding other than CDR
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic: name as recorded or resolved, and message type."""
+    """A topic: its name, as recorded or resolved, and its message type."""
 
     name: str
     msgtype: str
@@ -23,7 +23,7 @@ class Topic:
 
 @dataclass(frozen=True)
 class OfferedQos:
-    """What a publisher offers, in rosbag2's words."""
+    """Quality of service that a publisher offers, in the terms of rosbag2."""
 
     depth: int = 10
     history: str = "keep_last"
@@ -31,7 +31,7 @@ class OfferedQos:
     durability: str = "volatile"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the entry of ``offered_qos_profiles``; unnamed policies are unlimited."""
+        """Return the entry of ``offered_qos_profiles``; other policies are unlimited."""
         return {
             "history": self.history,
             "depth": self.depth,
@@ -47,21 +47,21 @@ class OfferedQos:
 
 @dataclass(frozen=True)
 class TopicSelection:
-    """Topics to read; a leading slash may be left out everywhere.
+    """Topics to read; a leading slash may be omitted in each name.
 
     Attributes
     ----------
     joints : tuple of str or None
-        JointState topics, whose joints are merged by stamp; None takes the only one named
+        JointState topics, whose joints are merged by stamp; None selects the only one named
         ``joint_states`` in any namespace.
     imus : tuple of str or None
-        Imu topics; None takes all.
+        Imu topics; None selects all.
     wrenches : tuple of str or None
-        WrenchStamped topics; None takes all named ``wrench`` in any namespace.
+        WrenchStamped topics; None selects all named ``wrench`` in any namespace.
     frame_prefix : str
-        What sensors' frames begin with and the model's do not, such as ``robot1/``.
+        Prefix of the sensors' frames that the model's frames lack, such as ``robot1/``.
     joint_names : tuple of str
-        Joints that must be read, where known: messages that name none of them are ignored.
+        Joints to read, if known: messages that name none of them are ignored.
     """
 
     joints: tuple[str, ...] | None = None
@@ -84,18 +84,20 @@ class TopicSelection:
         for name in (*(self.joints or ()), *(self.imus or ()), *(self.wrenches or ())):
             if _is_truth(name):
                 raise BagError(
-                    f"topic {name}: the ground truth is never identified from; name a sensor's"
+                    f"topic {name}: ground truth cannot be used for identification; name the topic "
+                    "of a sensor",
+                    "E214",
                 )
 
 
 @dataclass(frozen=True)
 class SelectedTopics:
-    """The topics of one recording that a selection takes.
+    """The selected topics of one recording.
 
     Attributes
     ----------
     joints, imus, wrenches : tuple of Topic
-        By sensor; one topic of joint states at least.
+        Topics by sensor type; at least one has joint states.
     frame_prefix, joint_names
         As in `TopicSelection`.
     """
@@ -108,26 +110,26 @@ class SelectedTopics:
 
     @property
     def all(self) -> tuple[Topic, ...]:
-        """All of them, joint states first."""
+        """All topics, joint states first."""
         return (*self.joints, *self.imus, *self.wrenches)
 
     @property
     def clock(self) -> Topic:
-        """The topic of joint states whose stamps tell how far a recording has come."""
+        """The topic of joint states whose stamps measure progress."""
         return self.joints[0]
 
 
 @dataclass
 class TopicSelector:
-    """Applies a selection while a recording is being read.
+    """Applies a selection to the topics of a recording.
 
     Attributes
     ----------
     source : str
-        Name of the bag, for messages to the user.
+        Name of the bag, for error messages.
     selection : TopicSelection
     counts : dict of Topic to int
-        Messages by topic; whoever reads the bag keeps it.
+        Messages by topic; the reader of the bag updates it.
     """
 
     source: str
@@ -135,7 +137,7 @@ class TopicSelector:
     counts: dict[Topic, int] = field(default_factory=dict)
 
     def wants(self, topic: Topic) -> bool:
-        """Tell whether messages of a topic may be needed."""
+        """Return whether the selection may include a topic."""
         return (
             self._is(topic, JOINT_STATE, self.selection.joints, "joint_states")
             or self._is(topic, IMU, self.selection.imus, None)
@@ -143,18 +145,26 @@ class TopicSelector:
         )
 
     def selected(self) -> SelectedTopics:
-        """Return the selected topics of a recording read to its end."""
+        """Return the selected topics, once all messages are counted.
+
+        Raises
+        ------
+        BagError
+            When a topic is missing or empty, has another type, or is not unique.
+        """
         joints = self._all(JOINT_STATE, self.selection.joints, "joint_states")
         if not joints:
             raise BagError(
                 f"{self.source}: no {JOINT_STATE} topic named joint_states, it holds "
-                f"{self._listing()}; {self._remedy()}"
+                f"{describe_topics(self.counts)}; {self._remedy()}",
+                "E210",
             )
         if len(joints) > 1 and self.selection.joints is None:
             raise BagError(
                 f"{self.source}: several topics of joint states, "
                 f"{', '.join(topic.name for topic in joints)}; name the one to use, or all whose "
-                "joints are to be merged"
+                "joints are to be merged",
+                "E212",
             )
         chosen = SelectedTopics(
             joints,
@@ -167,7 +177,8 @@ class TopicSelector:
             if not self.counts[topic]:
                 raise BagError(
                     f"{self.source}: no message on {topic.name}; record it again or leave the "
-                    "topic out"
+                    "topic out",
+                    "E213",
                 )
         return chosen
 
@@ -191,29 +202,29 @@ class TopicSelector:
         others = [topic for topic in self.counts if _bare(topic.name) == _bare(name)]
         if not others:
             raise BagError(
-                f"{self.source}: no topic {name}, it holds {self._listing()}; name one of these"
+                f"{self.source}: no topic {name}, it holds {describe_topics(self.counts)}; name "
+                "one of these",
+                "E210",
             )
         for topic in others:
             if topic.msgtype == msgtype:
                 return topic
         raise BagError(
             f"{self.source}: topic {name} is of type {others[0].msgtype}, not {msgtype}; "
-            "name another topic"
+            "name another topic",
+            "E211",
         )
 
     def _remedy(self) -> str:
         if any(topic.msgtype == JOINT_STATE for topic in self.counts):
             return "name the topic of the joint states"
         if any(ENCODED in topic.msgtype for topic in self.counts):
-            return "convert its messages to ROS 2's, in CDR"
+            return "convert its messages to ROS 2 messages in CDR"
         return "record the joint states as well"
-
-    def _listing(self) -> str:
-        return describe_topics(self.counts)
 
 
 def describe_topics(topics: Iterable[Topic]) -> str:
-    """Return topics and types in one line."""
+    """List topics and their types in one line."""
     names = sorted(f"{topic.name} ({topic.msgtype or 'no type'})" for topic in topics)
     return ", ".join(names) or "no topic at all"
 

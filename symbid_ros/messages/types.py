@@ -1,8 +1,8 @@
-"""The message types of a robot log: their layouts and how arrays fill them.
+"""The message types of a robot log: their layouts, and functions that fill them from arrays.
 
-Every ``fill_*`` writes the columns of a block of N records at once; vectors are
-(N, 3), joint arrays (N, J), stamps (N,) integer nanoseconds. With one record all of
-them may drop the first axis: the real-time path patches one record in place.
+Each ``fill_*`` function writes the columns of N records at once. Vectors are (N, 3), joint arrays
+(N, J) and stamps (N,) integer nanoseconds. For one record all may lack the first axis: the
+real-time path updates one record in place.
 """
 
 import struct
@@ -64,7 +64,7 @@ def joint_state_layout(names: tuple[str, ...]) -> Layout:
 
 
 def imu_layout(frame_id: str) -> Layout:
-    """Return the layout of an Imu; its zero covariances mean unknown (REP-145)."""
+    """Return the layout of an Imu; zero covariances mean unknown (REP-145)."""
     unknown = np.zeros(9)
     message = _message(
         IMU,
@@ -80,13 +80,13 @@ def imu_layout(frame_id: str) -> Layout:
 
 
 def wrench_layout(frame_id: str) -> Layout:
-    """Return the layout of a WrenchStamped: environment on robot in ``frame_id``."""
+    """Return the layout of a WrenchStamped: wrench of the environment on the robot."""
     wrench = _message("geometry_msgs/msg/Wrench", force=_vector(), torque=_vector())
     return Layout.of(_message(WRENCH, header=_header(frame_id), wrench=wrench), WRENCH)
 
 
 def trajectory_layout(names: tuple[str, ...]) -> Layout:
-    """Return the layout of a JointTrajectory of one point."""
+    """Return the layout of a JointTrajectory with one point."""
     zeros = np.zeros(len(names))
     point = _message(
         "trajectory_msgs/msg/JointTrajectoryPoint",
@@ -101,7 +101,7 @@ def trajectory_layout(names: tuple[str, ...]) -> Layout:
 
 
 def odometry_layout(frame_id: str, child_frame_id: str) -> Layout:
-    """Return the layout of an Odometry: pose in ``frame_id``, twist in the child's axes."""
+    """Return the layout of an Odometry: pose in ``frame_id``, twist in the child frame."""
     point = _message("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0)
     pose = _message("geometry_msgs/msg/Pose", position=point, orientation=_quaternion())
     twist = _message("geometry_msgs/msg/Twist", linear=_vector(), angular=_vector())
@@ -118,7 +118,7 @@ def odometry_layout(frame_id: str, child_frame_id: str) -> Layout:
 
 
 def accel_layout(frame_id: str) -> Layout:
-    """Return the layout of an AccelStamped in ``frame_id``'s axes."""
+    """Return the layout of an AccelStamped, expressed in ``frame_id``."""
     accel = _message("geometry_msgs/msg/Accel", linear=_vector(), angular=_vector())
     return Layout.of(_message(ACCEL, header=_header(frame_id), accel=accel), ACCEL)
 
@@ -129,12 +129,12 @@ def clock_layout() -> Layout:
 
 
 def fill_stamp(columns: Columns, stamp: IntArray | int, path: str = "header.stamp") -> None:
-    """Write nanoseconds as seconds and remainder."""
+    """Write stamps, given in nanoseconds."""
     columns[f"{path}.sec"][...], columns[f"{path}.nanosec"][...] = divmod(stamp, NANO)
 
 
 def read_stamp(records: Records, path: str = "header.stamp") -> IntArray:
-    """Return (N,) int64 nanoseconds."""
+    """Return (N,) stamps, int64 nanoseconds."""
     seconds: IntArray = records[f"{path}.sec"].astype(np.int64)
     return seconds * NANO + records[f"{path}.nanosec"].astype(np.int64)
 
@@ -147,7 +147,7 @@ def fill_joint_state(
     velocity: FloatArray,
     effort: FloatArray,
 ) -> None:
-    """Write joint arrays in the layout's joint order."""
+    """Write joint arrays, given in the joint order of the layout."""
     fill_stamp(columns, stamp)
     columns["position"][...] = position
     columns["velocity"][...] = velocity
@@ -162,7 +162,7 @@ def fill_imu(
     angular_velocity: FloatArray,
     linear_acceleration: FloatArray,
 ) -> None:
-    """Write orientation (xyzw, IMU in the world), rad/s and specific force in IMU axes."""
+    """Write orientation (xyzw, IMU to world), rad/s and specific force (m/s²) in the IMU frame."""
     fill_stamp(columns, stamp)
     columns["orientation"][...] = orientation
     columns["angular_velocity"][...] = angular_velocity
@@ -170,7 +170,7 @@ def fill_imu(
 
 
 def fill_wrench(columns: Columns, stamp: IntArray | int, wrench: FloatArray) -> None:
-    """Write wrenches (N, 6): force, then torque about the frame's origin."""
+    """Write wrenches (N, 6): force, then torque about the origin of the frame."""
     fill_stamp(columns, stamp)
     columns["wrench.force"][...] = wrench[..., :3]
     columns["wrench.torque"][...] = wrench[..., 3:]
@@ -185,7 +185,7 @@ def fill_trajectory(
     acceleration: FloatArray,
     effort: FloatArray,
 ) -> None:
-    """Write the one point of each trajectory."""
+    """Write the only point of each trajectory."""
     fill_stamp(columns, stamp)
     columns["points.0.positions"][...] = position
     columns["points.0.velocities"][...] = velocity
@@ -202,7 +202,7 @@ def fill_odometry(
     linear_velocity: FloatArray,
     angular_velocity: FloatArray,
 ) -> None:
-    """Write pose in the header's frame and twist in the child frame's axes."""
+    """Write the pose in the header's frame and the twist in the child frame."""
     fill_stamp(columns, stamp)
     columns["pose.pose.position"][...] = position
     columns["pose.pose.orientation"][...] = orientation
@@ -213,19 +213,19 @@ def fill_odometry(
 def fill_accel(
     columns: Columns, stamp: IntArray | int, *, linear: FloatArray, angular: FloatArray
 ) -> None:
-    """Write linear (m/s²) and angular (rad/s²) acceleration in the header frame's axes."""
+    """Write linear (m/s²) and angular (rad/s²) acceleration in the header's frame."""
     fill_stamp(columns, stamp)
     columns["accel.linear"][...] = linear
     columns["accel.angular"][...] = angular
 
 
 def has_stamp(msgtype: str) -> bool:
-    """Tell whether messages of a type begin with a header or a time."""
+    """Return whether messages of a type begin with a header or a time."""
     fields = typestore().fielddefs[msgtype][1]
     return bool(fields) and fields[0][1] in (HEADER, TIME)
 
 
 def read_leading_stamp(payload: bytes) -> int:
-    """Return the leading stamp of a serialised message, nanoseconds."""
+    """Return the stamp at the beginning of a serialised message, nanoseconds."""
     seconds, nanoseconds = _STAMP[payload[1] & 1].unpack_from(payload, ENCAPSULATION)
     return int(seconds) * NANO + int(nanoseconds)

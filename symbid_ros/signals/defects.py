@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, IntArray
-from symbid_ros.errors import DataError
+from symbid_ros.errors import UNCODED, DataError
 
 logger = logging.getLogger("symbid_ros.bags")
 
@@ -43,8 +43,8 @@ class DefectError(DataError):
     defect : Defect
     """
 
-    def __init__(self, topic: str, defect: Defect, message: str) -> None:
-        super().__init__(message)
+    def __init__(self, topic: str, defect: Defect, message: str, code: str = UNCODED) -> None:
+        super().__init__(message, code)
         self.topic, self.defect = topic, defect
 
 

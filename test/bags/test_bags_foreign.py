@@ -369,7 +369,7 @@ def test_a_bag_of_ros_1_is_read_once_it_is_converted_as_told(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
-        ({"message_encoding": "ros1", "encoding": "ros1msg"}, "convert its messages to ROS 2's"),
+        ({"message_encoding": "ros1", "encoding": "ros1msg"}, "convert its messages"),
         ({"message_encoding": "json", "encoding": "jsonschema"}, "encoded as json"),
         ({"message_encoding": "protobuf", "encoding": "protobuf"}, "encoded as protobuf"),
         ({"profile": "ros1"}, "a recording of ROS 1; convert the .bag that it was made from"),

@@ -106,9 +106,9 @@ def operate(bag: Path, out: Path, surgeries: dict[str, Surgery]) -> Path:
     with BagWriter(out) as writer:
         for name, decoder in decoders.items():
             channel = writer.add_topic(name, decoder.topic.msgtype)
-            layout = decoder.pieces[0].layout
+            layout = decoder.batches[0].layout
             records = layout.records(decoder.count)
-            for piece in decoder.pieces:
+            for piece in decoder.batches:
                 for path in records.dtype.names:
                     records[path][piece.index] = piece.records[path]
             stamp, order = read_stamp(records), np.arange(len(records))

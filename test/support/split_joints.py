@@ -49,7 +49,7 @@ def split_joints(bag: Path, out: Path, parts: Sequence[Part]) -> Path:
                     continue
                 decoder = TopicDecoder(str(bag), topic)
                 decoder.add(block.data, spans)
-                (piece,) = decoder.pieces
+                (piece,) = decoder.batches
                 stamps = read_stamp(piece.records)
                 if topic.name != JOINTS:
                     payloads = [block.data[at : at + size].tobytes() for at, size in spans]

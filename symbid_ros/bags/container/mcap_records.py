@@ -18,11 +18,11 @@ from mcap.records import AttachmentIndex
 
 from symbid_ros.errors import BagError
 from symbid_ros.messages.limits import (
+    ANY_RATIO_SIZE,
     MAX_CHUNK,
     MAX_EXPANSION,
     MAX_RECORD,
     MIB,
-    UNSUSPICIOUS,
     OverLimitError,
     check_limit,
     decompress_zstd,
@@ -186,7 +186,7 @@ class ChunkRecord(NamedTuple):
     def records(self) -> Buffer:
         """Return the records inside, checked against the stated size and checksum."""
         check_limit("a chunk", self.size, MAX_CHUNK)
-        if self.size > UNSUSPICIOUS:
+        if self.size > ANY_RATIO_SIZE:
             check_limit("an expansion", self.size // max(len(self.data), 1), MAX_EXPANSION)
         data = self._unpacked()
         if len(data) != self.size:

@@ -24,7 +24,7 @@ from symbid_ros.bags.container.schema_registry import (
     UnknownSchemaError,
     parse_record,
 )
-from symbid_ros.messages.limits import MAX_CATALOGUE, MAX_EXTENTS, MAX_RECORD, check_limit
+from symbid_ros.messages.limits import MAX_EXTENTS, MAX_RECORD, MAX_REGISTRY, check_limit
 
 DATA_END_SIZE = RECORD.size + 4
 
@@ -102,7 +102,9 @@ def read_summary(file: Path, *, with_chunks: bool = False) -> McapSummary:
                 chunks.append(parse_record(ChunkIndex.read, body))
                 check_limit("a number of chunks", len(chunks), MAX_EXTENTS)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                size = check_limit("a catalogue of topics", size + length, MAX_CATALOGUE)
+                size = check_limit(
+                    "the total size of schemas and channels", size + length, MAX_REGISTRY
+                )
                 announced.append((opcode, body))
     crc = zlib.crc32(tail[:-4], crc)  # up to the checksum itself
     if footer.summary_start and footer.summary_crc not in (0, crc):

@@ -17,11 +17,11 @@ from rosbags.typesys.base import TypesysError
 from symbid_ros.bags.container.mcap_records import Buffer
 from symbid_ros.messages.layout import CDR, typestore
 from symbid_ros.messages.limits import (
-    MAX_CATALOGUE,
     MAX_CHANNELS,
     MAX_DEFINITION,
     MAX_QOS,
     MAX_RECORD,
+    MAX_REGISTRY,
     MAX_YAML_NODES,
     check_limit,
 )
@@ -83,7 +83,7 @@ class SchemaRegistry:
         if known.setdefault(number, record) is record:
             self._size += size
             check_limit(f"a number of {kind}s", len(known), MAX_CHANNELS)
-            check_limit("a catalogue of topics", self._size, MAX_CATALOGUE)
+            check_limit("the total size of schemas and channels", self._size, MAX_REGISTRY)
         elif known[number] != record:
             raise ValueError(f"{kind} {number} is announced twice, differently")
 

@@ -168,14 +168,14 @@ def _truth_streams(
 
 def _joint_names(joints: TopicDecoder) -> tuple[str, ...]:
     """Return the joints, the same in every message and each with all four values."""
-    names = joints.pieces[0].layout.text["joint_names"]
+    names = joints.batches[0].layout.text["joint_names"]
     paths = [f"points.0.{kind}" for kind in ("positions", "velocities", "accelerations", "effort")]
-    for piece in joints.pieces:
-        present = piece.layout.dtype.names or ()
+    for batch in joints.batches:
+        present = batch.layout.dtype.names or ()
         complete = all(
-            path in present and piece.records[path].shape[1] == len(names) for path in paths
+            path in present and batch.records[path].shape[1] == len(names) for path in paths
         )
-        if not complete or piece.layout.text["joint_names"] != names:
+        if not complete or batch.layout.text["joint_names"] != names:
             raise DataError(
                 f"{joints.source}: {joints.topic.name}: not one full point of the same joints in "
                 "every message; use a bag of this package's simulator"

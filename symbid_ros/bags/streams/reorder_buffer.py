@@ -64,12 +64,12 @@ class ReorderBuffer:
         first = self.decoder.count
         self.decoder.add(data, spans)
         recorded = np.empty(len(spans), dtype=np.int64)
-        for piece in self.decoder.pieces:
-            stamps = read_stamp(piece.records)
-            recorded[piece.index - first] = stamps
-            numbers = DecodedBatch(piece.layout, piece.index, piece.layout.condensed(piece.records))
+        for batch in self.decoder.batches:
+            stamps = read_stamp(batch.records)
+            recorded[batch.index - first] = stamps
+            numbers = DecodedBatch(batch.layout, batch.index, batch.layout.packed(batch.records))
             self._keep(_Part(numbers, stamps).between(worked_until, ALWAYS[1]))
-        self.decoder.pieces = []
+        self.decoder.batches = []
         topic = self.decoder.topic.name
         check_clock(self.decoder.source, topic, np.append(self._last, recorded))
         self._last = recorded[-1:]
@@ -82,18 +82,18 @@ class ReorderBuffer:
 
     def between(self, start: int, stop: int) -> TopicDecoder:
         """Return the messages with stamps from ``start`` up to ``stop``, ns."""
-        pieces = [inside.piece for part in self._parts if (inside := part.between(start, stop))]
-        index = np.concatenate([np.empty(0, np.int64), *(piece.index for piece in pieces)])
+        batches = [inside.batch for part in self._parts if (inside := part.between(start, stop))]
+        index = np.concatenate([np.empty(0, np.int64), *(batch.index for batch in batches)])
         places = np.empty_like(index)
         places[np.argsort(index, kind="stable")] = np.arange(len(index))
-        ends = np.cumsum([len(piece.index) for piece in pieces])
+        ends = np.cumsum([len(batch.index) for batch in batches])
         decoder = self.decoder
         return TopicDecoder(
             decoder.source,
             decoder.topic,
             [
-                DecodedBatch(piece.layout, its, piece.records)
-                for piece, its in zip(pieces, np.split(places, ends), strict=False)
+                DecodedBatch(batch.layout, its, batch.records)
+                for batch, its in zip(batches, np.split(places, ends), strict=False)
             ],
             len(index),
         )
@@ -117,14 +117,14 @@ class ReorderBuffer:
     def _keep(self, part: "_Part | None") -> None:
         if part:
             self._parts.append(part)
-            self.size += part.piece.records.nbytes
+            self.size += part.batch.records.nbytes
 
 
 @dataclass(frozen=True)
 class _Part:
     """Messages of one layout and one block, one at least."""
 
-    piece: DecodedBatch
+    batch: DecodedBatch
     stamps: IntArray
 
     @cached_property
@@ -142,6 +142,6 @@ class _Part:
         wanted = (self.stamps >= start) & (self.stamps < stop)
         if not wanted.any():
             return None
-        piece = self.piece
-        some = DecodedBatch(piece.layout, piece.index[wanted], piece.records[wanted])
+        batch = self.batch
+        some = DecodedBatch(batch.layout, batch.index[wanted], batch.records[wanted])
         return _Part(some, self.stamps[wanted])
