@@ -151,7 +151,7 @@ class FeedbackSubscriber:
         fault = _find_fault(feedback)
         if fault:
             self.rejected += 1
-            raise DataError(f"joint_states, imu/data: {fault} at {stamp / 1e9:.3f} s", "E817")
+            raise DataError(f"joint_states, imu/data: {fault} at {stamp / 1e9:.3f} s", "E815")
         return feedback
 
     def _use_layout(self, layout: Layout) -> None:
@@ -163,13 +163,13 @@ class FeedbackSubscriber:
         if missing:
             raise DataError(
                 f"joint_states: no joint {', '.join(missing)}; publish it or choose another model",
-                "E816",
+                "E814",
             )
         if {layout.dtype[field].shape for field in ("position", "velocity")} != {(len(names),)}:
             raise DataError(
                 "joint_states: the numbers of names, positions and velocities differ; publish one "
                 "position and one velocity for each name",
-                "E816",
+                "E814",
             )
         self._indices = np.array([names.index(name) for name in self._joint_names])
         self._layout = layout

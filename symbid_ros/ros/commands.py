@@ -234,13 +234,13 @@ class TopicCommands:
         torques: FloatArray = command.record["effort"][0, self._indices]
         objection = self._drives.validate(torques)
         if objection is not None:
-            raise InvalidCommandError(objection, "E818")
+            raise InvalidCommandError(objection, "E816")
         if command.stamp > stamp:
-            raise InvalidCommandError("future", "E818")
+            raise InvalidCommandError("future", "E816")
         # Even a late command shows that the controller answers again.
         self.is_controlled = True
         if command.stamp < stamp or stamp == self._answered:
-            raise InvalidCommandError("old", "E818")
+            raise InvalidCommandError("old", "E816")
         self._answered = stamp
         return torques
 
@@ -248,9 +248,9 @@ class TopicCommands:
         """Return the index of each drive's torque in messages of a layout."""
         names = layout.text["name"]
         if sorted(names) != sorted(self._drive_names):
-            raise InvalidCommandError("joints", "E818")
+            raise InvalidCommandError("joints", "E816")
         if layout.dtype["effort"].shape != (len(names),):
-            raise InvalidCommandError("length", "E818")
+            raise InvalidCommandError("length", "E816")
         return np.array([names.index(drive) for drive in self._drive_names])
 
 
@@ -323,7 +323,7 @@ def command_source(
         raise ParameterError(
             "parameter errors: sample_rates leaves instants without IMU data, which a controller "
             "cannot answer; remove sample_rates or choose another command_source",
-            "E804",
+            "E801",
         )
     return TopicCommands(
         node,

@@ -32,7 +32,7 @@ def message_class(msgtype: str) -> type[Any]:
     except (ValueError, ImportError, AttributeError) as error:
         raise SymbidError(
             f"message type {msgtype}: not installed; install its package or leave the topic out",
-            "E801",
+            "E802",
         ) from error
     return found
 

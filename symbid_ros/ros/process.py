@@ -253,4 +253,4 @@ def _decode(payload: bytes, kind: type[Any]) -> Any:
     try:
         return deserialize_message(payload, kind)
     except Exception as error:  # rmw's and Unicode's exceptions have no common base
-        raise DataError(f"the bytes are not a valid {kind.__name__}", "E819") from error
+        raise DataError(f"the bytes are not a valid {kind.__name__}", "E817") from error
