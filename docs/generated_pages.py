@@ -7,6 +7,7 @@ name of the package.
 
 import inspect
 import json
+import math
 from collections import defaultdict
 from typing import Any
 
@@ -47,7 +48,7 @@ class Options(SphinxDirective):
                 continue
             flags = " ".join(f"`{flag}`" for flag in option.opts)
             shown = option.default
-            is_default = shown not in (None, False, (), []) and not callable(shown)
+            is_default = shown not in (None, False, (), [], "", math.inf) and not callable(shown)
             default = f"`{getattr(shown, 'value', shown)}`" if is_default else ""
             if option.required:
                 default = "required"

@@ -362,6 +362,25 @@ class TestRequirements:
         assert {each.name for each in _declared()} == {"numpy", "scipy", "clarabel", "PyYAML"}
 
 
+def test_other_files_state_what_pyproject_does() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text())
+    urls = PROJECT["urls"]
+    assert citation["version"] == PROJECT["version"]
+    assert citation["repository-code"] == urls["Repository"]
+    assert f"git clone {urls['Repository']}.git" in (ROOT / "README.md").read_text()
+
+
+def test_continuous_integration_runs_targets_of_the_makefile() -> None:
+    targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    workflows = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+    assert {path.stem for path in workflows} == {"test", "docs", "wheel"}
+    for path in workflows:
+        jobs = yaml.safe_load(path.read_text())["jobs"].values()
+        commands = [step["run"] for job in jobs for step in job["steps"] if "run" in step]
+        assert commands == [f"make {path.stem}"]
+        assert path.stem in targets
+
+
 def test_entry_points_exist() -> None:
     assert set(PROJECT["scripts"]) == EXECUTABLES
     for target in PROJECT["scripts"].values():
