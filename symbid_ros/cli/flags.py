@@ -46,7 +46,8 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
     def command(**values: Any) -> None:
         for name, kind in groups.items():
             given = {option.name: values.pop(option.name) for option in options_of(kind)}
-            values[name] = kind(**{key: _value(value) for key, value in given.items()})
+            # None is a flag that was not given.
+            values[name] = kind(**{k: _value(v) for k, v in given.items() if v is not None})
         function(**values)
 
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
@@ -92,5 +93,5 @@ def _help(option: Option) -> str:
 
 
 def _value(value: Any) -> Any:
-    """Return what a field takes; flags that were not given are None or empty."""
-    return tuple(value or ()) if isinstance(value, list) else value
+    """Return what a field takes."""
+    return tuple(value) if isinstance(value, list) else value
