@@ -213,7 +213,7 @@ def test_colcon_runs_the_tests(installation: Path) -> None:
     done = colcon(
         *("--log-base", "log", "test", "--base-paths", str(ROOT)),
         *("--build-base", "build", "--install-base", "install"),
-        *("--pytest-args", "test/test_ending.py", "-p", "no:cacheprovider"),
+        *("--pytest-args", "test/test_shutdown.py", "-p", "no:cacheprovider"),
         cwd=installation.parent,
     )
     assert done.returncode == 0, done.stdout + done.stderr

@@ -339,10 +339,13 @@ def test_options_in_running_text_are_those_of_a_command() -> None:
 
 
 def test_files_named_in_running_text_exist() -> None:
-    for page, span in INLINE:
-        if re.fullmatch(r"[\w/]+/[\w.]+\.(py|yaml|xml|json)", span):
-            places = [ROOT / span, ROOT / "symbid_ros" / span]
-            assert any(place.is_file() for place in places), f"{page.name}: {span}"
+    named = [
+        (page.name, span)
+        for page, span in INLINE
+        if re.fullmatch(r"[\w/]+/[\w.]+\.(py|yaml|xml)", span)
+    ]
+    folders = ROOT, ROOT / "symbid_ros"
+    assert not [each for each in named if not any((one / each[1]).is_file() for one in folders)]
 
 
 def test_measurements_have_the_options_named() -> None:
