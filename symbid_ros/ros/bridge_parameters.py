@@ -1,4 +1,4 @@
-"""What can be set on the bridge, and the simulated robot that follows from it."""
+"""Parameters of the node mujoco_bridge, and the simulator and payload that they define."""
 
 from pathlib import Path
 from typing import Any
@@ -123,12 +123,12 @@ PARAMETERS = (
 
 
 def robot_name(values: Values) -> str:
-    """Return what diagnostics call the robot: the name of its model's file."""
+    """Return the robot's name in diagnostics: that of its model file."""
     return (_path(values["model"]) or config_file("symbitron.xml")).stem
 
 
 def simulator_from(values: Values) -> Simulator:
-    """Return the robot that parameters ask for, at its start and without payload."""
+    """Return a simulator at the start of the motion and without payload."""
     return Simulator(
         values["scenario"],
         moves=values["moves"],
@@ -146,12 +146,12 @@ def simulator_from(values: Values) -> Simulator:
 
 
 class PayloadParameters:
-    """Turns parameters into the payload of one robot.
+    """Converts the payload parameters of one robot.
 
     Parameters
     ----------
     values : mapping
-        The node's, of which the model's path is taken.
+        Values of the node's parameters; only the path of the model is used.
     """
 
     def __init__(self, values: Values) -> None:
@@ -159,12 +159,12 @@ class PayloadParameters:
         self._base = str(self._model.body(self._model.jnt_bodyid[0]).name)
 
     def payload(self, values: Values) -> Payload | None:
-        """Return the payload, None for a mass of 0.
+        """Return the payload; None if its mass is 0.
 
         Raises
         ------
         SimulationError
-            When the robot has no such link, whatever the mass.
+            When the robot has no such link, even if the mass is 0.
         """
         link = values["payload_link"] or self._base
         link_index(self._model, link)
@@ -174,7 +174,7 @@ class PayloadParameters:
         return Payload(link, values["payload_mass"], (x, y, z))
 
     def require(self, values: dict[str, Any]) -> None:
-        """Refuse what `payload` would refuse."""
+        """Raise the error that `payload` would raise."""
         self.payload(values)
 
 

@@ -1,4 +1,4 @@
-"""The topics on which the simulated robot appears."""
+"""The topics that the simulated robot publishes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -23,10 +23,10 @@ from symbid_ros.simulation.topics import SimulatedTopic, sensor_topics, truth_to
 
 @dataclass
 class InstantPublisher:
-    """Publishes one topic every so many instants.
+    """Publishes one topic at every ``every``-th instant.
 
-    Publishing typed messages costs some 0.1 ms each; the bytes of a record
-    patched in place cost a fraction of that.
+    Messages are bytes that are patched in place: a typed message takes about 0.1 ms to publish,
+    patched bytes a fraction of that.
     """
 
     publisher: Publisher
@@ -44,14 +44,14 @@ class InstantPublisher:
     def create(
         cls, node: Node, topic: SimulatedTopic, *, every: int, depth: int
     ) -> "InstantPublisher":
-        """Announce the topic on the node."""
+        """Create the publisher of a topic on a node."""
         publisher = node.create_publisher(
             message_class(topic.layout.msgtype), topic.name, reliable_qos(depth)
         )
         return cls(publisher, topic, every)
 
     def publish(self, step: int, instant: Instant) -> None:
-        """Publish the instant if it is this topic's turn."""
+        """Publish an instant if ``step`` is a multiple of ``every``."""
         if step % self.every:
             return
         self.topic.fill(self._columns, instant.stamp, instant)
@@ -60,7 +60,7 @@ class InstantPublisher:
 
 
 def clock_topic() -> SimulatedTopic:
-    """Return ``/clock``, simulated time."""
+    """Return the topic ``/clock`` with simulated time."""
 
     def fill(columns: Columns, stamp: object, instant: Instant) -> None:
         fill_stamp(columns, instant.stamp, "clock")
@@ -69,15 +69,15 @@ def clock_topic() -> SimulatedTopic:
 
 
 class BridgeTopics:
-    """Publishes instants on the topics of sensors, clock and truth.
+    """Publishes instants on the topics of sensors, clock and ground truth.
 
     Parameters
     ----------
     node : Node
     robot : Simulator
-        Any one with these sensors.
+        Simulator with the sensors to publish.
     values : mapping
-        Of the node's parameters.
+        Values of the node's parameters.
 
     Raises
     ------
@@ -104,36 +104,40 @@ class BridgeTopics:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Messages published by topic."""
+        """Number of published messages by topic."""
         entries = (*self._sensors, *self._others)
         return {entry.publisher.topic_name: entry.count for entry in entries}
 
     @property
     def has_feedback(self) -> bool:
-        """Whether joint states and IMU, which a controller needs, speak at every instant."""
+        """Whether joint states and IMU data, which a controller needs, cover every instant."""
         return all(entry.every == 1 for entry in self._feedback)
 
     @property
     def feedback_subscribers(self) -> tuple[int, ...]:
-        """Number of subscribers to joint states and to the IMU."""
-        return subscribers(self._feedback)
+        """Number of subscribers to the joint states and to the IMU data."""
+        return _subscriber_counts(self._feedback)
 
     def publish(self, step: int, instant: Instant) -> None:
-        """Publish an instant on each topic whose turn it is."""
+        """Publish an instant on each topic that is due at this step."""
         for entry in (*self._sensors, *self._others):
             entry.publish(step, instant)
 
     def republish_feedback(self, instant: Instant) -> None:
-        """Publish joint states and IMU of an instant once more."""
+        """Publish joint states and IMU data of an instant again."""
         for entry in self._feedback:
             entry.publish(0, instant)
 
     def await_subscribers(self, stop: Event, least: int) -> None:
-        """Wait until every sensor has ``least`` subscribers."""
-        await_subscribers(self._sensors, self._others, stop, least)
+        """Wait until every sensor topic has ``least`` subscribers."""
+        await_settled(
+            lambda: tuple(max(0, count - least + 1) for count in _subscriber_counts(self._sensors)),
+            stop,
+            lambda: _subscriber_counts(self._others),
+        )
 
     def await_acknowledgement(self, stop: Event) -> None:
-        """Give reliable subscribers time to fetch what is still on its way."""
+        """Wait until reliable subscribers have received all messages."""
         await_acknowledgement((each.publisher for each in (*self._sensors, *self._others)), stop)
 
     @property
@@ -142,33 +146,20 @@ class BridgeTopics:
         return [joint_states, imu]
 
     def _steps_between(self, name: str, rate: float) -> int:
-        """Return how many steps lie between two messages, 0 for no message."""
+        """Return the number of steps between two messages; 0 for no messages."""
         if not rate:
             return 0
         every = 1e9 / (rate * self._robot.period_ns)
         if every < 1 or abs(every - round(every)) > 1e-6:
             highest = 1e9 / self._robot.period_ns
             raise ParameterError(
-                f"parameter {name}: {rate:g} does not divide the simulation's rate; "
-                f"give {highest:g} divided by a whole number"
+                f"parameter {name}: {rate:g} Hz does not divide the simulation rate; "
+                f"give {highest:g} Hz divided by a whole number",
+                "E803",
             )
         return round(every)
 
 
-def await_subscribers(
-    needed: Sequence[InstantPublisher],
-    others: Sequence[InstantPublisher],
-    stop: Event,
-    least: int = 1,
-) -> None:
-    """Wait until every needed topic has ``least`` subscribers and no further one turns up."""
-    await_settled(
-        lambda: tuple(max(0, count - least + 1) for count in subscribers(needed)),
-        stop,
-        lambda: subscribers(others),
-    )
-
-
-def subscribers(publishers: Sequence[InstantPublisher]) -> tuple[int, ...]:
-    """Return how many subscribers each has."""
+def _subscriber_counts(publishers: Sequence[InstantPublisher]) -> tuple[int, ...]:
+    """Return the number of subscribers of each publisher."""
     return tuple(entry.publisher.get_subscription_count() for entry in publishers)

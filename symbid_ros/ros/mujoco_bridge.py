@@ -29,26 +29,26 @@ from symbid_ros.simulation.command import CommandCounts
 from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.sensors import Instant
 
-CATCH_UP = 0.1  # s; a schedule further behind than this is not made up for
-LOOK_PERIOD = 0.02  # s between two looks at whether a pause is over
+CATCH_UP = 0.1  # s; longer delays are not caught up
+PAUSE_POLL = 0.02  # s between two checks whether a pause has ended
 WARNING_PERIOD = 5.0  # s between two warnings of one kind
 
 
 @dataclass
 class FixedRate:
-    """Deadlines of equal periods on the monotonic clock; ROS timers would skip ticks.
+    """Deadlines at a fixed rate on the monotonic clock; ROS timers would skip ticks.
 
-    What is a little late catches up. What was held up for longer, by a pause, a new start or a
-    slow controller, goes on at its pace instead of racing.
+    Short delays are caught up. After a delay longer than `CATCH_UP`, caused by a pause, a restart
+    or a slow controller, the loop continues at the fixed rate.
 
     Attributes
     ----------
     period_ns : float
-        Real nanoseconds from one deadline to the next.
+        Real time from one deadline to the next, ns.
     late : int
-        Deadlines missed by a period or more.
+        Number of deadlines missed by a period or more.
     elapsed_ns : int
-        From restarts to the deadlines after them, what lay before the restarts left out.
+        Time from each restart to the latest deadline, summed over the restarts.
     """
 
     period_ns: float
@@ -61,7 +61,7 @@ class FixedRate:
         self.restart()
 
     def restart(self) -> None:
-        """Make now the next deadline."""
+        """Set the next deadline to now."""
         self._next = self._last = time.monotonic_ns()
 
     def wait(self) -> None:
@@ -81,23 +81,23 @@ class FixedRate:
 
 @dataclass
 class BridgeState:
-    """How the simulation has gone.
+    """Counts and state of the simulation.
 
     Attributes
     ----------
     starts, falls : int
-        How often the motion has begun, and been broken off by the robot.
+        Number of times the motion has started, and has ended in a fall.
     steps, safe_steps : int
-        Periods taken, of these with safe torques for want of a command.
+        Simulated periods, and how many of them used safe torques because no command arrived.
     time : float
-        Simulated, s.
+        Simulated time, s.
     last_fall : str
-        What happened then.
+        Cause and time of the latest fall; empty if there was none.
     payload : Payload or None
-        What the robot carries.
+        Payload that the robot carries.
     is_waiting, is_paused, is_safe : bool
-        Whether time stands still for want of a controller or on demand, and whether the drives
-        only brake.
+        Whether simulated time waits for a controller, whether it is paused by the service, and
+        whether the drives only brake.
     """
 
     starts: int = 0
@@ -111,15 +111,15 @@ class BridgeState:
     is_paused: bool = False
     is_safe: bool = False
 
-    def simulation(self, scenario: str, late_steps: int) -> NodeStatus:
+    def simulation_status(self, scenario: str, late_steps: int) -> NodeStatus:
         """Return the status of the simulation."""
         message = "running"
         if self.is_paused:
             message = "paused"
         elif self.is_waiting:
-            message = "time stands still until a controller commands"
+            message = "simulated time waits for a controller"
         if self.last_fall:
-            message += f"; began anew as {self.last_fall}"
+            message += f"; restarted after {self.last_fall}"
         values = {
             "scenario": scenario,
             "time": f"{self.time:.3f}",
@@ -127,41 +127,41 @@ class BridgeState:
             "late_steps": late_steps,
             "starts": self.starts,
             "falls": self.falls,
-            "payload": describe(self.payload),
+            "payload": format_payload(self.payload),
         }
         return NodeStatus("simulation", WARN if self.last_fall else OK, message, values)
 
-    def commands(
+    def command_status(
         self, source: str, controllers: Sequence[str], counts: TopicCommandCounts | CommandCounts
     ) -> NodeStatus:
-        """Return the status of the commands from outside.
+        """Return the status of commands from an external controller.
 
         Parameters
         ----------
         source : str
-            Topic or datagrams.
+            Topic or UDP address on which commands are received.
         controllers : sequence of str
-            Who sends them.
+            Nodes or addresses that send commands.
         counts : TopicCommandCounts or CommandCounts
-            What came in.
+            Counts of received commands.
         """
-        level, message = OK, "commands are followed"
+        level, message = OK, "commands are obeyed"
         if self.is_waiting:
             level, message = WARN, "waiting for a controller"
         elif self.is_safe:
             level, message = ERROR, "no command: the drives only brake"
         elif len(controllers) > 1:
-            level, message = WARN, "several controllers command; stop all but one"
+            level, message = WARN, "several controllers send commands; stop all but one"
         values = {
             "source": source,
             "controllers": ", ".join(controllers) or "none",
             "safe_steps": self.safe_steps,
         }
-        return NodeStatus("commands", level, message, values | figures(counts))
+        return NodeStatus("commands", level, message, values | flatten(counts))
 
 
-def figures(counts: TopicCommandCounts | CommandCounts) -> dict[str, int]:
-    """Return counts by name, rejections as ``rejected/<reason>``."""
+def flatten(counts: TopicCommandCounts | CommandCounts) -> dict[str, int]:
+    """Return counts by name; rejected commands are named ``rejected/<reason>``."""
     found: dict[str, int] = {}
     for name, value in asdict(counts).items():
         if isinstance(value, Mapping):
@@ -171,8 +171,8 @@ def figures(counts: TopicCommandCounts | CommandCounts) -> dict[str, int]:
     return found
 
 
-def describe(payload: Payload | None) -> str:
-    """Return a payload in words."""
+def format_payload(payload: Payload | None) -> str:
+    """Return mass, link and position of a payload as text."""
     if payload is None:
         return "none"
     place = ", ".join(f"{coordinate:g}" for coordinate in payload.position)
@@ -180,13 +180,13 @@ def describe(payload: Payload | None) -> str:
 
 
 class MujocoBridge:
-    """Steps the simulator on schedule and publishes what it measures.
+    """Steps the simulator in real time and publishes its measurements.
 
     Parameters
     ----------
     node : Node
     values : dict
-        Of its parameters, declared.
+        Values of the node's declared parameters.
     """
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
@@ -195,163 +195,165 @@ class MujocoBridge:
         self._payloads = PayloadParameters(values)
         self._payload = self._payloads.payload(values)
         self._changes: SimpleQueue[dict[str, Any]] = SimpleQueue()
-        self._again, self._paused = Event(), Event()
-        self._taken = 0  # instants of this motion
+        self._reset, self._paused = Event(), Event()
+        self._step = 0  # number of instants published since the start of this motion
         self._torques: FloatArray | None = None
         self._is_payload_due = True
-        self._record = BridgeState()
-        self._schedule = FixedRate(self._simulator.period_ns / values["real_time_factor"])
+        self._state = BridgeState()
+        self._rate = FixedRate(self._simulator.period_ns / values["real_time_factor"])
         self._topics = BridgeTopics(node, self._simulator, values)
         self._commands = command_source(node, self._simulator, self._topics, values)
         watch(node, PARAMETERS, self._changes.put, self._payloads.require)
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_service(SetBool, "~/pause", self._on_pause)
-        self._health = StatusPublisher(node, self._look, robot_name(values))
+        self._health = StatusPublisher(node, self._current_status, robot_name(values))
 
     def run(self, stop: Event) -> None:
-        """Play the motion to its end or until stopped, then say what was published."""
+        """Run the motion to its end or until stopped, then print counts as JSON."""
         if self._values["wait_for_subscribers"]:
             self._topics.await_subscribers(stop, self._values["subscribers"])
-        self._play(stop)
+        self._run_motion(stop)
         self._topics.await_acknowledgement(stop)
-        record = self._record
-        simulated = record.steps * self._simulator.period_ns
-        elapsed = self._schedule.elapsed_ns
+        state = self._state
+        simulated = state.steps * self._simulator.period_ns
+        elapsed = self._rate.elapsed_ns
         summary: dict[str, Any] = {
             "published": self._topics.counts,
-            "steps": record.steps,
-            "late_steps": self._schedule.late,
+            "steps": state.steps,
+            "late_steps": self._rate.late,
             "real_time_factor": round(simulated / elapsed, 4) if elapsed else 0.0,
         }
         if self._commands is not None:
-            given = {"starts": record.starts, "falls": record.falls, "safe": record.safe_steps}
-            summary["commands"] = given | figures(self._commands.counts)
+            given = {"starts": state.starts, "falls": state.falls, "safe": state.safe_steps}
+            summary["commands"] = given | flatten(self._commands.counts)
         print(json.dumps(summary), flush=True)
 
-    def _play(self, stop: Event) -> None:
-        self._begin(stop)
+    def _run_motion(self, stop: Event) -> None:
+        self._start(stop)
         while not stop.is_set() and (
-            self._commands is not None or self._taken < self._simulator.steps
+            self._commands is not None or self._step < self._simulator.steps
         ):
-            if self._again.is_set():
-                self._node.get_logger().info(f"reset at {self._record.time:.3f} s, as asked")
-                self._record.last_fall = ""
-                self._begin_again(stop)
+            if self._reset.is_set():
+                self._node.get_logger().info(f"reset at {self._state.time:.3f} s on request")
+                self._state.last_fall = ""
+                self._restart(stop)
             if self._paused.is_set():
-                self._rest(stop)
+                self._wait_while_paused(stop)
                 continue
-            self._fasten_payload()
+            self._attach_payload()
             try:
                 instant = self._simulator.step(self._torques)
             except RobotFailureError as fall:
                 if self._commands is None:
                     raise
-                self._note_fall(fall)
-                self._begin_again(stop)
+                self._record_fall(fall)
+                self._restart(stop)
                 continue
-            self._schedule.wait()
+            self._rate.wait()
             self._publish(instant)
             if self._commands is not None:
                 self._obey(self._commands, instant, stop)
 
-    def _begin(self, stop: Event) -> None:
-        """Stand at the beginning of the motion until there is a controller, if one is needed."""
-        record = self._record
-        self._taken, self._torques = 0, None
-        self._is_payload_due, record.payload = True, None
-        record.starts += 1
-        record.is_safe = False
-        self._again.clear()
+    def _start(self, stop: Event) -> None:
+        """Start the motion; with an external controller, first wait for it."""
+        state = self._state
+        self._step, self._torques = 0, None
+        self._is_payload_due, state.payload = True, None
+        state.starts += 1
+        state.is_safe = False
+        self._reset.clear()
         if self._commands is not None:
-            record.is_waiting = True
+            state.is_waiting = True
             self._node.get_logger().info(f"waiting for a controller: {self._commands.source}")
             self._commands.await_controller(stop)
-        self._schedule.restart()
+        self._rate.restart()
 
-    def _begin_again(self, stop: Event) -> None:
+    def _restart(self, stop: Event) -> None:
         self._simulator = simulator_from(self._values)
-        self._begin(stop)
+        self._start(stop)
 
-    def _rest(self, stop: Event) -> None:
-        self._record.is_paused = True
-        while self._paused.is_set() and not (stop.is_set() or self._again.is_set()):
-            stop.wait(LOOK_PERIOD)
-        self._record.is_paused = False
-        self._schedule.restart()
+    def _wait_while_paused(self, stop: Event) -> None:
+        self._state.is_paused = True
+        while self._paused.is_set() and not (stop.is_set() or self._reset.is_set()):
+            stop.wait(PAUSE_POLL)
+        self._state.is_paused = False
+        self._rate.restart()
 
-    def _note_fall(self, fall: RobotFailureError) -> None:
-        self._record.falls += 1
-        self._record.last_fall = f"{fall.cause} at {fall.time:.3f} s"
-        self._node.get_logger().error(f"{self._record.last_fall}; the motion begins anew")
+    def _record_fall(self, fall: RobotFailureError) -> None:
+        self._state.falls += 1
+        self._state.last_fall = f"{fall.cause} at {fall.time:.3f} s"
+        self._node.get_logger().error(f"{self._state.last_fall}; the motion restarts")
 
     def _publish(self, instant: Instant) -> None:
-        self._topics.publish(self._taken, instant)
-        self._taken += 1
-        self._record.steps += 1
-        self._record.time = instant.stamp / 1e9
+        self._topics.publish(self._step, instant)
+        self._step += 1
+        self._state.steps += 1
+        self._state.time = instant.stamp / 1e9
 
     def _obey(self, commands: CommandSource, instant: Instant, stop: Event) -> None:
-        """Get the torques for the next period."""
-        record = self._record
+        """Get the torques of the next period from a command source."""
+        state = self._state
         command = commands.exchange(instant, stop)
-        # Time stands still until the first command.
-        while record.is_waiting and command.is_safe and commands.await_controller(stop):
+        # Simulated time does not start before the first command.
+        while state.is_waiting and command.is_safe and commands.await_controller(stop):
             command = commands.exchange(instant, stop)
-        if record.is_waiting:
-            record.is_waiting = False
-            self._schedule.restart()
+        if state.is_waiting:
+            state.is_waiting = False
+            self._rate.restart()
         self._torques = command.torques
-        record.safe_steps += command.is_safe
-        if command.is_safe and not record.is_safe and not stop.is_set():
+        state.safe_steps += command.is_safe
+        if command.is_safe and not state.is_safe and not stop.is_set():
             self._node.get_logger().warning(
-                f"no command for {self._values['command_timeout']:g} s at {record.time:.3f} s: "
-                "the drives only brake until one comes",
+                f"no command for {self._values['command_timeout']:g} s at {state.time:.3f} s: "
+                "the drives only brake until a command arrives",
                 throttle_duration_sec=WARNING_PERIOD,
             )
-        record.is_safe = command.is_safe
+        state.is_safe = command.is_safe
 
-    def _fasten_payload(self) -> None:
-        """Give the robot its payload when it is due, or at once if it was set meanwhile."""
+    def _attach_payload(self) -> None:
+        """Attach the payload when it is due, or immediately if its parameters have changed."""
         period = self._simulator.period_ns / 1e9
         is_set = not self._changes.empty()
         while not self._changes.empty():
             self._payload = self._payloads.payload(self._changes.get())
-        is_due = self._is_payload_due and self._taken * period >= self._values["payload_time"]
+        is_due = self._is_payload_due and self._step * period >= self._values["payload_time"]
         if not (is_set or is_due):
             return
         self._is_payload_due = False
-        if self._payload == self._record.payload:
+        if self._payload == self._state.payload:
             return
         self._simulator.attach(self._payload)
-        self._record.payload = self._payload
+        self._state.payload = self._payload
         self._node.get_logger().info(
-            f"payload from {(self._taken + 1) * period:.3f} s on: {describe(self._payload)}"
+            f"payload from {(self._step + 1) * period:.3f} s on: {format_payload(self._payload)}"
         )
 
     def _on_reset(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
         answer.success = True
-        if self._record.is_waiting:
-            answer.message = "at the beginning already, waiting for a controller"
+        if self._state.is_waiting:
+            answer.message = "already at the start, waiting for a controller"
         else:
-            self._again.set()
-            answer.message = "the motion begins anew"
+            self._reset.set()
+            answer.message = "the motion restarts"
         return answer
 
-    def _on_pause(self, wish: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
-        if wish.data:
+    def _on_pause(self, request: SetBool.Request, answer: SetBool.Response) -> SetBool.Response:
+        if request.data:
             self._paused.set()
         else:
             self._paused.clear()
         answer.success = True
-        answer.message = "paused" if wish.data else "running"
+        answer.message = "paused" if request.data else "running"
         return answer
 
-    def _look(self) -> list[NodeStatus]:
-        record, values = self._record, self._values
-        found = [record.simulation(values["scenario"], self._schedule.late)]
+    def _current_status(self) -> list[NodeStatus]:
+        state, values = self._state, self._values
+        found = [state.simulation_status(values["scenario"], self._rate.late)]
         if self._commands is not None:
             counts = self._commands.counts
-            found.append(record.commands(self._commands.source, self._commands.controllers, counts))
+            found.append(
+                state.command_status(self._commands.source, self._commands.controllers, counts)
+            )
         return found
 
 
@@ -362,7 +364,7 @@ def main(args: Sequence[str] | None = None) -> None:
             "mujoco_bridge",
             lambda node, values, stop: construct(MujocoBridge, node, values, stop).run(stop),
             args,
-            purpose="Publish a simulated robot on ROS 2 topics in real time.",
+            purpose="Publish the measurements of a simulated robot on ROS 2 topics in real time.",
             parameters=PARAMETERS,
         )
     )

@@ -90,22 +90,22 @@ def test_each_picks_up_the_other_after_a_kill(graph) -> None:
     clock, health = Clocked(graph), StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT | {"command_timeout": 1.0})
     graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
-    assert not clock.stamps, "time stands still without a controller"
+    assert not clock.stamps, "simulated time waits for a controller"
 
     controller = graph.start("balance_controller")
     graph.wait_until(lambda: clock.now > 0.3)
     jumps = clock.jumps
     controller.kill()
-    # Drives that only brake do not keep it standing: it falls and stands again, waiting.
+    # Drives that only brake do not keep it upright: it falls, restarts and waits.
     graph.wait_until(lambda: health.count(SIMULATION, "falls") == 1)
     graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
     assert health.count(COMMANDS, "timeouts") >= 1
     assert health.count(COMMANDS, "safe_steps") >= 10
-    assert "began anew" in health.message(SIMULATION)
+    assert "restarted after" in health.message(SIMULATION)
 
     controller = graph.start("balance_controller")
     graph.wait_until(lambda: clock.jumps == jumps + 1 and clock.now > 0.3)
-    graph.wait_until(lambda: health.message(COMMANDS) == "commands are followed")
+    graph.wait_until(lambda: health.message(COMMANDS) == "commands are obeyed")
 
     jumps = clock.jumps
     bridge.kill()

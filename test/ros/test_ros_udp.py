@@ -102,7 +102,7 @@ def test_another_client_takes_over_after_a_kill(graph, client: Client) -> None:
     accepted = health.count(COMMANDS, "accepted")
     second = client(port)
     graph.wait_until(lambda: health.count(COMMANDS, "accepted") > accepted + 100)
-    assert health.message(COMMANDS) == "commands are followed"
+    assert health.message(COMMANDS) == "commands are obeyed"
     second.terminate()
     bridge.send(signal.SIGTERM)
     assert second.wait(DEADLINE) == 0
