@@ -21,6 +21,74 @@ class Entry(NamedTuple):
 
 CODES: dict[str, Entry] = {
     # E1xx: robot models
+    "E101": Entry(
+        "The model file cannot be read.",
+        "Check the path and its permissions.",
+    ),
+    "E102": Entry(
+        "The model exceeds a limit on bytes, elements, attributes, depth, bodies or joints.",
+        "Reduce the model to the robot.",
+    ),
+    "E103": Entry(
+        "The model file is not well-formed XML, or has a document type.",
+        "Correct the file; remove <!DOCTYPE> and write entities out.",
+    ),
+    "E104": Entry(
+        "The file is neither a URDF nor an MJCF, or is still xacro.",
+        "Give a file with root <robot> or <mujoco>; run xacro first.",
+    ),
+    "E105": Entry(
+        "A link, joint or frame has no name, or two have the same name.",
+        "Name each one uniquely.",
+    ),
+    "E106": Entry(
+        "The links of a URDF are not one tree.",
+        "Connect all links to one root, with one parent each.",
+    ),
+    "E107": Entry(
+        "A joint has a type that is not supported.",
+        "Use revolute, continuous, prismatic and fixed joints.",
+    ),
+    "E108": Entry(
+        "The model has an invalid, missing, infinite or excessive number.",
+        "Correct the number on the line that the message names.",
+    ),
+    "E109": Entry(
+        "A mimic joint follows itself or a joint that does not move.",
+        "Name another joint, or remove <mimic>.",
+    ),
+    "E110": Entry(
+        "An included file or mesh is outside the model's folder, or is included twice.",
+        "Copy it into the folder and name it by a relative path; include it once.",
+    ),
+    "E111": Entry(
+        "An MJCF loads plugins or other models, or generates bodies or meshes.",
+        "Write bodies and inertias out, and remove the element.",
+    ),
+    "E112": Entry(
+        "A mesh that determines a body's inertia is missing or has an unknown format.",
+        "Supply the mesh, or give the body an <inertial>.",
+    ),
+    "E113": Entry(
+        "MuJoCo cannot compile the MJCF.",
+        "Correct what the message quotes from MuJoCo.",
+    ),
+    "E114": Entry(
+        "No joint of the model moves, or more than one tree moves.",
+        "Give the file of one robot with joints.",
+    ),
+    "E115": Entry(
+        "The option `base` contradicts the free joint of an MJCF.",
+        "Drop the option, or change the joint.",
+    ),
+    "E116": Entry(
+        "The model has no frame or link of that name.",
+        "Add it to the model, or remap header.frame_id.",
+    ),
+    "E117": Entry(
+        "There is no joint term of that name.",
+        "Choose from viscous, coulomb, armature and offset.",
+    ),
     # E2xx: bags and messages
     "E201": Entry(
         "There is no bag at the given path.",
@@ -118,6 +186,98 @@ CODES: dict[str, Entry] = {
     ),
     # E3xx: measurements
     # E4xx: priors and estimates
+    "E401": Entry(
+        "The file of a prior, an estimate or information cannot be read.",
+        "Check the path and its permissions.",
+    ),
+    "E402": Entry(
+        "The file is not a prior.json.",
+        "Write one with `symbid prior`.",
+    ),
+    "E403": Entry(
+        "The prior belongs to another model.",
+        "Draw a prior for this model with `symbid prior`.",
+    ),
+    "E404": Entry(
+        "A value or standard deviation of the prior is not finite, or is outside a robot's range.",
+        "Correct that entry of the prior.",
+    ),
+    "E405": Entry(
+        "The prior's covariance factor is not that of its standard deviations.",
+        "Give a lower triangular L with covariance L Lᵀ and a positive diagonal.",
+    ),
+    "E406": Entry(
+        "The half-width of the prior is not positive, or leaves no mass.",
+        "Give a positive half-width; below 100 % for a consistent prior.",
+    ),
+    "E407": Entry(
+        "A link is physically inconsistent or its mass negative, so no prior is written.",
+        "Correct the model, or choose another seed or a smaller half-width.",
+    ),
+    "E408": Entry(
+        "The prior's covariance is singular.",
+        "Give each parameter a positive standard deviation.",
+    ),
+    "E409": Entry(
+        "The file is not an estimate.json, or has a value that is not finite.",
+        "Write one with `symbid identify`.",
+    ),
+    "E410": Entry(
+        "The file is not an information.npz.",
+        "Give the file that `symbid identify` wrote.",
+    ),
+    "E411": Entry(
+        "The information.npz has another format version or exceeds a limit.",
+        "Identify the log again, or fewer logs at a time.",
+    ),
+    "E412": Entry(
+        "Two sets of information differ in robot, columns or window.",
+        "Combine runs with the same model, terms and window.",
+    ),
+    "E413": Entry(
+        "A row of the equation of motion is not finite.",
+        "Mask the samples with NaN or infinite values.",
+    ),
+    "E414": Entry(
+        "A bound, weighing or left/right tie is invalid.",
+        "Correct the values that the message names.",
+    ),
+    "E415": Entry(
+        "No two links are mirror images of each other.",
+        "Leave the left/right tie out.",
+    ),
+    "E416": Entry(
+        "No physically consistent parameters satisfy the bounds.",
+        "Loosen one of the bounds.",
+    ),
+    "E417": Entry(
+        "A prior value or deviation is out of proportion, so accuracy was lost.",
+        "Correct that entry of the prior.",
+    ),
+    "E418": Entry(
+        "Data and prior together do not determine all parameters.",
+        "Give each parameter a prior standard deviation.",
+    ),
+    "E419": Entry(
+        "The base is fixed and no joint moves.",
+        "Give a model with joints, or set `base` to floating.",
+    ),
+    "E420": Entry(
+        "The log excites no parameter, or has too few samples.",
+        "Record a longer log with more motion.",
+    ),
+    "E421": Entry(
+        "The rank cannot be selected by centre of mass for a fixed base.",
+        "Select it by torque or generalised force.",
+    ),
+    "E422": Entry(
+        "Row weights cannot be computed from the sensors' noise.",
+        "Give positive standard deviations, or weight by residuals.",
+    ),
+    "E423": Entry(
+        "The posterior does not belong to the prior.",
+        "Compare it with the prior that it was computed from.",
+    ),
     # E5xx: options and their combinations
     # E6xx: simulation
     "E601": Entry(

@@ -1,1 +1,1 @@
-"""Kinematic tree and inertial parameters; URDF and MJCF in and out."""
+"""Robot models: kinematic tree and inertial parameters, read from and written to URDF and MJCF."""

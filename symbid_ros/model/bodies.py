@@ -1,8 +1,11 @@
-"""Bodies as a file lists them, assembled into a tree of links that really move.
+"""Bodies of a model file: assembled into moving links, and updated from identified links.
 
-Both loaders come through here, which is why both formats give the same tree:
-bodies welded to their parent become frames of it and lend it their inertia; a
-body with several joints gets virtual links in between.
+URDF and MJCF share this assembly, so both formats give the same tree. A body welded to its
+parent becomes a frame of the parent's link and adds its inertia. A body with several joints
+gets virtual links between them.
+
+An identified link is divided among its welded bodies again. The data determine only their sum,
+so the file's own division is kept as far as possible.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,10 +19,10 @@ from symbid_ros.errors import ModelError
 from symbid_ros.model.inertia import is_consistent, pseudo_inertia, transform_phi
 from symbid_ros.model.tree import Frame, Joint, Link, Mimic, RobotModel
 
-# Relative to a link's largest parameters: smaller changes are rounding.
+# Changes below this share of a link's largest parameters are rounding.
 ROUNDING = 1e-12
-# Share of the largest possible part that the other bodies keep when one body cannot take all of
-# the change; the rest stays with that body, which would otherwise be on the border.
+# Share of the largest possible part that the other bodies keep when one body cannot take the
+# whole change. A share of 1 would leave that body on the boundary of physical consistency.
 _KEPT = 0.9
 
 
@@ -46,10 +49,10 @@ class BodyJoint:
 
 @dataclass(frozen=True)
 class Body:
-    """A body of the file: its pose in its parent, inertia, joints and fixed frames.
+    """A body of a model file: its pose in its parent, inertia, joints and fixed frames.
 
-    ``parent`` is -1 for the root, whose pose and joints are ignored. ``phi`` is
-    (10,) about the body's origin; ``frames`` maps names to (rotation, translation).
+    ``parent`` is -1 for the root, whose pose and joints are ignored. ``phi`` (10,) is about
+    the body's origin. ``frames`` maps names to (rotation, translation).
     """
 
     name: str
@@ -76,7 +79,7 @@ class _Carrier:
 
 
 class _Assembly:
-    """Links, joints and frames while they grow."""
+    """Collects links, joints and frames body by body."""
 
     def __init__(self, source: str) -> None:
         self.source = source
@@ -94,7 +97,9 @@ class _Assembly:
 
     def add_frame(self, name: str, carrier: _Carrier) -> None:
         if name in self.frames:
-            raise ModelError(f"{self.source}: frame name {name!r} is used twice; rename one")
+            raise ModelError(
+                f"{self.source}: frame name {name!r} is used twice; rename one", "E105"
+            )
         self.frames[name] = Frame(name, carrier.link, carrier.rotation, carrier.translation)
 
     def add_moving_body(self, body: Body, parent: _Carrier) -> _Carrier:
@@ -126,7 +131,7 @@ class _Assembly:
             anchor = joint.anchor
         carrier = _Carrier(placed.link, np.eye(3), -anchor)
         if np.any(anchor):
-            # The link's origin is on the joint axis, so the body's own frame lies elsewhere.
+            # The link's origin is on the joint axis, so the body's own frame is a separate frame.
             self.add_frame(body.name, carrier)
         return carrier
 
@@ -134,12 +139,13 @@ class _Assembly:
 def assemble(
     name: str, bodies: Sequence[Body], *, floating: bool, gravity: FloatArray, source: str
 ) -> RobotModel:
-    """Build the robot of ``bodies``, listed parents first.
+    """Return the robot made of ``bodies``, which list parents before children.
 
     Raises
     ------
     ModelError
-        When a name is used twice, an axis is zero or a number is not finite.
+        When a name is used twice, an axis is zero or a number is not finite, or when a mimic
+        joint has no leader.
     """
     assembly = _Assembly(source)
     carriers: list[_Carrier] = []
@@ -170,7 +176,7 @@ def assemble(
 def _with_leaders(
     joints: Sequence[Joint], followed: Mapping[str, tuple[str, float, float]], source: str
 ) -> tuple[Joint, ...]:
-    """Return the joints, those that follow others bound to the one at the chain's end."""
+    """Return the joints, each mimic joint bound to the leader at the end of its chain."""
     index = {joint.name: position for position, joint in enumerate(joints)}
     bound = []
     for joint in joints:
@@ -184,12 +190,13 @@ def _with_leaders(
                 reason = "follows itself" if leader in seen else "is not a moving joint"
                 raise ModelError(
                     f"{source}: joint {follower!r} mimics {leader!r}, which {reason}; name "
-                    "another joint or remove <mimic>"
+                    "another joint or remove <mimic>",
+                    "E109",
                 )
             seen.add(leader)
         if joint.name in followed:
             mimic = Mimic(index[leader], multiplier, offset)
-            # Nothing drives a joint that follows.
+            # A mimic joint has no motor of its own.
             bound.append(replace(joint, effort=0.0, mimic=mimic))
         else:
             bound.append(joint)
@@ -203,10 +210,12 @@ def _check_finite(body: Body, source: str) -> None:
         numbers += [joint.axis, joint.anchor]
         numbers.append(np.array([joint.damping, joint.friction_loss, joint.armature]))
     if not all(np.all(np.isfinite(array)) for array in numbers):
-        raise ModelError(f"{source}: {body.name!r} has a number that is not finite; correct it")
+        raise ModelError(f"{source}: body {body.name!r} has NaN or infinity; correct it", "E108")
     for joint in body.joints:
         if not np.any(joint.axis):
-            raise ModelError(f"{source}: joint {joint.name!r} has a zero axis; give it a direction")
+            raise ModelError(
+                f"{source}: joint {joint.name!r} has a zero axis; give it a direction", "E108"
+            )
 
 
 @dataclass(frozen=True)
@@ -215,63 +224,63 @@ class Division:
 
     Attributes
     ----------
-    taker : int
+    receiver : int
         The body that takes the change.
     phi : (10,) float64
         Its new parameters.
     kept : float
-        Share of their mass that the others keep, with their shape and centre of mass.
+        Share of their mass that the other bodies keep, with their shape and centre of mass.
     """
 
-    taker: int
+    receiver: int
     phi: FloatArray
     kept: float
 
 
-def divided(
+def divide(
     stated: FloatArray, total: FloatArray, *, first_can_carry: bool = True
 ) -> Division | None:
     """Divide ``total`` among welded bodies.
 
-    The whole change goes to one body: the first, which is the one that the joint moves, or,
-    if the file gives that one no inertia, the heaviest. Only if this body would become
-    physically impossible, and the total is not, the others give up part of their mass.
+    The whole change goes to one body. This is the first, which the joint moves, or the heaviest
+    if the first has no inertia in the file. The other bodies give up part of their mass only if
+    that body would become physically inconsistent although the total is consistent.
 
     Parameters
     ----------
     stated : (B, 10) float64
-        As the file states them, about the same point and in the same axes.
+        Parameters in the file, about the same point and in the same axes.
     total : (10,) float64
-        Of all bodies together.
+        New sum of all bodies.
     first_can_carry : bool
-        Whether the first body can have mass; MJCF's world cannot.
+        Whether the first body can have mass. MJCF's world cannot.
 
     Returns
     -------
     Division or None
-        None if the bodies add up to ``total`` to within rounding, or none can take a change.
+        None if the bodies add up to ``total`` to within rounding, or no body can take a change.
     """
     change = total - stated.sum(axis=0)
-    taker = _taker(stated, first_can_carry)
-    if taker is None or is_rounding(change, total):
+    receiver = _receiver(stated, first_can_carry)
+    if receiver is None or is_rounding(change, total):
         return None
-    phi = stated[taker] + change
-    others = np.delete(stated, taker, axis=0).sum(axis=0)
+    phi = stated[receiver] + change
+    others = np.delete(stated, receiver, axis=0).sum(axis=0)
     if _possible(phi) or not np.any(others) or not _possible(total):
-        return Division(taker, phi, 1.0)
+        return Division(receiver, phi, 1.0)
     kept = _kept_share(others, stated.sum(axis=0), total)
-    return Division(taker, total - kept * others, kept)
+    return Division(receiver, total - kept * others, kept)
 
 
 def is_rounding(change: FloatArray, value: FloatArray) -> bool:
-    """Return whether a change of φ (10,) is rounding: of masses, moments and inertias apart."""
+    """Return whether a change of φ (10,) is rounding, in mass, first moments and inertia."""
     return all(
         np.abs(change[part]).max() <= ROUNDING * np.abs(value[part]).max()
         for part in (slice(1), slice(1, 4), slice(4, None))
     )
 
 
-def _taker(stated: FloatArray, first_can_carry: bool) -> int | None:
+def _receiver(stated: FloatArray, first_can_carry: bool) -> int | None:
     if first_can_carry and np.any(stated[0]):
         return 0
     heaviest = int(np.argmax(stated[:, 0]))
@@ -299,22 +308,22 @@ def _possible(phi: FloatArray) -> bool:
 def updated_bodies(
     model: RobotModel, stated: Mapping[str, FloatArray], *, rewrite: bool = False
 ) -> dict[str, FloatArray]:
-    """Return the bodies of a file whose parameters differ from what the file states.
+    """Return the bodies whose parameters differ from those in the file.
 
     Parameters
     ----------
     model : RobotModel
         The robot to write.
     stated : mapping of str to (10,) float64
-        φ of each body about its own origin, by the body's name. Bodies that are welded to a
-        link are frames of ``model``.
+        φ of each body in the file, about its own origin. Bodies welded to a link are frames of
+        ``model``.
     rewrite : bool
         Return all bodies that have inertia, changed or not.
 
     Returns
     -------
     dict of str to (10,) float64
-        Their new φ, about their own origins.
+        New φ of each body, about its own origin.
     """
     groups: dict[int, list[str]] = {}
     for name in stated:
@@ -328,10 +337,10 @@ def updated_bodies(
         before = np.array(
             [transform_phi(stated[f.name], f.rotation, f.translation) for f in frames]
         )
-        division = divided(before, total, first_can_carry=names[0] != "world")
+        division = divide(before, total, first_can_carry=names[0] != "world")
         kept = 1.0 if division is None else division.kept
         for position, frame in enumerate(frames):
-            if division is not None and position == division.taker:
+            if division is not None and position == division.receiver:
                 back = frame.rotation.T
                 updated[frame.name] = transform_phi(division.phi, back, -back @ frame.translation)
             elif np.any(stated[frame.name]) and (rewrite or kept != 1.0):

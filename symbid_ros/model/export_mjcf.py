@@ -1,4 +1,4 @@
-"""Write a robot as MJCF: into the user's own file, or as a bare tree."""
+"""Write a robot as MJCF: the user's own file with new parameters, or a minimal tree."""
 
 import os
 import xml.etree.ElementTree as ET
@@ -15,30 +15,27 @@ from symbid_ros.model.export_urdf import (
     annotate,
     negative_terms,
     numbers,
-    with_possible_terms,
+    with_nonnegative_terms,
 )
 from symbid_ros.model.inertia import TINY_MASS, com_from_phi, is_consistent, nearest_consistent
-from symbid_ros.model.mjcf import load_mjcf, stated_bodies
+from symbid_ros.model.mjcf import file_bodies, load_mjcf
 from symbid_ros.model.mjcf_source import included_file, read_mjcf
 from symbid_ros.model.rotation import quaternion_from_rotation
 from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.model.xml_file import Element, XmlEditor, as_element, is_editable, read_xml
 
-# Compiler settings that change the inertias which the file states.
+# Compiler settings that change the inertias given in the file.
 _OVERRIDES = ("balanceinertia", "boundinertia", "boundmass", "settotalmass")
 _ORIENTATIONS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
-# Attributes of a joint element and the joint's fields.
+# Attributes of a joint element and the fields of Joint.
 TERMS = {"damping": "damping", "frictionloss": "friction_loss", "armature": "armature"}
 
 
 def mjcf_text(
     model: RobotModel, source: Path | None = None, folder: Path = Path(), *, comment: str = ""
 ) -> str:
-    """Return the robot as MJCF text; of several files, the main one.
-
-    The parameters are those of :func:`mjcf_files`.
-    """
+    """Return the main file of :func:`mjcf_files`."""
     return next(iter(mjcf_files(model, source, folder, comment=comment).values()))
 
 
@@ -50,42 +47,42 @@ def mjcf_files(
     name: str = "model.xml",
     comment: str = "",
 ) -> dict[PurePosixPath, str]:
-    """Return the robot as MJCF, which MuJoCo compiles whatever the parameters are.
+    """Return the robot as MJCF that MuJoCo compiles for any parameters.
 
     Parameters
     ----------
     model : RobotModel
-        The robot to write. Of a link that no mass density can realise, the nearest that one
-        can is written.
+        The robot to write. A physically inconsistent link is replaced by the nearest consistent
+        one.
     source : Path, optional
-        The MJCF that ``model`` was loaded from, of which inertias and joint terms are
-        replaced, see :func:`updated_mjcf`. Without it, or if its
-        bodies come from <replicate>, a bare tree is written.
+        The MJCF that ``model`` was loaded from. Its inertias and joint terms are replaced, see
+        :func:`updated_mjcf`. A minimal tree is written without it, or if its bodies come from
+        <replicate>.
     folder : Path
-        Where the files will be saved, so that relative mesh folders still hold.
+        Where the files will be saved; relative mesh folders are adjusted to it.
     name : str
-        What the main file will be called.
+        Name of the main file.
     comment : str
-        What to say at the top of a bare tree; what was written otherwise than identified
-        (:func:`replaced_values`) is added to it.
+        Comment at the top of a minimal tree; changed values (:func:`replaced_values`) are
+        appended.
 
     Returns
     -------
     dict of PurePosixPath to str
-        Places in ``folder`` and texts, the main file first, then those that it includes.
+        Paths in ``folder`` and texts: the main file first, then the included files.
     """
-    possible = with_possible_terms(model)
+    possible = with_nonnegative_terms(model)
     if source is not None:
         files = updated_mjcf(possible, source, folder, name)
         if files is not None:
             return files
-    root = _bare(possible)
+    root = _minimal_tree(possible)
     annotate(root, comment, *replaced_values(model))
     return {PurePosixPath(name): ET.tostring(root, encoding="unicode") + "\n"}
 
 
 def replaced_values(model: RobotModel) -> tuple[str, ...]:
-    """Return what an MJCF says otherwise than the robot, because MuJoCo refuses the truth."""
+    """Return the values that are changed because MuJoCo rejects the robot's own."""
     moving = model.links[0 if model.floating else 1 :]
     massless = [link.name for link in moving if not link.virtual and not np.any(link.phi)]
     impossible = [link.name for link in model.links if not is_consistent(link.phi)]
@@ -97,7 +94,7 @@ def replaced_values(model: RobotModel) -> tuple[str, ...]:
     return tuple(filter(None, remarks))
 
 
-def _bare(model: RobotModel) -> ET.Element:
+def _minimal_tree(model: RobotModel) -> ET.Element:
     root = ET.Element("mujoco", model=model.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     ET.SubElement(root, "option", gravity=numbers(model.gravity))
@@ -136,7 +133,7 @@ def _bare(model: RobotModel) -> ET.Element:
         equality = ET.SubElement(root, "equality")
         for index, mimic in model.followers.items():
             joint, leader = model.joints[index], model.joints[mimic.leader]
-            # MuJoCo counts both positions from their references.
+            # MuJoCo measures both positions from their references.
             shift = mimic.offset + mimic.multiplier * leader.reference - joint.reference
             ET.SubElement(
                 equality,
@@ -149,7 +146,7 @@ def _bare(model: RobotModel) -> ET.Element:
 
 
 def _add_body(elements: dict[int, ET.Element], model: RobotModel, chain: list[int]) -> ET.Element:
-    """Add the body moved by the joints ``chain``: one, or several through virtual links."""
+    """Add the body that the joints ``chain`` move: one joint, or several via virtual links."""
     joints = [model.joints[index] for index in chain]
     shifts = np.array([joint.translation for joint in joints[1:]]).reshape(-1, 3)
     first = joints[0]
@@ -170,7 +167,7 @@ def _add_body(elements: dict[int, ET.Element], model: RobotModel, chain: list[in
 
 
 def _body_name(model: RobotModel, index: int) -> str:
-    """Return the link's name, unless it is the one that MJCF keeps for its world."""
+    """Return the link's name, or another one if it is MJCF's reserved name ``world``."""
     name = model.links[index].name
     return _unused("world_link", model.link_names) if name == "world" else name
 
@@ -198,9 +195,8 @@ def updated_mjcf(
 ) -> dict[PurePosixPath, str] | None:
     """Return the user's MJCF with the robot's inertias and joint terms, as files for ``folder``.
 
-    Everything else stays as it is, byte for byte, except compiler settings: those that would
-    change inertias are removed, and folders of meshes and textures are named as seen from
-    ``folder``.
+    Every other byte stays, except compiler settings: those that would change inertias are
+    removed, and folders of meshes and textures become relative to ``folder``.
 
     Parameters
     ----------
@@ -211,18 +207,18 @@ def updated_mjcf(
     folder : Path
         Where the files will be saved.
     name : str
-        What the main file will be called there.
+        Name of the main file there.
 
     Returns
     -------
     dict of PurePosixPath to str, or None
-        The main file first, then the files that it includes, at the same places beside it as
-        beside ``source``. None if bodies of the model cannot be traced to elements of a file,
-        as below <replicate>, or a file is in UTF-16.
+        The main file first, then the included files at the same relative paths as in
+        ``source``. None if a body has no element in a file, as below <replicate>, or if a file
+        is in UTF-16.
     """
     root = read_mjcf(source)
     elements = [as_element(body) for body in root.iterfind("worldbody//body")]
-    names, stated = stated_bodies(source)
+    names, stated = file_bodies(source)
     named = [element.get("name", body) for element, body in zip(elements, names, strict=False)]
     if len(elements) != len(names) or named != names:
         return None
@@ -236,7 +232,7 @@ def updated_mjcf(
         if inertial is None and bodies[body].find("frame//inertial") is not None:
             return None
         _set_inertial(files, bodies[body], nearest_consistent(phi))
-    # An element may inherit its terms from a class, so what the file states is what MuJoCo reads.
+    # An element may inherit its terms from a class, so MuJoCo's values are compared.
     before = {joint.name: joint for joint in load_mjcf(source).joints}
     after = {joint.name: joint for joint in model.joints}
     for element in root.iterfind("worldbody//joint"):
@@ -248,7 +244,7 @@ def updated_mjcf(
 
 
 class _Files:
-    """The main file and its includes while they are edited."""
+    """Editors of the main file and its includes."""
 
     def __init__(self, source: Path) -> None:
         self.source = source
@@ -268,12 +264,12 @@ class _Files:
         return self.editors[element.file]
 
     def texts(self, folder: Path, name: str) -> dict[PurePosixPath, str]:
-        """Return the files' texts by their places in ``folder``, the main one first."""
+        """Return the edited texts by path in ``folder``, the main file first."""
         home = self.source.parent.resolve()
         places = {self.source: PurePosixPath(name)}
         for _, file in self._includes:
             place = PurePosixPath(file.relative_to(home).as_posix())
-            # Neither an output nor one of the user's own files may be replaced.
+            # Replace neither another output nor one of the user's own files.
             while place in places.values() or (folder / place).resolve() in self.editors:
                 place = place.with_stem(f"{place.stem}_identified")
             places[file] = place
@@ -284,7 +280,7 @@ class _Files:
 
 
 def _compiler_overrides(root: Element) -> bool:
-    """Return whether the compiler is told to use other inertias than the stated ones."""
+    """Return whether compiler settings replace the inertias given in the file."""
     return any(
         compiler.get("inertiafromgeom") == "true"
         or any(key in compiler.attrib for key in _OVERRIDES)
@@ -317,7 +313,7 @@ def full_inertia(inertia: FloatArray) -> str:
 
 
 def _set_terms(files: _Files, element: Element, before: Joint, after: Joint) -> None:
-    """Write the joint's terms that differ from those that MuJoCo reads."""
+    """Write those joint terms that differ from MuJoCo's values."""
     for key, field in TERMS.items():
         old, new = getattr(before, field), getattr(after, field)
         if old != new and max(old, new) > NEGLIGIBLE:
@@ -325,7 +321,7 @@ def _set_terms(files: _Files, element: Element, before: Joint, after: Joint) -> 
 
 
 def _settle_compilers(files: _Files, root: Element, folder: Path) -> None:
-    """Keep the compiler from changing inertias, and find the files that it names."""
+    """Remove compiler settings that change inertias, and adjust folders to ``folder``."""
     compilers = [as_element(compiler) for compiler in root.iterfind("compiler")]
     home = files.source.parent.resolve()
     moved = folder.resolve() != home

@@ -1,4 +1,4 @@
-"""Write a robot as URDF: into the user's own file, or as a bare tree."""
+"""Write a robot as URDF: the user's own file with new parameters, or a minimal tree."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
@@ -15,9 +15,9 @@ from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.model.urdf import UrdfReader
 from symbid_ros.model.xml_file import XmlEditor, as_element, is_editable, read_xml
 
-# urdfdom demands numbers for effort and velocity and does not read "inf".
+# urdfdom requires numbers for effort and velocity and does not read "inf".
 _UNLIMITED = 1e9
-# SI units: friction and armature below this are a solver's zero.
+# SI units; a solver returns friction and armature this small instead of zero.
 NEGLIGIBLE = 1e-9
 
 
@@ -29,22 +29,21 @@ def urdf_text(model: RobotModel, source: Path | None = None, *, comment: str = "
     model : RobotModel
         The robot to write.
     source : Path, optional
-        The URDF that ``model`` was loaded from, of which only changed numbers of
-        ``<inertial>`` and ``<dynamics>`` are replaced. Without it, or if it is in UTF-16, a
-        bare tree is written.
+        The URDF that ``model`` was loaded from. Only changed numbers of ``<inertial>`` and
+        ``<dynamics>`` are replaced. A minimal tree is written without it, or if it is in UTF-16.
     comment : str
-        What to say at the top of a bare tree; what a URDF cannot hold (:func:`unwritten`) is
-        added to it.
+        Comment at the top of a minimal tree; values that a URDF cannot hold (:func:`unwritten`)
+        are appended.
     """
     if source is not None and is_editable(source):
-        return _updated(with_possible_terms(model), source)
-    robot = _bare(with_possible_terms(model))
+        return _updated(with_nonnegative_terms(model), source)
+    robot = _minimal_tree(with_nonnegative_terms(model))
     annotate(robot, comment, *unwritten(model))
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
 
 def unwritten(model: RobotModel) -> tuple[str, ...]:
-    """Return what a URDF cannot say of the robot: negative friction, and armature."""
+    """Return the values that a URDF cannot hold: negative friction, and armature."""
     armature = [f"{j.name} {j.armature:.6g}" for j in model.joints if j.armature > NEGLIGIBLE]
     listed = f"armature, not part of a URDF: {', '.join(armature)}" if armature else ""
     return tuple(filter(None, (negative_terms(model), listed)))
@@ -66,7 +65,7 @@ def _updated(model: RobotModel, source: Path) -> str:
 
 
 def _set_inertial(editor: XmlEditor, reader: UrdfReader, name: str, phi: FloatArray) -> None:
-    """Write φ about the link's origin, in the axes that the link's <inertial> has."""
+    """Write φ (about the link's origin) in the axes of the link's <inertial>."""
     link = reader.links[name]
     inertial = link.find("inertial")
     if inertial is None:
@@ -91,7 +90,7 @@ def _rounding(values: FloatArray) -> float:
 
 
 def _set_friction(editor: XmlEditor, element: ET.Element, joint: Joint) -> None:
-    """Write the joint's friction where the file states another; silence means zero."""
+    """Write the joint's friction where it differs from the file; a missing value is zero."""
     dynamics = element.find("dynamics")
     values = {"damping": joint.damping, "friction": joint.friction_loss}
     if dynamics is None:
@@ -110,7 +109,7 @@ def _lines(element: ET.Element) -> list[str]:
     return ET.tostring(element, encoding="unicode").splitlines()
 
 
-def _bare(model: RobotModel) -> ET.Element:
+def _minimal_tree(model: RobotModel) -> ET.Element:
     robot = ET.Element("robot", name=model.name)
     fixed_world = not model.floating and model.links[0].name != "world"
     if fixed_world:
@@ -132,7 +131,7 @@ def _bare(model: RobotModel) -> ET.Element:
 
 
 def _rotation_of_gravity(gravity: FloatArray) -> FloatArray:
-    """Return the base's rotation in a z-up world, given gravity in the base's axes."""
+    """Return the base's rotation in a z-up world from gravity in base axes."""
     up = -gravity / np.linalg.norm(gravity)
     if up[2] > 1 - 1e-15:
         return np.eye(3)
@@ -145,7 +144,7 @@ def _rotation_of_gravity(gravity: FloatArray) -> FloatArray:
 def _joint(robot: ET.Element, model: RobotModel, joint: Joint, child: str) -> None:
     bounded = np.isfinite([joint.lower, joint.upper]).all()
     kind = joint.kind if bounded or joint.kind == "prismatic" else "continuous"
-    # A URDF joint is zero where the file's pose holds, so a reference is folded into the pose.
+    # URDF has no reference position, so it is folded into the pose.
     translation = joint.translation
     if joint.kind == "prismatic":
         translation = translation - joint.reference * (joint.rotation @ joint.axis)
@@ -215,11 +214,11 @@ def _products(inertia: FloatArray) -> dict[str, float]:
     return {f"i{'xyz'[i]}{'xyz'[j]}": inertia[i, j] for i, j in zip(rows, columns, strict=True)}
 
 
-def with_possible_terms(model: RobotModel) -> RobotModel:
+def with_nonnegative_terms(model: RobotModel) -> RobotModel:
     """Return the robot with negative and negligible joint terms set to zero.
 
-    Noise may turn a small friction or armature negative. Such a joint feeds a simulation
-    energy until it diverges.
+    Noise may make a small friction or armature negative. In a simulation such a joint adds
+    energy until the simulation diverges.
     """
 
     def possible(value: float) -> float:
@@ -238,7 +237,7 @@ def with_possible_terms(model: RobotModel) -> RobotModel:
 
 
 def negative_terms(model: RobotModel) -> str:
-    """Return which joint terms are negative, and so written as zero; empty if none is."""
+    """Return which joint terms are negative and written as zero; empty if there is none."""
     found = []
     for joint in model.joints:
         terms = {
@@ -251,7 +250,7 @@ def negative_terms(model: RobotModel) -> str:
 
 
 def annotate(root: ET.Element, *comments: str) -> None:
-    """Lay the XML out for reading, with the comments (if any) as its first child."""
+    """Indent the XML and insert the comments, if any, as its first child."""
     comment = "; ".join(filter(None, comments))
     if comment:
         root.insert(0, ET.Comment(f" {comment.replace('--', '- -')} "))
@@ -259,5 +258,5 @@ def annotate(root: ET.Element, *comments: str) -> None:
 
 
 def numbers(values: Iterable[float]) -> str:
-    """Return numbers as XML text that reads back to the same bits."""
+    """Return numbers as XML text that reads back to the same bits (repr)."""
     return " ".join(repr(float(value)) for value in values)

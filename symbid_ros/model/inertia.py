@@ -1,7 +1,7 @@
 """The ten inertial parameters of a link, φ = [m, m·c, Ixx, Ixy, Ixz, Iyy, Iyz, Izz].
 
-Inertia is taken about the link's origin and products are matrix elements
-(Ixy = -∫xy dm), as in the thesis, Eq. 2.27.
+The inertia is about the link's origin. Products of inertia are matrix elements,
+Ixy = -∫xy dm (thesis, Eq. 2.27).
 """
 
 import numpy as np
@@ -13,18 +13,18 @@ UNITS = ("kg", *("kg m",) * 3, *("kg m^2",) * 6)
 
 _UPPER = np.triu_indices(3)
 
-# Below LEAST_MASS kg a moving link counts as massless: MuJoCo requires more than 1e-15 kg and a
-# central inertia above 1e-14 kg m². TINY_MASS is what such a link is given, with a radius of
-# some millimetres: far too little to be felt, enough to compile.
+# A moving link lighter than LEAST_MASS kg counts as massless: MuJoCo requires more than 1e-15 kg
+# and a central inertia above 1e-14 kg m². Such a link is written with TINY_MASS and a radius of
+# some millimetres: MuJoCo compiles it, and its effect on the motion is negligible.
 LEAST_MASS = 1e-14
 TINY_MASS = 1e-9
 _LEAST_SECOND_MOMENT = 1e-14
-# Laminas and rods lie on the boundary of physical consistency; rounding may push them over it.
-_BORDER = 1e-12
+# Laminas and rods lie on the boundary of physical consistency, which rounding may cross.
+_BOUNDARY = 1e-12
 
 
 def inertia_matrix(phi: FloatArray) -> FloatArray:
-    """Return the (..., 3, 3) inertia about the link origin of φ (..., 10)."""
+    """Return the inertia (..., 3, 3) about the link origin of φ (..., 10)."""
     matrix = np.empty((*phi.shape[:-1], 3, 3))
     matrix[..., _UPPER[0], _UPPER[1]] = phi[..., 4:]
     matrix[..., _UPPER[1], _UPPER[0]] = phi[..., 4:]
@@ -50,8 +50,7 @@ def phi_from_com(mass: float, com: FloatArray, inertia_com: FloatArray) -> Float
 def com_from_phi(phi: FloatArray) -> tuple[float, FloatArray, FloatArray]:
     """Return mass, centre of mass (3,) and central inertia (3, 3) of φ (10,).
 
-    A link without mass keeps its inertia and gets its centre at the origin:
-    there is no other answer that does not divide by zero.
+    A link without mass keeps its inertia; its centre of mass is set to the origin.
     """
     mass = float(phi[0])
     com = phi[1:4] / mass if mass != 0.0 else np.zeros(3)
@@ -60,18 +59,17 @@ def com_from_phi(phi: FloatArray) -> tuple[float, FloatArray, FloatArray]:
 
 
 def transform_phi(phi: FloatArray, rotation: FloatArray, translation: FloatArray) -> FloatArray:
-    """Return φ (10,) of the same body, seen from another frame.
+    """Return φ (10,) of a body in another frame.
 
     Parameters
     ----------
     phi : (10,) float64
-        In the body's own frame b.
+        Parameters in the body's own frame b.
     rotation, translation : (3, 3) and (3,) float64
         Pose of b in the new frame a: x_a = rotation @ x_b + translation.
     """
     mass, first = phi[0], rotation @ phi[1:4]
-    # Pseudo-inertia form: the second moments transform without the centre of mass,
-    # so that massless and negative-mass links pass unharmed.
+    # Second moments transform without a division by mass, so zero and negative masses are valid.
     second = rotation @ second_moments(phi) @ rotation.T
     cross = np.outer(first, translation)
     second = second + cross + cross.T + mass * np.outer(translation, translation)
@@ -87,10 +85,10 @@ def second_moments(phi: FloatArray) -> FloatArray:
 
 
 def pseudo_inertia(phi: FloatArray) -> FloatArray:
-    """Return the (..., 4, 4) pseudo-inertia [[∫xxᵀ, m·c], [m·cᵀ, m]] of φ (..., 10).
+    """Return the pseudo-inertia (..., 4, 4) [[∫xxᵀ, m·c], [m·cᵀ, m]] of φ (..., 10).
 
-    Positive definite exactly for bodies that some mass density can realise
-    (Wensing, Kim and Slotine 2018, IEEE RA-L 3(1), Eq. 11).
+    It is positive definite if and only if some mass density realises φ (Wensing, Kim and
+    Slotine 2018, IEEE RA-L 3(1), Eq. 11).
     """
     matrix = np.empty((*phi.shape[:-1], 4, 4))
     matrix[..., :3, :3] = second_moments(phi)
@@ -111,10 +109,10 @@ def phi_from_pseudo_inertia(matrix: FloatArray) -> FloatArray:
 
 
 def is_consistent(phi: FloatArray) -> bool:
-    """Tell whether some mass density realises φ (10,); a massless nothing does too.
+    """Return whether some mass density realises φ (10,); all zeros are consistent.
 
-    Rounding of a degenerate body (a rod, a point mass) is forgiven to 1e-9 of
-    the pseudo-inertia's own scale, taken with lengths in units of the body's size.
+    The tolerance for rounding of a degenerate body (a rod, a point mass) is 1e-9 of the
+    pseudo-inertia with lengths in units of the body's size.
     """
     if not np.any(phi):
         return True
@@ -127,11 +125,11 @@ def is_consistent(phi: FloatArray) -> bool:
 
 
 def nearest_consistent(phi: FloatArray) -> FloatArray:
-    """Return φ (10,) of a body that MuJoCo compiles: ``phi`` itself unless it is impossible.
+    """Return the nearest φ (10,) that is physically consistent and that MuJoCo compiles.
 
-    A possible body changes by rounding at most, and one without mass gets ``TINY_MASS``. Of
-    an impossible body with positive mass, the mass and its centre are kept and the negative
-    central second moments become zero. Any other body is projected onto the cone of positive
+    A consistent body changes by rounding at most, and one without mass gets ``TINY_MASS``. An
+    inconsistent body with positive mass keeps mass and centre of mass; its negative central
+    second moments become zero. Any other body is projected onto the cone of positive
     semi-definite pseudo-inertias.
     """
     mass, com, _ = com_from_phi(phi)
@@ -145,7 +143,7 @@ def nearest_consistent(phi: FloatArray) -> FloatArray:
             mass, com = TINY_MASS, np.zeros(3)
         central = second_moments(phi) - mass * np.outer(com, com)
     moments, axes = np.linalg.eigh(central)
-    least = max(_LEAST_SECOND_MOMENT, _BORDER * moments[-1])
+    least = max(_LEAST_SECOND_MOMENT, _BOUNDARY * moments[-1])
     if mass == phi[0] and moments[0] >= least:
         return phi
     central = axes @ np.diag(np.maximum(moments, least)) @ axes.T
@@ -153,7 +151,7 @@ def nearest_consistent(phi: FloatArray) -> FloatArray:
 
 
 def _projected(phi: FloatArray) -> FloatArray:
-    """Return φ of the nearest positive semi-definite pseudo-inertia, lengths in body sizes."""
+    """Return φ projected onto positive semi-definite pseudo-inertias, lengths in body sizes."""
     matrix = pseudo_inertia(phi)
     size = np.sqrt(abs(np.trace(matrix[:3, :3])) / max(abs(matrix[3, 3]), TINY_MASS))
     scale = np.array([1.0, 1.0, 1.0, np.clip(size, 0.01, 1.0)])

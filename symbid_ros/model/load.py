@@ -1,4 +1,4 @@
-"""Load a robot from whichever description format the user has."""
+"""Load a robot model from a URDF or an MJCF."""
 
 import logging
 from pathlib import Path
@@ -17,23 +17,22 @@ logger = logging.getLogger(__name__)
 
 
 def load_model(path: Path, base: Base = "auto") -> RobotModel:
-    """Load a URDF or an MJCF, told apart by the root element.
+    """Load a URDF or an MJCF; the root element decides which one it is.
 
-    What of the file has no part in the equation of motion is logged, and so are links that move
-    without mass.
+    Elements that the equation of motion ignores and moving links without mass are logged.
 
     Parameters
     ----------
     path : Path
         ``.urdf`` or ``.xml`` file.
     base : {"auto", "floating", "fixed"}
-        Whether the base may move. An MJCF states that itself, by a free joint; "floating" and
-        "fixed" must agree with it.
+        Whether the base may move. An MJCF says so by a free joint, which "floating" and
+        "fixed" must match.
 
     Raises
     ------
     ModelError
-        When the file cannot be read as either, or an MJCF contradicts ``base``.
+        When the file is not a valid URDF or MJCF, or an MJCF contradicts ``base``.
     """
     if not is_mjcf(path):
         model = load_urdf(path, base)
@@ -49,12 +48,14 @@ def _require_base(model: RobotModel, path: Path, base: Base) -> None:
     if base == "fixed" and model.floating:
         raise ModelError(
             f"{path}: its base has a free joint, so it is not fixed; remove that joint, or drop "
-            "--base fixed"
+            "`base` fixed",
+            "E115",
         )
     if base == "floating" and not model.floating:
         raise ModelError(
             f"{path}: its base has no free joint, so it is fixed; add <freejoint/> to the base, "
-            "or drop `base` floating"
+            "or drop `base` floating",
+            "E115",
         )
 
 
@@ -65,7 +66,7 @@ def _report_ignored(path: Path) -> None:
     if names:
         tags = " and ".join(f"<{tag}>" for tag, group in found.items() if group)
         logger.warning(
-            "%s: %s are ignored: %s; the joints are taken to move independently of each other",
+            "%s: %s are ignored: %s; the joints are assumed to move independently",
             path,
             tags,
             ", ".join(names),
@@ -88,11 +89,11 @@ def _report_massless(model: RobotModel) -> None:
 
 
 def is_mjcf(path: Path) -> bool:
-    """Tell an MJCF from a URDF (which may hold a <mujoco> extension of its own).
+    """Return whether a file is an MJCF. A URDF may contain a <mujoco> extension.
 
     Raises
     ------
     ModelError
-        When the file is refused by :func:`symbid_ros.model.xml_file.read_xml`.
+        See :func:`symbid_ros.model.xml_file.read_xml`.
     """
     return read_xml(path).tag == "mujoco"

@@ -11,7 +11,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
 from symbid_ros.model.bodies import Body, BodyJoint, assemble
 from symbid_ros.model.inertia import phi_from_com
-from symbid_ros.model.mjcf_source import bare_mjcf, read_mjcf
+from symbid_ros.model.mjcf_source import read_mjcf, reduced_mjcf
 from symbid_ros.model.rotation import rotation_from_quaternion
 from symbid_ros.model.tree import RobotModel
 
@@ -19,55 +19,54 @@ from symbid_ros.model.tree import RobotModel
 def load_mjcf(path: Path) -> RobotModel:
     """Load an MJCF: its only moving tree, with bodies as links and sites as frames.
 
-    The base floats if the tree's root has a free joint. Bodies welded to the world
-    (a floor, a table) are left out of a floating robot.
+    The base floats if the root of the tree has a free joint. Bodies welded to the world (a
+    floor, a table) are not part of a floating robot.
 
     Raises
     ------
     ModelError
-        When the file is refused by :func:`symbid_ros.model.mjcf_source.read_mjcf`, MuJoCo
-        cannot compile it, or it holds a ball joint, a free joint below the root or more
-        than one moving tree.
+        When :func:`symbid_ros.model.mjcf_source.read_mjcf` rejects the file or MuJoCo cannot
+        compile it, or when it has a ball joint, a free joint below the root or more than one
+        moving tree.
     """
     return _Reader(_compiled(path), str(path)).model()
 
 
-def stated_bodies(path: Path) -> tuple[list[str], dict[str, FloatArray]]:
-    """Return the names of all bodies below the world, and φ (10,) of those of the robot.
+def file_bodies(path: Path) -> tuple[list[str], dict[str, FloatArray]]:
+    """Return the names of all bodies below the world, and φ (10,) of the robot's bodies.
 
-    The names are in the order of the file, ``body_<number>`` for those without one. φ is
-    about the body's own origin, as MuJoCo compiles it from the file.
+    Names are in file order, ``body_<number>`` for a body without a name. φ is about the body's
+    own origin, as MuJoCo compiles it from the file.
 
     Raises
     ------
     ModelError
-        As :func:`load_mjcf`.
+        See :func:`load_mjcf`.
     """
     reader = _Reader(_compiled(path), str(path))
     return reader.names[1:], {body.name: body.phi for body in reader.bodies()[0]}
 
 
 def _compiled(path: Path) -> Any:
-    # MuJoCo is the parser here and nothing else, so it is imported here and nowhere else
-    # in the rooms that must run without it.
+    # The core runs without MuJoCo, which only parses MJCF, so it is imported on first use.
     import mujoco  # noqa: PLC0415
 
-    bare = bare_mjcf(read_mjcf(path), path.parent)
-    # A warning is about simulating the robot; MuJoCo would write it to the working directory.
+    reduced = reduced_mjcf(read_mjcf(path), path.parent)
+    # Warnings concern simulation; MuJoCo would write them to the working directory.
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda warning: None)
     try:
-        compiled = mujoco.MjModel.from_xml_string(bare.text, bare.meshes)
+        compiled = mujoco.MjModel.from_xml_string(reduced.text, reduced.meshes)
     except (ValueError, mujoco.FatalError) as error:
-        reason = bare.located(str(error))
-        raise ModelError(f"{path}: MuJoCo cannot load the model: {reason}") from None
+        reason = reduced.located(str(error))
+        raise ModelError(f"{path}: MuJoCo cannot load the model: {reason}", "E113") from None
     finally:
         mujoco.set_mju_user_warning(handler)
     return compiled
 
 
 class _Reader:
-    """A compiled MuJoCo model while it is read."""
+    """Reads a compiled MuJoCo model."""
 
     FREE, BALL, SLIDE, HINGE = range(4)
 
@@ -100,13 +99,14 @@ class _Reader:
         m = self.m
         moving = {int(m.body_rootid[body]) for body in range(1, m.nbody) if m.body_jntnum[body]}
         if not moving:
-            raise ModelError(f"{self.source}: nothing moves in this model; it needs joints")
+            raise ModelError(f"{self.source}: no joint moves in this model; add joints", "E114")
         root = moving.pop() if len(moving) == 1 else 0
         if root == 0 or (m.body_jntnum[root] and self.FREE not in self._joint_kinds(root)):
             # A joint directly on the world: the world itself is the fixed base.
             if any(self.FREE in self._joint_kinds(body) for body in range(m.nbody)):
                 raise ModelError(
-                    f"{self.source}: more than one moving tree; remove what is not the robot"
+                    f"{self.source}: more than one moving tree; remove what is not the robot",
+                    "E114",
                 )
             return 0, list(range(m.nbody))
         return root, [body for body in range(1, m.nbody) if m.body_rootid[body] == root]
@@ -130,8 +130,8 @@ class _Reader:
     def _sites(self) -> dict[int, dict[str, tuple[FloatArray, FloatArray]]]:
         """Named sites by body, with their poses.
 
-        MuJoCo lets a site and a body share a name; to a ``frame_id`` it means the body,
-        and a site that lies elsewhere is called ``NAME:site``.
+        In MuJoCo a site and a body may share a name. A ``frame_id`` then means the body, and a
+        site at another pose is called ``NAME:site``.
         """
         m = self.m
         sites: dict[int, dict[str, tuple[FloatArray, FloatArray]]] = defaultdict(dict)
@@ -157,11 +157,13 @@ class _Reader:
         name = m.joint(joint).name
         if not name:
             body = m.body(m.jnt_bodyid[joint]).name
-            raise ModelError(f"{self.source}: a joint of body {body!r} has no name; name it")
+            raise ModelError(
+                f"{self.source}: a joint of body {body!r} has no name; name it", "E105"
+            )
         kind = m.jnt_type[joint]
         if kind not in (self.SLIDE, self.HINGE):
             raise ModelError(
-                f"{self.source}: joint {name!r} is a ball or inner free joint; use hinges"
+                f"{self.source}: joint {name!r} is a ball or inner free joint; use hinges", "E107"
             )
         moving: Literal["revolute", "prismatic"] = "revolute" if kind == self.HINGE else "prismatic"
         lower, upper = m.jnt_range[joint] if m.jnt_limited[joint] else (-np.inf, np.inf)
@@ -169,7 +171,7 @@ class _Reader:
             name,
             moving,
             np.array(m.jnt_axis[joint]),
-            # Where a slide's axis passes does not matter; the body's origin keeps it simple.
+            # The position of a slide's axis has no effect, so the body's origin is used.
             np.array(m.jnt_pos[joint]) if moving == "revolute" else np.zeros(3),
             float(m.qpos0[m.jnt_qposadr[joint]]),
             float(lower),
@@ -182,7 +184,7 @@ class _Reader:
 
     @cached_property
     def _efforts(self) -> FloatArray:
-        """(njnt,) largest effort of each joint's motors; zero without a motor."""
+        """(njnt,) maximum effort of each joint's motors; zero without a motor."""
         m = self.m
         efforts = np.zeros(m.njnt)
         for actuator in np.flatnonzero(m.actuator_trntype == 0):

@@ -1,4 +1,4 @@
-"""MJCF from anybody: includes, files and sizes, checked before MuJoCo sees anything of it."""
+"""An MJCF as XML: includes expanded, contents checked, and reduced for MuJoCo's compiler."""
 
 import os
 import re
@@ -15,12 +15,12 @@ import numpy as np
 from symbid_ros.errors import ModelError
 from symbid_ros.model.xml_file import LARGEST, MAX_ELEMENTS, Element, read_bytes, read_xml
 
-# Bodies and joints cost MuJoCo's compiler time and memory with their square.
+# MuJoCo's compiler needs time and memory quadratic in bodies and joints.
 MAX_BODIES = 2_000
 MAX_JOINTS = 1_000
 
-# Elements that load code or other models, or stand for bodies that are not written out.
-_REFUSED = {
+# Elements that load code or other models, or that generate bodies.
+_REJECTED = {
     "plugin": "plugins are not loaded",
     "extension": "plugins are not loaded",
     "attach": "other models are not loaded",
@@ -33,12 +33,12 @@ _BOUNDED = {
     *("pos", "mass", "diaginertia", "fullinertia", "size", "fromto", "density"),
     *("damping", "frictionloss", "armature", "ref"),
 }
-# Of an asset, a compiler setting or a skin: names of files and folders.
+# Attributes of assets, compiler settings and skins that name files or folders.
 _FILES = {"file", "fileup", "filedown", "fileleft", "fileright", "filefront", "fileback"}
 
-MAX_MESH_BYTES = 64 << 20  # of all meshes that decide inertias
+MAX_MESH_BYTES = 64 << 20  # of all meshes that determine inertias
 
-# What is left out is listed, not what is kept: MuJoCo is to refuse what it does not know.
+# Only omitted elements are listed, so that MuJoCo rejects unknown ones.
 _NO_SECTIONS = {
     *("size", "visual", "statistic", "custom", "contact", "deformable", "equality", "tendon"),
     *("sensor", "keyframe"),
@@ -58,18 +58,18 @@ def read_mjcf(path: Path) -> Element:
     Raises
     ------
     ModelError
-        When a file cannot be read, an include leaves the model's folder or comes twice, an
-        element would load code or another model, a number is not finite or absurd, or the
-        model is larger than the limits.
+        When a file cannot be read, an include is outside the model's folder or repeated, an
+        element would load code or another model, a number is not finite or outside a robot's
+        range, or the model exceeds a limit.
     """
     root = read_xml(path)
     if root.tag != "mujoco":
-        raise ModelError(f"{path}: the root element is <{root.tag}>, an MJCF has <mujoco>")
+        raise ModelError(f"{path}: the root element is <{root.tag}>, an MJCF has <mujoco>", "E104")
     _expand(root, path.parent, path.parent, {path.resolve()})
     for element in elements(root):
-        if element.tag in _REFUSED and element is not root:
+        if element.tag in _REJECTED and element is not root:
             raise ModelError(
-                f"{element.place}: <{element.tag}>: {_REFUSED[element.tag]}; remove it"
+                f"{element.place}: <{element.tag}>: {_REJECTED[element.tag]}; remove it", "E111"
             )
         for key, value in element.items():
             if key not in _NAMES:
@@ -77,53 +77,56 @@ def read_mjcf(path: Path) -> Element:
     for tag, limit in (("", MAX_ELEMENTS), ("body", MAX_BODIES), ("joint", MAX_JOINTS)):
         if _count(root, tag) > limit:
             what = {"": "elements", "body": "bodies", "joint": "joints"}[tag]
-            raise ModelError(f"{path}: more than {limit} {what}, the limit; reduce the model")
+            raise ModelError(
+                f"{path}: more than {limit} {what}, the limit; reduce the model", "E102"
+            )
     return root
 
 
-def inside(folder: Path, name: str, element: Element) -> Path:
-    """Return the path of a file that ``element`` names, which must lie in ``folder``.
+def resolve_inside(folder: Path, name: str, element: Element) -> Path:
+    """Return the path of a file that ``element`` names, which must be inside ``folder``.
 
     Raises
     ------
     ModelError
-        When it lies elsewhere, symbolic links followed.
+        When the file is elsewhere after resolving symbolic links.
     """
     try:
         target, home = (folder / name).resolve(), folder.resolve()
         if target.is_relative_to(home):
             return target
     except (OSError, ValueError, RuntimeError):
-        # A name too long, with a NUL, or of links that go round.
+        # The name is too long, contains NUL or is a loop of symbolic links.
         pass
     raise ModelError(
         f"{element.place}: {name!r} is not in the model's folder {folder}; copy it there and name "
-        "it by a relative path"
+        "it by a relative path",
+        "E110",
     )
 
 
 def included_file(element: Element, folder: Path, here: Path) -> Path:
-    """Return the file that is included: MuJoCo looks beside the model, then beside ``here``.
+    """Return the included file: MuJoCo looks beside the model, then beside ``here``.
 
     Raises
     ------
     ModelError
-        When it lies outside the model's ``folder``.
+        When the file is outside the model's ``folder``.
     """
     name = element.get("file", "")
-    file = inside(folder, name, element)
-    if os.path.isfile(file):  # also of names that are none
+    file = resolve_inside(folder, name, element)
+    if os.path.isfile(file):  # unlike Path.is_file, False for an invalid name
         return file
-    return inside(folder, os.path.relpath(here / name, folder), element)
+    return resolve_inside(folder, os.path.relpath(here / name, folder), element)
 
 
 def require_files_inside(path: Path) -> None:
-    """Refuse an MJCF that names files outside its own folder, before all of it is compiled.
+    """Reject an MJCF that names files outside its own folder.
 
     Raises
     ------
     ModelError
-        As :func:`read_mjcf`, or when a mesh, texture or height field lies elsewhere.
+        See :func:`read_mjcf`; also when a mesh, texture or height field is elsewhere.
     """
     root = read_mjcf(path)
     folders = {
@@ -137,18 +140,18 @@ def require_files_inside(path: Path) -> None:
         own = {"mesh": "meshdir", "skin": "meshdir", "texture": "texturedir"}.get(element.tag, "")
         for key in _FILES & set(element.keys()):
             name = element.get(key, "")
-            inside(path.parent, str(Path(folders.get(own, common)) / name), element)
+            resolve_inside(path.parent, str(Path(folders.get(own, common)) / name), element)
 
 
 def elements(root: Element) -> Iterator[Element]:
-    """Walk through a tree in the file's order."""
+    """Yield the elements of a tree in file order."""
     for element in root.iter():
         assert isinstance(element, Element)
         yield element
 
 
 def _expand(parent: Element, folder: Path, here: Path, seen: set[Path]) -> None:
-    """Put the content of included files where they are included."""
+    """Replace each <include> by the content of its file."""
     for child in list(parent):
         assert isinstance(child, Element)
         if child.tag != "include":
@@ -156,7 +159,7 @@ def _expand(parent: Element, folder: Path, here: Path, seen: set[Path]) -> None:
             continue
         file = included_file(child, folder, here)
         if file in seen:
-            raise ModelError(f"{child.place}: {file} is included twice; include it once")
+            raise ModelError(f"{child.place}: {file} is included twice; include it once", "E110")
         seen.add(file)
         included = read_xml(file)
         _expand(included, folder, file.parent, seen)
@@ -168,43 +171,46 @@ def _check_numbers(element: Element, key: str, value: str) -> None:
     limit = LARGEST if key in _BOUNDED else sys.float_info.max
     for word in value.split():
         try:
-            # MuJoCo also reads the hexadecimal numbers of C.
+            # MuJoCo also reads hexadecimal numbers as C does.
             number = float.fromhex(word) if "0x" in word.lower() else float(word)
         except ValueError:
-            continue  # a word, or MuJoCo says what is wrong with it
+            continue  # a keyword, or an error that MuJoCo reports
         except OverflowError:
             number = np.inf
         if not abs(number) <= limit:
             raise ModelError(
-                f'{element.place}: <{element.tag}> has {key}="{word}"; give a finite number of '
-                "a robot's size"
+                f'{element.place}: <{element.tag}> has {key}="{word}"; give a finite number in a '
+                "robot's range",
+                "E108",
             )
         if key == "mass" and number < 0:
-            raise ModelError(f'{element.place}: <{element.tag}> has mass="{word}"; give 0 or more')
+            raise ModelError(
+                f'{element.place}: <{element.tag}> has mass="{word}"; give 0 or more', "E108"
+            )
 
 
 def _count(element: ET.Element, tag: str) -> int:
-    """Return how many elements of a kind (all for "") there are once copies are made."""
+    """Return the number of elements with a tag ("" for all), copies of <replicate> included."""
     own = int(tag in ("", element.tag))
     below = sum(_count(child, tag) for child in element)
     if element.tag == "replicate":
-        with suppress(ValueError):  # MuJoCo says what is wrong with it
+        with suppress(ValueError):  # MuJoCo reports an invalid count
             below *= max(int(element.get("count", "1")), 1)
     return own + below
 
 
 @dataclass(frozen=True)
-class BareMjcf:
-    """What MuJoCo gets to compile.
+class ReducedMjcf:
+    """The input of MuJoCo's compiler.
 
     Attributes
     ----------
     text : str
-        MJCF, the start tag of one element on each line.
+        MJCF with one start tag per line.
     places : tuple of str
-        For each line, where that element is in the user's files.
+        For each line, the element's place in the user's files.
     meshes : dict of str to bytes
-        The files that the text names, so that MuJoCo opens none.
+        Contents of the files that the text names, so that MuJoCo opens no file.
     """
 
     text: str
@@ -212,7 +218,7 @@ class BareMjcf:
     meshes: dict[str, bytes]
 
     def located(self, message: str) -> str:
-        """Return MuJoCo's message with its line numbers as places in the user's files."""
+        """Return MuJoCo's message with line numbers replaced by places in the user's files."""
         return re.sub(r"line (\d+)", self._place, " ".join(message.split()))
 
     def _place(self, match: re.Match[str]) -> str:
@@ -220,45 +226,45 @@ class BareMjcf:
         return self.places[line - 1] if 0 < line <= len(self.places) else match[0]
 
 
-def bare_mjcf(root: Element, folder: Path) -> BareMjcf:
-    """Reduce a model to its moving bodies, without what is only seen, touched or controlled.
+def reduced_mjcf(root: Element, folder: Path) -> ReducedMjcf:
+    """Reduce a model to bodies, joints, inertias, sites and motors.
 
-    Shapes stay where a body takes its inertia from them, and their meshes with them: a
-    mesh that decides nothing need not exist.
+    Shapes and their meshes stay only where a body takes its inertia from them, so other meshes
+    need not exist.
 
     Parameters
     ----------
     root : Element
-        As :func:`read_mjcf` returns it.
+        Result of :func:`read_mjcf`.
     folder : Path
-        The model's.
+        Folder of the model.
 
     Raises
     ------
     ModelError
-        When a mesh that a body takes its inertia from is missing, too large, of another
-        format or outside ``folder``.
+        When a mesh that determines an inertia is missing, too large, of another format or
+        outside ``folder``.
     """
     compiler = {key: value for part in root.iterfind("compiler") for key, value in part.items()}
     reducer = _Reducer(compiler.get("inertiafromgeom") == "true")
-    bare = Element(root.tag, root.attrib)
-    bare.file, bare.line = root.file, root.line
+    reduced = Element(root.tag, root.attrib)
+    reduced.file, reduced.line = root.file, root.line
     for section in root:
         if section.tag not in _NO_SECTIONS:
-            bare.append(reducer.section(section))
-    meshes = _take_meshes(bare, folder, compiler)
-    # The range of a muscle is found by simulating it, for as long as the file demands.
+            reduced.append(reducer.section(section))
+    meshes = _take_meshes(reduced, folder, compiler)
+    # MuJoCo finds the range of a muscle by simulation, which may take arbitrarily long.
     no_ranges = Element("lengthrange", mode="none")
-    bare.insert(0, Element("compiler"))
-    bare[0].append(no_ranges)
+    reduced.insert(0, Element("compiler"))
+    reduced[0].append(no_ranges)
     lines: list[str] = []
     places: list[str] = []
-    _write(bare, lines, places)
-    return BareMjcf("\n".join(lines), tuple(places), meshes)
+    _write(reduced, lines, places)
+    return ReducedMjcf("\n".join(lines), tuple(places), meshes)
 
 
 class _Reducer:
-    """Copies the parts of a model that decide its tree and its inertias."""
+    """Copies the parts of a model that determine its tree and inertias."""
 
     def __init__(self, inertia_from_shapes: bool) -> None:
         self._inertia_from_shapes = inertia_from_shapes
@@ -281,7 +287,7 @@ class _Reducer:
             if child.tag in left_out:
                 continue
             below = _copied(child)
-            # Looks, which name materials that are not there.
+            # Materials are omitted, so references to them must go.
             below.attrib.pop("material", None)
             copy.append(below)
             if child.tag == "body":
@@ -302,12 +308,12 @@ def _states_inertia(body: ET.Element) -> bool:
     )
 
 
-def _take_meshes(bare: Element, folder: Path, compiler: dict[str, str]) -> dict[str, bytes]:
-    """Read the meshes that shapes still name, and drop the others."""
-    used = {shape.get("mesh") for shape in elements(bare) if shape.tag == "geom"}
+def _take_meshes(reduced: Element, folder: Path, compiler: dict[str, str]) -> dict[str, bytes]:
+    """Read the meshes that the remaining shapes name, and remove the others."""
+    used = {shape.get("mesh") for shape in elements(reduced) if shape.tag == "geom"}
     own = Path(compiler.get("meshdir", compiler.get("assetdir", "")))
     meshes: dict[str, bytes] = {}
-    for section in bare.iterfind("asset"):
+    for section in reduced.iterfind("asset"):
         for mesh in list(section):
             assert isinstance(mesh, Element)
             file = mesh.get("file")
@@ -315,14 +321,15 @@ def _take_meshes(bare: Element, folder: Path, compiler: dict[str, str]) -> dict[
             if name not in used:
                 section.remove(mesh)
             elif "builtin" in mesh.attrib:
-                # Its size is a number in the file: a short line can keep MuJoCo busy for hours.
+                # Its resolution is a number in the file, which can keep MuJoCo busy for hours.
                 raise ModelError(
                     f"{mesh.place}: a body takes its inertia from a built-in mesh; give that body "
-                    "an <inertial>"
+                    "an <inertial>",
+                    "E111",
                 )
             elif file is not None:
                 within = Path(file).name if compiler.get("strippath") == "true" else file
-                path = inside(folder, str(own / within), mesh)
+                path = resolve_inside(folder, str(own / within), mesh)
                 key = f"{len(meshes)}{path.suffix.lower()}"
                 left = MAX_MESH_BYTES - sum(map(len, meshes.values()))
                 meshes[key] = _mesh(path, left, mesh)
@@ -333,18 +340,21 @@ def _take_meshes(bare: Element, folder: Path, compiler: dict[str, str]) -> dict[
 
 def _mesh(path: Path, limit: int, element: Element) -> bytes:
     if path.suffix.lower() not in _MESH_FORMATS:
-        raise ModelError(f"{element.place}: {path} is no mesh; name a .stl, .obj or .msh file")
+        raise ModelError(
+            f"{element.place}: {path} is not a mesh; name a .stl, .obj or .msh file", "E112"
+        )
     try:
         return read_bytes(path, limit)
     except ModelError as error:
         raise ModelError(
             f"{element.place}: a body takes its inertia from this mesh; supply it or give that "
-            f"body an <inertial> ({error})"
+            f"body an <inertial> ({error})",
+            "E112",
         ) from None
 
 
 def _copied(element: ET.Element) -> Element:
-    """Return the element without its children."""
+    """Return a copy of the element without its children."""
     assert isinstance(element, Element)
     copy = Element(element.tag, element.attrib)
     copy.file, copy.line = element.file, element.line

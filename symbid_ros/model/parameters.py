@@ -1,4 +1,4 @@
-"""The parameter vector: which columns the regressor has, and what they are called."""
+"""The parameter vector φ: the columns of the regressor, their names, units and values."""
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
@@ -13,8 +13,8 @@ from symbid_ros.errors import ModelError
 from symbid_ros.model.inertia import PARAMETERS, UNITS
 from symbid_ros.model.tree import Joint, RobotModel
 
-# The joint's field that a model file states; a torque offset belongs to a drive, not to a file.
-_STATED: dict[Term, Literal["damping", "friction_loss", "armature"]] = {
+# Fields of a joint that a model file may give. No format has a torque offset.
+_FIELDS: dict[Term, Literal["damping", "friction_loss", "armature"]] = {
     "viscous": "damping",
     "coulomb": "friction_loss",
     "armature": "armature",
@@ -31,34 +31,35 @@ _UNITS: dict[Term, dict[str, str]] = {
 class ParameterSet:
     """The standard parameters of a robot, Eq. 2.27–2.28 and 2.49, in column order.
 
-    First ten per link that has parameters of its own, base first; then, for each of
-    ``terms``, one per joint.
+    Each link that is not virtual has ten parameters, base first. They are followed by one
+    parameter per joint for each of ``terms``.
 
     Attributes
     ----------
     model : RobotModel
         The robot.
     terms : tuple of {"viscous", "coulomb", "armature", "offset"}
-        What a joint's drive adds to its row: viscous q̇, Coulomb sign(q̇), armature q̈
-        (the reflected inertia of rotor and gear) and a constant offset. Kept in
-        this order, however given.
+        Terms that a drive adds to its joint's row: viscous q̇, Coulomb sign(q̇), armature q̈
+        (the reflected inertia of rotor and gear) and a constant offset. They are sorted in this
+        order.
 
     Raises
     ------
     ModelError
-        When a term is none of these.
+        When a term is unknown.
     """
 
     model: RobotModel
     terms: tuple[Term, ...] = ()
 
     def __post_init__(self) -> None:
-        """Bring the terms into their order."""
+        """Check and sort the terms."""
         unknown = [term for term in self.terms if term not in TERMS]
         if unknown:
             raise ModelError(
                 f"{self.model.source}: a joint has no term {unknown[0]!r}; choose from "
-                f"{', '.join(TERMS)}"
+                f"{', '.join(TERMS)}",
+                "E117",
             )
         object.__setattr__(self, "terms", tuple(term for term in TERMS if term in self.terms))
 
@@ -74,12 +75,12 @@ class ParameterSet:
 
     @property
     def inertial(self) -> int:
-        """Number of inertial parameters; they come before the joints' terms."""
+        """Number of inertial parameters, which come before the joint terms."""
         return 10 * len(self.links)
 
     @cached_property
     def term_columns(self) -> dict[Term, slice]:
-        """Columns of each term in use, one per joint in the model's order."""
+        """Columns of each term in use, one per joint in model order."""
         joints = len(self.model.joints)
         starts = (self.inertial + joints * position for position in range(len(self.terms)))
         return {
@@ -89,7 +90,7 @@ class ParameterSet:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """``<link>/<m|mc_x|…|Izz>``, then ``<joint>/<term>`` with all joints of a term together."""
+        """Names ``<link>/<m|mc_x|…|Izz>``, then ``<joint>/<term>`` grouped by term."""
         inertial = [f"{link}/{name}" for link in self.link_names for name in PARAMETERS]
         joint = [f"{joint}/{term}" for term in self.terms for joint in self.model.joint_names]
         return (*inertial, *joint)
@@ -105,21 +106,21 @@ class ParameterSet:
 
     @cached_property
     def values(self) -> FloatArray:
-        """(p,) parameters of the model file; what it does not state of a joint is zero."""
+        """(p,) parameters of the model file; joint terms that it does not give are zero."""
         values = np.zeros(len(self))
         values[: self.inertial] = self.model.phi[self.links].ravel()
         for term, columns in self.term_columns.items():
-            values[columns] = [_stated(joint, term) for joint in self.model.joints]
+            values[columns] = [_file_value(joint, term) for joint in self.model.joints]
         return values
 
     @cached_property
     def known_terms(self) -> dict[Term, FloatArray]:
-        """(J,) values of each term that is not in use but stated by the model file.
+        """(J,) values of each term that the model file gives but φ does not contain.
 
-        They are taken as known, so they are part of the equation of motion but not of φ.
+        The equation of motion takes them as known.
         """
         stated = {
-            term: np.array([_stated(joint, term) for joint in self.model.joints])
+            term: np.array([_file_value(joint, term) for joint in self.model.joints])
             for term in TERMS
             if term not in self.terms
         }
@@ -127,7 +128,7 @@ class ParameterSet:
 
     @property
     def known_values(self) -> dict[str, float]:
-        """The same as ``<joint>/<term>`` and value, without zeros."""
+        """Non-zero known terms by name, ``<joint>/<term>``."""
         return {
             f"{joint}/{term}": value
             for term, values in self.known_terms.items()
@@ -136,13 +137,13 @@ class ParameterSet:
         }
 
     def with_known_values(self, known: Mapping[str, float]) -> "ParameterSet":
-        """Return the same parameters with these known terms, and no others."""
+        """Return the same parameters with exactly these known terms."""
         joints = tuple(
             replace(
                 joint,
                 **{
                     field: known.get(f"{joint.name}/{term}", 0.0)
-                    for term, field in _STATED.items()
+                    for term, field in _FIELDS.items()
                     if term not in self.terms
                 },  # type: ignore[arg-type]
             )
@@ -155,24 +156,24 @@ class ParameterSet:
         return values[: self.inertial].reshape(-1, 10)
 
     def apply(self, values: FloatArray) -> RobotModel:
-        """Return the robot with the parameters (p,); joints keep the terms not in use."""
+        """Return the robot with parameters (p,); joints keep their other terms."""
         phi = np.zeros((len(self.model.links), 10))
         phi[self.links] = self.link_phi(values)
         joints = list(self.model.joints)
         for term, columns in self.term_columns.items():
-            if term in _STATED:
+            if term in _FIELDS:
                 joints = [
-                    replace(joint, **{_STATED[term]: value})
+                    replace(joint, **{_FIELDS[term]: value})
                     for joint, value in zip(joints, values[columns].tolist(), strict=True)
                 ]
         return replace(self.model.with_phi(phi), joints=tuple(joints))
 
 
 def terms_in(names: Collection[str]) -> tuple[Term, ...]:
-    """Return the terms that parameter names are about."""
+    """Return the joint terms that occur in parameter names."""
     kinds = {name.rpartition("/")[2] for name in names}
     return tuple(term for term in TERMS if term in kinds)
 
 
-def _stated(joint: Joint, term: Term) -> float:
-    return float(getattr(joint, _STATED[term])) if term in _STATED else 0.0
+def _file_value(joint: Joint, term: Term) -> float:
+    return float(getattr(joint, _FIELDS[term])) if term in _FIELDS else 0.0

@@ -1,4 +1,4 @@
-"""Rotations at the border: URDF's rpy, MuJoCo's wxyz, ROS's xyzw."""
+"""Conversions between rotation matrices, URDF's rpy and the quaternions of MuJoCo and ROS."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from symbid_ros.arrays import FloatArray
 
 
 def rotation_from_rpy(rpy: FloatArray) -> FloatArray:
-    """Return the (3, 3) rotation of fixed-axis roll, pitch, yaw in rad (URDF)."""
+    """Return the rotation (3, 3) of fixed-axis roll, pitch, yaw in rad (URDF)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
     return np.array(
         [
@@ -20,7 +20,7 @@ def rotation_from_rpy(rpy: FloatArray) -> FloatArray:
 def rpy_from_rotation(rotation: FloatArray) -> FloatArray:
     """Return fixed-axis roll, pitch, yaw (3,) in rad of a (3, 3) rotation.
 
-    At gimbal lock (pitch ±90°) roll is set to zero and yaw carries the rest.
+    At gimbal lock (pitch ±90°) roll is zero and yaw takes the remaining rotation.
     """
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
     if np.hypot(rotation[0, 0], rotation[1, 0]) > 1e-9:
@@ -35,8 +35,8 @@ def rpy_from_rotation(rotation: FloatArray) -> FloatArray:
 def rotation_from_quaternion(wxyz: FloatArray) -> FloatArray:
     """Return the (..., 3, 3) rotations of quaternions (..., 4), scalar first.
 
-    The quaternions are normalised here, so that rounding in a file or a
-    message does not shear space.
+    The quaternions are normalised first, so rounding in a file or message has no effect on
+    orthogonality.
     """
     w, x, y, z = np.moveaxis(wxyz / np.linalg.norm(wxyz, axis=-1, keepdims=True), -1, 0)
     rows = [
@@ -53,10 +53,10 @@ def rotation_from_xyzw(xyzw: FloatArray) -> FloatArray:
 
 
 def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
-    """Return the unit quaternion (4,), scalar first and non-negative, of a rotation.
+    """Return the unit quaternion (4,) of a rotation, scalar first and non-negative.
 
-    The largest component is found first (Shepperd's method), which keeps full
-    precision for every rotation.
+    Shepperd's method divides by the largest component, which keeps full precision for every
+    rotation.
     """
     m = rotation
     squares = np.array(

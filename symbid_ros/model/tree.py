@@ -23,7 +23,7 @@ class Link:
     phi : (10,) float64
         Inertial parameters about the link's origin, see :mod:`symbid_ros.model.inertia`.
     virtual : bool
-        A frame between two joints of one MJCF body; it has no parameters of its own.
+        Whether the link is only a frame between two joints of one MJCF body, without parameters.
     """
 
     name: str
@@ -33,12 +33,12 @@ class Link:
 
 @dataclass(frozen=True)
 class Mimic:
-    """How a joint follows another: position = multiplier × the leader's + offset.
+    """A joint that follows a leader: position = multiplier × the leader's + offset.
 
     Attributes
     ----------
     leader : int
-        Index of the joint that it follows, which follows none itself.
+        Index of the joint that it follows. A leader follows no other joint.
     multiplier, offset : float
         As in URDF's ``<mimic>``; the offset in rad or m.
     """
@@ -57,7 +57,7 @@ class Joint:
     name : str
         Joint name.
     kind : {"revolute", "prismatic"}
-        Continuous joints are revolute.
+        A continuous joint is revolute.
     parent : int
         Index of the parent link, always smaller than the child's.
     rotation, translation : (3, 3) and (3,) float64
@@ -65,17 +65,16 @@ class Joint:
     axis : (3,) float64
         Unit vector in the child's frame.
     reference : float
-        Position at which the pose above holds, rad or m (MJCF ``ref``).
+        Position at which this pose holds, rad or m (MJCF ``ref``).
     lower, upper : float
         Position limits, infinite where the file sets none.
     effort : float
         Largest effort, Nm or N; zero for a passive joint, infinite where unknown.
     damping, friction_loss, armature : float
         Viscous friction (Nm s/rad or N s/m), Coulomb friction (Nm or N) and the inertia of
-        rotor and gear reflected to the joint (kg m² or kg), as the file states them.
+        rotor and gear reflected to the joint (kg m² or kg), as given in the file.
     mimic : Mimic or None
-        The joint that it follows. It has no equation of motion of its own: what it feels is
-        part of its leader's.
+        The joint that it follows. Its generalised force is added to its leader's.
     """
 
     name: str
@@ -116,7 +115,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class RobotModel:
-    """Kinematics and inertias of a robot; nothing in here knows how many legs it has.
+    """Kinematics and inertias of any robot that is a tree of links.
 
     Attributes
     ----------
@@ -131,10 +130,9 @@ class RobotModel:
     floating : bool
         Whether the base is free to move.
     gravity : (3,) float64
-        Gravity in m/s²: in world axes for a floating base, in the base's axes
-        for a fixed one.
+        Gravity in m/s²: in world axes for a floating base, in base axes for a fixed one.
     source : str
-        File it came from, for messages.
+        Path of the model file, for messages.
     """
 
     name: str
@@ -146,12 +144,12 @@ class RobotModel:
     source: str
 
     def __post_init__(self) -> None:
-        """Refuse names that would make a parameter or a frame ambiguous."""
+        """Reject duplicate names of links and joints."""
         for kind, names in (("link", self.link_names), ("joint", self.joint_names)):
             if len(set(names)) != len(names):
                 twice = sorted({name for name in names if names.count(name) > 1})
                 raise ModelError(
-                    f"{self.source}: {kind} name {twice[0]!r} is used twice; rename one"
+                    f"{self.source}: {kind} name {twice[0]!r} is used twice; rename one", "E105"
                 )
 
     @cached_property
@@ -171,11 +169,11 @@ class RobotModel:
 
     @cached_property
     def measured_joint_names(self) -> tuple[str, ...]:
-        """Names of the joints that follow no other: a log must hold these."""
+        """Names of the joints without a leader, which a log must contain."""
         return tuple(joint.name for joint in self.joints if joint.mimic is None)
 
     def apply_mimics(self, values: FloatArray, *, rates: bool = False) -> FloatArray:
-        """Return joint positions (N, J), or rates, in which joints follow their leaders."""
+        """Return joint positions (N, J), or rates, with those of mimic joints computed."""
         if not self.followers:
             return values
         complete = values.copy()
@@ -185,12 +183,12 @@ class RobotModel:
         return complete
 
     def fold_followers(self, force: FloatArray) -> None:
-        """Add what following joints feel to their leaders, by virtual work, in place.
+        """Add the forces of mimic joints to their leaders (virtual work), in place.
 
         Parameters
         ----------
         force : (N, n, ...) float64
-            Rows of the n coordinates; those of following joints become zero.
+            Rows of the n coordinates. The rows of mimic joints become zero.
         """
         first = 6 * self.floating
         for joint, mimic in self.followers.items():
@@ -199,7 +197,7 @@ class RobotModel:
 
     @cached_property
     def ancestors(self) -> BoolArray:
-        """(J, L) whether joint j lies between the base and link l: Eq. 10's δ_j(l)."""
+        """(J, L) whether joint j lies between the base and link l, δ_j(l) of Eq. 10."""
         table = np.zeros((len(self.joints), len(self.links)), dtype=bool)
         for index, joint in enumerate(self.joints):
             table[:, index + 1] = table[:, joint.parent]
@@ -218,7 +216,7 @@ class RobotModel:
         return (*(base if self.floating else []), *self.joint_names)
 
     def frame(self, name: str) -> Frame:
-        """Return the frame called ``name``; a link's name is the link's own frame.
+        """Return a frame by its name. The name of a link means the link's own frame.
 
         Raises
         ------
@@ -233,7 +231,8 @@ class RobotModel:
         known = ", ".join([*(frame.name for frame in self.frames), *self.link_names])
         raise ModelError(
             f"{self.source}: no frame or link {name!r}; add it to the model or remap the "
-            f"header.frame_id to one of: {known}"
+            f"header.frame_id to one of: {known}",
+            "E116",
         )
 
     def with_phi(self, phi: FloatArray) -> "RobotModel":

@@ -31,24 +31,24 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
     path : Path
         The file.
     base : {"auto", "floating", "fixed"}
-        A URDF does not say whether its root is bolted down. With "auto" it floats
-        (REP-105's ``base_link``) unless the root is a massless link named
-        ``world``, whose joint then decides.
+        A URDF does not say whether its root is fixed. With "auto" the root floats (REP-105's
+        ``base_link``) unless it is a massless link named ``world``, whose joint then decides.
 
     Raises
     ------
     ModelError
-        When the file is refused by :func:`symbid_ros.model.xml_file.read_xml`, is not a URDF
-        (yet: xacro), describes no tree, or has numbers that no robot has.
+        When the file cannot be read, is not a URDF (for example xacro), is not a tree, or has a
+        number outside a robot's range.
     """
     robot = read_xml(path)
     if robot.tag != "robot":
-        raise ModelError(f"{path}: the root element is <{robot.tag}>, a URDF has <robot>")
+        raise ModelError(f"{path}: the root element is <{robot.tag}>, a URDF has <robot>", "E104")
     for element in robot:
         if element.tag.startswith("xacro:"):
             raise ModelError(
                 f"{place(element)}: <{element.tag}> is xacro; run `xacro {path.name} > "
-                f"{_expanded_name(path)}` and give that file"
+                f"{_expanded_name(path)}` and give that file",
+                "E104",
             )
     reader = UrdfReader(str(path), robot)
     bodies, world_joint = reader.bodies()
@@ -60,13 +60,13 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
 
 
 def _expanded_name(path: Path) -> str:
-    """Return a name for what xacro makes of a file: the same without .xacro, never itself."""
+    """Return a name for the output of xacro: without .xacro, and never the input itself."""
     stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
     return f"{stem}.urdf" if path.name != f"{stem}.urdf" else f"{stem}_expanded.urdf"
 
 
 class UrdfReader:
-    """One URDF while it is read: links and joints by name."""
+    """Reads the links and joints of one URDF by name."""
 
     def __init__(self, source: str, robot: ET.Element) -> None:
         self.source = source
@@ -75,7 +75,8 @@ class UrdfReader:
         for link in robot.findall("link"):
             if self._name(link) in self.links:
                 raise ModelError(
-                    f"{place(link)}: link name {self._name(link)!r} is used twice; rename one"
+                    f"{place(link)}: link name {self._name(link)!r} is used twice; rename one",
+                    "E105",
                 )
             self.links[self._name(link)] = link
         self.joints = robot.findall("joint")
@@ -85,7 +86,8 @@ class UrdfReader:
             parent, child = self._end(joint, "parent"), self._end(joint, "child")
             if child in self.moved:
                 raise ModelError(
-                    f"{place(joint)}: link {child!r} is the child of two joints; a URDF is a tree"
+                    f"{place(joint)}: link {child!r} is the child of two joints; a URDF is a tree",
+                    "E106",
                 )
             self.children[parent].append(joint)
             self.moved.add(child)
@@ -95,7 +97,9 @@ class UrdfReader:
         roots = [name for name in self.links if name not in self.moved]
         if len(roots) != 1:
             found = ", ".join(roots) or "none"
-            raise ModelError(f"{self.source}: a URDF has one root link, found {found}; join them")
+            raise ModelError(
+                f"{self.source}: a URDF has one root link, found {found}; join them", "E106"
+            )
         root, world_joint = roots[0], None
         below = self.children[root]
         if root == "world" and self.links[root].find("inertial") is None and len(below) == 1:
@@ -109,8 +113,9 @@ class UrdfReader:
         below_root = len(self.links) - (root != roots[0])
         if len(bodies) != below_root:
             raise ModelError(
-                f"{self.source}: {below_root - len(bodies)} links hang in a loop of joints apart "
-                f"from {root!r}; a URDF is a tree"
+                f"{self.source}: {below_root - len(bodies)} links are in a loop of joints that is "
+                f"not connected to {root!r}; a URDF is a tree",
+                "E106",
             )
         return bodies, world_joint
 
@@ -121,7 +126,8 @@ class UrdfReader:
         if len(chain) > MAX_DEPTH:
             raise ModelError(
                 f"{place(self.links[name])}: link {name!r} is the end of a chain of more than "
-                f"{MAX_DEPTH} links; shorten it"
+                f"{MAX_DEPTH} links; shorten it",
+                "E102",
             )
         rotation, translation = (np.eye(3), np.zeros(3)) if joint is None else self.pose(joint)
         moving = () if joint is None else self._body_joints(joint)
@@ -136,8 +142,9 @@ class UrdfReader:
             return ()
         if kind not in _MOVING:
             raise ModelError(
-                f"{place(joint)}: joint {name!r} is {kind!r}; revolute, continuous, prismatic and "
-                "fixed joints are known (floating only below a massless root link 'world')"
+                f"{place(joint)}: joint {name!r} is {kind!r}; use revolute, continuous, prismatic "
+                "or fixed (floating only below a massless root link 'world')",
+                "E107",
             )
         limit, dynamics = joint.find("limit"), joint.find("dynamics")
         lower, upper = (self._number(limit, key) for key in ("lower", "upper"))
@@ -171,24 +178,26 @@ class UrdfReader:
         axis = self._vector(joint.find("axis"), "xyz", np.array([1.0, 0.0, 0.0]))
         if np.linalg.norm(axis) < _SHORTEST_AXIS:
             raise ModelError(
-                f"{place(joint)}: joint {self._name(joint)!r} has a zero axis; give it a direction"
+                f"{place(joint)}: joint {self._name(joint)!r} has a zero axis; give it a direction",
+                "E108",
             )
         return axis
 
     def phi(self, name: str) -> FloatArray:
-        """Return φ (10,) of a link, about its own origin, as the file states it."""
+        """Return φ (10,) of a link in the file, about the link's origin."""
         inertial = self.links[name].find("inertial")
         if inertial is None:
             return np.zeros(10)
         mass, inertia = inertial.find("mass"), inertial.find("inertia")
         if mass is None or inertia is None:
             raise ModelError(
-                f"{place(inertial)}: <inertial> of link {name!r} lacks mass or inertia; add it"
+                f"{place(inertial)}: <inertial> of link {name!r} lacks mass or inertia; add it",
+                "E108",
             )
         kilograms = self._number(mass, "value", LARGEST)
         if kilograms is None or kilograms < 0:
             raise ModelError(
-                f"{place(mass)}: link {name!r} needs a mass of 0 kg or more; correct it"
+                f"{place(mass)}: link {name!r} needs a mass of 0 kg or more; correct it", "E108"
             )
         value = {key: self._number(inertia, key, LARGEST) or 0.0 for key in _PRODUCTS}
         matrix = np.array([[value["i" + "".join(sorted(a + b))] for b in "xyz"] for a in "xyz"])
@@ -206,7 +215,9 @@ class UrdfReader:
             return default
         words = element.attrib[key].split()
         if len(words) != 3:
-            raise ModelError(f'{place(element)}: {key}="{element.attrib[key]}" needs three numbers')
+            raise ModelError(
+                f'{place(element)}: {key}="{element.attrib[key]}" needs three numbers', "E108"
+            )
         return np.array([self._finite(element, key, word, LARGEST) for word in words])
 
     def _number(
@@ -223,19 +234,20 @@ class UrdfReader:
         except ValueError:
             remedy = "run xacro first" if "${" in word else "correct it"
             raise ModelError(
-                f"{place(element)}: {key}={word!r} is not a number; {remedy}"
+                f"{place(element)}: {key}={word!r} is not a number; {remedy}", "E108"
             ) from None
         if not abs(number) <= largest:
             raise ModelError(
-                f"{place(element)}: {key}={word!r} is not finite or no robot's; correct it, or "
-                "leave out what is unlimited"
+                f"{place(element)}: {key}={word!r} is not finite or outside a robot's range; "
+                "correct it, or remove the limit",
+                "E108",
             )
         return number
 
     def _name(self, element: ET.Element) -> str:
         name = element.get("name")
         if not name:
-            raise ModelError(f"{place(element)}: a <{element.tag}> has no name; name it")
+            raise ModelError(f"{place(element)}: a <{element.tag}> has no name; name it", "E105")
         return name
 
     def _end(self, joint: ET.Element, end: str) -> str:
@@ -243,7 +255,9 @@ class UrdfReader:
         name = None if element is None else element.get("link")
         if name is None or name not in self.links:
             raise ModelError(
-                f"{place(joint)}: joint {self._name(joint)!r} has an unknown {end} link {name!r}"
+                f"{place(joint)}: joint {self._name(joint)!r} has an unknown {end} link {name!r}; "
+                "define that link or correct the name",
+                "E106",
             )
         return name
 

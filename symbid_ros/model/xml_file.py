@@ -1,4 +1,4 @@
-"""XML from anybody, read within limits; every element knows the line it comes from."""
+"""XML model files: read within limits, with line numbers, and edited byte by byte."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -14,10 +14,10 @@ from symbid_ros.user_files import read_regular
 
 MAX_BYTES = 4 << 20
 MAX_ELEMENTS = 10_000
-# Several times those of any element of either format; MuJoCo's parser takes time with the square.
+# Several times those of any element of either format. MuJoCo's parser needs quadratic time.
 MAX_ATTRIBUTES = 200
 MAX_DEPTH = 200
-LARGEST = 1e9  # SI units; no mass, length or inertia of a robot is as large
+LARGEST = 1e9  # SI units; above any mass, length or inertia of a robot
 
 _HEAD = re.compile(rb"""<[^\s/>]+((?:\s+[^\s=]+\s*=\s*(?:"[^"]*"|'[^']*'))*)(\s*/?>)""")
 _ATTRIBUTE = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
@@ -30,11 +30,11 @@ class Element(ET.Element):
     Attributes
     ----------
     file : Path
-        The file.
+        Path of the file.
     line : int
-        Line of its start tag.
+        Line of the start tag.
     start, close : int
-        Byte offsets of its start tag and of its end tag in the file; equal for ``<a/>``.
+        Byte offsets of the start tag and the end tag in the file; equal for ``<a/>``.
     """
 
     file: Path = Path()
@@ -44,7 +44,7 @@ class Element(ET.Element):
 
     @property
     def place(self) -> str:
-        """File and line of its start tag, for messages."""
+        """File and line of the start tag, for messages."""
         return f"{self.file}: line {self.line}"
 
 
@@ -54,27 +54,26 @@ def read_xml(path: Path) -> Element:
     Raises
     ------
     ModelError
-        When the file cannot be read, is not XML, declares a document type (and with it
-        entities, which may expand without end or read other files), is larger than
-        ``MAX_BYTES``, or has more than ``MAX_ELEMENTS`` elements, ``MAX_DEPTH`` levels or
-        ``MAX_ATTRIBUTES`` attributes of an element.
+        When the file cannot be read, is not XML or exceeds a limit: ``MAX_BYTES``,
+        ``MAX_ELEMENTS``, ``MAX_DEPTH`` levels or ``MAX_ATTRIBUTES`` of an element. A document
+        type is rejected too, because its entities may expand without end or read other files.
     """
     return _Builder(path).root(read_bytes(path, MAX_BYTES))
 
 
 def as_element(element: ET.Element | None) -> Element:
-    """Return an element that :func:`read_xml` has read, as what it is."""
+    """Return an element of :func:`read_xml` with its own type."""
     assert isinstance(element, Element)
     return element
 
 
 def place(element: ET.Element) -> str:
-    """Return the file and line that an element of :func:`read_xml` comes from."""
+    """Return the file and line of an element of :func:`read_xml`."""
     return as_element(element).place
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """Return what a regular file holds.
+    """Return the content of a regular file.
 
     Raises
     ------
@@ -85,14 +84,14 @@ def read_bytes(path: Path, limit: int) -> bytes:
         return read_regular(path, limit)
     except OSError as error:
         raise ModelError(
-            f"{path}: cannot read the model ({error.strerror}); check the path"
+            f"{path}: cannot read the model ({error.strerror}); check the path", "E101"
         ) from None
     except ValueError as error:
-        raise ModelError(f"{path}: {error}; reduce it") from None
+        raise ModelError(f"{path}: {error}; reduce it", "E102") from None
 
 
 class _Builder:
-    """One file while expat reads it."""
+    """Builds the tree of one file from expat's events."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -108,9 +107,9 @@ class _Builder:
         try:
             self._parser.Parse(content, True)
         except (expat.ExpatError, ValueError, LookupError) as error:
-            # Unknown encodings come as ValueError or LookupError.
+            # Expat raises ValueError or LookupError for unknown encodings.
             raise ModelError(
-                f"{self._path}: not well-formed XML ({error}); correct the file"
+                f"{self._path}: not well-formed XML ({error}); correct the file", "E103"
             ) from None
         (root,) = self._top
         assert isinstance(root, Element)
@@ -122,15 +121,19 @@ class _Builder:
         element.file, element.line = self._path, self._parser.CurrentLineNumber
         element.start = self._parser.CurrentByteIndex
         if self._count > MAX_ELEMENTS:
-            raise ModelError(f"{element.place}: more than {MAX_ELEMENTS} elements; split the model")
+            raise ModelError(
+                f"{element.place}: more than {MAX_ELEMENTS} elements; split the model", "E102"
+            )
         if len(attributes) > MAX_ATTRIBUTES:
             raise ModelError(
                 f"{element.place}: <{tag}> has more than {MAX_ATTRIBUTES} attributes; remove those "
-                "that its format does not know"
+                "that its format does not know",
+                "E102",
             )
         if len(self._open) > MAX_DEPTH:
             raise ModelError(
-                f"{element.place}: <{tag}> is more than {MAX_DEPTH} levels deep; flatten the model"
+                f"{element.place}: <{tag}> is more than {MAX_DEPTH} levels deep; flatten the model",
+                "E102",
             )
         self._open[-1].append(element)
         self._open.append(element)
@@ -142,12 +145,13 @@ class _Builder:
         line = self._parser.CurrentLineNumber
         raise ModelError(
             f"{self._path}: line {line}: a <!DOCTYPE> is not accepted; remove it and write "
-            "entities out"
+            "entities out",
+            "E103",
         )
 
 
 class XmlEditor:
-    """Changes attributes and inserts elements; comments, order and white space stay.
+    """Changes attributes and inserts elements; every other byte of the file stays.
 
     The file must use an encoding that contains ASCII, see :func:`is_editable`.
 
@@ -162,7 +166,7 @@ class XmlEditor:
         self._edits: list[tuple[int, int, bytes]] = []
 
     def set(self, element: Element, key: str, value: str) -> None:
-        """Replace the value of an attribute in place, or add the attribute as the last one."""
+        """Replace the value of an attribute in place, or append the attribute."""
         markup = quoteattr(value).encode("ascii", "xmlcharrefreplace")
         attribute = self._attribute(element, key)
         if attribute is not None:
@@ -176,7 +180,7 @@ class XmlEditor:
     ) -> None:
         """Replace those numbers of an attribute that differ by more than ``rounding``.
 
-        An attribute that is missing stands for zeros.
+        A missing attribute means zeros.
         """
         attribute = self._attribute(element, key)
         if attribute is None or b"&" in attribute[2]:
@@ -191,7 +195,7 @@ class XmlEditor:
                 self._edits.append((start + word.start(), start + word.end(), number))
 
     def drop(self, element: Element, key: str) -> None:
-        """Remove an attribute, if the element has it."""
+        """Remove an attribute if the element has it."""
         attribute = self._attribute(element, key)
         if attribute is not None:
             self._edits.append((*attribute.span(), b""))
@@ -199,8 +203,8 @@ class XmlEditor:
     def insert(self, parent: Element, *markup: str, last: bool = False) -> None:
         """Insert an element, one line of markup per argument, as the first or last child.
 
-        It is indented like the child that it precedes or follows. A parent written as
-        ``<a/>`` takes one insertion.
+        It is indented like the child that it precedes or follows. A parent written as ``<a/>``
+        accepts one insertion only.
         """
         head = self._head(parent)
         newline = b"\r\n" if b"\r\n" in self._content else b"\n"
@@ -228,8 +232,8 @@ class XmlEditor:
     def text(self) -> str:
         """Return the edited file.
 
-        Bytes that are not UTF-8, such as a comment in Latin-1, become surrogates, from which
-        :func:`symbid_ros.atomic_write.write_text` makes the same bytes again.
+        Bytes that are not UTF-8, such as a comment in Latin-1, become surrogates;
+        :func:`symbid_ros.atomic_write.write_text` turns them back into the same bytes.
         """
         parts, done = [], 0
         for start, stop, markup in sorted(self._edits, key=lambda edit: edit[:2]):
@@ -257,7 +261,7 @@ class XmlEditor:
 
 
 def is_editable(path: Path) -> bool:
-    """Return whether the file's encoding contains ASCII, as all but UTF-16 do."""
+    """Return whether the file's encoding contains ASCII, as every one except UTF-16 does."""
     return not read_bytes(path, MAX_BYTES).startswith(_UTF16)
 
 

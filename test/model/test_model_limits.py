@@ -184,7 +184,7 @@ class TestUrdf:
         chain = "".join(f'<link name="{name}"/>' for name in names[1:])
         chain += "".join(fixed(*pair) for pair in itertools.pairwise(names))
         for extra, message in (
-            (loop, "hang in a loop"),
+            (loop, "in a loop of joints"),
             (twice, "'base' is used twice"),
             (chain, "more than 200 links"),
         ):
