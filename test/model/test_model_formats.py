@@ -304,5 +304,5 @@ def test_bad_mjcf_and_missing_files_say_what_is_wrong(tmp_path):
         load_text("<mujoco><nonsense/></mujoco>", tmp_path / "bad.xml")
     assert "\n" not in str(caught.value)
     still = "<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>"
-    with pytest.raises(ModelError, match="still.xml: no joint moves"):
+    with pytest.raises(ModelError, match="no joint moves"):
         load_text(still, tmp_path / "still.xml")
