@@ -1,1 +1,89 @@
-"""Identification of inertial and friction parameters on ROS 2."""
+"""Identification of inertial and friction parameters of robots, in Python and on ROS 2.
+
+    import symbid_ros as sy
+
+    robot = sy.load_model("my_robot.urdf")
+    log = sy.load_bag("my_bag", robot)
+    result = sy.identify(robot, log)
+
+The names below are the public API; everything else is private. They are imported when they are
+first used, so that the import of this package needs NumPy alone.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from symbid_ros.choices import METHODS as METHODS
+    from symbid_ros.diagnosis.findings import Diagnosis as Diagnosis
+    from symbid_ros.dynamics.imu import BaseMotion as BaseMotion
+    from symbid_ros.errors import BagError as BagError
+    from symbid_ros.errors import DataError as DataError
+    from symbid_ros.errors import EstimateError as EstimateError
+    from symbid_ros.errors import ModelError as ModelError
+    from symbid_ros.errors import OptionError as OptionError
+    from symbid_ros.errors import PriorError as PriorError
+    from symbid_ros.errors import SymbidError as SymbidError
+    from symbid_ros.identification.api import diagnose as diagnose
+    from symbid_ros.identification.api import identify as identify
+    from symbid_ros.identification.api import merge as merge
+    from symbid_ros.identification.api import regressor as regressor
+    from symbid_ros.identification.evaluation import Metrics as Metrics
+    from symbid_ros.identification.options import IdentifyOptions as IdentifyOptions
+    from symbid_ros.identification.result import Information as Information
+    from symbid_ros.identification.result import Link as Link
+    from symbid_ros.identification.result import Parameter as Parameter
+    from symbid_ros.identification.result import Prediction as Prediction
+    from symbid_ros.identification.result import Result as Result
+    from symbid_ros.messages.log_options import LogOptions as LogOptions
+    from symbid_ros.model.load import load_model as load_model
+    from symbid_ros.model.tree import RobotModel as RobotModel
+    from symbid_ros.offline.identify import load_bag as load_bag
+    from symbid_ros.offline.truth import evaluate as evaluate
+    from symbid_ros.signals.log import Log as Log
+
+# Where each public name is defined.
+_HOMES = {
+    "BagError": "errors",
+    "BaseMotion": "dynamics.imu",
+    "DataError": "errors",
+    "Diagnosis": "diagnosis.findings",
+    "EstimateError": "errors",
+    "IdentifyOptions": "identification.options",
+    "Information": "identification.result",
+    "Link": "identification.result",
+    "Log": "signals.log",
+    "LogOptions": "messages.log_options",
+    "METHODS": "choices",
+    "Metrics": "identification.evaluation",
+    "ModelError": "errors",
+    "OptionError": "errors",
+    "Parameter": "identification.result",
+    "Prediction": "identification.result",
+    "PriorError": "errors",
+    "Result": "identification.result",
+    "RobotModel": "model.tree",
+    "SymbidError": "errors",
+    "diagnose": "identification.api",
+    "evaluate": "offline.truth",
+    "identify": "identification.api",
+    "load_bag": "offline.identify",
+    "load_model": "model.load",
+    "merge": "identification.api",
+    "regressor": "identification.api",
+}
+__all__ = sorted([*_HOMES, "__version__"])  # noqa: PLE0605
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return import_module("symbid_ros.package_paths").package_version()
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -83,10 +83,10 @@ def doctor(
     """
     from symbid_ros.diagnosis.doctor import diagnose
     from symbid_ros.model.load import load_model
-    from symbid_ros.offline.identify import open_log
+    from symbid_ros.offline.identify import load_bag
 
     robot = None if model is None else load_model(model, base)
-    found = diagnose(open_log(bags, log, robot), robot)
+    found = diagnose(load_bag(bags, robot, log), robot)
     print_verdict(found, as_json=as_json)
     if found.severity:
         raise typer.Exit(int(found.severity))

@@ -3,6 +3,8 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 
+import numpy as np
+
 from symbid_ros.arrays import FloatArray, IntArray
 
 
@@ -43,6 +45,13 @@ class Samples:
     base_specific_force: FloatArray
     wrenches: FloatArray
     wrench_frames: tuple[str, ...]
+
+    @classmethod
+    def none(cls, joint_names: tuple[str, ...]) -> "Samples":
+        """Return no instants of a robot without wrench sensors."""
+        joints, base = np.zeros((0, len(joint_names))), np.zeros((0, 3))
+        stamp = np.zeros(0, dtype=np.int64)
+        return cls(stamp, joints, joints, joints, joints, base, base, base, np.zeros((0, 0, 6)), ())
 
     def __len__(self) -> int:
         return len(self.stamp)

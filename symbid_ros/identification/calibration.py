@@ -16,7 +16,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import FORCES, MOTION
 from symbid_ros.signals.sensor_errors import LinearizationPoint, SensorErrors, calibrating_rows
-from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
+from symbid_ros.signals.weak_form import ALL_WINDOWS, RowBuilder, suited_windows
 
 logger = logging.getLogger(__name__)
 
@@ -107,12 +107,15 @@ class Calibrated:
         About the last pilot.
     known : PseudoMeasurements or None
         What else is known, of all these unknowns.
+    rows : RowBuilder
+        Builds the rows of all these unknowns, about the last pilot.
     """
 
     errors: SensorErrors
     prior: Prior
     observations: tuple[Observations, ...]
     known: PseudoMeasurements | None
+    rows: RowBuilder
 
 
 def calibrate(
@@ -165,7 +168,7 @@ def calibrate(
         pilot = LinearizationPoint(found.mean[:p], found.mean[p:])
     build = calibrating_rows(parameters, errors, pilot)
     observed = observe(record.segments, build, layout, (shortest, longest), MOTION + FORCES)
-    return Calibrated(errors, extended, observed, rows)
+    return Calibrated(errors, extended, observed, rows, build)
 
 
 def _padded(known: PseudoMeasurements | None, more: int) -> PseudoMeasurements | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from symbid_ros.choices import Method
 from symbid_ros.diagnosis.stream_checks import StreamChecks
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import INCOMPATIBLE
@@ -170,13 +171,17 @@ def _check_sizes(options: IdentifyOptions, parameters: ParameterSet) -> None:
             "a smaller one",
             "E501",
         )
-    if options.information is None:
-        return
+    if options.information is not None:
+        _check_layout(load_archive(options.information), parameters, str(options.information))
+
+
+def _check_layout(
+    observations: tuple[Observations, ...], parameters: ParameterSet, named: str
+) -> None:
     p, coordinates = len(parameters), parameters.model.coordinates
-    for earlier in load_archive(options.information):
-        layout = earlier.layout
-        if (layout.parameters[:p], layout.coordinates) != (parameters.names, coordinates):
-            raise EstimateError(f"{options.information}: {INCOMPATIBLE}; {ALIKE}", "E505")
+    for one in observations:
+        if (one.layout.parameters[:p], one.layout.coordinates) != (parameters.names, coordinates):
+            raise EstimateError(f"{named}: {INCOMPATIBLE}; {ALIKE}", "E505")
 
 
 def _solver(
@@ -201,37 +206,71 @@ def _solver(
     if options.sensor_error_kinds:
         wanted = Wanted(options.sensor_error_kinds, dict(tares))
         problem = problem.calibrated(calibrate(dataset, parameters, prior, wanted, known))
-    observations = _with_earlier(options.information, problem.observations)
-    return Solver.of(replace(problem, observations=observations))
+    if options.information is not None:
+        earlier = load_archive(options.information)
+        both = merged_observations(problem.observations, earlier, str(options.information))
+        problem = replace(problem, observations=both)
+    return Solver.of(problem)
 
 
-def _with_earlier(
-    information: Path | None, observations: tuple[Observations, ...]
+def load_information(
+    robot: RobotModel, observations: tuple[Observations, ...], options: IdentifyOptions
+) -> LoadedProblem:
+    """Return what earlier logs told, ready to be solved without any further log.
+
+    Raises
+    ------
+    SymbidError
+        When the information is of another robot or other parameters, or an option is invalid or
+        needs a log.
+    """
+    parameters = load_parameters(robot, options)
+    _check_sizes(options, parameters)
+    _check_layout(observations, parameters, "information")
+    if any(len(one.layout.parameters) > len(parameters) for one in observations):
+        raise EstimateError(
+            "information: sensor errors are among its unknowns, which belong to one log; identify "
+            "that log without `sensor_errors` and `tare`",
+            "E505",
+        )
+    for name in ("tare", "validate", "sensor_std", "sensor_errors"):
+        if getattr(options, name):
+            raise OptionError(f"`{name}` needs a log, not information; leave it out", "E503")
+    prior = prior_of(options, parameters)
+    nothing = Dataset("information", (), Samples.none(robot.joint_names), observations)
+    inputs = (robot.source, *map(str, options.files))
+    solver = _solver(options, inputs, parameters, prior, dataset=nothing, tares={})
+    return LoadedProblem(options, inputs, parameters, prior, nothing, solver, None, {})
+
+
+def merged_observations(
+    first: tuple[Observations, ...],
+    second: tuple[Observations, ...],
+    named: str = "information",
 ) -> tuple[Observations, ...]:
-    """Return observations with those of an earlier run added, window by window."""
-    if information is None:
-        return observations
-    earlier = {one.window: one for one in load_archive(information)}
-    now, before = (
-        frozenset[int]().union(*(one.seconds for one in run))
-        for run in (observations, earlier.values())
-    )
+    """Return what two runs tell together, for each length of window that both have.
+
+    Raises
+    ------
+    EstimateError
+        When they are of different robots, parameters or windows, or share seconds of a log.
+    """
+    earlier = {one.window: one for one in second}
+    now, before = (frozenset[int]().union(*(one.seconds for one in run)) for run in (first, second))
     if again := now & before:
         raise EstimateError(
-            f"{information}: holds {len(again)} s of this log already, which would be counted "
-            "twice; leave `information` out, or name another log",
+            f"{named}: holds {len(again)} s of this log already, which would be counted twice; "
+            "leave `information` out, or name another log",
             "E506",
         )
     try:
-        both = tuple(
-            earlier[one.window].merge(one) for one in observations if one.window in earlier
-        )
+        both = tuple(earlier[one.window].merge(one) for one in first if one.window in earlier)
     except DataError as error:
-        raise EstimateError(f"{information}: {error}; {ALIKE}", "E505") from None
+        raise EstimateError(f"{named}: {error}; {ALIKE}", "E505") from None
     if not both:
         raise EstimateError(
-            f"{information}: its rows are averaged over other windows than those of this run; "
-            "identify both with the same `filter` and `sensor_errors`",
+            f"{named}: its rows are averaged over other windows than those of this run; identify "
+            "both with the same `filter` and `sensor_errors`",
             "E505",
         )
     return both

@@ -8,6 +8,7 @@ from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.calibration import Calibrated
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.weak_form import RowBuilder, equation_rows
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,8 @@ class Problem:
         What to write down as the estimate's origin.
     has_wrenches : bool
         Whether the robot has wrench sensors.
+    calibrated_rows : RowBuilder or None
+        Builds rows in which sensor errors are unknowns, too; None where they are not.
     """
 
     observations: tuple[Observations, ...]
@@ -64,6 +67,12 @@ class Problem:
     longest: bool = False
     inputs: tuple[str, ...] = ()
     has_wrenches: bool = True
+    calibrated_rows: RowBuilder | None = None
+
+    @property
+    def row_builder(self) -> RowBuilder:
+        """Builds the rows of all unknowns."""
+        return self.calibrated_rows or equation_rows(self.parameters)
 
     @property
     def sensor_names(self) -> tuple[str, ...]:
@@ -79,4 +88,5 @@ class Problem:
             sensors=found.errors.units,
             known=found.known,
             longest=True,
+            calibrated_rows=found.rows,
         )

@@ -20,6 +20,7 @@ from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solved
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.package_paths import package_version
+from symbid_ros.signals.weak_form import RowBuilder
 
 SOFTWARE = f"symbid_ros {package_version()}"  # looked up before any work
 
@@ -36,11 +37,20 @@ class Identification:
         The data, for a run that goes on from here.
     deviation_factor : (p, r) float64 or None
         L of the robot's parameters' covariance L Lᵀ; None for truncated methods.
+    window : float
+        Length of the windows of the rows that were solved, s; 0 for rows at single instants.
+    unknowns : (p + s,) float64
+        The parameters, then the sensor errors.
+    rows : RowBuilder
+        Builds the rows of these unknowns.
     """
 
     estimate: Estimate
     observations: tuple[Observations, ...]
     deviation_factor: FloatArray | None
+    window: float
+    unknowns: FloatArray
+    rows: RowBuilder
 
 
 @dataclass(frozen=True)
@@ -131,7 +141,12 @@ class Solver:
             residuals=self._residuals(value),
         )
         return Identification(
-            replace(estimate, verdict=verdict), problem.observations, found.deviation_factor[:p]
+            replace(estimate, verdict=verdict),
+            problem.observations,
+            found.deviation_factor[:p],
+            self.chosen.window,
+            value,
+            problem.row_builder,
         )
 
     def truncated(
@@ -184,7 +199,9 @@ class Solver:
             residuals=self._residuals(value),
             rank=z,
         )
-        return Identification(estimate, problem.observations, None)
+        return Identification(
+            estimate, problem.observations, None, self.chosen.window, value, problem.row_builder
+        )
 
     def _residuals(self, value: FloatArray) -> dict[str, float]:
         """Return the root mean square residual of every coordinate that has rows."""

@@ -16,14 +16,14 @@ from symbid_ros.model.xml_file import read_xml
 logger = logging.getLogger(__name__)
 
 
-def load_model(path: Path, base: Base = "auto") -> RobotModel:
+def load_model(path: str | Path, base: Base = "auto") -> RobotModel:
     """Load a URDF or an MJCF; the root element decides which one it is.
 
     Elements that the equation of motion ignores and moving links without mass are logged.
 
     Parameters
     ----------
-    path : Path
+    path : str or Path
         ``.urdf`` or ``.xml`` file.
     base : {"auto", "floating", "fixed"}
         Whether the base may move. An MJCF says so by a free joint, which "floating" and
@@ -34,6 +34,7 @@ def load_model(path: Path, base: Base = "auto") -> RobotModel:
     ModelError
         When the file is not a valid URDF or MJCF, or an MJCF contradicts ``base``.
     """
+    path = Path(path)
     if not is_mjcf(path):
         model = load_urdf(path, base)
     else:

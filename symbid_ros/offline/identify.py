@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from symbid_ros.bags import bag_log
 from symbid_ros.choices import Base
@@ -16,10 +17,34 @@ from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import TimeRange
 
 
-def open_log(bags: Sequence[Path], options: LogOptions, robot: RobotModel | None = None) -> Log:
-    """Return the log in bags that continue one another; its messages are read later."""
+def load_bag(
+    bags: str | Path | Sequence[str | Path],
+    robot: RobotModel | None = None,
+    options: LogOptions | None = None,
+    **fields: Any,
+) -> Log:
+    """Return the log in a bag; its messages are read when they are needed.
+
+    Parameters
+    ----------
+    bags : str, Path or sequence of these
+        A bag (folder or file), or several that continue one another.
+    robot : RobotModel, optional
+        Whose joints must be in the log.
+    options : LogOptions, optional
+        Topics and part of the bag to read.
+    **fields
+        Fields of :class:`symbid_ros.LogOptions` instead, such as ``start=2.0``.
+
+    Raises
+    ------
+    OptionError
+        When an option is invalid.
+    """
+    options = options or LogOptions(**fields)
+    paths = [bags] if isinstance(bags, str | Path) else bags
     topics, part = TopicSelection.of(options), TimeRange(options.start, options.end)
-    return bag_log(bags, robot, topics, part)
+    return bag_log([Path(one) for one in paths], robot, topics, part)
 
 
 @dataclass(frozen=True)
@@ -54,4 +79,4 @@ class BagRequest:
             When a file, the data or an option is invalid.
         """
         robot = load_model(self.model, self.base)
-        return load_problem(robot, open_log(self.bags, self.log, robot), self.options, out)
+        return load_problem(robot, load_bag(self.bags, robot, self.log), self.options, out)

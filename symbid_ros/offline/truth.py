@@ -4,8 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from symbid_ros.bags import read_streams, read_truth
-from symbid_ros.identification.evaluation import TrueMotion, true_motion
+from symbid_ros.errors import EstimateError
+from symbid_ros.identification.evaluation import Metrics, TrueMotion, true_motion
+from symbid_ros.identification.evaluation import evaluate as evaluate_candidates
 from symbid_ros.identification.prediction import RealisticMotion, realistic_motion
+from symbid_ros.identification.result import Result
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import CausalLowPass
 
@@ -35,3 +39,33 @@ def read_realistic_motion(
     """
     streams = read_streams(bags)
     return realistic_motion(read_truth(bags), streams, model, low_pass)
+
+
+def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str | Path]) -> Metrics:
+    """Compare an identified robot with the true one of a simulation.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        The true robot.
+    result : Result
+    bags : str, Path or sequence of these
+        Simulated bag with ground truth, preferably of a motion not identified from.
+
+    Raises
+    ------
+    BagError, EstimateError
+        When the bag has no ground truth, or the result is of another robot.
+    """
+    estimate = result.estimate
+    parameters = ParameterSet(robot, result.options.terms).with_known_values(estimate.known)
+    if parameters.names != estimate.names:
+        raise EstimateError(
+            f"the result is of {estimate.model} and its parameters are not those of "
+            f"{robot.source}; give the model it was identified with",
+            "E512",
+        )
+    paths = [bags] if isinstance(bags, str | Path) else bags
+    motion = read_true_motion([Path(one) for one in paths], robot)
+    candidates = {"result": estimate.value}
+    return evaluate_candidates(parameters, candidates, parameters.values, motion)["result"]

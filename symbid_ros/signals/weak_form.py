@@ -99,11 +99,14 @@ class WindowedRows:
         By how much they differ when the channels whose noise enters the regressor have it twice.
     valid : (N, n) bool
         Which coordinates are used.
+    stamp : (N,) int64
+        Middles of the windows, ns.
     """
 
     mean: Rows
     noise: Rows
     valid: BoolArray
+    stamp: IntArray
 
 
 def equation_rows(parameters: ParameterSet) -> RowBuilder:
@@ -222,7 +225,8 @@ def windowed_rows(
         if noisy_channels:
             more = smoothed(with_more_noise(block, noisy_channels), low_pass, edge)
             noisy = _averages(build(more), weights)
-        yield tuple(_combined(*parts) for parts in zip(mean, noisy, strict=True))
+        stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
+        yield tuple(_combined(*parts) for parts in zip(mean, noisy, stamps, strict=True))
 
 
 def _centres(readings: SensorSamples, windows: Sequence[float]) -> list[FloatArray]:
@@ -275,7 +279,7 @@ def _added(a: _Average, b: _Average) -> _Average:
     return _Average(a.flat + b.flat, a.valid + b.valid, a.shape)
 
 
-def _combined(mean: _Average, noisy: _Average) -> WindowedRows:
+def _combined(mean: _Average, noisy: _Average, stamp: IntArray) -> WindowedRows:
     n, p = mean.shape
     valid = mean.valid > SLIPPING
 
@@ -283,4 +287,4 @@ def _combined(mean: _Average, noisy: _Average) -> WindowedRows:
         K, y = flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]
         return Rows(K * valid[:, :, None], y * valid)
 
-    return WindowedRows(rows(mean.flat), rows(noisy.flat - mean.flat), valid)
+    return WindowedRows(rows(mean.flat), rows(noisy.flat - mean.flat), valid, stamp)

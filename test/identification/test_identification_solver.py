@@ -304,7 +304,7 @@ def test_white_residuals_raise_no_alarm_however_short_the_log(samples):
             y = rng.standard_normal((count, n)) @ shared / np.sqrt(window)
             rows = Rows(np.zeros((count, n, 1)), y)
             nothing = Rows(0 * rows.K, 0 * y)
-            block = WindowedRows(rows, nothing, np.ones((count, n), dtype=bool))
+            block = WindowedRows(rows, nothing, np.ones((count, n), dtype=bool), np.arange(count))
             data.append(Observations.empty(layout, window).fold([block]))
         ratios.append(whiteness(*data, np.zeros(1)))
     assert 0.1 < np.median(ratios) < 1.1
@@ -326,7 +326,9 @@ def test_few_rows_of_a_joint_are_not_taken_for_exact():
         valid[3:, 1] = False
         mean = Rows(K * valid[:, :, None], y * valid)
         noise = Rows(0 * K, 0 * y)
-        data = Observations.empty(layout, 0.081).fold([WindowedRows(mean, noise, valid)])
+        data = Observations.empty(layout, 0.081).fold(
+            [WindowedRows(mean, noise, valid, np.arange(len(valid)))]
+        )
         found = posterior(data, prior)
         squares.append(((found.mean - phi) / found.std) ** 2)
     busy, seldom = np.mean(np.median(squares, axis=0).reshape(2, 3), axis=1)

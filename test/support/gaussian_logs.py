@@ -46,6 +46,7 @@ class Log:
             Rows(self.K * seen, self.y * self.valid),
             Rows(self.noise_rows * seen, self.noise_targets * self.valid),
             self.valid,
+            np.arange(len(self.valid)),
         )
 
     def observations(self):

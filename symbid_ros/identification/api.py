@@ -1,0 +1,156 @@
+"""Functions of the Python API: identify, diagnose, compute regressors, merge."""
+
+from collections.abc import Sequence
+from functools import reduce
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis import doctor
+from symbid_ros.diagnosis.findings import Diagnosis
+from symbid_ros.dynamics.imu import BaseMotion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
+from symbid_ros.errors import DataError, OptionError
+from symbid_ros.identification.loaded_problem import LoadedProblem, load_information, load_problem
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.result import Information, Result
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.log import Log
+
+
+def identify(
+    robot: RobotModel,
+    log: Log | Information,
+    options: IdentifyOptions | None = None,
+    **fields: Any,
+) -> Result:
+    """Identify the parameters of a robot.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Kinematics, and prior means of the inertias.
+    log : Log or Information
+        Measurements, or what other logs told (see :func:`merge`).
+    options : IdentifyOptions, optional
+        How to identify.
+    **fields
+        Fields of :class:`symbid_ros.IdentifyOptions` instead, such as ``prior_percent=25``.
+
+    Raises
+    ------
+    SymbidError
+        When the log is unusable, does not match the robot, or an option is invalid.
+    """
+    if options is not None and fields:
+        raise OptionError("give either options or single fields, not both", "E502")
+    options = options or _options(fields)
+    if isinstance(log, Information):
+        problem: LoadedProblem = load_information(robot, log.observations, options)
+    else:
+        problem = load_problem(robot, log, options)
+    found = problem.solve()
+    return Result(found.estimate, options, found, problem.parameters)
+
+
+def diagnose(robot: RobotModel | None, log: Log) -> Diagnosis:
+    """Check whether a log can be used to identify a robot, as ``symbid bag doctor`` does.
+
+    Parameters
+    ----------
+    robot : RobotModel or None
+        The nominal robot, inertias within about 25 %; None checks each topic by itself.
+    log : Log
+    """
+    return doctor.diagnose(log, robot)
+
+
+def merge(records: Sequence[Information]) -> Information:
+    """Add up what several logs of one robot told.
+
+    Raises
+    ------
+    EstimateError
+        When the records belong to different robots, parameters or windows, or share seconds.
+    """
+    if not records:
+        raise DataError("no information to merge; give at least one record", "E510")
+    return reduce(Information.merged, records)
+
+
+def regressor(
+    robot: RobotModel,
+    position: ArrayLike,
+    velocity: ArrayLike,
+    acceleration: ArrayLike,
+    *,
+    base: BaseMotion | None = None,
+    options: IdentifyOptions | None = None,
+) -> FloatArray:
+    """Return the regressor K of the equation of motion K φ = τ + Σ Jᵀ f (thesis, Eq. 2.48).
+
+    Parameters
+    ----------
+    robot : RobotModel
+    position, velocity, acceleration : (N, J) array_like
+        Joint motion in the order of ``robot.joint_names``, rad or m.
+    base : BaseMotion, optional
+        Motion of a floating base, in base axes; required if the base floats.
+    options : IdentifyOptions, optional
+        Its ``friction``, ``armature`` and ``offset`` add columns.
+
+    Returns
+    -------
+    (N, n, p) float64
+        n coordinates: moment and force on a floating base, then the joints; p parameters.
+
+    Raises
+    ------
+    DataError
+        When an array has the wrong shape, or the motion of a floating base is missing.
+    """
+    joints = len(robot.joints)
+    motion = [np.asarray(one, dtype=np.float64) for one in (position, velocity, acceleration)]
+    count = len(motion[0])
+    if any(one.shape != (count, joints) for one in motion):
+        shapes = ", ".join(str(one.shape) for one in motion)
+        raise DataError(
+            f"position, velocity, acceleration have shapes {shapes}; expected (N, {joints}), one "
+            f"column for each joint of {robot.name}",
+            "E511",
+        )
+    if base is None:
+        if robot.floating:
+            raise DataError(
+                f"the base of {robot.name} floats; give its motion as base=BaseMotion(…)", "E511"
+            )
+        rest = np.zeros((count, 3))
+        base = BaseMotion(rest, rest, rest - robot.gravity)
+    samples = Samples(
+        stamp=np.arange(count),
+        position=motion[0],
+        velocity=motion[1],
+        acceleration=motion[2],
+        effort=np.zeros((count, joints)),
+        base_angular_velocity=np.asarray(base.angular_velocity, dtype=np.float64),
+        base_angular_acceleration=np.asarray(base.angular_acceleration, dtype=np.float64),
+        base_specific_force=np.asarray(base.specific_force, dtype=np.float64),
+        wrenches=np.zeros((count, 0, 6)),
+        wrench_frames=(),
+    )
+    terms = () if options is None else options.terms
+    return equation_of_motion(ParameterSet(robot, terms), samples).K
+
+
+def _options(fields: dict[str, Any]) -> IdentifyOptions:
+    try:
+        return IdentifyOptions(**fields)
+    except TypeError as error:
+        name = str(error).rpartition("'")[0].rpartition("'")[2]
+        raise OptionError(
+            f"{name!r} is not an option; see symbid_ros.IdentifyOptions", "E501"
+        ) from None

@@ -1,0 +1,345 @@
+"""The result of an identification, as a user of the library sees it."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.archive import load_archive, write_archive
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.identification.aligned_log import AlignedLog
+from symbid_ros.identification.dataset import Processing
+from symbid_ros.identification.export import write_identification
+from symbid_ros.identification.loaded_problem import merged_observations
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.solver import Identification
+from symbid_ros.model.inertia import com_from_phi
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.log import Log
+from symbid_ros.signals.sensor_samples import build_samples
+from symbid_ros.signals.weak_form import sampled_rows, windowed_rows
+
+if TYPE_CHECKING:
+    import pandas
+
+BLOCK = 1024  # samples whose rows are in memory at a time
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One identified parameter.
+
+    Attributes
+    ----------
+    name, unit : str
+        ``<link>/<m|mc_x|...|Izz>`` or ``<joint>/<viscous|coulomb|armature|offset>``, SI unit.
+    value, prior : float
+        Estimate and prior mean.
+    std : float
+        Standard deviation of the estimate; NaN if the method gives none.
+    is_determined : bool
+        Whether the data, not the prior, determine the value.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    prior: float
+    is_determined: bool
+
+    def __repr__(self) -> str:
+        source = "from the data" if self.is_determined else "from the prior"
+        return f"<{self.name} = {self.value:.4g} ± {self.std:.2g} {self.unit}, {source}>"
+
+
+@dataclass(frozen=True)
+class Link:
+    """Inertia of one identified link.
+
+    Attributes
+    ----------
+    name : str
+    mass : float
+        kg.
+    com : (3,) float64
+        Centre of mass in the link's frame, m.
+    inertia : (3, 3) float64
+        About the centre of mass, in the axes of the link's frame, kg m².
+    is_possible : bool
+        Whether a rigid body can have this inertia.
+    """
+
+    name: str
+    mass: float
+    com: FloatArray
+    inertia: FloatArray
+    is_possible: bool
+
+    def __repr__(self) -> str:
+        com = ", ".join(f"{1e3 * one:.1f}" for one in self.com)
+        note = "" if self.is_possible else ", physically impossible"
+        return f"<{self.name}: {self.mass:.4g} kg, centre of mass ({com}) mm{note}>"
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What a model predicts of a log, beside what was measured.
+
+    The equation of motion is averaged over the same windows as in the identification (or taken at
+    the same filtered instants), so that the errors are those of the report.
+
+    Attributes
+    ----------
+    stamp : (N,) int64
+        Middles of the windows, ns.
+    coordinates : tuple of str
+        Names of the n coordinates: moments and forces of a floating base, then the joints.
+    measured, predicted : (N, n) float64
+        Generalised forces, Nm or N; NaN where the equation does not hold, as at a sticking joint.
+    """
+
+    stamp: IntArray
+    coordinates: tuple[str, ...]
+    measured: FloatArray
+    predicted: FloatArray
+
+    @property
+    def error(self) -> FloatArray:
+        """(N, n) measured minus predicted forces, Nm or N."""
+        return self.measured - self.predicted
+
+    @property
+    def rmse(self) -> dict[str, float]:
+        """Root mean square error of each coordinate that has rows, Nm or N.
+
+        Rows that are left out count as zero, as in ``residual_rmse`` of the report.
+        """
+        squares = np.nansum(self.error**2, axis=0) / max(len(self.stamp), 1)
+        used: list[bool] = np.any(np.isfinite(self.error), axis=0).tolist()
+        return {
+            name: float(np.sqrt(square))
+            for name, square, is_used in zip(self.coordinates, squares, used, strict=True)
+            if is_used
+        }
+
+    def __repr__(self) -> str:
+        errors = ", ".join(f"{name} {value:.3g}" for name, value in self.rmse.items())
+        return f"<Prediction at {len(self.stamp)} instants; RMSE {errors}>"
+
+
+@dataclass(frozen=True)
+class Information:
+    """What logs tell of a robot, compressed: it can be saved, merged and solved again.
+
+    Attributes
+    ----------
+    observations : tuple of Observations
+        One for each length of window.
+    """
+
+    observations: tuple[Observations, ...] = field(repr=False)
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Information":
+        """Read information.npz.
+
+        Raises
+        ------
+        EstimateError
+            When the file is missing or invalid.
+        """
+        return cls(load_archive(Path(path)))
+
+    def save(self, path: str | Path) -> None:
+        """Write information.npz in one step."""
+        write_archive(Path(path), self.observations)
+
+    def merged(self, other: "Information") -> "Information":
+        """Return what both tell; see :func:`symbid_ros.merge`."""
+        return Information(merged_observations(self.observations, other.observations))
+
+    @property
+    def seconds(self) -> int:
+        """Length of the logs, s."""
+        return len(frozenset[int]().union(*(one.seconds for one in self.observations)))
+
+    def __repr__(self) -> str:
+        windows = ", ".join(f"{1e3 * one.window:g}" for one in self.observations)
+        count = len(self.observations[0].layout.parameters)
+        return f"<Information of {self.seconds} s on {count} parameters, windows {windows} ms>"
+
+
+@dataclass(frozen=True, repr=False)
+class Result:
+    """An identified robot.
+
+    Attributes
+    ----------
+    estimate : Estimate
+        Everything that estimate.json holds.
+    options : IdentifyOptions
+        How it was identified.
+    """
+
+    estimate: Estimate
+    options: IdentifyOptions
+    _identification: Identification
+    _parameters: ParameterSet
+
+    @cached_property
+    def parameters(self) -> Mapping[str, Parameter]:
+        """The identified parameters by name."""
+        found = self.estimate
+        count = len(found.names)
+        std = np.full(count, np.nan) if found.std is None else found.std
+        determined = np.zeros(count, bool) if found.determined is None else found.determined
+        return {
+            name: Parameter(
+                name,
+                found.units[i],
+                float(found.value[i]),
+                float(std[i]),
+                float(found.prior[i]),
+                bool(determined[i]),
+            )
+            for i, name in enumerate(found.names)
+        }
+
+    @cached_property
+    def links(self) -> Mapping[str, Link]:
+        """The inertias of the links by name."""
+        inertias = self._parameters.link_phi(self.estimate.value)
+        return {
+            name: Link(name, *com_from_phi(phi), self.estimate.consistent[name])
+            for name, phi in zip(self._parameters.link_names, inertias, strict=True)
+        }
+
+    @property
+    def alarms(self) -> tuple[str, ...]:
+        """Reasons not to trust the result, one sentence each; empty if there is none."""
+        verdict = self.estimate.verdict
+        return () if verdict is None else verdict.alarms
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(p, p) covariance of the parameters.
+
+        Raises
+        ------
+        EstimateError
+            When the method gives none.
+        """
+        factor = self._identification.deviation_factor
+        if factor is None:
+            raise EstimateError(
+                f"{self.estimate.method} gives no covariance; use `method` map or map_lmi", "E507"
+            )
+        return factor @ factor.T
+
+    @cached_property
+    def robot(self) -> RobotModel:
+        """The robot with the identified parameters."""
+        return self._parameters.apply(self.estimate.value)
+
+    @property
+    def information(self) -> Information:
+        """What the logs told, to be merged with that of other logs."""
+        return Information(self._identification.observations)
+
+    def predict(self, log: Log) -> Prediction:
+        """Predict the generalised forces of a log from its motion.
+
+        Raises
+        ------
+        BagError, DataError, ModelError
+            When the log is invalid or of another robot.
+        """
+        parts = list(self._rows(log))
+        if not parts:
+            raise EstimateError(f"{log.source}: no row of this log can be predicted", "E508")
+        stamp, measured, predicted = (np.concatenate(each) for each in zip(*parts, strict=True))
+        return Prediction(stamp, self._parameters.model.coordinates, measured, predicted)
+
+    def _rows(self, log: Log) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
+        parameters, found = self._parameters, self._identification
+        aligned = AlignedLog(log, parameters.model)
+        smoothing = Processing.of(self.options).smoothing
+        if smoothing is not None:
+            samples = build_samples(
+                aligned.whole_stretches(), parameters.model, smoothing, log.source
+            )
+            for block in samples.blocks(BLOCK):
+                single = sampled_rows(parameters, block)
+                predicted = single.rows.K @ found.unknowns
+                yield single.stamp, *_forces(single.rows.y, predicted, single.valid)
+            return
+        for segment in aligned:
+            for (rows,) in windowed_rows(segment, found.rows, [found.window], ()):
+                yield rows.stamp, *_forces(rows.mean.y, rows.mean.K @ found.unknowns, rows.valid)
+
+    def to_frame(self) -> "pandas.DataFrame":
+        """Return the parameters as a table, one row each, indexed by name.
+
+        Raises
+        ------
+        EstimateError
+            When pandas is not installed.
+        """
+        try:
+            import pandas  # noqa: PLC0415
+        except ModuleNotFoundError:
+            raise EstimateError(
+                "to_frame needs pandas, which is not installed; run `pip install pandas`", "E509"
+            ) from None
+        table = pandas.DataFrame([vars(one) for one in self.parameters.values()])
+        return table.set_index("name")
+
+    def save(self, folder: str | Path) -> Path:
+        """Write estimate.json, information.npz, model.urdf and model.xml.
+
+        Raises
+        ------
+        EstimateError
+            When a file cannot be written; the others are.
+        """
+        write_identification(self._identification, self._parameters, Path(folder))
+        return Path(folder)
+
+    def __repr__(self) -> str:
+        determined = sum(one.is_determined for one in self.parameters.values())
+        lines = [
+            f"<Result of {self.estimate.method} for {self.estimate.model}: {determined} of "
+            f"{len(self.parameters)} parameters determined by the data, {len(self.alarms)} alarms",
+            *(f"  ALARM {alarm}" for alarm in self.alarms),
+            *(f"  {str(link)[1:-1]}" for link in self.links.values()),
+        ]
+        return "\n".join(lines) + ">"
+
+    def _repr_html_(self) -> str:
+        alarms = "".join(f"<p><b>Alarm:</b> {escape(alarm)}</p>" for alarm in self.alarms)
+        rows = "".join(
+            f"<tr><td>{escape(one.name)}</td><td>{one.value:.4g}</td><td>{one.std:.2g}</td>"
+            f"<td>{one.prior:.4g}</td><td>{escape(one.unit)}</td>"
+            f"<td>{'data' if one.is_determined else 'prior'}</td></tr>"
+            for one in self.parameters.values()
+        )
+        head = "".join(
+            f"<th>{title}</th>" for title in ("parameter", "value", "±", "prior", "unit", "from")
+        )
+        title = f"{escape(self.estimate.model)}, {escape(self.estimate.method)}"
+        return f"<h4>{title}</h4>{alarms}<table><tr>{head}</tr>{rows}</table>"
+
+
+def _forces(
+    measured: FloatArray, predicted: FloatArray, valid: BoolArray
+) -> tuple[FloatArray, FloatArray]:
+    return np.where(valid, measured, np.nan), np.where(valid, predicted, np.nan)

@@ -1,0 +1,219 @@
+"""The public API, as the README and a notebook use it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from random_robots import random_robot
+from tree_simulation import TreeSimulation
+
+import symbid_ros as sy
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.offline.identify import BagRequest
+from symbid_ros.simulation.recording import record
+
+NAMES = [
+    "BagError",
+    "BaseMotion",
+    "DataError",
+    "Diagnosis",
+    "EstimateError",
+    "IdentifyOptions",
+    "Information",
+    "Link",
+    "Log",
+    "LogOptions",
+    "METHODS",
+    "Metrics",
+    "ModelError",
+    "OptionError",
+    "Parameter",
+    "Prediction",
+    "PriorError",
+    "Result",
+    "RobotModel",
+    "SymbidError",
+    "__version__",
+    "diagnose",
+    "evaluate",
+    "identify",
+    "load_bag",
+    "load_model",
+    "merge",
+    "regressor",
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A floating tree with an IMU and a wrench sensor: its model and three bags."""
+    folder = tmp_path_factory.mktemp("tree")
+    robot = random_robot(1, links=4, floating=True, wrench_frames=1)
+    (folder / "robot.xml").write_text(mjcf_text(robot))
+    for name, seconds, seed in (("log", 2.5, 1), ("more", 2.5, 2), ("other", 0.8, 3)):
+        record(TreeSimulation(robot, seconds, seed), folder / name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def robot(folder) -> sy.RobotModel:
+    return sy.load_model(str(folder / "robot.xml"))
+
+
+@pytest.fixture(scope="module")
+def log(folder, robot) -> sy.Log:
+    return sy.load_bag(str(folder / "log"), robot)
+
+
+@pytest.fixture(scope="module")
+def result(robot, log) -> sy.Result:
+    return sy.identify(robot, log, prior_percent=25)
+
+
+def test_public_names_are_these() -> None:
+    assert sy.__all__ == dir(sy) == NAMES
+    for name in NAMES:
+        assert getattr(sy, name) is not None
+    with pytest.raises(AttributeError, match="has no attribute 'nothing'"):
+        _ = sy.nothing
+
+
+def test_importing_needs_numpy_alone() -> None:
+    code = (
+        "import sys, symbid_ros as sy; before = set(sys.modules); "
+        "print(*sorted({name.partition('.')[0] for name in sys.modules} & {'numpy', 'scipy', "
+        "'mcap', 'rosbags', 'clarabel', 'mujoco', 'rclpy', 'yaml'}))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert set(found.stdout.split()) <= {"numpy"}
+
+
+def test_the_same_options_give_what_the_command_gives(folder, result) -> None:
+    options = sy.IdentifyOptions(prior_percent=25)
+    expected = BagRequest((folder / "log",), folder / "robot.xml", options).load().solve().estimate
+    np.testing.assert_array_equal(result.estimate.value, expected.value)
+    assert result.estimate.inputs == expected.inputs
+
+
+def test_arrays_give_what_their_bag_gives(robot, log, result) -> None:
+    streams = log.streams()
+    joints, columns = streams.joints, []
+    columns = [joints.names.index(name) for name in robot.measured_joint_names]
+    (imu,), (wrench,) = streams.imus, streams.wrenches
+    arrays = sy.Log.from_arrays(
+        robot,
+        time=joints.stamp,
+        position=joints.position[:, columns],
+        velocity=joints.velocity[:, columns],
+        effort=joints.effort[:, columns],
+        imus={imu.frame_id: np.hstack([imu.angular_velocity, imu.linear_acceleration])},
+        wrenches={wrench.frame_id: np.hstack([wrench.force, wrench.torque])},
+    )
+    found = sy.identify(robot, arrays, prior_percent=25)
+    np.testing.assert_allclose(found.estimate.value, result.estimate.value, rtol=1e-12, atol=1e-14)
+    assert found.alarms == result.alarms
+
+
+def test_a_result_tells_parameters_links_and_alarms(robot, result) -> None:
+    name = robot.links[0].name
+    mass = result.parameters[f"{name}/m"]
+    assert mass.value == result.links[name].mass == result.estimate.value[0]
+    assert mass.unit == "kg"
+    assert mass.value == pytest.approx(robot.phi[0, 0], abs=5 * mass.std)
+    assert result.links[name].is_possible
+    assert result.alarms == result.estimate.verdict.alarms
+    assert result.covariance.shape == (len(result.parameters),) * 2
+    np.testing.assert_allclose(np.sqrt(np.diag(result.covariance)), result.estimate.std)
+    assert name in repr(result)
+    assert f"{mass.value:.4g}" in repr(mass)
+    assert f"<td>{name}/m</td>" in result._repr_html_()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"friction": True, "offset": True},
+        {"filter": "butterworth", "cutoff": 30},
+        {"method": "wls_rc", "cutoff": 20},
+        {"sensor_errors": "imu_bias,torque_gain"},
+    ],
+    ids=str,
+)
+def test_errors_of_a_prediction_are_those_of_the_report(robot, log, options) -> None:
+    result = sy.identify(robot, log, prior_percent=25, **options)
+    prediction = result.predict(log)
+    reported = result.estimate.residual_rmse
+    assert prediction.rmse.keys() == reported.keys()
+    largest = np.nanmax(np.abs(prediction.measured))
+    for name, value in prediction.rmse.items():
+        assert value == pytest.approx(reported[name], rel=1e-6, abs=1e-9 * largest)
+    assert np.all(np.diff(prediction.stamp) > 0)
+
+
+def test_a_table_needs_pandas(result, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(sy.EstimateError, match="pip install pandas"):
+        result.to_frame()
+
+
+def test_a_result_is_saved_and_its_information_solved_again(robot, result, tmp_path) -> None:
+    result.save(tmp_path / "out")
+    assert sy.load_model(tmp_path / "out" / "model.xml").dof == robot.dof
+    information = sy.Information.load(tmp_path / "out" / "information.npz")
+    again = sy.identify(robot, information, prior_percent=25)
+    np.testing.assert_allclose(again.estimate.value, result.estimate.value, rtol=1e-9, atol=1e-12)
+
+
+def test_merged_information_equals_that_of_both_logs(robot, folder, result) -> None:
+    more = sy.identify(robot, sy.load_bag(folder / "more", robot), prior_percent=25)
+    information = sy.merge([result.information, more.information])
+    assert information.seconds == result.information.seconds + more.information.seconds
+    together = sy.identify(robot, information, prior_percent=25)
+    assert np.all(together.estimate.std <= result.estimate.std * (1 + 1e-6))
+    with pytest.raises(sy.EstimateError, match="counted twice"):
+        sy.merge([result.information, result.information])
+
+
+def test_a_log_is_diagnosed_and_a_result_evaluated(robot, log, folder, result) -> None:
+    diagnosis = sy.diagnose(robot, log)
+    assert isinstance(diagnosis, sy.Diagnosis)
+    metrics = sy.evaluate(robot, result, folder / "other")
+    assert metrics.torque_rmse < 1.0
+
+
+def test_the_regressor_is_linear_in_the_parameters(robot) -> None:
+    rng = np.random.default_rng(4)
+    q, v, a = rng.normal(size=(3, 6, len(robot.joints)))
+    base = sy.BaseMotion(*rng.normal(size=(3, 6, 3)))
+    K = sy.regressor(robot, q, v, a, base=base)
+    assert K.shape == (6, robot.dof, 10 * len(robot.links))
+    with pytest.raises(sy.DataError, match="floats"):
+        sy.regressor(robot, q, v, a)
+    with pytest.raises(sy.DataError, match="shapes"):
+        sy.regressor(robot, q[:, 1:], v, a, base=base)
+
+
+def test_a_fixed_bases_regressor_agrees_with_pinocchio(tmp_path) -> None:
+    import pinocchio
+
+    arm = random_robot(2, links=4, floating=False, wrench_frames=0)
+    (tmp_path / "arm.xml").write_text(mjcf_text(arm))
+    robot = sy.load_model(tmp_path / "arm.xml")
+    result = sy.regressor(robot, *np.zeros((3, 1, len(robot.joints))))
+    from symbid_ros.model.export_urdf import urdf_text
+
+    model = pinocchio.buildModelFromXML(urdf_text(robot))
+    weight = pinocchio.computeGeneralizedGravity(model, model.createData(), np.zeros(model.nq))
+    order = [model.joints[model.getJointId(name)].idx_v for name in robot.joint_names]
+    parameters = np.concatenate([link.phi for link in robot.links if not link.virtual])
+    np.testing.assert_allclose(result[0] @ parameters, weight[order], atol=1e-9)
+
+
+def test_wrong_options_are_named(robot, log) -> None:
+    with pytest.raises(sy.OptionError, match="'prior_percentage' is not an option"):
+        sy.identify(robot, log, prior_percentage=25)
+    with pytest.raises(sy.OptionError, match="not both"):
+        sy.identify(robot, log, sy.IdentifyOptions(), method="map")
