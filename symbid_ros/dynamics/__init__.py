@@ -1,1 +1,1 @@
-"""Spatial algebra, forward kinematics, regressor, wrenches, centroidal quantities."""
+"""Rigid-body dynamics: spatial algebra, kinematics, regressors, contact wrenches, IMU motion."""

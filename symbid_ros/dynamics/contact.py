@@ -21,21 +21,20 @@ def contact_jacobian(model: RobotModel, frames: Sequence[str], poses: LinkPoses)
     model : RobotModel
         The robot.
     frames : sequence of str
-        Wrench frames; two may sit on one link.
+        Wrench frames. Two may be on one link.
     poses : LinkPoses
-        Of N samples.
+        Link poses of N samples.
 
     Returns
     -------
     (N, 6 F, n) float64
-        Six rows per frame, (angular; linear) in the frame's own axes at its origin. Six
-        columns of a floating base's twist, in base axes, then one per joint, zero for a joint
-        that follows another. J_gᵀ f_e is
-        what wrenches f_e, in the frames' own axes, do to each coordinate (Eq. 4).
+        Six rows per frame, (angular; linear) in the frame's own axes at its origin. The columns
+        are the six of a floating base's twist, in base axes, then one per joint, zero for a
+        mimic joint. J_gᵀ f_e is the generalised force of wrenches f_e in the frames' axes (Eq. 4).
     """
     count = len(poses.position)
     first_joint = 6 * model.floating
-    # A wrench of one along each component of each frame: their images are the Jacobian's rows.
+    # The Jacobian's rows are the generalised forces of unit wrenches.
     names = [name for name in frames for _ in range(6)]
     units = np.broadcast_to(np.tile(np.eye(6), (len(frames), 1)), (count, len(names), 6))
     at_base = wrenches_at_base(model, units, names, poses)
@@ -54,25 +53,27 @@ def contact_wrenches(
 ) -> FloatArray:
     """Return the environment's wrenches f_e = (J_gᵀ)⁺ (K φ - Sᵀ f_a), Eq. 4.1.
 
-    They leave the least squares error J_gᵀ f_e - (K φ - Sᵀ f_a), newtons and newton metres
-    alike. Two feet and sixteen coordinates leave four equations over, so most of an error in φ
-    hides in the wrenches: this predicts contact forces, it does not replace measuring them.
+    They minimise the norm of J_gᵀ f_e - (K φ - Sᵀ f_a), with equal weights for newtons and newton
+    metres. Two feet and sixteen coordinates leave only four redundant equations, so the wrenches
+    absorb most of an error in φ. These predictions cannot replace measured wrenches.
 
-    Where J_gᵀ lacks full column rank the data do not determine all of f_e, and of all least
-    squares solutions the one of least norm is returned. So it is with more wrench components
-    than coordinates (two feet and a hoist), with a frame on a fixed base, with legs in the same
-    plane (none of their joints feels the feet twisted against each other), and with several
-    frames on one link (only the sum of their wrenches is felt).
+    Where J_gᵀ lacks full column rank, the data do not determine all of f_e, and the least squares
+    solution of minimum norm is returned. Examples are:
+
+    - more wrench components than coordinates (two feet and an overhead support),
+    - a frame on a fixed base,
+    - legs in one plane (no joint resists opposite moments of the feet),
+    - several frames on one link (only the sum of their wrenches matters).
 
     Parameters
     ----------
     jacobian : (N, 6 F, n) float64
-        From :func:`contact_jacobian`.
+        Jacobian from :func:`contact_jacobian`.
     force : (N, ..., n) float64
-        K φ - Sᵀ f_a, what the motion needs beyond the motors, Nm and N; several per sample
-        share the work.
+        K φ - Sᵀ f_a, the generalised force that the motors do not supply, Nm and N. Several
+        forces per sample share the pseudoinverse.
     tolerance : float
-        Singular values below this share of the largest are taken as zero.
+        Singular values below this share of the largest are treated as zero.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The base's motion, from an IMU mounted anywhere on the tree (REP-145)."""
+"""Motion of the base from an IMU on any link (REP-145)."""
 
 from dataclasses import dataclass, replace
 
@@ -29,7 +29,7 @@ def base_motion(
     joints: tuple[FloatArray, FloatArray, FloatArray],
     imu: BaseMotion,
 ) -> BaseMotion:
-    """Carry the IMU's readings over to the base.
+    """Transform IMU readings to the base.
 
     Parameters
     ----------
@@ -40,30 +40,30 @@ def base_motion(
     joints : tuple of (N, J) float64
         Joint positions, velocities and accelerations.
     imu : BaseMotion
-        The same three quantities as the IMU feels them, in its own axes.
+        The same three quantities measured by the IMU, in its own axes.
 
     Returns
     -------
     BaseMotion
-        The IMU's motion less that of its link relative to the base and less the
-        lever arm's part ω̇×r + ω×(ω×r) + 2ω×ṙ.
+        The IMU's motion without that of its link relative to the base and without the effect of
+        the lever arm, ω̇×r + ω×(ω×r) + 2ω×ṙ.
     """
     frame = model.frame(frame_name)
     above = np.flatnonzero(model.ancestors[:, frame.link])
-    # Only the joints between base and IMU matter; alone they are a serial chain.
+    # Only the joints between base and IMU matter. They form a serial chain.
     table = JointTable.of([replace(model.joints[j], parent=k) for k, j in enumerate(above)])
     readings = (imu.angular_velocity, imu.angular_acceleration, imu.specific_force)
     base = np.empty((3, 3, len(joints[0])))
     for part in cache_blocks(len(joints[0]), len(table) + 1):
         position, velocity, acceleration = (component_first(x[part][:, above]) for x in joints)
         mount = _imu_with_base_at_rest(table, frame, (position, velocity, acceleration))
-        base[:, :, part] = _less_mount(mount, *(component_first(x[part]) for x in readings))
+        base[:, :, part] = _remove_mount(mount, *(component_first(x[part]) for x in readings))
     return BaseMotion(*(motion.T for motion in base))
 
 
 @dataclass(frozen=True)
 class _Mount:
-    """The IMU's frame seen from a base at rest, (3, ..., N), in base axes.
+    """Motion of the IMU's frame relative to the base, in base axes.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class _Mount:
     arm, velocity, acceleration : (3, N) float64
         Position of the IMU in m and its derivatives.
     omega, alpha : (3, N) float64
-        Its angular velocity and acceleration.
+        Angular velocity and acceleration of the IMU.
     """
 
     rotation: FloatArray
@@ -86,7 +86,7 @@ class _Mount:
 def _imu_with_base_at_rest(
     table: JointTable, frame: Frame, joints: tuple[FloatArray, FloatArray, FloatArray]
 ) -> _Mount:
-    """Return how joint positions, velocities and accelerations (J, N) alone move the IMU."""
+    """Return the IMU's motion from joint positions, velocities and accelerations (J, N) alone."""
     position, velocity, acceleration = joints
     posture = Posture.at(table, position)
     rest = np.zeros((3, position.shape[1]))
@@ -106,10 +106,10 @@ def _imu_with_base_at_rest(
     )
 
 
-def _less_mount(
+def _remove_mount(
     mount: _Mount, omega: FloatArray, alpha: FloatArray, force: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the base's three (3, N) behind the IMU's readings (3, N), in IMU axes."""
+    """Return the base's ω, ω̇ and specific force (3, N) from the IMU's readings in IMU axes."""
     base_omega = matvec(mount.rotation, omega) - mount.omega
     base_alpha = matvec(mount.rotation, alpha) - mount.alpha - cross(base_omega, mount.omega)
     swing = cross(base_omega, mount.arm) + 2 * mount.velocity

@@ -1,9 +1,8 @@
-"""Forward kinematics of a block of samples, with no world in it.
+"""Forward kinematics of a block of samples, relative to the base.
 
-The base's specific force already holds gravity, so positions, velocities and the
-gravity direction in the world never appear (Featherstone 2008, §5.3, for trees). All
-vectors are in base axes: there each link's motion is the base's plus a sum over the joints
-on the way to it, and only the rotations are left to chain.
+The base's specific force contains gravity, so the world's axes, positions and velocities are not
+needed (Featherstone 2008, §5.3, for trees). All vectors are in base axes: each link's motion is
+the base's plus a sum over the joints between them, and only rotations are chained.
 """
 
 from collections.abc import Sequence
@@ -18,30 +17,30 @@ from symbid_ros.model.tree import Joint, RobotModel
 
 @dataclass(frozen=True)
 class JointTable:
-    """Constants of J joints that carry the links 1 to J; L = J + 1.
+    """Constants of J joints in arrays; joint j carries link j + 1 and L = J + 1.
 
     Attributes
     ----------
     parent : (J,) int64
         Parent links.
-    turns : (J, 1) float64
+    revolute : (J, 1) float64
         1 for a revolute joint, 0 for a prismatic one.
-    slides : (J,) int64
+    prismatic : (J,) int64
         Indices of the prismatic joints.
     axis : (3, J) float64
         Unit vectors in the child's axes.
     reference : (J, 1) float64
-        Positions at which the child stands as the model file says.
+        Positions at which the child has the pose of the model file.
     pose : (J, 15, 4) float64
-        Child's rotation, translation and joint axis, flattened from (3, 5), in the parent:
-        ``pose @ [1, sin q, cos q, q]`` with q counted from the reference.
+        Factors of the child's rotation, translation and joint axis in the parent, flattened from
+        (3, 5): ``pose @ [1, sin q, cos q, q]`` with q measured from the reference.
     path : (L, J) float64
-        1 where a joint lies between the base and a link, Eq. 10's δ_j(l).
+        1 where a joint lies between the base and a link, δ_j(l) of Eq. 10.
     """
 
     parent: IntArray
-    turns: FloatArray
-    slides: IntArray
+    revolute: FloatArray
+    prismatic: IntArray
     axis: FloatArray
     reference: FloatArray
     pose: FloatArray
@@ -49,7 +48,7 @@ class JointTable:
 
     @classmethod
     def of(cls, joints: Sequence[Joint]) -> "JointTable":
-        """Line up joints, parents before children."""
+        """Return the table of joints listed parents before children."""
         count = len(joints)
         path = np.zeros((count + 1, count))
         for index, joint in enumerate(joints):
@@ -58,8 +57,8 @@ class JointTable:
         turns = np.array([joint.kind == "revolute" for joint in joints], dtype=np.float64)
         return cls(
             parent=np.array([joint.parent for joint in joints], dtype=np.int64),
-            turns=turns[:, None],
-            slides=np.flatnonzero(turns == 0),
+            revolute=turns[:, None],
+            prismatic=np.flatnonzero(turns == 0),
             axis=np.array([joint.axis for joint in joints]).reshape(count, 3).T,
             reference=np.array([joint.reference for joint in joints]).reshape(count, 1),
             pose=_pose_terms(joints, turns),
@@ -79,7 +78,7 @@ class JointTable:
         return (self.pose @ basis).reshape(len(self), 3, 5, position.shape[1])
 
     def along_path(self, base: FloatArray, step: FloatArray) -> FloatArray:
-        """Return vectors (3, L, N): the base's (3, N) plus the steps (3, J, N) on the way."""
+        """Return (3, L, N): the base's vector (3, N) plus the steps (3, J, N) along each path."""
         total: FloatArray = self.path @ step
         total += base[:, None]
         return total
@@ -91,7 +90,7 @@ def _pose_terms(joints: Sequence[Joint], turns: FloatArray) -> FloatArray:
     rotation = np.array([joint.rotation for joint in joints]).reshape(count, 3, 3)
     axis = np.array([joint.axis for joint in joints]).reshape(count, 3)
     turns = turns[:, None, None]
-    # What a prismatic joint leaves alone is all of the rotation, not the axis's part of it.
+    # A prismatic joint keeps the whole rotation, a revolute joint only its axis's part.
     kept = np.where(turns, axis[:, :, None] * axis[:, None], np.eye(3))
     terms = np.zeros((count, 3, 5, 4))
     terms[:, :, :3, 0] = rotation @ kept
@@ -132,9 +131,9 @@ class Posture:
     pose : (3, 4, L, N) float64
         Rotations from link axes to base axes, then the link origins in m.
     axis : (3, J, N) float64
-        Unit vectors of the joints.
+        Unit vectors of the joint axes.
     lever : (3, J, N) float64
-        From the parent's origin to the child's, m.
+        Vectors from the parent's origin to the child's, m.
     """
 
     joints: JointTable
@@ -144,7 +143,7 @@ class Posture:
 
     @classmethod
     def at(cls, joints: JointTable, position: FloatArray) -> "Posture":
-        """Place the links at joint positions (J, N)."""
+        """Return the posture at joint positions (J, N)."""
         count = position.shape[1]
         placed = np.empty((3, 5, len(joints) + 1, count))
         placed[:, :, 0] = np.eye(3, 5)[..., None]
@@ -153,14 +152,14 @@ class Posture:
         ):
             np.einsum("ikn,kjn->ijn", placed[:, :3, parent], pose, out=placed[:, :, child])
         pose, axis = placed[:, :4], placed[:, 4, 1:]
-        # So far the last column holds levers; their sum along the path is the origin.
+        # The origin is the sum of the levers, which fill the last column so far.
         lever = pose[:, 3, 1:].copy()
         pose[:, 3] = joints.along_path(np.zeros((3, count)), lever)
         return cls(joints, pose, axis, lever)
 
     @classmethod
     def of(cls, joints: JointTable, poses: LinkPoses) -> "Posture":
-        """Take the links as placed by :func:`link_poses`."""
+        """Return the posture of the poses of :func:`link_poses`."""
         rotation, origin = component_first(poses.rotation), component_first(poses.position)
         pose = np.concatenate([rotation, origin[:, None]], axis=1)
         axis = np.einsum("ikjn,kj->ijn", rotation[:, :, 1:], joints.axis)
@@ -184,7 +183,7 @@ class Posture:
     @property
     def motion_axes(self) -> FloatArray:
         """(6, J, N) joint axes about the base's origin, angular part first."""
-        slides = self.joints.slides
+        slides = self.joints.prismatic
         axes = np.concatenate([self.axis, cross(self.position[:, 1:], self.axis)])
         axes[:3, slides], axes[3:, slides] = 0.0, self.axis[:, slides]
         return axes
@@ -201,7 +200,7 @@ class LinkMotion:
     specific_force : (3, L, N) float64
         Acceleration of the link's origin minus gravity, m/s².
     lever_acceleration : (3, 3, L, N) float64
-        S(ω̇) + S(ω)², which takes a vector fixed to the link to its second derivative.
+        S(ω̇) + S(ω)², which maps a vector fixed to the link to its second derivative.
     """
 
     angular_velocity: FloatArray
@@ -229,17 +228,17 @@ def link_motion(
     acceleration: FloatArray,
     base: tuple[FloatArray, FloatArray, FloatArray],
 ) -> LinkMotion:
-    """Propagate the base's ω, ω̇ and specific force, (3, N), outwards at joint rates (J, N)."""
+    """Return link motion from the base's ω, ω̇ and specific force (3, N) and joint rates (J, N)."""
     joints, axis = posture.joints, posture.axis
-    spin = axis * (velocity * joints.turns)
+    spin = axis * (velocity * joints.revolute)
     omega = joints.along_path(base[0], spin)
     w = omega[:, joints.parent]
-    change = axis * (acceleration * joints.turns)
+    change = axis * (acceleration * joints.revolute)
     change += cross(w, spin)
     alpha = joints.along_path(base[1], change)
     lever_acceleration = _lever_acceleration(omega, alpha)
     step = matvec(lever_acceleration[:, :, joints.parent], posture.lever)
-    for j in joints.slides:
+    for j in joints.prismatic:
         slide = axis[:, j]
         step[:, j] += slide * acceleration[j] + 2 * cross(w[:, j], slide * velocity[j])
     force = joints.along_path(base[2], step)
@@ -261,11 +260,11 @@ def link_velocity(
 ) -> tuple[FloatArray, FloatArray]:
     """Return angular and linear velocities (3, L, N) of the link origins, in base axes.
 
-    The base's own are (3, N), the joints' (J, N).
+    Base velocities are (3, N), joint velocities (J, N).
     """
     joints, axis = posture.joints, posture.axis
-    omega = joints.along_path(base_angular, axis * (velocity * joints.turns))
+    omega = joints.along_path(base_angular, axis * (velocity * joints.revolute))
     step = cross(omega[:, joints.parent], posture.lever)
-    for j in joints.slides:
+    for j in joints.prismatic:
         step[:, j] += axis[:, j] * velocity[j]
     return omega, joints.along_path(base_linear, step)

@@ -1,4 +1,7 @@
-"""The equation of motion, linear in the parameters: K φ = y (Eq. 6, 10–14, 2.46–2.49)."""
+"""Regressors: forces, momentum and centre of mass as linear functions of the parameters.
+
+The equation of motion is K φ = y (Eq. 6, 10–14, 2.46–2.49).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,10 +23,10 @@ from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
-# J of one unit of each parameter, (10, 16).
+# Pseudo-inertia J of one unit of each parameter, (10, 16).
 UNIT_PSEUDO_INERTIA = pseudo_inertia(np.eye(10)).reshape(10, 16)
 
-# Below this speed, rad/s or m/s, a joint may stick, and then its friction is whatever holds it.
+# Below this speed, rad/s or m/s, a joint may stick, and static friction balances the other forces.
 COULOMB_SPEED = 0.02
 
 
@@ -33,13 +36,13 @@ def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatA
     A body's points x = X ξ, ξ homogeneous in link axes, have rates u = U ξ, so that
     ∫ x uᵀ dm = X J Uᵀ with the pseudo-inertia J = ∫ ξξᵀ dm, linear in the parameters
     (Wensing, Kim and Slotine 2018). With u = ẋ the integral is the body's momentum. With
-    u = ẍ - g it is the wrench that moves it, bX_l^F A_l of Eq. 11 and 14; the thesis's -S(ṗ)
-    of Eq. 2.38 comes out as -S(p̈), as it must.
+    u = ẍ - g it is the wrench on the body, bX_l^F A_l of Eq. 11 and 14. This corrects -S(ṗ) of
+    the thesis's Eq. 2.38 to -S(p̈).
 
     Parameters
     ----------
     parameters : ParameterSet
-        Which links have parameters.
+        The links with parameters.
     pose, pose_rate : (3, 4, L, N) float64
         X and U of all links, in base axes: rotation (or its rate), then origin (or its rate).
     """
@@ -48,7 +51,7 @@ def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatA
     links, count = pose.shape[2:]
     integrals = np.empty((6, links, 10, count))
     for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        # One axis at a time: the products of all three would not fit the cache.
+        # One axis at a time, because the products of all three do not fit the cache.
         products = pose[i, :, None] * pose_rate[j]
         products -= pose[j, :, None] * pose_rate[i]
         moment = UNIT_PSEUDO_INERTIA @ products.reshape(16, links * count)
@@ -62,8 +65,8 @@ def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatA
 def is_slipping(velocity: FloatArray) -> BoolArray:
     """Return whether joints (N, J) move at ``COULOMB_SPEED`` or faster.
 
-    A joint that sticks feels anything between the bounds ± its Coulomb friction, which no
-    parameter of the equation of motion says: its row holds only where this is true.
+    Friction in a sticking joint takes any value up to ± its Coulomb friction, so the joint's row
+    of the equation of motion is valid only while the joint slips.
     """
     moves: BoolArray = np.abs(velocity) >= COULOMB_SPEED
     return moves
@@ -72,8 +75,8 @@ def is_slipping(velocity: FloatArray) -> BoolArray:
 def coulomb_column(velocity: FloatArray) -> FloatArray:
     """Return sign(q̇) (N, J) of Eq. 2.49, with a linear ramp below ``COULOMB_SPEED``.
 
-    The ramp keeps noise about zero speed from switching a whole Coulomb friction on and off;
-    it is no model of stiction.
+    Without the ramp, noise about zero speed would switch the friction's sign. The ramp does not
+    model stiction.
     """
     column: FloatArray = np.clip(velocity / COULOMB_SPEED, -1.0, 1.0)
     return column
@@ -86,10 +89,10 @@ class Rows:
     Attributes
     ----------
     K : (N, n, p) float64
-        Regressor. Base rows first: moment, then force, in base axes at the base's
-        origin; then one row per joint.
+        Regressor. The base's rows come first: moment, then force, in base axes about the base's
+        origin. One row per joint follows.
     y : (N, n) float64
-        Generalised force of motors and environment, less known joint terms, Nm and N.
+        Generalised force of motors and environment minus known joint terms, Nm and N.
     """
 
     K: FloatArray
@@ -99,12 +102,12 @@ class Rows:
 def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     """Return the rows of K φ = y for a block of samples.
 
-    Joint terms that the model file states and φ does not hold are known: y is less by them.
+    Known joint terms (:attr:`ParameterSet.known_terms`) are subtracted from y.
     """
     model = parameters.model
     first_joint = 6 * model.floating
     joints = JointTable.of(model.joints)
-    # Eq. 10's δ_j(l), column by column: a joint feels the links that it carries.
+    # δ_j(l) of Eq. 10, column by column: only links that a joint carries load it.
     carries = np.repeat(joints.path[parameters.links].T, 10, axis=1)
     K = np.empty((len(samples), model.dof, len(parameters)))
     y = np.empty((len(samples), model.dof))
@@ -129,7 +132,7 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
 
 
 def known_force(parameters: ParameterSet, samples: Samples) -> FloatArray:
-    """Return what known friction and armature ask of the motors (N, n), zero at the base."""
+    """Return the generalised force (N, n) of known friction and armature, zero at the base."""
     content = _joint_terms(samples)
     force = np.zeros((len(samples), parameters.model.dof))
     joints = force[:, 6 * parameters.model.floating :]
@@ -168,11 +171,11 @@ def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples)
 
 
 def _joint_terms(samples: Samples) -> dict[Term, FloatArray]:
-    """Return what multiplies each joint term (N, J), Eq. 2.49 with armature and offset.
+    """Return the factor (N, J) of each joint term, Eq. 2.49 with armature and offset.
 
-    The armature is the inertia of rotor and gear as felt at the joint. It turns with q̇_j
-    alone: the rotor's spin in inertial space, small beside its geared spin, is left out, as
-    in MuJoCo (Featherstone 2008, sec. 9.6).
+    The armature is the inertia of rotor and gear reflected to the joint, and moves with q̇_j
+    alone. As in MuJoCo, the rotor's motion with its link is neglected, because it is small
+    compared to the geared motion (Featherstone 2008, sec. 9.6).
     """
     return {
         "viscous": samples.velocity,
@@ -185,7 +188,7 @@ def _joint_terms(samples: Samples) -> dict[Term, FloatArray]:
 def generalised_force(
     model: RobotModel, samples: Samples, poses: LinkPoses, axes: FloatArray
 ) -> FloatArray:
-    """Return y = Sᵀ f_a + J_gᵀ f_e (N, n), Eq. 4, of motors and measured wrenches.
+    """Return y = Sᵀ f_a + J_gᵀ f_e (N, n), Eq. 4, from efforts and measured wrenches.
 
     Parameters
     ----------
@@ -194,9 +197,9 @@ def generalised_force(
     samples : Samples
         Efforts and wrenches.
     poses : LinkPoses
-        Of the same samples.
+        Link poses of the samples.
     axes : (N, J, 6) float64
-        From :func:`symbid_ros.dynamics.kinematics.joint_axes`.
+        Joint axes from :func:`symbid_ros.dynamics.kinematics.joint_axes`.
     """
     first_joint = 6 * model.floating
     frames = samples.wrench_frames
@@ -214,7 +217,7 @@ def generalised_force(
 def wrenches_at_base(
     model: RobotModel, wrenches: FloatArray, frames: Sequence[str], poses: LinkPoses
 ) -> FloatArray:
-    """Return wrenches (N, F, 6) of sensor frames moved to the base's axes and origin."""
+    """Return wrenches (N, F, 6) of sensor frames in base axes about the base's origin."""
     mounts = [model.frame(name) for name in frames]
     links = [mount.link for mount in mounts]
     mount_rotation = np.array([mount.rotation for mount in mounts]).reshape(-1, 3, 3)
@@ -236,7 +239,7 @@ def com_position(parameters: ParameterSet, values: FloatArray, poses: LinkPoses)
 
 
 def first_moment_regressor(parameters: ParameterSet, poses: LinkPoses) -> FloatArray:
-    """Return C (N, 3, p): C φ is the robot's first moment in the base frame, kg m."""
+    """Return C (N, 3, p), where C φ is the robot's first moment in the base frame, kg m."""
     links, count = parameters.links, parameters.inertial
     C = np.zeros((len(poses.position), 3, len(parameters)))
     by_link = C[:, :, :count].reshape(len(C), 3, len(links), 10)
@@ -249,18 +252,18 @@ def first_moment_regressor(parameters: ParameterSet, poses: LinkPoses) -> FloatA
 def momentum_regressor(
     parameters: ParameterSet, samples: Samples, base_velocity: FloatArray, poses: LinkPoses
 ) -> FloatArray:
-    """Return M (N, 6, p): M φ is the momentum (angular; linear) about the base's origin.
+    """Return M (N, 6, p), where M φ is the momentum (angular; linear) about the base's origin.
 
     Parameters
     ----------
     parameters : ParameterSet
-        The robot and its columns; friction has none of it.
+        The robot and its columns. The columns of joint terms are zero.
     samples : Samples
         Joint positions and velocities, and the base's angular velocity.
     base_velocity : (N, 3) float64
         Linear velocity of the base's origin, in base axes, m/s.
     poses : LinkPoses
-        Of the same samples.
+        Link poses of the samples.
     """
     joints = JointTable.of(parameters.model.joints)
     M = np.zeros((len(samples), 6, len(parameters)))
@@ -280,7 +283,7 @@ def momentum_regressor(
 
 
 def centroidal(momentum: FloatArray, com: FloatArray) -> FloatArray:
-    """Return momentum (N, 6) moved from the base's origin to the centre of mass (N, 3)."""
+    """Return momentum (N, 6) about the centre of mass (N, 3) instead of the base's origin."""
     moved = momentum.copy()
     moved[:, :3] -= cross(com.T, momentum[:, 3:].T).T
     return moved

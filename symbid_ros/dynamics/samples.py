@@ -1,4 +1,4 @@
-"""Everything the equation of motion needs, on one clock."""
+"""Motion and forces of a robot at common instants, the input of the equation of motion."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
@@ -10,11 +10,10 @@ from symbid_ros.arrays import FloatArray, IntArray
 
 @dataclass(frozen=True)
 class Samples:
-    """N instants of a robot's motion and of the forces on it.
+    """Motion of a robot and forces on it at N instants.
 
-    Joint columns follow the model's joints. Base quantities are in the base's
-    axes at its origin; a fixed base has zero rates and minus gravity as its
-    specific force.
+    Joint columns are in model order. Base quantities are in base axes at the base's origin. A
+    fixed base has zero rates, and its specific force is minus gravity.
 
     Attributes
     ----------
@@ -29,10 +28,10 @@ class Samples:
     base_specific_force : (N, 3) float64
         Acceleration of the base's origin minus gravity, m/s².
     wrenches : (N, F, 6) float64
-        Per sensor the environment's (moment; force) on the robot, in the
-        sensor frame's axes about its origin.
+        Per sensor the (moment; force) of the environment on the robot, in the sensor frame's
+        axes about its origin.
     wrench_frames : tuple of str
-        The F frames.
+        Names of the F sensor frames.
     """
 
     stamp: IntArray
@@ -57,7 +56,7 @@ class Samples:
         return len(self.stamp)
 
     def __getitem__(self, index: slice | IntArray) -> "Samples":
-        """Return the samples at ``index``, a slice or indices."""
+        """Return the samples at a slice or at indices."""
         arrays = {
             field.name: getattr(self, field.name)[index]
             for field in fields(self)
