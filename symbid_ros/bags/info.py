@@ -194,15 +194,15 @@ def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone
             raise
         fault = str(error).removeprefix(f"{file}: ")
         summary = McapSummary(SchemaRegistry(), None, (), data_end=0, data_crc=0)
-    catalogue = summary.catalogue
-    told = summary.statistics if summary.tells_topics else _counted(file, catalogue)
-    assert told is not None
+    registry = summary.registry
+    stated = summary.statistics if summary.has_topic_counts else _counted(file, registry)
+    assert stated is not None
     counts: Counter[Topic] = Counter()
-    for number, channel in catalogue.channels.items():
-        topic = Topic(channel.topic, catalogue.msgtype(channel))
-        counts[topic] += told.channel_message_counts.get(number, 0)
+    for number, channel in registry.channels.items():
+        topic = Topic(channel.topic, registry.msgtype(channel))
+        counts[topic] += stated.channel_message_counts.get(number, 0)
         with suppress(ValueError):
-            qos[topic] = qos.get(topic) or catalogue.offers(channel)
+            qos[topic] = qos.get(topic) or registry.offered_qos(channel)
     is_filled = counts.total() > 0
     return FileInfo(
         name=file.name,
@@ -213,20 +213,20 @@ def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone
         is_finished=_has_end(file),
         is_indexed=any(chunk.message_index_offsets for chunk in summary.chunks),
         fault=fault,
-        start=told.message_start_time if is_filled else None,
-        end=told.message_end_time if is_filled else None,
+        start=stated.message_start_time if is_filled else None,
+        end=stated.message_end_time if is_filled else None,
         counts=dict(counts),
-        attachments=told.attachment_count,
-        metadata=told.metadata_count,
+        attachments=stated.attachment_count,
+        metadata=stated.metadata_count,
     )
 
 
-def _counted(file: Path, catalogue: SchemaRegistry) -> Statistics:
+def _counted(file: Path, registry: SchemaRegistry) -> Statistics:
     """Read a file to its end and return what its statistics ought to be."""
     counts: Counter[int] = Counter()
     records: Counter[type] = Counter()
     first, last = 1 << 64, 0
-    for piece in DamagedMcapReader(file, catalogue).pieces():
+    for piece in DamagedMcapReader(file, registry).pieces():
         records[type(piece)] += 1
         if isinstance(piece, MessageRun):
             for start in piece.starts:
@@ -235,14 +235,14 @@ def _counted(file: Path, catalogue: SchemaRegistry) -> Statistics:
                 first, last = min(first, log_time), max(last, log_time)
     return Statistics(
         attachment_count=records[Attachment],
-        channel_count=len(catalogue.channels),
+        channel_count=len(registry.channels),
         channel_message_counts=counts,
         chunk_count=records[MessageRun],
         message_count=counts.total(),
         message_start_time=first,
         message_end_time=last,
         metadata_count=records[Metadata],
-        schema_count=len(catalogue.schemas),
+        schema_count=len(registry.schemas),
     )
 
 

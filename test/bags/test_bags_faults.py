@@ -148,7 +148,7 @@ def with_flipped_byte(image: bytearray) -> bytes:
     [
         (lambda image: bytes(image[: len(image) // 2]), "the recording was interrupted"),
         (lambda image: b"", "empty; record it again"),
-        (lambda image: b"SQLite format 3\0" + bytes(100), "an SQLite file; give it the ending"),
+        (lambda image: b"SQLite format 3\0" + bytes(100), "an SQLite file; rename it"),
         (lambda image: bytes(image[1:]), "not an MCAP file"),
         (lambda image: bytes(image[:8]), "the recording was interrupted"),
         (with_flipped_byte, "damaged MCAP file"),

@@ -261,7 +261,7 @@ def test_an_empty_last_file_of_a_crash_does_not_hide_the_others(tmp_path: Path) 
     (bag / "._log_0.mcap").write_bytes(b"a note of a file manager")
     assert positions(bag) == VALUES
     (bag / "log_1.mcap").write_bytes(b"")
-    assert "log_1.mcap: empty; record it again, or give the bag's other files" in refusal(bag)
+    assert "log_1.mcap: empty; record it again, or give the other files" in refusal(bag)
     info = bag_info(bag)
     assert info.count == COUNT
     assert [file.fault[:5] for file in info.files] == ["", "empty"]
@@ -332,10 +332,10 @@ def test_files_compressed_as_a_whole(tmp_path: Path) -> None:
 def test_what_a_file_is_instead_is_said(tmp_path: Path) -> None:
     image = plain_file(tmp_path / "log.mcap").read_bytes()
     for name, content, line in (
-        ("log.mcap.zst", zstandard.compress(image), "unpack it with `zstd -d "),
-        ("log.mcap.lz4", lz4.frame.compress(image), "unpack it with `lz4 -d "),
+        ("log.mcap.zst", zstandard.compress(image), "decompress it with `zstd -d "),
+        ("log.mcap.lz4", lz4.frame.compress(image), "decompress it with `lz4 -d "),
         ("empty.mcap", b"", "empty; record it again"),
-        ("db.mcap", sqlite_file(tmp_path / "x.db3").read_bytes(), "give it the ending .db3"),
+        ("db.mcap", sqlite_file(tmp_path / "x.db3").read_bytes(), "rename it to end in .db3"),
         ("page.mcap", b"<html>404</html>", "not an MCAP file; give a bag"),
     ):
         file = tmp_path / name
@@ -372,7 +372,7 @@ def test_a_bag_of_ros_1_is_read_once_it_is_converted_as_told(tmp_path: Path) -> 
         ({"message_encoding": "ros1", "encoding": "ros1msg"}, "convert its messages"),
         ({"message_encoding": "json", "encoding": "jsonschema"}, "encoded as json"),
         ({"message_encoding": "protobuf", "encoding": "protobuf"}, "encoded as protobuf"),
-        ({"profile": "ros1"}, "a recording of ROS 1; convert the .bag that it was made from"),
+        ({"profile": "ros1"}, "a ROS 1 recording; convert the .bag that it was made from"),
     ],
 )
 def test_other_encodings_are_named(tmp_path: Path, changes: dict[str, str], line: str) -> None:

@@ -176,7 +176,7 @@ def test_every_honest_form_is_read(
         (lambda raw: lz4.frame.compress(raw)[:-9], "lz4", "damaged MCAP file"),
         (lambda raw: raw + b"more", "", "a chunk's size"),
         (lambda raw: raw, "xz", "unknown compression 'xz'"),
-        (lambda raw: raw, "x" * 100, "a chunk names no compression"),
+        (lambda raw: raw, "x" * 100, "a chunk does not name its compr"),
     ],
     ids=["zstd-tail", "lz4-tail", "zstd-cut", "lz4-cut", "plain-tail", "unknown", "nonsense"],
 )
@@ -214,13 +214,13 @@ NESTED = chunk(message(), len(message()), "")
     ("records", "line"),
     [
         ([announced(), struct.pack("<BQ", 5, MAX_CHUNK + 1) + bytes(MAX_CHUNK + 1)], "a record of"),
-        ([announced(), message()[:4] + b"\xff" * 5 + message()[9:]], "a record is cut short"),
-        ([announced(), b"\x42" + bytes(8), message()], "a record of kind 66 is among its data"),
+        ([announced(), message()[:4] + b"\xff" * 5 + message()[9:]], "a record is truncated"),
+        ([announced(), b"\x42" + bytes(8), message()], "a record with opcode 66 is in"),
         ([message()], "a message's channel was never announced"),
         ([announced("/a"), announced("/b"), message()], "channel 1 is announced twice, differ"),
-        ([announced(), struct.pack("<BQHI", 7, 6, 1, 0), message()], "index follows no chunk"),
+        ([announced(), struct.pack("<BQHI", 7, 6, 1, 0), message()], "index does not follow"),
         ([announced(), chunk(NESTED, len(NESTED), "")], "a record of kind 6 is in a chunk"),
-        ([announced(), chunk(message()[:-1], len(message()) - 1, "")], "reaches beyond its chunk"),
+        ([announced(), chunk(message()[:-1], len(message()) - 1, "")], "extends beyond its chunk"),
         ([announced(), chunk(message(), len(message()), "", crc=7)], "not match its checksum"),
         ([announced()[:-30], message()], "damaged MCAP file"),
     ],
@@ -321,7 +321,7 @@ def test_data_are_checked_where_the_writer_gave_a_checksum(tmp_path: Path) -> No
         writer.finish()
     assert read_streams([file]).joints.effort.tolist() == [[3.0]]
     spoiled(file, file.read_bytes().index(b"a library"))
-    assert "its data do not match their checksum" in refusal(file)
+    assert "data section does not match its checksum" in refusal(file)
 
 
 def test_chunks_without_checksum_are_counted(log: Path, tmp_path: Path) -> None:
@@ -349,7 +349,7 @@ def test_a_missing_chunk_is_missed(log: Path, caplog: pytest.LogCaptureFixture) 
     read_streams([file])
     assert "its summary counts 2100 messages, " in caplog.text
     assert f"`symbid bag recover {file}` reports what is lost" in caplog.text
-    assert "1 records of private kinds passed over" in caplog.text
+    assert "1 private records skipped" in caplog.text
 
 
 def test_metadata_that_expand_are_refused(log: Path) -> None:

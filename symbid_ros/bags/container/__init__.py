@@ -1,1 +1,1 @@
-"""What lies in a bag's files: chunks, records, topics, messages as bytes."""
+"""Read the files of bags: records, chunks, topics, and messages as bytes."""

@@ -1,9 +1,8 @@
-"""Serialised messages of a bag, many at a time: bytes and where each message lies in them.
+"""Read the serialised messages of an MCAP file in blocks: bytes, and the span of each message.
 
-The framing of records is followed here because every general reader makes a
-Python object of each message. A chunk's index tells where its messages begin;
-it is checked against the bytes, and without a good one the records are walked
-through. What the file's summary says is held against what was read.
+The readers of mcap and rosbags make a Python object of each message, so the records are parsed
+here. A chunk's index tells where its messages begin. It is checked against the bytes; without a
+valid index, the records are scanned. Finally the messages are compared with the file's summary.
 """
 
 import logging
@@ -48,12 +47,12 @@ from symbid_ros.messages.topics import Topic
 
 @dataclass
 class ChunkBatch:
-    """Chunks as they lie in the file, and where their indexes say messages begin.
+    """Successive chunks that are processed together, and the message positions in their indexes.
 
     Attributes
     ----------
     size : int
-        Bytes of all records inside, as the chunks state them.
+        Stated bytes of all decompressed records.
     chunks, unchecked : int
         Number of chunks, and of those without a checksum.
     """
@@ -67,33 +66,33 @@ class ChunkBatch:
     _places: list[tuple[int, int]] = field(default_factory=list)
 
     def add_message(self, record: bytes) -> None:
-        """Take a message's record, which lies in no chunk."""
+        """Add a message record that is outside of chunks."""
         self._add(record, len(record))
 
     def add_chunk(self, chunk: ChunkRecord) -> None:
-        """Take a chunk; it is unpacked later."""
+        """Add a chunk, which is decompressed later."""
         self._add(chunk, chunk.size)
         self.chunks += 1
         self.unchecked += not chunk.crc
 
     def add_index(self, body: bytes) -> None:
-        """Take the body of a message index of the last chunk: channel, size, entries."""
+        """Add the body of a message index of the last chunk: channel, size, entries."""
         _, size = INDEX_HEAD.unpack_from(body)
         entries = body[INDEX_HEAD.size : INDEX_HEAD.size + size]
         if len(entries) < size or size % INDEX_ENTRY_SIZE:
-            raise ValueError("a message index is cut short")
+            raise ValueError("a message index is truncated")
         self._entries.append(entries)
         self._places.append((self._base, size // INDEX_ENTRY_SIZE))
 
-    def unpacked(self) -> Buffer:
-        """Return all records, checked chunk by chunk against size and checksum."""
+    def decompress(self) -> Buffer:
+        """Return all records; each chunk is checked against its size and checksum."""
         parts = [part if isinstance(part, bytes) else part.records() for part in self._parts]
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def starts(self) -> IntArray:
-        """Return where messages begin according to the indexes, in increasing order (N,)."""
+        """Return where messages begin according to the indexes, sorted (N,)."""
         count = sum(count for _, count in self._places)
-        if count * PAYLOAD_OFFSET > self.size:  # more entries than there is room for messages
+        if count * PAYLOAD_OFFSET > self.size:  # more entries than messages fit in
             return np.empty(0, dtype=np.int64)
         entries = np.frombuffer(b"".join(self._entries), dtype="<i8").reshape(-1, 2)
         bases, counts = np.array(self._places, dtype=np.int64).reshape(-1, 2).T
@@ -106,8 +105,8 @@ class ChunkBatch:
 
 
 HEAD = np.dtype([("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")])
-BLOCK_SIZE = 4 * MIB  # chunks are joined to this many bytes: per-block work is per-topic work
-MOST_AHEAD = 2 * BLOCK_SIZE  # what is larger is unpacked when it is wanted: no memory for two
+BLOCK_SIZE = 4 * MIB  # chunks are joined to blocks, since each block costs time for each topic
+MAX_READ_AHEAD = 2 * BLOCK_SIZE  # larger blocks are not decompressed ahead, to save memory
 SKIPPED = frozenset({Opcode.ATTACHMENT, Opcode.METADATA})
 DATA = SKIPPED | {
     Opcode.HEADER,
@@ -129,12 +128,12 @@ class MessageBlock:
     Attributes
     ----------
     data : (B,) uint8
-        The bytes they lie in.
+        Bytes of the messages.
     spans : dict of Topic to (N, 2) int64
-        Start and length of each payload, in order of recording; every topic
-        announced so far, those without a message here included.
+        Start and length of each payload, in order of recording, for each topic announced so far,
+        even without a message.
     chunks, unchecked_chunks : int
-        Chunks they were in, and those of them that carry no checksum.
+        Number of their chunks, and of those without a checksum.
     """
 
     data: ByteArray
@@ -146,18 +145,18 @@ class MessageBlock:
 def read_mcap_blocks(file: Path) -> Iterator[MessageBlock]:
     """Yield all messages of an MCAP file, a few megabytes at a time.
 
-    A warning tells where the file's summary counts other messages than were found.
+    A warning is logged if the file's summary counts other messages than were found.
     """
     with report_damage(file):
         summary = read_summary(file)
-        yield from _FileReader(file, summary, summary.catalogue).blocks()
+        yield from _FileReader(file, summary, summary.registry).blocks()
 
 
 @dataclass
 class _FileReader:
     file: Path
     summary: McapSummary
-    catalogue: SchemaRegistry
+    registry: SchemaRegistry
     chunks: int = 0
     unchecked: int = 0
     private: int = 0
@@ -166,22 +165,23 @@ class _FileReader:
     topic_of: NDArray[np.int16] = field(default_factory=lambda: np.full(CHANNELS, -1, np.int16))
 
     def blocks(self) -> Iterator[MessageBlock]:
-        # Unpacking lets others run meanwhile: it goes on while the block before is made use of.
-        with ThreadPoolExecutor(1) as unpacker:
+        # Decompression releases the interpreter lock: one block is decompressed in a thread while
+        # the caller uses the previous one.
+        with ThreadPoolExecutor(1) as executor:
             ahead: tuple[ChunkBatch, Callable[[], Buffer]] | None = None
             for batch in self._batches():
-                unpacked: Callable[[], Buffer] = batch.unpacked
-                if batch.size <= MOST_AHEAD:
-                    unpacked = unpacker.submit(batch.unpacked).result
+                decompress: Callable[[], Buffer] = batch.decompress
+                if batch.size <= MAX_READ_AHEAD:
+                    decompress = executor.submit(batch.decompress).result
                 if ahead is not None:
                     yield self._block(*ahead)
-                ahead = batch, unpacked
+                ahead = batch, decompress
             if ahead is not None:
                 yield self._block(*ahead)
-        self._compare()
+        self._warn()
 
     def _batches(self) -> Iterator[ChunkBatch]:
-        """Yield the chunks of the file, joined to as much as is worked on at once."""
+        """Yield the chunks of the file, joined to batches of about `BLOCK_SIZE` bytes."""
         batch = ChunkBatch()
         for opcode, body in self._records():
             if opcode == Opcode.MESSAGE_INDEX:
@@ -197,11 +197,11 @@ class _FileReader:
                 else:
                     batch.add_chunk(chunk)
             else:
-                self.catalogue.add(opcode, body)
+                self.registry.add(opcode, body)
         yield batch
 
     def _records(self) -> Iterator[tuple[int, bytes]]:
-        """Yield opcode and body of the data's records, but for those that hold no message."""
+        """Yield opcode and body of the data section's records, except irrelevant ones."""
         with self.file.open("rb") as stream:
             end = self.summary.data_end
             stream.seek(len(MAGIC))
@@ -211,7 +211,7 @@ class _FileReader:
                 opcode, length = RECORD.unpack(stream.read(RECORD.size))
                 position += RECORD.size + length
                 if position > end:
-                    raise ValueError("a record is cut short")
+                    raise ValueError("a record is truncated")
                 if opcode == Opcode.DATA_END and position == end:
                     break
                 self._check_order(before, opcode)
@@ -225,12 +225,12 @@ class _FileReader:
                 else:
                     yield opcode, body
             else:
-                raise ValueError("its data do not end where its footer says")
+                raise ValueError("its data section does not end where its footer says")
         if self.summary.data_crc:
             self._check_data()
 
     def _check_data(self) -> None:
-        """Hold all data against their checksum; few writers give one, it covers skipped bytes."""
+        """Compare the data section with its checksum, which few writers give."""
         with self.file.open("rb") as stream:
             left = self.summary.data_end - DATA_END_SIZE
             crc = 0
@@ -241,31 +241,32 @@ class _FileReader:
                 crc = zlib.crc32(part, crc)
                 left -= len(part)
         if crc != self.summary.data_crc:
-            raise ValueError("its data do not match their checksum")
+            raise ValueError("its data section does not match its checksum")
 
     def _check_order(self, before: int | None, opcode: int) -> None:
         if (before is None) != (opcode == Opcode.HEADER):
-            raise ValueError("its header is not where it belongs")
+            raise ValueError("its header is not the first record")
         if opcode == Opcode.MESSAGE_INDEX and before not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX):
-            raise ValueError("a message index follows no chunk")
+            raise ValueError("a message index does not follow a chunk")
         if opcode >= PRIVATE:
             self.private += 1
         elif opcode not in DATA:
-            raise ValueError(f"a record of kind {opcode} is among its data")
+            raise ValueError(f"a record with opcode {opcode} is in its data section")
 
     def _check_profile(self, body: bytes) -> None:
         if parse_record(Header.read, body).profile == "ros1":
             raise BagError(
-                f"{self.file}: a recording of ROS 1; convert the .bag that it was made from with "
-                f"`rosbags-convert {TO_ROS2}`"
+                f"{self.file}: a ROS 1 recording; convert the .bag that it was made from with "
+                f"`rosbags-convert {TO_ROS2}`",
+                "E204",
             )
 
-    def _block(self, batch: ChunkBatch, unpacked: Callable[[], Buffer]) -> MessageBlock:
-        data, starts = unpacked(), batch.starts()
+    def _block(self, batch: ChunkBatch, decompress: Callable[[], Buffer]) -> MessageBlock:
+        data, starts = decompress(), batch.starts()
         content = np.frombuffer(data, dtype=np.uint8)
         heads = _message_heads(content, starts)
         if heads is None or not _is_complete(heads, starts, len(data)):
-            starts = np.frombuffer(find_messages(data, self.catalogue.add), dtype=np.int64)
+            starts = np.frombuffer(find_messages(data, self.registry.add), dtype=np.int64)
             heads = _message_heads(content, starts)
             assert heads is not None
         self.chunks += batch.chunks
@@ -281,10 +282,10 @@ class _FileReader:
         )
 
     def _by_topic(self, channels: NDArray[np.uint16], spans: IntArray) -> dict[Topic, IntArray]:
-        """Sort spans (N, 2) by topic; two channels may serve one."""
-        for channel in self.catalogue.channels.values():
+        """Sort spans (N, 2) by topic; a topic may have several channels."""
+        for channel in self.registry.channels.values():
             if self.topic_of[channel.id] < 0:
-                topic = Topic(channel.topic, self.catalogue.msgtype(channel))
+                topic = Topic(channel.topic, self.registry.msgtype(channel))
                 self.topic_of[channel.id] = self.topics.setdefault(topic, len(self.topics))
         numbers = self.topic_of[channels]
         if (numbers < 0).any():
@@ -293,22 +294,22 @@ class _FileReader:
         self.counts[: len(found)] += found
         ordered = spans[np.argsort(numbers, kind="stable")]
         ends = np.cumsum(np.bincount(numbers, minlength=len(self.topics)))
-        return dict(zip(self.topics, np.split(ordered, ends), strict=False))  # nothing is last
+        return dict(zip(self.topics, np.split(ordered, ends), strict=False))  # the last is empty
 
-    def _compare(self) -> None:
-        """Say what the summary counts that was not found, or the other way round."""
+    def _warn(self) -> None:
+        """Warn of private records, missing checksums and a summary that counts other messages."""
         if self.private:
-            logger.warning("%s: %d records of private kinds passed over", self.file, self.private)
+            logger.warning("%s: %d private records skipped", self.file, self.private)
         if 0 < self.unchecked < self.chunks:
             logger.warning(
-                "%s: %d of %d chunks carry no checksum", self.file, self.unchecked, self.chunks
+                "%s: %d of %d chunks have no checksum", self.file, self.unchecked, self.chunks
             )
         found = {int(channel): int(self.counts[channel]) for channel in np.flatnonzero(self.counts)}
         warn_of_count_mismatch(self.file, self.summary.statistics, found)
 
 
 def _message_heads(data: ByteArray, starts: IntArray) -> NDArray[np.void] | None:
-    """Return (N,) opcode, length and channel of the records at ``starts``, if they lie inside."""
+    """Return (N,) opcode, length and channel of the records at ``starts``, if all are inside."""
     if len(starts) and not 0 <= starts[0] <= starts[-1] <= len(data) - PAYLOAD_OFFSET:
         return None
     heads: NDArray[np.void] = gather_rows(data, starts, HEAD.itemsize).view(HEAD)[:, 0]
@@ -316,9 +317,9 @@ def _message_heads(data: ByteArray, starts: IntArray) -> NDArray[np.void] | None
 
 
 def _is_complete(heads: NDArray[np.void], starts: IntArray, size: int) -> bool:
-    """Tell whether messages (N,) follow each other from the first to the last of ``size`` bytes.
+    """Return whether messages (N,) fill all ``size`` bytes without gaps.
 
-    An index is believed only if they do.
+    Only then is the index trusted.
     """
     ends = starts + RECORD.size + heads["length"].astype(np.int64)
     is_gapless = np.array_equal(np.append(starts, size), np.append(0, ends))

@@ -1,4 +1,8 @@
-"""Where the messages of a file are, so that they can be read in order of time."""
+"""The index of a bag's file: where its messages are, so that they can be read in order of time.
+
+The index of an MCAP file comes from its summary if that covers each message, else from its data.
+mcap's ``SeekingReader`` trusts any index, and stops at messages outside of chunks.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -23,7 +27,7 @@ from symbid_ros.bags.container.schema_registry import SchemaRegistry, full_type_
 from symbid_ros.messages.limits import MAX_CHUNK, MAX_EXTENTS, check_limit, decompress_message
 from symbid_ros.messages.topics import OfferedQos
 
-EXTENT_SIZE = 1 << 20  # bytes of messages, other than chunks, that are read together
+EXTENT_SIZE = 1 << 20  # bytes of messages outside of chunks that are read together
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class RecordedTopic:
     encoding : str
         Message encoding; ROS 2 uses ``cdr``.
     qos : tuple of OfferedQos
-        What its publishers offered; empty if the bag does not say.
+        Quality of service that its publishers offered; empty if unknown.
     """
 
     name: str
@@ -46,14 +50,14 @@ class RecordedTopic:
 
 
 class Extent(NamedTuple):
-    """Consecutive records of a file, such as a chunk, that hold messages.
+    """Consecutive records of a file that hold messages, such as a chunk.
 
     Attributes
     ----------
     start, end : int
         First and last log time, nanoseconds.
     offset, length : int
-        Bytes of an MCAP file, rows of an SQLite table.
+        Bytes of an MCAP file or rows of an SQLite table.
     """
 
     start: int
@@ -63,7 +67,7 @@ class Extent(NamedTuple):
 
 
 class StoredMessage(NamedTuple):
-    """A message of a file: log time in nanoseconds, channel and serialised message."""
+    """A message in a file: log time in nanoseconds, channel, serialised message."""
 
     log_time: int
     channel: int
@@ -72,7 +76,7 @@ class StoredMessage(NamedTuple):
 
 @dataclass(frozen=True)
 class FileIndex:
-    """The topics of a file, and where its messages are.
+    """The topics of a file and the positions of its messages.
 
     Attributes
     ----------
@@ -80,11 +84,11 @@ class FileIndex:
     topics : mapping of int to RecordedTopic
         By channel.
     extents : tuple of Extent
-        In any order; their times may overlap.
+        Unsorted; their times may overlap.
     statistics : mcap Statistics or None
         Message counts stated by the file.
     messages : callable
-        Returns the messages of an extent, in order of recording.
+        Function that returns the messages of an extent in order of recording.
     """
 
     file: Path
@@ -94,16 +98,16 @@ class FileIndex:
     messages: Callable[[Extent], list[StoredMessage]]
 
 
-def recorded_topics(catalogue: SchemaRegistry) -> dict[int, RecordedTopic]:
+def recorded_topics(registry: SchemaRegistry) -> dict[int, RecordedTopic]:
     """Return the topics of a file by channel."""
     return {
         number: RecordedTopic(
             name=channel.topic,
-            msgtype=full_type_name(schema.name) if (schema := catalogue.schema(channel)) else "",
+            msgtype=full_type_name(schema.name) if (schema := registry.schema(channel)) else "",
             encoding=channel.message_encoding,
-            qos=catalogue.offers(channel),
+            qos=registry.offered_qos(channel),
         )
-        for number, channel in catalogue.channels.items()
+        for number, channel in registry.channels.items()
     }
 
 
@@ -120,7 +124,7 @@ def read_mcap_index(file: Path) -> FileIndex:
     with report_damage(file):
         summary = read_summary(file, with_chunks=True)
         if not _is_complete(summary):
-            return _Survey(file, summary).index()
+            return _FileScan(file, summary).index()
         extents = tuple(
             Extent(
                 chunk.message_start_time,
@@ -132,18 +136,18 @@ def read_mcap_index(file: Path) -> FileIndex:
             if _indexed(chunk)
         )
         if any(extent.offset + extent.length > summary.data_end for extent in extents):
-            raise ValueError("its index points beyond its end")
+            raise ValueError("its index points beyond the file's end")
         if len({extent.offset for extent in extents}) < len(extents):
-            raise ValueError("its index names a chunk twice")
-        return _file_index(file, summary.catalogue, extents, summary.statistics)
+            raise ValueError("its index lists a chunk twice")
+        return _file_index(file, summary.registry, extents, summary.statistics)
 
 
 def _is_complete(summary: McapSummary) -> bool:
-    """Tell whether a summary names all channels, and its chunk indexes account for all messages."""
+    """Return whether a summary lists all channels and its chunk indexes cover all messages."""
     stated = summary.statistics
     if (
         stated is None
-        or stated.channel_count != len(summary.catalogue.channels)
+        or stated.channel_count != len(summary.registry.channels)
         or stated.chunk_count != len(summary.chunks)
         or stated.message_count != sum(map(_indexed, summary.chunks))
     ):
@@ -160,7 +164,7 @@ def _is_complete(summary: McapSummary) -> bool:
 def _indexed(chunk: ChunkIndex) -> float:
     """Return how many messages of a chunk are in its message indexes.
 
-    The result is not an integer if these have fields of a later version of the format.
+    The result is not an integer if they have fields of a later version of the format.
     """
     frames = INDEX_RECORD * len(chunk.message_index_offsets)
     return float(chunk.message_index_length - frames) / INDEX_ENTRY_SIZE
@@ -168,11 +172,11 @@ def _indexed(chunk: ChunkIndex) -> float:
 
 def _file_index(
     file: Path,
-    catalogue: SchemaRegistry,
+    registry: SchemaRegistry,
     extents: tuple[Extent, ...],
     statistics: Statistics | None,
 ) -> FileIndex:
-    topics = recorded_topics(catalogue)
+    topics = recorded_topics(registry)
 
     def messages(extent: Extent) -> list[StoredMessage]:
         with report_damage(file):
@@ -194,12 +198,12 @@ def _file_index(
 
 
 @dataclass
-class _Survey:
-    """A reading of a whole file that keeps no message."""
+class _FileScan:
+    """Builds the index by reading a whole file without keeping messages."""
 
     file: Path
     summary: McapSummary
-    catalogue: SchemaRegistry = field(default_factory=SchemaRegistry)
+    registry: SchemaRegistry = field(default_factory=SchemaRegistry)
     extents: list[Extent] = field(default_factory=list)
 
     def index(self) -> FileIndex:
@@ -210,13 +214,13 @@ class _Survey:
                 head = stream.read(RECORD.size)
                 opcode, length = RECORD.unpack(head)
                 if offset + RECORD.size + length > end:
-                    raise ValueError("a record is cut short")
+                    raise ValueError("a record is truncated")
                 if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK):
                     body = stream.read(check_limit("a record", length, MAX_CHUNK))
                     self._add(offset, head + body)
                 else:
                     stream.seek(length, 1)
-        return _file_index(self.file, self.catalogue, tuple(self.extents), self.summary.statistics)
+        return _file_index(self.file, self.registry, tuple(self.extents), self.summary.statistics)
 
     def _add(self, offset: int, record: bytes) -> None:
         times = []
@@ -224,12 +228,12 @@ class _Survey:
             if opcode == Opcode.MESSAGE:
                 times.append(_message(data, start, stop).log_time)
             else:
-                self.catalogue.add(opcode, data[start:stop])
+                self.registry.add(opcode, data[start:stop])
         if times:
             self._extend(Extent(min(times), max(times), offset, len(record)))
 
     def _extend(self, extent: Extent) -> None:
-        """Keep an extent, joined to the one before if both are small and touch."""
+        """Add an extent, joined to the previous one if both are small and adjacent."""
         if self.extents:
             last = self.extents[-1]
             length = last.length + extent.length
@@ -243,9 +247,9 @@ class _Survey:
 
 
 def _records(data: Buffer, *, inside: bool = False) -> Iterator[tuple[int, int, int, Buffer]]:
-    """Yield opcode, beginning and end of each record's body and the bytes these lie in.
+    """Yield opcode, beginning and end of each record's body, and the bytes that hold it.
 
-    Chunks are opened, what they hold is yielded instead; chunks hold none themselves.
+    In place of a chunk, the records in it are yielded; chunks cannot be nested.
     """
     position, end = 0, len(data)
     while position < end:
@@ -253,7 +257,7 @@ def _records(data: Buffer, *, inside: bool = False) -> Iterator[tuple[int, int, 
         start = position + RECORD.size
         position = start + length
         if position > end:
-            raise ValueError("a record reaches beyond its chunk")
+            raise ValueError("a record extends beyond its chunk")
         if opcode != Opcode.CHUNK:
             yield opcode, start, position, data
         elif inside:
@@ -264,7 +268,7 @@ def _records(data: Buffer, *, inside: bool = False) -> Iterator[tuple[int, int, 
 
 
 def _message(data: Buffer, start: int, stop: int) -> StoredMessage:
-    """Return the message whose record's body lies from ``start`` to ``stop``."""
+    """Return the message whose record has its body from ``start`` to ``stop``."""
     body = start + MESSAGE.size
     if body > stop:
         raise ValueError("a message record is too short")

@@ -1,4 +1,8 @@
-"""MCAP's records: how they begin, and how a file begins and ends."""
+"""MCAP records: framing, chunks and attachments, parsed with checks of every stated size.
+
+The mcap package parses the small records. It is not used for chunks and messages: it allocates
+whatever size a chunk states, and makes a Python object of each message.
+"""
 
 import shlex
 import struct
@@ -23,6 +27,7 @@ from symbid_ros.messages.limits import (
     MAX_EXPANSION,
     MAX_RECORD,
     MIB,
+    ZSTD_MAGIC,
     OverLimitError,
     check_limit,
     decompress_zstd,
@@ -37,46 +42,57 @@ INDEX_HEAD = struct.Struct("<HI")
 INDEX_ENTRY_SIZE = 16
 FOOTER_SIZE = RECORD.size + 20
 LONGEST_MAGIC = 16
-TO_ROS2 = "--src-typestore ros1_noetic --dst-typestore ros2_jazzy"  # headers lost a field
-PRIVATE = 0x80  # opcodes from here on are applications' own; readers pass them over
+TO_ROS2 = "--src-typestore ros1_noetic --dst-typestore ros2_jazzy"  # ROS 2 headers lack a field
+PRIVATE = 0x80  # first opcode of private records, which readers skip
+UINT32 = struct.Struct("<I")
+UINT64 = struct.Struct("<Q")
+CHUNK_HEAD = struct.Struct("<QQQII")
+TIMES = struct.Struct("<QQ")
 
 
 @contextmanager
 def report_damage(file: Path) -> Iterator[None]:
-    """Turn what reading damaged records raises into one line that names the file."""
+    """Turn errors of reading damaged records into a `BagError` that names the file."""
     try:
         yield
     except OverLimitError as error:
         raise BagError(
-            f"{file}: {error}, as of a damaged or hostile file; "
-            f"run `symbid bag recover {quote_path(file)}` or record in smaller chunks"
+            f"{file}: {error}, as in a damaged or malicious file; "
+            f"run `symbid bag recover {quote_path(file)}` or record in smaller chunks",
+            "E207",
         ) from error
     except (
         struct.error,
         ValueError,
         McapError,
         zstandard.ZstdError,
-        RuntimeError,  # lz4's, and recursion
+        RuntimeError,  # of lz4, and recursion
         MemoryError,
     ) as error:
         detail = " ".join(str(error).split())[:200]
         if isinstance(error, struct.error) or not detail:
             detail = "it ends early"
         raise BagError(
-            f"{file}: damaged MCAP file: {detail}; take another copy or run "
-            f"`symbid bag recover {quote_path(file)}`"
+            f"{file}: damaged MCAP file: {detail}; use another copy or run "
+            f"`symbid bag recover {quote_path(file)}`",
+            "E206",
         ) from error
     except OSError as error:
-        raise BagError(f"{file}: cannot read: {error.strerror}") from error
+        raise BagError(
+            f"{file}: cannot read: {error.strerror}; check its permissions and the disk", "E208"
+        ) from error
 
 
 def quote_path(path: Path) -> str:
-    """Return a path as a shell takes it."""
+    """Return a path quoted for a shell."""
     return shlex.quote(str(path))
 
 
 def identify_other_format(file: Path) -> str:
-    """Return what a file is by its first bytes, if no MCAP file, and what to do with it."""
+    """Return the format of a file that is not MCAP, from its first bytes, and how to convert it.
+
+    The result is empty if the format is unknown.
+    """
     with file.open("rb") as stream:
         head = stream.read(LONGEST_MAGIC)
     conversion = (
@@ -84,42 +100,45 @@ def identify_other_format(file: Path) -> str:
         "--dst-storage mcap"
     )
     if head.startswith(b"#ROSBAG"):
-        return f"a bag of ROS 1; convert it with `{conversion} {TO_ROS2}`"
+        return f"a ROS 1 bag; convert it with `{conversion} {TO_ROS2}`"
     if head.startswith(b"SQLite format 3\0"):
-        return "an SQLite file; give it the ending .db3"
-    if head.startswith(b"\x28\xb5\x2f\xfd"):
-        return f"compressed as a whole; unpack it with `zstd -d {quote_path(file)}`"
+        return "an SQLite file; rename it to end in .db3"
+    if head.startswith(ZSTD_MAGIC):
+        return f"compressed as a whole; decompress it with `zstd -d {quote_path(file)}`"
     if head.startswith(b"\x04\x22\x4d\x18"):
-        return f"compressed as a whole; unpack it with `lz4 -d {quote_path(file)}`"
-    return "" if head else "empty; record it again, or give the bag's other files alone"
+        return f"compressed as a whole; decompress it with `lz4 -d {quote_path(file)}`"
+    return "" if head else "empty; record it again, or give the other files of the bag"
 
 
 def checked_size(file: Path) -> int:
-    """Return the size of an MCAP file that has its beginning and its end."""
+    """Return the size of an MCAP file, which must have a header and a footer."""
     with file.open("rb") as stream:
         if stream.read(len(MAGIC)) != MAGIC:
             known = identify_other_format(file)
-            raise BagError(f"{file}: {known or 'not an MCAP file; give a bag or one of its files'}")
+            raise BagError(
+                f"{file}: {known or 'not an MCAP file; give a bag or one of its files'}", "E204"
+            )
         end = stream.seek(0, 2)
         stream.seek(max(0, end - FOOTER_SIZE - len(MAGIC)))
         ending = stream.read()
     if ending[-len(MAGIC) :] != MAGIC or ending[0] != Opcode.FOOTER:
         raise BagError(
             f"{file}: the recording was interrupted, the file has no footer; "
-            f"run `symbid bag recover {quote_path(file)}`"
+            f"run `symbid bag recover {quote_path(file)}`",
+            "E205",
         )
     return end
 
 
 def find_messages(data: Buffer, announce: Callable[[int, Buffer], None]) -> "array[int]":
-    """Return where message records begin in the records of a chunk.
+    """Return where message records begin among the records of a chunk.
 
     Parameters
     ----------
     data : bytes-like
-        Whole records, one after the other.
+        Complete records, one after the other.
     announce : callable
-        Takes opcode and body of the schemas and channels among them.
+        Called with opcode and body of each schema and channel.
     """
     starts = array("q")
     position, end = 0, len(data)
@@ -128,7 +147,7 @@ def find_messages(data: Buffer, announce: Callable[[int, Buffer], None]) -> "arr
         opcode, length = unpack(data, position)
         following = position + RECORD.size + length
         if following > end:
-            raise ValueError("a record reaches beyond its chunk")
+            raise ValueError("a record extends beyond its chunk")
         if opcode == Opcode.MESSAGE:
             if length < MESSAGE.size:
                 raise ValueError("a message record is too short")
@@ -141,25 +160,21 @@ def find_messages(data: Buffer, announce: Callable[[int, Buffer], None]) -> "arr
     return starts
 
 
-HEAD = struct.Struct("<QQQII")
-LENGTH = struct.Struct("<Q")
-
-
 class ChunkRecord(NamedTuple):
-    """A chunk as it lies in the file.
+    """A chunk as stored in the file.
 
     Attributes
     ----------
     start, end : int
         First and last log time as stated, nanoseconds.
     size : int
-        Stated bytes of the records inside.
+        Stated bytes of the decompressed records.
     crc : int
-        CRC-32 of the records inside; 0 where the writer gave none.
+        CRC-32 of the decompressed records; 0 if the writer gave none.
     compression : str
-        ``zstd``, ``lz4`` or nothing.
+        ``zstd``, ``lz4`` or empty.
     data : memoryview
-        The packed records.
+        The compressed records.
     """
 
     start: int
@@ -171,32 +186,32 @@ class ChunkRecord(NamedTuple):
 
     @classmethod
     def of(cls, body: Buffer) -> "ChunkRecord":
-        """Parse the body of a chunk record; nothing is copied."""
+        """Parse the body of a chunk record without copying it."""
         view = memoryview(body)
-        start, end, size, crc, length = HEAD.unpack_from(view)
+        start, end, size, crc, length = CHUNK_HEAD.unpack_from(view)
         if length > 16:
-            raise ValueError("a chunk names no compression")
-        name = HEAD.size + length
-        (packed,) = LENGTH.unpack_from(view, name)
-        data = view[name + LENGTH.size :][:packed]
+            raise ValueError("a chunk does not name its compression")
+        name = CHUNK_HEAD.size + length
+        (packed,) = UINT64.unpack_from(view, name)
+        data = view[name + UINT64.size :][:packed]
         if len(data) != packed:
             raise ValueError("a chunk's size is not what its record says")
-        return cls(start, end, size, crc, str(view[HEAD.size : name], "utf-8"), data)
+        return cls(start, end, size, crc, str(view[CHUNK_HEAD.size : name], "utf-8"), data)
 
     def records(self) -> Buffer:
-        """Return the records inside, checked against the stated size and checksum."""
+        """Decompress the records and check them against the stated size and checksum."""
         check_limit("a chunk", self.size, MAX_CHUNK)
         if self.size > ANY_RATIO_SIZE:
-            check_limit("an expansion", self.size // max(len(self.data), 1), MAX_EXPANSION)
-        data = self._unpacked()
+            check_limit("a compression ratio", self.size // max(len(self.data), 1), MAX_EXPANSION)
+        data = self._decompress()
         if len(data) != self.size:
             raise ValueError("a chunk's size is not what its record says")
         if self.crc and zlib.crc32(data) != self.crc:
             raise ValueError("a chunk does not match its checksum")
         return data
 
-    def _unpacked(self) -> Buffer:
-        """Return at most one byte more than the stated size."""
+    def _decompress(self) -> Buffer:
+        """Decompress, and stop one byte after the stated size."""
         if self.compression == "":
             return self.data
         if not self.size:
@@ -204,12 +219,12 @@ class ChunkRecord(NamedTuple):
         if self.compression == "zstd":
             return decompress_zstd(self.data, self.size)
         if self.compression == "lz4":
-            return _unpacked_lz4(self.data, self.size)
+            return _decompress_lz4(self.data, self.size)
         raise ValueError(f"unknown compression {self.compression!r}")
 
 
-def _unpacked_lz4(data: memoryview, size: int) -> bytes:
-    # The one-call function would allocate whatever the frame states, and drops further frames.
+def _decompress_lz4(data: memoryview, size: int) -> bytes:
+    # lz4.frame.decompress allocates whatever the frame states, and drops further frames.
     parts: list[bytes] = []
     left = size + 1
     rest: Buffer | None = data
@@ -224,20 +239,14 @@ def _unpacked_lz4(data: memoryview, size: int) -> bytes:
     return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-TIMES = struct.Struct("<QQ")
-TEXT = struct.Struct("<I")
-SIZE = struct.Struct("<Q")
-CHECKSUM = struct.Struct("<I")
-
-
 @dataclass(frozen=True)
 class Attachment:
-    """An attachment as it lies in a file; its content may be larger than memory.
+    """An attachment as stored in a file; its content may be larger than memory.
 
     Attributes
     ----------
     offset, length : int
-        Bytes of its record, head included.
+        Position and size of its record, header included.
     log_time, create_time : int
         Nanoseconds.
     name, media_type : str
@@ -255,34 +264,34 @@ class Attachment:
 
     @classmethod
     def at(cls, stream: BinaryIO, offset: int, length: int) -> "Attachment":
-        """Return the one whose record of ``length`` bytes begins at ``offset``, checked.
+        """Read and check the attachment whose record has ``length`` bytes from ``offset`` on.
 
         Raises
         ------
         ValueError, struct.error
-            When it is no attachment or does not match its checksum.
+            When it is not an attachment or does not match its checksum.
         """
         stream.seek(offset + RECORD.size)
         log_time, create_time = TIMES.unpack(stream.read(TIMES.size))
         name, media_type = _text(stream), _text(stream)
-        (size,) = SIZE.unpack(stream.read(SIZE.size))
+        (size,) = UINT64.unpack(stream.read(UINT64.size))
         start, stop = offset + RECORD.size, stream.tell() + size
-        if stop + CHECKSUM.size > offset + length:
+        if stop + UINT32.size > offset + length:
             raise ValueError("an attachment's size is not what its record says")
         crc = 0
         for part in record_parts(stream, start, stop - start):
             crc = zlib.crc32(part, crc)
-        (told,) = CHECKSUM.unpack(stream.read(CHECKSUM.size))
-        if told not in (0, crc):
+        (stated,) = UINT32.unpack(stream.read(UINT32.size))
+        if stated not in (0, crc):
             raise ValueError("an attachment does not match its checksum")
         return cls(offset, length, log_time, create_time, name, media_type, size)
 
     def record(self, stream: BinaryIO) -> Iterator[bytes]:
-        """Yield the bytes of its record, some at a time."""
+        """Yield the bytes of its record in parts."""
         return record_parts(stream, self.offset, self.length)
 
     def index(self, offset: int) -> AttachmentIndex:
-        """Return the index record of a copy that begins at ``offset``."""
+        """Return the index record of a copy at ``offset``."""
         return AttachmentIndex(
             offset=offset,
             length=self.length,
@@ -295,17 +304,17 @@ class Attachment:
 
 
 def _text(stream: BinaryIO) -> str:
-    (length,) = TEXT.unpack(stream.read(TEXT.size))
+    (length,) = UINT32.unpack(stream.read(UINT32.size))
     return stream.read(check_limit("a name", length, MAX_RECORD)).decode()
 
 
 def record_parts(stream: BinaryIO, offset: int, length: int) -> Iterator[bytes]:
-    """Yield bytes of a file that may be more than memory holds.
+    """Yield part of a file that may be larger than memory, some bytes at a time.
 
     Raises
     ------
     ValueError
-        When the file ends before them.
+        When the file ends early.
     """
     stream.seek(offset)
     while length:

@@ -1,4 +1,7 @@
-"""The end of an MCAP file, checked: what the writer says the file holds."""
+"""Read the summary at the end of an MCAP file and check it.
+
+mcap's ``get_summary`` checks neither sizes nor the checksum, and keeps all chunk indexes.
+"""
 
 import logging
 import zlib
@@ -33,43 +36,43 @@ logger = logging.getLogger("symbid_ros.bags")
 
 @dataclass(frozen=True)
 class McapSummary:
-    """What stands behind the data of a finished file.
+    """The summary of a finished file.
 
     Attributes
     ----------
-    catalogue : SchemaRegistry
-        Schemas, and the channels whose schema the summary repeats too.
+    registry : SchemaRegistry
+        Schemas, and the channels whose schema is in the summary.
     statistics : mcap Statistics or None
     chunks : tuple of mcap ChunkIndex
-        Empty unless asked for.
+        Empty unless requested.
     data_end : int
-        Byte behind the data end record.
+        Position after the data end record.
     data_crc : int
-        CRC-32 of the file up to its data end record; 0 where the writer gave none.
+        CRC-32 of the file up to its data end record; 0 if the writer gave none.
     """
 
-    catalogue: SchemaRegistry
+    registry: SchemaRegistry
     statistics: Statistics | None
     chunks: tuple[ChunkIndex, ...]
     data_end: int
     data_crc: int
 
     @property
-    def tells_topics(self) -> bool:
-        """Whether it tells all topics and how many messages each has."""
-        told = self.statistics
+    def has_topic_counts(self) -> bool:
+        """Whether it lists all topics and the number of messages of each."""
+        stated = self.statistics
         return (
-            told is not None
-            and told.channel_count == len(self.catalogue.channels)
-            and told.message_count == sum(told.channel_message_counts.values())
+            stated is not None
+            and stated.channel_count == len(self.registry.channels)
+            and stated.message_count == sum(stated.channel_message_counts.values())
         )
 
 
 def read_summary(file: Path, *, with_chunks: bool = False) -> McapSummary:
-    """Return what the end of a finished file says, checked against its checksum.
+    """Return the summary of a finished file, compared with its checksum.
 
-    A long recording's summary is mostly chunk indexes, which reading from
-    beginning to end has no need of.
+    The summary of a long recording consists mostly of chunk indexes, which reading the file from
+    beginning to end does not need.
     """
     end = checked_size(file) - FOOTER_SIZE - len(MAGIC)
     announced: list[tuple[int, bytes]] = []
@@ -80,11 +83,11 @@ def read_summary(file: Path, *, with_chunks: bool = False) -> McapSummary:
         stream.seek(end)
         tail = stream.read(FOOTER_SIZE)
         if RECORD.unpack_from(tail) != (Opcode.FOOTER, FOOTER_SIZE - RECORD.size):
-            raise ValueError("its footer is no footer")
+            raise ValueError("its footer is invalid")
         footer = parse_record(Footer.read, tail[RECORD.size :])
         start = footer.summary_start or end
         if not len(MAGIC) <= start <= end:
-            raise ValueError("its footer points beyond its end")
+            raise ValueError("its footer points beyond the file's end")
         data_crc = _data_crc(stream, start)
         stream.seek(start)
         crc = 0
@@ -93,7 +96,7 @@ def read_summary(file: Path, *, with_chunks: bool = False) -> McapSummary:
             opcode, length = RECORD.unpack(head)
             check_limit("a record", length, MAX_RECORD)
             if position + RECORD.size + length > end:
-                raise ValueError("a record of its summary is cut short")
+                raise ValueError("a record of its summary is truncated")
             body = stream.read(length)
             crc = zlib.crc32(body, zlib.crc32(head, crc))
             if opcode == Opcode.STATISTICS:
@@ -109,11 +112,11 @@ def read_summary(file: Path, *, with_chunks: bool = False) -> McapSummary:
     crc = zlib.crc32(tail[:-4], crc)  # up to the checksum itself
     if footer.summary_start and footer.summary_crc not in (0, crc):
         raise ValueError("its summary does not match its checksum")
-    return McapSummary(_catalogue(announced), statistics, tuple(chunks), start, data_crc)
+    return McapSummary(_registry(announced), statistics, tuple(chunks), start, data_crc)
 
 
 def warn_of_count_mismatch(file: Path, stated: Statistics | None, found: Mapping[int, int]) -> None:
-    """Warn if the messages found in a file, by channel, are not those its statistics count."""
+    """Warn if the statistics of a file disagree with the messages found in it, by channel."""
     if stated is None:
         return
     by_channel = {
@@ -122,8 +125,8 @@ def warn_of_count_mismatch(file: Path, stated: Statistics | None, found: Mapping
     total = sum(found.values())
     if total != stated.message_count:
         held = f"but it holds {total}"
-    elif by_channel not in ({}, dict(found)):  # writers may leave the channels' counts out
-        held = "and as many are in it, but on other topics"
+    elif by_channel not in ({}, dict(found)):  # writers may omit the counts by channel
+        held = "and it holds as many, but on other topics"
     else:
         return
     logger.warning(
@@ -136,23 +139,23 @@ def warn_of_count_mismatch(file: Path, stated: Statistics | None, found: Mapping
     )
 
 
-def _catalogue(announced: Iterable[tuple[int, bytes]]) -> SchemaRegistry:
-    """Return schemas and channels, whose groups may stand in any order, and one without the other.
+def _registry(announced: Iterable[tuple[int, bytes]]) -> SchemaRegistry:
+    """Return schemas and channels, which may be in any order.
 
-    A channel whose schema only the data tell is left to them.
+    A channel is omitted if its schema is only in the data section.
     """
-    catalogue = SchemaRegistry()
+    registry = SchemaRegistry()
     for opcode, body in sorted(announced, key=itemgetter(0)):
         with suppress(UnknownSchemaError):
-            catalogue.add(opcode, body)
-    return catalogue
+            registry.add(opcode, body)
+    return registry
 
 
 def _data_crc(stream: BinaryIO, end: int) -> int:
-    """Return the checksum in the data end record, which is the last before ``end``."""
+    """Return the checksum in the data end record, the last record before ``end``."""
     stream.seek(max(0, end - DATA_END_SIZE))
     record = stream.read(DATA_END_SIZE)
     if RECORD.unpack_from(record) != (Opcode.DATA_END, DATA_END_SIZE - RECORD.size):
-        return 0  # one with fields of a later version, or none at all: whoever reads on will see
+        return 0  # missing, or with fields of a later version, which reading the data will detect
     crc: int = parse_record(DataEnd.read, record[RECORD.size :]).data_section_crc
     return crc

@@ -1,4 +1,4 @@
-"""Schemas and channels of an MCAP file: each announced once, or always in the same words."""
+"""Schemas and channels of a bag's file, checked for contradictions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -36,13 +36,13 @@ R = TypeVar("R")
 
 
 class UnknownSchemaError(ValueError):
-    """A channel names a schema that was not announced."""
+    """A channel refers to a schema that was not announced."""
 
     def __init__(self) -> None:
         super().__init__("a channel's schema was never announced")
 
 
-class _Fields(ReadDataStream):
+class _CheckedStream(ReadDataStream):
     def read(self, length: int) -> bytes:
         data = super().read(length)
         if len(data) < length:
@@ -51,17 +51,17 @@ class _Fields(ReadDataStream):
 
 
 def parse_record(read: Callable[[ReadDataStream], R], body: Buffer) -> R:
-    """Return a record of the mcap package, whose own parser lets short strings pass."""
+    """Parse a record of the mcap package, whose own parser accepts truncated strings."""
     check_limit("a record", len(body), MAX_RECORD)
-    return read(_Fields(BytesIO(body)))
+    return read(_CheckedStream(BytesIO(body)))
 
 
 @dataclass
 class SchemaRegistry:
-    """The schemas and channels that were announced so far, by their numbers.
+    """The schemas and channels announced so far, by number.
 
-    An announcement that contradicts an earlier one raises ValueError: which of them
-    the messages follow cannot be known.
+    A record that contradicts an earlier one raises ValueError: nothing tells which of them applies
+    to the messages.
     """
 
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -69,7 +69,7 @@ class SchemaRegistry:
     _size: int = 0
 
     def add(self, opcode: int, body: Buffer) -> None:
-        """Take a schema or channel record's body; any other record is none of its concern."""
+        """Add the body of a schema or channel record; ignore other records."""
         if opcode == Opcode.SCHEMA:
             schema = parse_record(Schema.read, body)
             self._add("schema", self.schemas, schema.id, schema, len(body))
@@ -88,20 +88,20 @@ class SchemaRegistry:
             raise ValueError(f"{kind} {number} is announced twice, differently")
 
     def schema(self, channel: Channel) -> Schema | None:
-        """Return the schema of a channel, if it has one."""
+        """Return the schema of a channel; None if it has none."""
         return self.schemas.get(channel.schema_id)
 
     def msgtype(self, channel: Channel) -> str:
-        """Return the message type; with a remark where its messages are not what the name says."""
+        """Return a channel's message type as `describe_type` does."""
         return describe_type(self.schema(channel), channel.message_encoding)
 
-    def offers(self, channel: Channel) -> tuple[OfferedQos, ...]:
-        """Return what the publishers of a channel offered, empty where it does not tell."""
+    def offered_qos(self, channel: Channel) -> tuple[OfferedQos, ...]:
+        """Return the quality of service that a channel's publishers offered; empty if unknown."""
         return parse_qos_profiles(channel.topic, channel.metadata.get("offered_qos_profiles", ""))
 
 
 def describe_type(schema: Schema | None, message_encoding: str) -> str:
-    """Return a message type; with a remark where its messages are not what the name says."""
+    """Return a message type, with a remark if its encoding or definition is not ROS 2 Jazzy's."""
     name = "" if schema is None else full_type_name(schema.name)
     if message_encoding != CDR:
         return f"{name or 'something'}{ENCODED}{message_encoding or 'nothing known'}"
@@ -111,24 +111,24 @@ def describe_type(schema: Schema | None, message_encoding: str) -> str:
 
 
 def full_type_name(name: str) -> str:
-    """Return a type's name as ROS 2 has it; some writers leave ``msg`` out, as ROS 1 did."""
+    """Return a type's name in ROS 2; some writers omit ``msg``, as in ROS 1."""
     package, _, short = name.partition("/")
     return f"{package}/msg/{short}" if short and "/" not in short else name
 
 
 def parse_qos_profiles(topic: str, text: str) -> tuple[OfferedQos, ...]:
-    """Return what publishers of a topic offered, given as rosbag2 writes it.
+    """Parse the quality of service that the publishers of a topic offered, as rosbag2 writes it.
 
     Raises
     ------
     ValueError
-        When it is something else.
+        When the text is not a list of profiles.
     """
     try:
         check_limit("a quality of service", len(text), MAX_QOS)
         profiles = parse_qos(parse_yaml(text, MAX_YAML_NODES) or [])
     except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"the quality of service of {topic} is no list") from error
+        raise ValueError(f"the quality of service of {topic} is not a list") from error
     return tuple(
         OfferedQos(
             depth=profile.depth,
@@ -141,7 +141,7 @@ def parse_qos_profiles(topic: str, text: str) -> tuple[OfferedQos, ...]:
 
 
 def _is_jazzy(name: str, schema: Schema) -> bool:
-    """Tell whether a definition has ROS 2 Jazzy's fields; none at all is taken at its name."""
+    """Return whether a definition has the fields of ROS 2 Jazzy; an absent one is assumed to."""
     if schema.encoding != ROS2_TEXT or not schema.data:
         return True
     return len(schema.data) <= MAX_DEFINITION and _has_fields_of_jazzy(name, schema.data)
@@ -150,7 +150,7 @@ def _is_jazzy(name: str, schema: Schema) -> bool:
 @lru_cache(maxsize=64)  # parsing takes ten milliseconds
 def _has_fields_of_jazzy(name: str, definition: bytes) -> bool:
     try:
-        # Packages that were built on Windows have its line ends.
+        # Packages built on Windows have its line endings.
         types = get_types_from_msg(definition.decode().replace("\r\n", "\n"), name)
     except (TypesysError, ValueError, RecursionError):
         return False

@@ -1,4 +1,8 @@
-"""rosbag2's older storage, SQLite files of whatever version."""
+"""Read SQLite files, the older storage of rosbag2, in all its versions.
+
+rosbags' reader is not used: it ignores the journal of an interrupted recording, cannot read
+damaged files, and allocates whatever size a message states.
+"""
 
 import logging
 from collections import Counter
@@ -30,20 +34,20 @@ from symbid_ros.messages.topics import OfferedQos, Topic
 logger = logging.getLogger("symbid_ros.bags")
 
 SQLITE_SUFFIX = ".db3"
-# What an interrupted recording leaves beside its file: what was written last, or taken back.
-LEFTOVERS = ("-wal", "-journal")
+# Suffixes of the journals that an interrupted recording leaves beside its file.
+JOURNALS = ("-wal", "-journal")
 
 
 @dataclass(frozen=True)
 class SqliteSummary:
-    """What an SQLite file holds.
+    """Topics, times and state of an SQLite file.
 
     Attributes
     ----------
     counts : dict of Topic to int
         Messages.
     qos : dict of Topic to tuple of OfferedQos
-        What publishers offered; empty where the file does not tell.
+        Quality of service that publishers offered; empty if unknown.
     start, end : int or None
         First and last log time, nanoseconds; None without a message.
     is_finished : bool
@@ -58,27 +62,27 @@ class SqliteSummary:
 
 
 def read_sqlite_summary(file: Path) -> SqliteSummary:
-    """Return what an SQLite file holds."""
+    """Return topics, times and state of an SQLite file."""
     counts: Counter[Topic] = Counter()
     qos: dict[Topic, tuple[OfferedQos, ...]] = {}
     with open_database(file) as database:
-        catalogue = read_registry(database)
-        topics = _topics(catalogue)
+        registry = read_registry(database)
+        topics = _topics(registry)
         for number, topic in topics.items():
             counts[topic] += 0
             with suppress(ValueError):
-                qos[topic] = qos.get(topic) or catalogue.offers(catalogue.channels[number])
+                qos[topic] = qos.get(topic) or registry.offered_qos(registry.channels[number])
         for number, count in database.execute(
             "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
         ):
             counts[topics[_known(topics, number)]] += count
         ((start, end),) = database.execute("SELECT min(timestamp), max(timestamp) FROM messages")
-    return SqliteSummary(counts, qos, start, end, not _leftovers(file))
+    return SqliteSummary(counts, qos, start, end, not _journals(file))
 
 
 def read_sqlite_blocks(file: Path) -> Iterator[MessageBlock]:
-    """Yield all messages as they were recorded, as `blocks.iterate_blocks` does."""
-    warn_of_leftovers(file)
+    """Yield all messages in order of recording, as `blocks.read_mcap_blocks` does."""
+    warn_of_journals(file)
     with open_database(file) as database:
         topics = _topics(read_registry(database))
         waiting: dict[Topic, list[tuple[int, int]]] = {topic: [] for topic in topics.values()}
@@ -87,7 +91,7 @@ def read_sqlite_blocks(file: Path) -> Iterator[MessageBlock]:
             "SELECT topic_id, data FROM messages ORDER BY rowid"
         ):
             if not isinstance(payload, bytes):
-                raise TypeError("a message is no bytes")
+                raise TypeError("a message is not a blob")
             waiting[topics[_known(topics, number)]].append((len(data), len(payload)))
             data += payload
             if len(data) >= BLOCK_SIZE:
@@ -98,9 +102,9 @@ def read_sqlite_blocks(file: Path) -> Iterator[MessageBlock]:
 
 def read_sqlite_index(file: Path) -> FileIndex:
     """Return the index of an SQLite file."""
-    warn_of_leftovers(file)
+    warn_of_journals(file)
     with open_database(file) as database:
-        catalogue = read_registry(database)
+        registry = read_registry(database)
         extents = tuple(_extents(database))
 
     def messages(extent: Extent) -> list[StoredMessage]:
@@ -112,16 +116,16 @@ def read_sqlite_index(file: Path) -> FileIndex:
             )
             return [
                 StoredMessage(
-                    time, _known(catalogue.channels, number), decompress_message(payload, MAX_CHUNK)
+                    time, _known(registry.channels, number), decompress_message(payload, MAX_CHUNK)
                 )
                 for number, time, payload in rows
             ]
 
-    return FileIndex(file, recorded_topics(catalogue), extents, None, messages)
+    return FileIndex(file, recorded_topics(registry), extents, None, messages)
 
 
 def _extents(database: apsw.Connection) -> Iterator[Extent]:
-    """Yield ranges of rows, `EXTENT_SIZE` bytes of messages each."""
+    """Yield ranges of rows with about `EXTENT_SIZE` bytes of messages each."""
     first = last = start = end = size = 0
     rows = database.execute(
         "SELECT rowid, timestamp, length(data), typeof(timestamp) || typeof(data) "
@@ -129,7 +133,7 @@ def _extents(database: apsw.Connection) -> Iterator[Extent]:
     )
     for number, (row, time, length, types) in enumerate(rows):
         if types != "integerblob":
-            raise TypeError("a message is no bytes, or its time is no number")
+            raise TypeError("a message is not a blob, or its time is not an integer")
         if number and size + length > EXTENT_SIZE:
             yield Extent(start, end, first, last - first + 1)
             size = 0
@@ -150,9 +154,9 @@ def _block(data: bytearray, waiting: dict[Topic, list[tuple[int, int]]]) -> Mess
 
 
 def read_registry(database: apsw.Connection) -> SchemaRegistry:
-    """Return the topics of a file as channels, each with a schema of the same number."""
+    """Return the topics of a file as channels, each with its own schema of the same number."""
     definitions = {}
-    # Since Jazzy; rosbag2 writes "unknown" for a type whose definition it did not find.
+    # Jazzy and later; rosbag2 writes "unknown" for types without a definition.
     if _columns(database, "message_definitions"):
         rows = database.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
@@ -162,42 +166,42 @@ def read_registry(database: apsw.Connection) -> SchemaRegistry:
             check_limit("a number of definitions", len(definitions), MAX_CHANNELS)
     columns = _columns(database, "topics")
     if not columns or not _columns(database, "messages"):
-        raise ValueError("it has no tables of topics and messages")
+        raise ValueError("it has no tables for topics and messages")
     profiles, type_hash = (
         name if name in columns else "''"
         for name in ("offered_qos_profiles", "type_description_hash")
     )
-    catalogue = SchemaRegistry()
+    registry = SchemaRegistry()
     for identifier, *texts in database.execute(
         f"SELECT id, name, type, serialization_format, {profiles}, {type_hash} FROM topics"
     ):
         number = int(identifier)
         topic, msgtype, message_encoding, offers, digest = _texts(texts)
         encoding, data = definitions.get(msgtype, ("", b""))
-        catalogue.schemas[number] = Schema(id=number, name=msgtype, encoding=encoding, data=data)
-        catalogue.channels[number] = Channel(
+        registry.schemas[number] = Schema(id=number, name=msgtype, encoding=encoding, data=data)
+        registry.channels[number] = Channel(
             id=number,
             topic=topic,
             message_encoding=message_encoding,
             metadata={"offered_qos_profiles": offers, "topic_type_hash": digest},
             schema_id=number,
         )
-        check_limit("a number of topics", len(catalogue.channels), MAX_CHANNELS)
-    return catalogue
+        check_limit("a number of topics", len(registry.channels), MAX_CHANNELS)
+    return registry
 
 
-def _topics(catalogue: SchemaRegistry) -> dict[int, Topic]:
+def _topics(registry: SchemaRegistry) -> dict[int, Topic]:
     return {
-        number: Topic(channel.topic, catalogue.msgtype(channel))
-        for number, channel in catalogue.channels.items()
+        number: Topic(channel.topic, registry.msgtype(channel))
+        for number, channel in registry.channels.items()
     }
 
 
 def _texts(values: Sequence[object]) -> list[str]:
-    """Return values of a row that are text; SQLite lets a column hold anything."""
+    """Return the values of a row, which must be text: SQLite columns accept any type."""
     texts = [value for value in values if isinstance(value, str)]
     if len(texts) < len(values):
-        raise TypeError("a topic is described by something else than text")
+        raise TypeError("the description of a topic is not text")
     return texts
 
 
@@ -208,7 +212,7 @@ def _known(topics: Collection[int], number: int) -> int:
 
 
 def _columns(database: apsw.Connection, table: str) -> set[str]:
-    """Return the names of a table's columns; none where there is no such table, or it is a view."""
+    """Return the names of a table's columns; none if there is no such table or it is a view."""
     found = database.execute(
         "SELECT c.name FROM sqlite_master AS t, pragma_table_info(t.name) AS c "
         "WHERE t.type = 'table' AND t.name = ?",
@@ -219,54 +223,56 @@ def _columns(database: apsw.Connection, table: str) -> set[str]:
 
 @contextmanager
 def open_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Connection]:
-    """Open a file without writing anything to it or beside it; a damaged one as far as possible."""
-    leftovers = _leftovers(file)
-    # What lies beside it is read by this VFS alone without a lock or an index written there.
-    base, mode = ("unix-none", "mode=ro") if leftovers else ("", "immutable=1")
+    """Open a file without writing to it or its folder; a damaged one as far as possible."""
+    journals = _journals(file)
+    # Only this VFS reads the journals without writing a lock or an index beside them.
+    base, mode = ("unix-none", "mode=ro") if journals else ("", "immutable=1")
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
     try:
         whole_pages = WholePages(base, file) if is_damaged else None  # registered while it lives
         vfs = whole_pages.name if whole_pages else base or None
         with closing(apsw.Connection(f"file:{quote(str(file))}?{mode}", flags, vfs)) as database:
-            # Whoever claims a larger blob is not believed.
             database.limit(apsw.SQLITE_LIMIT_LENGTH, MAX_CHUNK)
-            # Closing would remove a log in which it finds nothing.
+            # Closing would otherwise remove an empty journal.
             database.config(apsw.SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1)
             database.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
             database.execute("PRAGMA locking_mode = EXCLUSIVE")
-            if is_damaged:  # otherwise a file that was cut off is not opened at all
+            if is_damaged:  # otherwise SQLite does not open a truncated file
                 database.execute("PRAGMA writable_schema = ON")
             yield database
     except (apsw.Error, ValueError, TypeError, MemoryError, OverflowError) as error:
         detail = " ".join(str(error).split())[:200] or "it ends early"
         raise BagError(
-            f"{file}: damaged SQLite file: {detail}; take another copy or run "
-            f"`symbid bag recover {quote_path(file)}`"
+            f"{file}: damaged SQLite file: {detail}; use another copy or run "
+            f"`symbid bag recover {quote_path(file)}`",
+            "E206",
         ) from error
     except OSError as error:
-        raise BagError(f"{file}: cannot read: {error.strerror}") from error
+        raise BagError(
+            f"{file}: cannot read: {error.strerror}; check its permissions and the disk", "E208"
+        ) from error
 
 
-def warn_of_leftovers(file: Path) -> None:
-    """Warn if the recorder of a file was interrupted."""
-    if leftovers := _leftovers(file):
+def warn_of_journals(file: Path) -> None:
+    """Warn if the recording of a file was interrupted."""
+    if journals := _journals(file):
         logger.warning(
             "%s: the recording was interrupted; its last messages are read from %s",
             file,
-            ", ".join(place.name for place in leftovers),
+            ", ".join(place.name for place in journals),
         )
 
 
-def _leftovers(file: Path) -> list[Path]:
-    """Return what an interrupted recording left beside its file."""
-    places = (file.with_name(file.name + ending) for ending in LEFTOVERS)
+def _journals(file: Path) -> list[Path]:
+    """Return the journals that an interrupted recording left beside its file."""
+    places = (file.with_name(file.name + ending) for ending in JOURNALS)
     return [place for place in places if place.is_file() and place.stat().st_size]
 
 
 class WholePages(apsw.VFS):
-    """Reads a database as if it ended with its last whole page.
+    """Reads a database up to its last complete page.
 
-    SQLite would read what is missing of a page that was cut off as zeros.
+    SQLite would fill a truncated page with zeros.
     """
 
     def __init__(self, base: str, file: Path) -> None:

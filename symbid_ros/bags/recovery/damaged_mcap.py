@@ -192,7 +192,7 @@ class DamagedMcapReader:
     Attributes
     ----------
     file : Path
-    catalogue : SchemaRegistry
+    registry : SchemaRegistry
         Known beforehand from an intact summary, and learned on the way.
     repeated : int
         Chunks that lie in the file once more; they are passed over.
@@ -201,7 +201,7 @@ class DamagedMcapReader:
     """
 
     file: Path
-    catalogue: SchemaRegistry
+    registry: SchemaRegistry
     repeated: int = 0
     damaged: Counter[int] = field(default_factory=Counter)
     _size: int = 0
@@ -269,9 +269,9 @@ class DamagedMcapReader:
         if opcode == Opcode.MESSAGE:
             check_limit("a message", length, MAX_CHUNK)
             record = read_at(stream, position, RECORD.size + length)
-            return MessageRun(record, find_messages(record, self.catalogue.add))
+            return MessageRun(record, find_messages(record, self.registry.add))
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self.catalogue.add(opcode, read_at(stream, start, length))
+            self.registry.add(opcode, read_at(stream, start, length))
         elif opcode == Opcode.METADATA:
             metadata: Metadata = parse_record(Metadata.read, read_at(stream, start, length))
             return metadata
@@ -285,7 +285,7 @@ class DamagedMcapReader:
         self._patience -= len(body)
         chunk = ChunkRecord.of(body)
         data = chunk.records()
-        starts = find_messages(data, self.catalogue.add)
+        starts = find_messages(data, self.registry.add)
         self._has_chunks = True
         key = chunk.start, chunk.end, chunk.size, chunk.crc
         if chunk.crc and key in self._seen:
@@ -317,7 +317,7 @@ class DamagedMcapReader:
             self._patience -= length
             try:
                 chunk = ChunkRecord.of(read_at(stream, start + RECORD.size, length))
-                # The catalogue learns from it when its turn comes.
+                # The registry learns from it when its turn comes.
                 find_messages(chunk.records(), lambda *_: None)
             except FAULTS:
                 continue
@@ -328,7 +328,7 @@ class DamagedMcapReader:
         """Return where messages outside of chunks go on."""
         if read_at(stream, position, 1) == bytes([Opcode.CHUNK]):
             return self._size  # what lies in a damaged chunk is no better than the chunk
-        channels = set(self.catalogue.channels)
+        channels = set(self.registry.channels)
         for start in candidates(stream, MESSAGES, position + 1, self._size):
             if message_chain(stream, start, self._size, channels):
                 return start
@@ -337,6 +337,6 @@ class DamagedMcapReader:
     def _learn(self, opcode: int, body: bytes) -> None:
         """Take what may be a schema or channel, unless it contradicts what is known."""
         try:
-            self.catalogue.add(opcode, body)
+            self.registry.add(opcode, body)
         except FAULTS:
             return

@@ -65,16 +65,16 @@ def recover(bag: Path, out: Path | None = None) -> RecoveryReport:
     target = out or place.with_name(f"{place.stem if bag.is_file() else place.name}_recovered")
     mode = _compression_mode(bag)
     with new_folder(target) as folder, BagRewriter(folder, mode) as new:
-        account = RecoveryCounts()
+        counts = RecoveryCounts()
         for file in files:
             rescue = SqliteRecovery if file.suffix == SQLITE_SUFFIX else McapRecovery
-            rescue(file, new, account).run()
+            rescue(file, new, counts).run()
             new.end_file()
-        _count_what_metadata_tell(bag, files, account)
-        if not account.kept.total() and not account.records.total():
+        _count_what_metadata_tell(bag, files, counts)
+        if not counts.kept.total() and not counts.records.total():
             raise BagError(f"{bag}: nothing in it can be recovered; take another copy")
         new.finish()
-    return account.recovery(bag, target)
+    return counts.recovery(bag, target)
 
 
 def _compression_mode(bag: Path) -> str:
@@ -85,11 +85,11 @@ def _compression_mode(bag: Path) -> str:
     return ""
 
 
-def _count_what_metadata_tell(bag: Path, files: list[Path], account: RecoveryCounts) -> None:
+def _count_what_metadata_tell(bag: Path, files: list[Path], counts: RecoveryCounts) -> None:
     """Add what metadata.yaml, written when the recording was finished, tells beyond the files."""
     try:
         information = read_metadata(bag / "metadata.yaml")
-        told = {
+        stated = {
             Topic(str(entry["topic_metadata"]["name"]), str(entry["topic_metadata"]["type"])): int(
                 entry["message_count"]
             )
@@ -98,13 +98,13 @@ def _count_what_metadata_tell(bag: Path, files: list[Path], account: RecoveryCou
     except (BagError, KeyError, TypeError, ValueError):
         return
     missing = {*listed_names(information)} - {file.name for file in files}
-    account.holes += [LostRange(name, 0, 0, "no such file") for name in sorted(missing)]
-    names = {topic.name: topic for topic in account.told}
-    for topic, count in told.items():
+    counts.holes += [LostRange(name, 0, 0, "no such file") for name in sorted(missing)]
+    names = {topic.name: topic for topic in counts.stated}
+    for topic, count in stated.items():
         known = names.get(topic.name, topic)
-        account.told[known] = max(account.told[known], count)
+        counts.stated[known] = max(counts.stated[known], count)
     # Where it counts less than was found it belongs to another state of the bag.
-    account.is_counted |= sum(told.values()) >= account.kept.total()
+    counts.is_counted |= sum(stated.values()) >= counts.kept.total()
 
 
 @dataclass
@@ -113,8 +113,8 @@ class McapRecovery:
 
     file: Path
     new: BagRewriter
-    account: RecoveryCounts
-    catalogue: SchemaRegistry = field(default_factory=SchemaRegistry)
+    counts: RecoveryCounts
+    registry: SchemaRegistry = field(default_factory=SchemaRegistry)
     found: Counter[int] = field(default_factory=Counter)
     holes: list[LostRange] = field(default_factory=list)
     kept: Counter[int] = field(default_factory=Counter)
@@ -124,17 +124,17 @@ class McapRecovery:
     def run(self) -> None:
         """Copy what the file holds and keep account of it."""
         if not self.file.stat().st_size:
-            self.account.holes.append(LostRange(self.file.name, 0, 0, "empty"))
-            self.account.is_counted = False
+            self.counts.holes.append(LostRange(self.file.name, 0, 0, "empty"))
+            self.counts.is_counted = False
             return
         statistics = self._statistics()
         lost: Counter[int] = Counter()
         latest: int | None = None
-        salvage = DamagedMcapReader(self.file, self.catalogue)
+        salvage = DamagedMcapReader(self.file, self.registry)
         for piece in salvage.pieces():
             if isinstance(piece, DamagedRange):
                 lost.update(piece.messages)
-                self.account.is_counted &= piece.is_counted or statistics is not None
+                self.counts.is_counted &= piece.is_counted or statistics is not None
                 self.holes.append(self._lost(piece, latest))
             elif isinstance(piece, Metadata | Attachment):
                 self._copy_record(piece)
@@ -145,35 +145,37 @@ class McapRecovery:
                 first, latest = self._copy(piece)
                 self.holes = [h if h.before else replace(h, before=first) for h in self.holes]
         self._account_for_records(statistics, salvage.damaged)
-        told = self.found + lost if statistics is None else statistics.channel_message_counts
-        for channel, count in told.items():
-            self.account.told[self._topic(channel)] += count
+        stated = self.found + lost if statistics is None else statistics.channel_message_counts
+        for channel, count in stated.items():
+            self.counts.stated[self._topic(channel)] += count
         for channel, count in self.kept.items():
-            self.account.kept[self._topic(channel)] += count
-        self.account.holes += self.holes
-        self.account.repeated += salvage.repeated
-        for channel in self.catalogue.channels:
+            self.counts.kept[self._topic(channel)] += count
+        self.counts.holes += self.holes
+        self.counts.repeated += salvage.repeated
+        for channel in self.registry.channels:
             self._target(channel)  # a topic without a message is a topic all the same
 
     def _statistics(self) -> Statistics | None:
         """Return what an intact summary counts, and learn its channels."""
         with suppress(BagError), report_damage(self.file):
             summary = read_summary(self.file)
-            self.catalogue = summary.catalogue
-            told = summary.statistics
+            self.registry = summary.registry
+            stated = summary.statistics
             # Writers may leave the messages' channels out.
-            if told is not None and told.message_count == sum(told.channel_message_counts.values()):
-                return told
+            if stated is not None and stated.message_count == sum(
+                stated.channel_message_counts.values()
+            ):
+                return stated
         return None
 
-    def _account_for_records(self, told: Statistics | None, damaged: Counter[int]) -> None:
+    def _account_for_records(self, stated: Statistics | None, damaged: Counter[int]) -> None:
         totals = damaged + self.records
-        if told is not None:
+        if stated is not None:
             totals = Counter(
-                {Opcode.ATTACHMENT: told.attachment_count, Opcode.METADATA: told.metadata_count}
+                {Opcode.ATTACHMENT: stated.attachment_count, Opcode.METADATA: stated.metadata_count}
             )
         for opcode in (Opcode.ATTACHMENT, Opcode.METADATA):
-            self.account.records_lost[opcode] += max(0, totals[opcode] - self.records[opcode])
+            self.counts.records_lost[opcode] += max(0, totals[opcode] - self.records[opcode])
 
     def _copy_record(self, record: Metadata | Attachment) -> None:
         """Copy what is no message, but for rosbag2's own metadata, which are written anew."""
@@ -186,7 +188,7 @@ class McapRecovery:
             self.new.add_metadata(record)
         else:
             return
-        self.account.records[kind] += 1
+        self.counts.records[kind] += 1
 
     def _lost(self, hole: DamagedRange, after: int | None) -> LostRange:
         return LostRange(
@@ -220,14 +222,14 @@ class McapRecovery:
     def _target(self, channel: int) -> int | None:
         """Return the channel in the new bag; None if it was never announced."""
         if channel not in self.targets:
-            known = self.catalogue.channels.get(channel)
+            known = self.registry.channels.get(channel)
             if known is None:  # a later record may still announce it
                 return None
-            self.targets[channel] = self.new.channel(self.catalogue, known)
+            self.targets[channel] = self.new.channel(self.registry, known)
         return self.targets[channel]
 
     def _topic(self, channel: int) -> Topic:
-        known = self.catalogue.channels.get(channel)
+        known = self.registry.channels.get(channel)
         if known is None:
             return Topic(f"channel {channel}, of which nothing is known", "")
-        return Topic(known.topic, self.catalogue.msgtype(known))
+        return Topic(known.topic, self.registry.msgtype(known))

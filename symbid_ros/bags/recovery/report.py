@@ -116,7 +116,7 @@ class RecoveryCounts:
 
     Attributes
     ----------
-    kept, told : Counter of Topic
+    kept, stated : Counter of Topic
         Messages that were kept, and that the bag states to hold.
     unassigned : int
         Messages that were lost, whose topics are unknown.
@@ -129,7 +129,7 @@ class RecoveryCounts:
     """
 
     kept: Counter[Topic] = field(default_factory=Counter)
-    told: Counter[Topic] = field(default_factory=Counter)
+    stated: Counter[Topic] = field(default_factory=Counter)
     unassigned: int = 0
     holes: list[LostRange] = field(default_factory=list)
     records: Counter[int] = field(default_factory=Counter)
@@ -139,17 +139,17 @@ class RecoveryCounts:
 
     def recovery(self, bag: Path, out: Path) -> RecoveryReport:
         """Return what became of a bag and where the new one is."""
-        known = sum((self.told - self.kept).values())
+        known = sum((self.stated - self.kept).values())
         if self.unassigned > known:
-            self.told[UNKNOWN_TOPIC] += self.unassigned - known
+            self.stated[UNKNOWN_TOPIC] += self.unassigned - known
         topics = tuple(
             TopicRecovery(
                 topic.name,
                 topic.msgtype,
                 self.kept[topic],
-                max(0, self.told[topic] - self.kept[topic]),
+                max(0, self.stated[topic] - self.kept[topic]),
             )
-            for topic in sorted({*self.told, *self.kept}, key=lambda topic: topic.name)
+            for topic in sorted({*self.stated, *self.kept}, key=lambda topic: topic.name)
         )
         attachments, metadata = (
             RecordCount(self.records[opcode], self.records_lost[opcode])

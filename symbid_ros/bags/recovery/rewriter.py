@@ -65,11 +65,11 @@ class BagRewriter:
     _stream: BinaryIO | None = None
     _writer: McapWriter | None = None
 
-    def channel(self, catalogue: SchemaRegistry, channel: Channel) -> int:
+    def channel(self, registry: SchemaRegistry, channel: Channel) -> int:
         """Return the number of another file's channel here."""
-        schema = catalogue.schema(channel)
+        schema = registry.schema(channel)
         try:
-            qos = catalogue.offers(channel)
+            qos = registry.offered_qos(channel)
         except ValueError:
             qos = ()
         origin = _Origin(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import apsw
 
 from symbid_ros.bags.container.schema_registry import ROS2_TEXT, SchemaRegistry
-from symbid_ros.bags.container.sqlite import open_database, read_registry, warn_of_leftovers
+from symbid_ros.bags.container.sqlite import open_database, read_registry, warn_of_journals
 from symbid_ros.bags.recovery.report import LostRange, RecoveryCounts
 from symbid_ros.bags.recovery.rewriter import BagRewriter
 from symbid_ros.errors import BagError
@@ -131,29 +131,29 @@ class SqliteRecovery:
 
     file: Path
     new: BagRewriter
-    account: RecoveryCounts
+    counts: RecoveryCounts
     holes: list[LostRange] = field(default_factory=list)
 
     def run(self) -> None:
         """Copy what the file holds and keep account of it."""
         if not self.file.stat().st_size:
-            self.account.holes.append(LostRange(self.file.name, 0, 0, "empty"))
-            self.account.is_counted = False
+            self.counts.holes.append(LostRange(self.file.name, 0, 0, "empty"))
+            self.counts.is_counted = False
             return
-        warn_of_leftovers(self.file)
+        warn_of_journals(self.file)
         with open_database(self.file, is_damaged=True) as database:
-            catalogue = read_registry(database)
-            _complete_definitions(catalogue)
+            registry = read_registry(database)
+            _complete_definitions(registry)
             targets = {
-                number: self.new.channel(catalogue, channel)
-                for number, channel in catalogue.channels.items()
+                number: self.new.channel(registry, channel)
+                for number, channel in registry.channels.items()
             }
             topics = {
-                number: Topic(channel.topic, catalogue.msgtype(channel))
-                for number, channel in catalogue.channels.items()
+                number: Topic(channel.topic, registry.msgtype(channel))
+                for number, channel in registry.channels.items()
             }
             for topic in topics.values():
-                self.account.told[topic] += 0
+                self.counts.stated[topic] += 0
             latest: int | None = None
             for piece in DamagedSqliteReader(database, targets).pieces():
                 if isinstance(piece, RowGap):
@@ -162,9 +162,9 @@ class SqliteRecovery:
                 latest = piece.log_time
                 self.holes = [h if h.before else replace(h, before=latest) for h in self.holes]
                 self.new.write(targets[piece.topic], latest, latest, piece.payload, sequence=0)
-                self.account.kept[topics[piece.topic]] += 1
-                self.account.told[topics[piece.topic]] += 1
-        self.account.holes += self.holes
+                self.counts.kept[topics[piece.topic]] += 1
+                self.counts.stated[topics[piece.topic]] += 1
+        self.counts.holes += self.holes
 
     def _lose(self, gap: RowGap, after: int | None) -> None:
         """Count lost rows; rosbag2 numbers them from 1 without gaps."""
@@ -182,13 +182,13 @@ class SqliteRecovery:
                 is_counted=gap.stop is not None,
             )
         )
-        self.account.unassigned += count
-        self.account.is_counted &= gap.stop is not None
+        self.counts.unassigned += count
+        self.counts.is_counted &= gap.stop is not None
 
 
-def _complete_definitions(catalogue: SchemaRegistry) -> None:
+def _complete_definitions(registry: SchemaRegistry) -> None:
     """Add the definitions of known types: before Jazzy, SQLite bags have none."""
-    for number, schema in catalogue.schemas.items():
+    for number, schema in registry.schemas.items():
         if schema.data:
             continue
         try:
@@ -196,5 +196,5 @@ def _complete_definitions(catalogue: SchemaRegistry) -> None:
         except BagError:
             continue
         schema.encoding, schema.data = ROS2_TEXT, definition.text.encode()
-        metadata = catalogue.channels[number].metadata
+        metadata = registry.channels[number].metadata
         metadata["topic_type_hash"] = metadata["topic_type_hash"] or definition.type_hash
