@@ -10,7 +10,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import write_text
-from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.bags import bag_log
 from symbid_ros.choices import GAUSSIAN
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.archive import load_archive
