@@ -207,7 +207,7 @@ def _identify_offline(
         {title: identified.estimate for title, (_, identified) in found.items()},
         by_windows.parameters,
         chosen=METHOD_TITLES["map_lmi"],
-        facts=described,
+        metadata=described,
         ground_truth=ground_truth,
         deviation_factor=chosen.deviation_factor,
         truncations=truncations,
@@ -337,7 +337,7 @@ def _report(
         {title: estimate},
         subject.parameters,
         chosen=title,
-        facts=described | {"Judged on": f"{out / 'validation'}, ideal, other moves"},
+        metadata=described | {"Judged on": f"{out / 'validation'}, ideal, other moves"},
         ground_truth=ground_truth,
         deviation_factor=subject.deviation_factor,
     )

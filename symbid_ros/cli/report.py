@@ -65,7 +65,7 @@ def report(
         estimates,
         subject.parameters,
         chosen=chosen,
-        facts=describe_bags(bag) | describe_estimate(estimates[chosen]),
+        metadata=describe_bags(bag) | describe_estimate(estimates[chosen]),
         ground_truth=ground_truth,
         deviation_factor=subject.deviation_factor,
     )

@@ -1,1 +1,1 @@
-"""Estimates to one self-contained page."""
+"""Reports on estimates: a self-contained HTML page and a table for the terminal."""

@@ -1,4 +1,4 @@
-"""From estimates and, where there is one, a true motion to a report's content."""
+"""Composes the content of a report from estimates and, optionally, the ground truth."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -36,22 +36,22 @@ METHOD_TITLES = {
     "map": "MAP",
     "map_lmi": "MAP-LMI",
 }
-# WLS-RC that found its own z, beside one that was given the best there is.
+# WLS-RC with z chosen from the log, next to WLS-RC with z chosen from validation data.
 OWN_Z = "WLS-RC, own z"
 
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """What estimates are judged against.
+    """True motion and parameters, with which estimates are compared.
 
     Attributes
     ----------
     motion : TrueMotion
-        The true motion of a validation record.
+        True motion of a validation log.
     values : (p,) float64
-        The true parameters.
+        True parameters.
     realistic : RealisticMotion or None
-        A noisy record with ground truth, to predict as the robot itself could.
+        Noisy log with ground truth, for predictions from the robot's own sensors.
     """
 
     motion: TrueMotion
@@ -64,42 +64,43 @@ def compose(
     parameters: ParameterSet,
     *,
     chosen: str,
-    facts: Mapping[str, str],
+    metadata: Mapping[str, str],
     ground_truth: GroundTruth | None = None,
     deviation_factor: FloatArray | None = None,
     truncations: Mapping[tuple[str, str], Estimate] | None = None,
 ) -> ReportContent:
-    """Return the content of a page about several estimates of one robot.
+    """Return the content of a report on one or several estimates of one robot.
 
     Parameters
     ----------
     estimates : mapping of str to Estimate
-        By the label people write, in the order shown; all from one prior.
+        By label, in the order shown; all from one prior.
     parameters : ParameterSet
-        The robot's columns.
+        The robot's parameters.
     chosen : str
-        Label of the estimate that is shown in full.
-    facts : mapping of str to str
-        What was done to which data.
+        Label of the estimate shown in detail.
+    metadata : mapping of str to str
+        Describes data and processing.
     ground_truth : GroundTruth, optional
-        The truth; without it nothing is judged and no prediction drawn.
+        Without it the report has no errors and no predictions.
     deviation_factor : (p, r) float64, optional
         L of the chosen estimate's covariance L Lᵀ.
     truncations : mapping of (str, str) to Estimate, optional
-        Truncated estimates from the same rows, by method and by what chose z; shown where
-        there is a ground_truth.
+        Truncated estimates from the same rows, by method and source of z; shown only with
+        ground truth.
 
     Raises
     ------
     EstimateError
-        When the estimates are not all of these parameters.
+        When an estimate has other parameters.
     """
     model = parameters.model
     for label, estimate in estimates.items():
         if estimate.names != parameters.names:
             raise EstimateError(
-                f"{label}: {len(estimate.names)} parameters are not the {len(parameters)} of "
-                f"{chosen}; report on estimates of one robot with the same joint terms"
+                f"{label}: its {len(estimate.names)} parameters are not the {len(parameters)} of "
+                f"{chosen}; report on estimates of one robot with the same joint terms",
+                "E750",
             )
     vectors = {PRIOR: estimates[chosen].prior}
     vectors |= {label: estimate.value for label, estimate in estimates.items()}
@@ -111,11 +112,11 @@ def compose(
         methods=tuple(MethodResult(label, estimates.get(label), None) for label in vectors),
         chosen=chosen,
         joint_names=model.joint_names,
-        facts=dict(facts),
+        metadata=dict(metadata),
     )
     if ground_truth is None:
         return content
-    return _judged(
+    return _add_evaluation(
         content,
         parameters,
         vectors,
@@ -125,7 +126,7 @@ def compose(
     )
 
 
-def _judged(
+def _add_evaluation(
     content: ReportContent,
     parameters: ParameterSet,
     vectors: Mapping[str, FloatArray],
@@ -134,16 +135,16 @@ def _judged(
     truncations: Mapping[tuple[str, str], Estimate],
     deviation_factor: FloatArray | None,
 ) -> ReportContent:
-    """Return the content with all that follows from the truth."""
+    """Return the content with errors, predictions and intervals against the ground truth."""
     truth, motion = ground_truth.values, ground_truth.motion
     candidates = dict(vectors)
-    candidates |= {" ".join(key): found.value for key, found in truncations.items()}
-    judged = evaluate(parameters, candidates, truth, motion)
+    candidates |= {" ".join(key): estimate.value for key, estimate in truncations.items()}
+    errors = evaluate(parameters, candidates, truth, motion)
     shown = {label: vectors[label] for label in (TRUTH, PRIOR, content.chosen)}
     return replace(
         content,
         methods=tuple(
-            replace(method, metrics=asdict(judged[method.label])) for method in content.methods
+            replace(method, metrics=asdict(errors[method.label])) for method in content.methods
         ),
         predictions=tuple(
             prediction_series(label, parameters, values, motion) for label, values in shown.items()
@@ -163,9 +164,9 @@ def _judged(
             ground_truth,
         ),
         truncations=tuple(
-            TruncationChoice(*key, found.rank, asdict(judged[" ".join(key)]))
-            for key, found in truncations.items()
-            if found.rank is not None
+            TruncationChoice(*key, estimate.rank, asdict(errors[" ".join(key)]))
+            for key, estimate in truncations.items()
+            if estimate.rank is not None
         ),
     )
 
@@ -186,18 +187,18 @@ def _realistic(
 ) -> dict[str, dict[str, float]]:
     if ground_truth.realistic is None:
         return {}
-    judged = evaluate_realistic(parameters, vectors, ground_truth.values, ground_truth.realistic)
-    return {label: asdict(figures) for label, figures in judged.items()}
+    errors = evaluate_realistic(parameters, vectors, ground_truth.values, ground_truth.realistic)
+    return {label: asdict(metrics) for label, metrics in errors.items()}
 
 
 def prediction_series(
     label: str, parameters: ParameterSet, values: FloatArray, motion: TrueMotion
 ) -> PredictionSeries:
-    """Return what the parameters (p,) predict along a true motion, to be drawn."""
+    """Return the prediction of parameters (p,) along a true motion."""
     prediction = predict(parameters, values, motion)
     samples = motion.samples
     first_joint = 6 * parameters.model.floating
-    # The environment's share of each joint's load is measured; the motors owe the rest.
+    # The environment's contribution to each joint's load is measured; the motors supply the rest.
     environment = environment_force(parameters.model, motion)[:, first_joint:]
     return PredictionSeries(
         label=label,
@@ -210,7 +211,7 @@ def prediction_series(
 
 
 def describe_bags(bags: Sequence[Path]) -> dict[str, str]:
-    """Return what a bag holds, read from its sensor topics."""
+    """Describe the duration and the sensors of bags."""
     streams = read_streams(bags)
     stamp = streams.joints.stamp
     seconds = (stamp[-1] - stamp[0]) * 1e-9
@@ -224,10 +225,10 @@ def describe_bags(bags: Sequence[Path]) -> dict[str, str]:
 
 
 def describe_estimate(estimate: Estimate) -> dict[str, str]:
-    """Return what an identification used."""
-    cut = "" if estimate.rank is None else f"{estimate.rank} singular values, "
+    """Describe the rows, inputs and software of an identification."""
+    rank = "" if estimate.rank is None else f"{estimate.rank} singular values, "
     return {
-        "Rows": f"{estimate.samples} of each coordinate, {cut}condition {estimate.condition:.3g}",
+        "Rows": f"{estimate.samples} of each coordinate, {rank}condition {estimate.condition:.3g}",
         "Inputs": ", ".join(estimate.inputs),
         "Software": estimate.software,
     }

@@ -1,4 +1,4 @@
-"""What a report is made of: arrays and facts, no markup."""
+"""Content of a report as data, without markup."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -16,14 +16,14 @@ TRUTH = "truth"
 
 @dataclass(frozen=True)
 class Metric:
-    """One of the figures by which an estimate is judged.
+    """An error measure of estimates.
 
     Attributes
     ----------
     key : str
-        Its name among the figures of a row.
+        Field name in the evaluation.
     title, unit : str
-        Column header, short enough for 80 characters and for a phone, and the unit.
+        Column header and unit, short enough for 80 columns and for phones.
     """
 
     key: str
@@ -51,10 +51,9 @@ REALISTIC_METRICS = (
 def best_labels(
     rows: Mapping[str, Mapping[str, float]], metrics: Iterable[Metric]
 ) -> dict[str, frozenset[str]]:
-    """Return, by metric key, the labels with the smallest value.
+    """Return the labels with the smallest value of each metric, by metric key.
 
-    The truth competes with nobody; the prior does, so that a method which made
-    things worse is seen to have done so.
+    The truth does not compete. The prior does, which reveals methods that are worse than it.
     """
     best = {}
     for metric in metrics:
@@ -70,12 +69,12 @@ def best_labels(
 
 @dataclass(frozen=True)
 class MethodResult:
-    """One row of the comparison.
+    """One row in the comparison of methods.
 
     Attributes
     ----------
     label : str
-        ``prior``, ``truth`` or the method's name as people write it (``WLS-RC``).
+        ``prior``, ``truth`` or the title of the method (``WLS-RC``).
     estimate : Estimate or None
         None for the prior and the truth.
     metrics : dict of str to float or None
@@ -89,16 +88,16 @@ class MethodResult:
 
 @dataclass(frozen=True)
 class TruncationChoice:
-    """One truncated method with z chosen in one of two ways.
+    """One truncated method with z from one of two sources.
 
     Attributes
     ----------
     label : str
-        The method, as people write it.
+        Title of the method.
     chosen_by : str
-        What chose z.
+        Data that z was chosen from.
     rank : int
-        z.
+        z, the number of singular values.
     metrics : dict of str to float
         By ``Metric.key``.
     """
@@ -111,7 +110,7 @@ class TruncationChoice:
 
 @dataclass(frozen=True)
 class PredictionSeries:
-    """What one parameter set predicts along a validation motion.
+    """Prediction of one parameter set along a validation motion.
 
     Attributes
     ----------
@@ -124,7 +123,7 @@ class PredictionSeries:
     torque : (N, J) float64
         Joint torques, Nm.
     linear_momentum, angular_momentum : (N, 3) float64
-        World axes, Ns and Nms, the angular one about the CoM.
+        In world axes, Ns and Nms; angular momentum about the CoM.
     """
 
     label: str
@@ -142,20 +141,21 @@ class PredictionSeries:
             if shape != (samples, columns):
                 raise EstimateError(
                     f"prediction {self.label!r}: {name} has shape {shape}, "
-                    f"expected ({samples}, {columns}); give one row for each time"
+                    f"expected ({samples}, {columns}); give one row for each time",
+                    "E751",
                 )
 
 
 @dataclass(frozen=True)
 class LinkErrors:
-    """Mean relative parameter error of every link, per parameter set.
+    """Mean relative parameter error of each link, by parameter set.
 
     Attributes
     ----------
     links : tuple of str
         The L links, in the model's order.
     percent : dict of str to (L,) float64
-        By label of the parameter set; NaN where a link has no non-zero parameter.
+        By label of the parameter set; NaN for a link without non-zero parameters.
     """
 
     links: tuple[str, ...]
@@ -166,20 +166,21 @@ class LinkErrors:
             if np.shape(values) != (len(self.links),):
                 raise EstimateError(
                     f"link errors of {label!r}: {np.shape(values)} values for "
-                    f"{len(self.links)} links; give one for each link"
+                    f"{len(self.links)} links; give one for each link",
+                    "E751",
                 )
 
 
 @dataclass(frozen=True)
 class ReportContent:
-    """Everything one page shows; what is None is left out of it.
+    """Content of one page; the page leaves out sections whose field is None or empty.
 
     Attributes
     ----------
     title, model : str
         Heading of the page and name of the robot model.
-    facts : dict of str to str
-        What was done to which data, in the order shown.
+    metadata : dict of str to str
+        Describes data and processing, in the order shown.
     methods : tuple of MethodResult
         Rows of the comparison, in the order shown.
     chosen : str
@@ -192,11 +193,11 @@ class ReportContent:
     link_errors : LinkErrors or None
         None without ground truth.
     intervals : IntervalSummary or None
-        Of the chosen method's predictions; None without ground truth or covariance.
+        Intervals of the chosen method's predictions; None without ground truth or covariance.
     realistic : dict of str to dict of str to float
-        By label, then by key of ``REALISTIC_METRICS``; empty without a noisy record.
+        By label, then by key of ``REALISTIC_METRICS``; empty without a noisy log.
     truncations : tuple of TruncationChoice
-        z without validation data beside the best there could be, on the same rows.
+        z chosen without and with validation data, on the same rows.
     """
 
     title: str
@@ -204,7 +205,7 @@ class ReportContent:
     methods: tuple[MethodResult, ...]
     chosen: str
     joint_names: tuple[str, ...]
-    facts: dict[str, str] = field(default_factory=dict)
+    metadata: dict[str, str] = field(default_factory=dict)
     predictions: tuple[PredictionSeries, ...] | None = None
     link_errors: LinkErrors | None = None
     intervals: IntervalSummary | None = None
@@ -215,23 +216,27 @@ class ReportContent:
         labels = [method.label for method in self.methods]
         if len(set(labels)) != len(labels):
             raise EstimateError(
-                f"report {self.title!r}: labels {labels} repeat; name each row once"
+                f"report {self.title!r}: labels {labels} repeat; give each row its own label",
+                "E752",
             )
         if not any(m.label == self.chosen and m.estimate is not None for m in self.methods):
             raise EstimateError(
                 f"report {self.title!r}: no method {self.chosen!r} with an estimate "
-                f"among {labels}; choose one of the methods given"
+                f"among {labels}; choose one of the given methods",
+                "E752",
             )
         for series in self.predictions or ():
             if not np.array_equal(series.time, (self.predictions or ())[0].time):
                 raise EstimateError(
-                    f"prediction {series.label!r}: its times are not those of the others; "
-                    "predict all along the same motion"
+                    f"prediction {series.label!r}: its times differ from those of the others; "
+                    "predict all along the same motion",
+                    "E751",
                 )
             if series.torque.shape[1] != len(self.joint_names):
                 raise EstimateError(
                     f"prediction {series.label!r}: {series.torque.shape[1]} torque columns for "
-                    f"{len(self.joint_names)} joint names; give one name for each column"
+                    f"{len(self.joint_names)} joint names; give one name for each column",
+                    "E751",
                 )
 
     @property
@@ -242,5 +247,5 @@ class ReportContent:
         )
 
     def metrics_of(self, label: str) -> dict[str, float] | None:
-        """Return the metrics of the row called ``label``, None where there are none."""
+        """Return the metrics of the row with this label, None if it has none."""
         return next((m.metrics for m in self.methods if m.label == label), None)

@@ -1,4 +1,4 @@
-"""What the data could and could not tell of the chosen estimate, ready to print."""
+"""Formatted summary of the chosen estimate: data, alarms, links, sensors and parameters."""
 
 import re
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ _COEFFICIENT = re.compile(r"([+-])(\d\S*) ")
 
 @dataclass(frozen=True)
 class SummaryEntry:
-    """One figure of the verdict: what it is called, its value and what to make of it."""
+    """A number of the verdict with its name and meaning."""
 
     name: str
     value: str
@@ -33,7 +33,7 @@ class SummaryEntry:
 
 @dataclass(frozen=True)
 class LinkRow:
-    """What was learnt of one link; ``share`` is its gain in % of the largest one."""
+    """Information gained about a link; ``share`` is its gain in % of the largest gain."""
 
     name: str
     determined: str
@@ -44,7 +44,7 @@ class LinkRow:
 
 @dataclass(frozen=True)
 class QuantityRow:
-    """One number with its standard deviation."""
+    """A quantity with its standard deviation."""
 
     name: str
     value: str
@@ -54,7 +54,7 @@ class QuantityRow:
 
 @dataclass(frozen=True)
 class IntervalRow:
-    """How far a prediction may be off, and how much of the truth its interval holds."""
+    """Standard deviation of a prediction, and coverage of the truth by its interval."""
 
     name: str
     std: str
@@ -63,30 +63,30 @@ class IntervalRow:
 
 @dataclass(frozen=True)
 class DataSummary:
-    """Everything the page says of what the data tell.
+    """Summary of what the data determine.
 
     Attributes
     ----------
     alarms : tuple of str
-        What is wrong, one line each.
-    facts : tuple of SummaryEntry
-        Figures of the whole estimate.
+        One line per problem.
+    entries : tuple of SummaryEntry
+        Numbers of the whole estimate.
     links : tuple of LinkRow
         In the model's order.
     intervals : tuple of IntervalRow
         Empty without ground truth.
     sensors, base : tuple of QuantityRow
-        Errors of the sensors, and base parameters.
+        Sensor errors, and base parameters.
     sensors_determined, base_determined : int
-        How many of these the data decide.
+        How many of these the data determine.
     directions : tuple of str
         Determined directions of parameter space, best first.
     parameters : int
-        How many directions there are.
+        Number of directions in total.
     """
 
     alarms: tuple[str, ...]
-    facts: tuple[SummaryEntry, ...]
+    entries: tuple[SummaryEntry, ...]
     links: tuple[LinkRow, ...]
     intervals: tuple[IntervalRow, ...]
     sensors: tuple[QuantityRow, ...]
@@ -100,13 +100,13 @@ class DataSummary:
 def summarise_data(
     estimate: Estimate, intervals: IntervalSummary | None = None
 ) -> DataSummary | None:
-    """Return what the data told, None where the method gives no verdict."""
+    """Return the summary of an estimate, None if its method gives no verdict."""
     verdict = estimate.verdict
     if verdict is None:
         return None
     return DataSummary(
         alarms=verdict.alarms,
-        facts=_facts(estimate, verdict),
+        entries=_entries(estimate, verdict),
         links=_links(estimate, verdict),
         intervals=_intervals(intervals),
         sensors=_quantities(verdict.sensors),
@@ -119,7 +119,7 @@ def summarise_data(
 
 
 def describe_window(verdict: Verdict, samples: int) -> str:
-    """Return how many rows of each coordinate there were and over what they were averaged."""
+    """Describe the number of rows per coordinate and their averaging windows."""
     if verdict.window == 0:
         return f"{samples} rows of each coordinate, at single instants"
     return (
@@ -128,37 +128,37 @@ def describe_window(verdict: Verdict, samples: int) -> str:
 
 
 def _unbroken(coefficient: re.Match[str]) -> str:
-    """Return a coefficient that stays on the line of its parameter, with a true minus sign."""
+    """Return a coefficient with a minus sign and a non-breaking space before its parameter."""
     sign = coefficient[1].replace("-", "−")
     return f"{sign}{coefficient[2]}\N{NO-BREAK SPACE}"
 
 
-def _facts(estimate: Estimate, verdict: Verdict) -> tuple[SummaryEntry, ...]:
+def _entries(estimate: Estimate, verdict: Verdict) -> tuple[SummaryEntry, ...]:
     scale, white, noise = verdict.prior_scale, verdict.whiteness, verdict.noise_share
     return (
         SummaryEntry("Rows", describe_window(verdict, estimate.samples), ""),
         SummaryEntry(
             "Effective parameters",
             f"{significant(verdict.effective)} of {len(estimate.names)}",
-            f"{significant(verdict.gain)} bit gained in all",
+            f"{significant(verdict.gain)} bits gained in total",
         ),
         SummaryEntry(
-            "Prior’s scale",
+            "Prior scale",
             significant(scale),
-            "factor on the prior’s deviations that the data would have; alarm above "
+            "factor on the prior’s standard deviations that fits the data best; alarm above "
             f"{SUSPICIOUS_SCALE:g}",
             is_alarm=scale > SUSPICIOUS_SCALE,
         ),
         SummaryEntry(
             "Whiteness",
             significant(white) if white > 0 else ABSENT,
-            f"of the residual, at most 1 for noise; alarm above {SUSPICIOUS_WHITENESS:g}",
+            f"of the residuals, at most 1 for white noise; alarm above {SUSPICIOUS_WHITENESS:g}",
             is_alarm=white > SUSPICIOUS_WHITENESS,
         ),
         SummaryEntry(
             "Noise in the motion",
             f"{significant(100 * noise)} %",
-            "of what the worst direction seems to be told; alarm above "
+            "of the apparent information about the worst direction; alarm above "
             f"{100 * SUSPICIOUS_NOISE:g} %",
             is_alarm=noise > SUSPICIOUS_NOISE,
         ),
@@ -215,7 +215,7 @@ OTHER = "Joints"
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One parameter, every field ready to print."""
+    """A parameter as formatted text."""
 
     name: str
     unit: str
@@ -232,11 +232,11 @@ class ParameterGroup:
     Attributes
     ----------
     name : str
-        The link.
+        Name of the link, or ``Joints``.
     possible : bool
-        Whether a body can have these inertias; True for joints.
+        Whether the inertia is physically possible; True for joints.
     summary : str
-        What is worth knowing before the table is opened.
+        Shown while the table is closed.
     rows : tuple of ParameterRow
         In the estimate's order.
     """
@@ -248,7 +248,7 @@ class ParameterGroup:
 
 
 def parameter_groups(estimate: Estimate) -> tuple[ParameterGroup, ...]:
-    """Return one group for each link, in order, then one for what belongs to joints."""
+    """Return one group for each link, in order, then one for the joint parameters."""
     members: dict[str, list[int]] = {}
     for index, name in enumerate(estimate.names):
         owner, _, kind = name.rpartition("/")
@@ -278,7 +278,7 @@ def _group(estimate: Estimate, link: str, indices: list[int]) -> ParameterGroup:
 
 def _row(estimate: Estimate, index: int, indices: list[int], link: str) -> ParameterRow:
     unit = estimate.units[index]
-    # The prior sets the decimals: an estimate gone astray must not hide its own size in zeros.
+    # The prior sets the decimals, so that a diverged estimate shows its true size.
     alike = [estimate.prior[i] for i in indices if estimate.units[i] == unit]
     decimals = shared_decimals(map(float, alike))
     std = None if estimate.std is None else float(estimate.std[index])

@@ -1,4 +1,4 @@
-"""The figures of a report: predictions along a motion, errors per link."""
+"""Figures of a report: predictions along a motion and errors per link."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +13,15 @@ from symbid_ros.report.content import TRUTH, LinkErrors, PredictionSeries
 from symbid_ros.report.formatting import significant
 from symbid_ros.report.plotting import Style, downsample, house_style, inline_svg, scale_errors
 
-# Two samples for each pixel column of a panel draw every peak that a screen can show.
-POINTS = 800
+POINTS = 800  # two samples per pixel column of a panel show every peak
+TORQUES_SHOWN = 6
+LOGARITHMIC_ABOVE = 100.0  # ratio of largest to smallest error
+_PANEL_INCHES = (3.75, 2.05)
 
 
 @dataclass(frozen=True)
 class PredictedSignal:
-    """One scalar, as every parameter set predicts it.
+    """A scalar signal predicted by every parameter set.
 
     Attributes
     ----------
@@ -28,7 +30,7 @@ class PredictedSignal:
     name : str
         Unique on a page.
     values : list of (N,) float64
-        One for each parameter set, in ``unit``.
+        One array for each parameter set, in ``unit``.
     """
 
     title: str
@@ -46,7 +48,7 @@ def com_signals(predictions: Sequence[PredictionSeries]) -> list[PredictedSignal
 def torque_signals(
     predictions: Sequence[PredictionSeries], joint_names: Sequence[str], count: int
 ) -> list[PredictedSignal]:
-    """Return the torques of the ``count`` joints that carry most, in the model's order."""
+    """Return the torques of the ``count`` most loaded joints, in the model's order."""
     reference = next((s for s in predictions if s.label == TRUTH), predictions[0])
     load = np.sqrt(np.mean(reference.torque**2, axis=0))
     shown = np.sort(np.argsort(-load, kind="stable")[:count])
@@ -77,37 +79,30 @@ def _axes(title: str, kind: str, unit: str, vectors: Sequence[FloatArray]) -> li
 
 def draw(
     axes: Axes,
-    quantity: PredictedSignal,
+    signal: PredictedSignal,
     predictions: Sequence[PredictionSeries],
     styles: dict[str, Style],
 ) -> None:
-    """Draw one quantity over time for every parameter set; the time axis is left unlabelled."""
-    for series, value in zip(predictions, quantity.values, strict=True):
+    """Draw a signal over time for every parameter set; the time axis has no label."""
+    for series, value in zip(predictions, signal.values, strict=True):
         style = styles[series.label]
         axes.plot(
             *downsample(series.time, value, POINTS),
             color=style.colour,
             linestyle=style.dash,
             linewidth=style.width,
-            # The truth lies below, whichever order the series come in.
+            # The truth is below all other lines.
             zorder=2 if series.label == TRUTH else 3,
             label=series.label,
         )
-    axes.set_ylabel(f"{quantity.kind} [{quantity.unit}]")
+    axes.set_ylabel(f"{signal.kind} [{signal.unit}]")
     axes.margins(x=0)
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
-TORQUES_SHOWN = 6
-# Errors that span more than this ratio are drawn on a logarithmic axis.
-LOGARITHMIC_ABOVE = 100.0
-
-_PANEL_INCHES = (3.75, 2.05)
-
-
 @dataclass(frozen=True)
 class Panel:
-    """One small figure: heading, ``<svg>`` and the deviations it shows, in words."""
+    """A small figure: heading, ``<svg>`` element and a note on the deviations it shows."""
 
     title: str
     svg: str
@@ -126,9 +121,9 @@ def torque_panels(
     joint_names: Sequence[str],
     styles: dict[str, Style],
 ) -> tuple[Panel, ...]:
-    """Draw the joints that carry the largest torques (thesis Fig. 4)."""
-    quantities = torque_signals(predictions, joint_names, TORQUES_SHOWN)
-    return _panels(quantities, predictions, styles)
+    """Draw the torques of the most loaded joints (thesis Fig. 4)."""
+    signals = torque_signals(predictions, joint_names, TORQUES_SHOWN)
+    return _panels(signals, predictions, styles)
 
 
 def momentum_panels(
@@ -139,7 +134,7 @@ def momentum_panels(
 
 
 def link_error_panel(errors: LinkErrors, styles: dict[str, Style]) -> Panel:
-    """Draw every link's mean relative parameter error, a dot for each method (thesis Fig. 6)."""
+    """Draw each link's mean relative parameter error, one dot per method (thesis Fig. 6)."""
     note = f"mean over the links: {link_means(errors)}"
     title = "Error per link"
     with house_style():
@@ -150,14 +145,14 @@ def link_error_panel(errors: LinkErrors, styles: dict[str, Style]) -> Panel:
 def link_error_figure(
     errors: LinkErrors, names: Sequence[str], styles: dict[str, Style], width: float
 ) -> Figure:
-    """Return a row of dots for each link, under the names given, and a legend.
+    """Return a figure with a row of dots for each link, labelled ``names``, and a legend.
 
-    Dots rather than bars: a bar has no foot on a logarithmic axis, and OLS
-    errors reach a thousand times those of the other methods.
+    It uses dots because OLS errors reach a thousand times those of other methods, and bars on a
+    logarithmic axis have no natural origin.
     """
     rows = np.arange(len(errors.links), dtype=np.float64)
     labels = list(errors.percent)
-    # Room for the dots of many methods, one below the other.
+    # Enough height for the dots of many methods, one below the other.
     height = max(0.27, 0.045 * len(labels))
     figure = Figure(figsize=(width, 0.9 + height * len(rows)), layout="constrained")
     axes = figure.add_subplot()
@@ -186,7 +181,7 @@ def link_error_figure(
 
 
 def link_means(errors: LinkErrors) -> str:
-    """Say each parameter set's mean over the links."""
+    """List the mean over the links of each parameter set."""
     return ", ".join(
         f"{label} {significant(float(np.nanmean(values)))} %"
         for label, values in errors.percent.items()
@@ -195,36 +190,34 @@ def link_means(errors: LinkErrors) -> str:
 
 
 def _panels(
-    quantities: Sequence[PredictedSignal],
+    signals: Sequence[PredictedSignal],
     predictions: Sequence[PredictionSeries],
     styles: dict[str, Style],
 ) -> tuple[Panel, ...]:
-    return tuple(_panel(quantity, predictions, styles) for quantity in quantities)
+    return tuple(_panel(signal, predictions, styles) for signal in signals)
 
 
 def _panel(
-    quantity: PredictedSignal, predictions: Sequence[PredictionSeries], styles: dict[str, Style]
+    signal: PredictedSignal, predictions: Sequence[PredictionSeries], styles: dict[str, Style]
 ) -> Panel:
-    """Draw one quantity over time for every parameter set."""
+    """Draw a signal over time for every parameter set."""
     with house_style():
         figure = Figure(figsize=_PANEL_INCHES, layout="constrained")
         axes = figure.add_subplot()
-        draw(axes, quantity, predictions, styles)
+        draw(axes, signal, predictions, styles)
         axes.set_xlabel("time [s]")
-        note = _deviations(quantity, predictions)
-        description = (
-            f"{quantity.title}, {quantity.kind} in {quantity.unit} over time. {note}".strip()
-        )
-        return Panel(quantity.title, inline_svg(figure, quantity.name, description), note)
+        note = _deviations(signal, predictions)
+        description = f"{signal.title}, {signal.kind} in {signal.unit} over time. {note}".strip()
+        return Panel(signal.title, inline_svg(figure, signal.name, description), note)
 
 
-def _deviations(quantity: PredictedSignal, predictions: Sequence[PredictionSeries]) -> str:
-    """Say how far each series is from the truth, root mean square."""
-    values = dict(zip((s.label for s in predictions), quantity.values, strict=True))
+def _deviations(signal: PredictedSignal, predictions: Sequence[PredictionSeries]) -> str:
+    """List the root mean square deviation of each series from the truth."""
+    values = dict(zip((s.label for s in predictions), signal.values, strict=True))
     truth = values.pop(TRUTH, None)
     if truth is None or not values:
         return ""
     errors = {label: float(np.sqrt(np.mean((v - truth) ** 2))) for label, v in values.items()}
     return "RMSE: " + ", ".join(
-        f"{label} {significant(error)} {quantity.unit}" for label, error in errors.items()
+        f"{label} {significant(error)} {signal.unit}" for label, error in errors.items()
     )

@@ -1,4 +1,4 @@
-"""Numbers as a reader wants them: few digits, no false precision."""
+"""Formatting of numbers for readers, with few significant digits."""
 
 import math
 from collections.abc import Iterable
@@ -7,9 +7,9 @@ ABSENT = "—"
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Return ``value`` with ``digits`` significant figures, a dash where there is none.
+    """Format ``value`` with ``digits`` significant digits, or a dash if there is no value.
 
-    Decimal notation from 1e-3 to 1e6; outside, scientific with two figures.
+    Values from 1e-3 to 1e6 are decimal, others scientific with two digits.
     """
     if value is None or not math.isfinite(value):
         return ABSENT
@@ -22,10 +22,9 @@ def significant(value: float | None, digits: int = 3) -> str:
 
 
 def shared_decimals(values: Iterable[float], digits: int = 5) -> int:
-    """Return the decimals that give the largest of ``values`` ``digits`` significant figures.
+    """Return the decimals that give the largest of ``values`` ``digits`` significant digits.
 
-    Columns of one unit get the same number of decimals, so that they can be
-    read downwards.
+    With equal decimals, the values of a column can be compared at a glance.
     """
     largest = max((abs(v) for v in values if math.isfinite(v)), default=0.0)
     if largest == 0:
@@ -34,18 +33,18 @@ def shared_decimals(values: Iterable[float], digits: int = 5) -> int:
 
 
 def fixed(value: float | None, decimals: int) -> str:
-    """Return ``value`` with ``decimals`` decimals, a dash where there is none."""
+    """Format ``value`` with ``decimals`` decimals, or a dash if there is no value."""
     if value is None or not math.isfinite(value):
         return ABSENT
-    # A true minus sign is as wide as the digits, and -0.000 is no number.
+    # A minus sign is as wide as a digit, unlike a hyphen. A rounded zero has no sign.
     text = f"{value:.{decimals}f}"
     return text.replace("-", "−") if float(text) else text.lstrip("-")
 
 
 def with_std(value: float, std: float) -> str:
-    """Return ``value ± std``, the deviation with two significant figures, the value with as many.
+    """Format ``value ± std`` with two significant digits of ``std``.
 
-    Where there is no finite positive deviation, the value alone.
+    The value stands alone if ``std`` is zero, negative or not finite.
     """
     if not (math.isfinite(std) and std > 0):
         return significant(value)

@@ -1,4 +1,4 @@
-"""One estimate, or several compared, as one self-contained page of HTML."""
+"""Report on one estimate, or a comparison of several, as a self-contained HTML page."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,16 +27,16 @@ from symbid_ros.report.plotting import Style, styles
 
 @dataclass(frozen=True)
 class FigureSection:
-    """Panels that share a legend.
+    """Panels with a common legend.
 
     Attributes
     ----------
     anchor, title, caption : str
-        Fragment of the address, heading, and what is drawn in which frame.
+        Id of the section, heading, and description.
     panels : tuple of Panel
-        Side by side on a desk, one below the other on a phone.
+        Side by side on wide screens, stacked on phones.
     legend : dict of str to Style
-        Empty where the panel has its own.
+        Empty if the panel has a legend of its own.
     """
 
     anchor: str
@@ -47,12 +47,12 @@ class FigureSection:
 
 
 def write_report(content: ReportContent, path: Path) -> None:
-    """Write the page to ``path``; an older page stays whole until the new one is complete."""
+    """Write the page to ``path`` and replace an older page atomically."""
     write_text(path, render(content))
 
 
 def render(content: ReportContent) -> str:
-    """Return the page: no script, no address outside itself."""
+    """Return the page as HTML without scripts and external resources."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("symbid_ros", "report"),
         autoescape=True,
@@ -61,15 +61,15 @@ def render(content: ReportContent) -> str:
         lstrip_blocks=True,
     )
     environment.filters["significant"] = significant
-    measured = {method.label: method.metrics or {} for method in content.methods}
+    errors = {method.label: method.metrics or {} for method in content.methods}
     return environment.get_template("report.html").render(
         content=content,
         css=(Path(__file__).with_name("report.css")).read_text(encoding="utf-8"),
         headline=headline(content),
-        told=summarise_data(content.estimate, content.intervals),
-        metrics=METRICS if any(measured.values()) else (),
-        measured=measured,
-        best=best_labels(measured, METRICS),
+        summary=summarise_data(content.estimate, content.intervals),
+        metrics=METRICS if any(errors.values()) else (),
+        errors=errors,
+        best=best_labels(errors, METRICS),
         realistic=REALISTIC_METRICS if content.realistic else (),
         best_realistic=best_labels(content.realistic, REALISTIC_METRICS),
         figures=_figures(content),
@@ -84,32 +84,32 @@ def render(content: ReportContent) -> str:
 
 
 def _figures(content: ReportContent) -> tuple[FigureSection, ...]:
-    look = styles(content)
+    line_styles = styles(content)
     sections = []
     if content.predictions:
         predictions = content.predictions
-        legend = {series.label: look[series.label] for series in predictions}
+        legend = {series.label: line_styles[series.label] for series in predictions}
         sections = [
             FigureSection(
                 "com",
                 "Centre of mass",
                 "Predicted along the validation motion, in the base frame.",
-                com_panels(predictions, look),
+                com_panels(predictions, line_styles),
                 legend,
             ),
             FigureSection(
                 "torque",
                 "Joint torque",
-                "Predicted along the validation motion with the true motion and contact wrenches; "
-                "the joints that carry most.",
-                torque_panels(predictions, content.joint_names, look),
+                "Predicted from the true motion and contact wrenches of the validation log, for "
+                "the most loaded joints.",
+                torque_panels(predictions, content.joint_names, line_styles),
                 legend,
             ),
             FigureSection(
                 "momentum",
                 "CoM momentum",
-                "Linear, and angular about the centre of mass, in world axes.",
-                momentum_panels(predictions, look),
+                "Linear momentum, and angular momentum about the centre of mass, in world axes.",
+                momentum_panels(predictions, line_styles),
                 legend,
             ),
         ]
@@ -119,7 +119,7 @@ def _figures(content: ReportContent) -> tuple[FigureSection, ...]:
                 "links",
                 "Error per link",
                 "Mean relative error of each link's inertial parameters.",
-                (link_error_panel(content.link_errors, look),),
+                (link_error_panel(content.link_errors, line_styles),),
                 {},
             )
         )
@@ -127,22 +127,22 @@ def _figures(content: ReportContent) -> tuple[FigureSection, ...]:
 
 
 def impossible_links(consistent: dict[str, bool]) -> tuple[str, ...]:
-    """Return the links whose mass or pseudo-inertia no body can have."""
+    """Return the links that are physically impossible."""
     return tuple(link for link, possible in consistent.items() if not possible)
 
 
 def headline(content: ReportContent) -> str:
-    """Return the verdict on the chosen method, computed from its numbers."""
+    """Return a one-line summary of the chosen method's numbers."""
     estimate = content.estimate
     clauses = []
-    own, prior = content.metrics_of(content.chosen), content.metrics_of(PRIOR)
+    metrics, prior = content.metrics_of(content.chosen), content.metrics_of(PRIOR)
     key = "com_position_rmse_mm"
-    if own is not None and key in own:
-        error = own[key]
+    if metrics is not None and key in metrics:
+        error = metrics[key]
         clause = f"CoM error {significant(error)} mm"
         if prior is not None and key in prior:
-            against = "against" if error < prior[key] else "no better than"
-            clause += f" {against} {significant(prior[key])} mm of the prior"
+            relation = "better than" if error < prior[key] else "no better than"
+            clause += f", {relation} the prior’s {significant(prior[key])} mm"
         clauses.append(clause)
     if estimate.determined is not None:
         clauses.append(

@@ -1,4 +1,4 @@
-"""Colours, dashes, markers, type and scales that mean the same in every figure."""
+"""Styles, scales, downsampling and SVG output shared by all figures."""
 
 import io
 import re
@@ -18,29 +18,29 @@ from symbid_ros.report.content import PRIOR, TRUTH, ReportContent
 
 
 def downsample(time: FloatArray, value: FloatArray, points: int) -> tuple[FloatArray, FloatArray]:
-    """Keep the smallest and the largest sample of every stretch, in the order of time.
+    """Downsample a series for a plot; keep the minimum and maximum of each interval.
 
     Parameters
     ----------
     time, value : (N,) float64
         The series.
     points : int
-        At most so many samples are kept, two of each stretch.
+        Maximum number of samples to keep, two per interval.
 
     Returns
     -------
     time, value : (M,) float64
-        M is at most ``points``; the series itself when it is short enough.
+        M is at most ``points``; a short series is returned unchanged.
     """
     samples = len(time)
     if samples <= points:
         return time, value
-    stretches = points // 2
-    length = -(-samples // stretches)
-    # The last stretch repeats the last sample: no peak is invented by it.
-    index = np.minimum(np.arange(stretches * length), samples - 1).reshape(stretches, length)
+    intervals = points // 2
+    length = -(-samples // intervals)
+    # The last interval is filled with copies of the last sample, which adds no peak.
+    index = np.minimum(np.arange(intervals * length), samples - 1).reshape(intervals, length)
     block = value[index]
-    rows = np.arange(stretches)
+    rows = np.arange(intervals)
     extremes = np.stack([index[rows, block.argmin(axis=1)], index[rows, block.argmax(axis=1)]])
     kept = np.unique(extremes)
     return time[kept], value[kept]
@@ -50,7 +50,7 @@ INK = "#3a3a3a"
 _RC = {
     "svg.fonttype": "none",
     "svg.hashsalt": "symbid",
-    # A joint may be called anything, a$b$ too.
+    # Joint names may contain $, which would start a formula.
     "text.parse_math": False,
     "font.size": 8.5,
     "axes.labelcolor": INK,
@@ -71,12 +71,12 @@ _RC = {
 
 @dataclass(frozen=True)
 class Style:
-    """How one parameter set is drawn; colour is never the only sign.
+    """Style of one parameter set; dashes and markers differ as well as colours.
 
     Attributes
     ----------
     colour : str
-        From the palette of Okabe and Ito, which colour-blind readers tell apart.
+        From the palette of Okabe and Ito, which colour-blind readers can distinguish.
     dash : str
         Matplotlib's line style.
     width : float
@@ -91,7 +91,7 @@ class Style:
     marker: str
 
 
-# The truth lies wide and dark below, the estimate thin and bright on it: both stay visible where
+# The truth is a wide dark line below the thin bright line of the estimate: both are visible where
 # they agree.
 _TRUTH = Style("#3a3a3a", "-", 2.6, "|")
 _PRIOR = Style("#8f8f8f", "--", 1.2, "s")
@@ -107,12 +107,12 @@ _OTHERS = (
 
 
 def house_style() -> AbstractContextManager[None]:
-    """Return the context in which figures are made, and in which they are written too."""
+    """Return the Matplotlib context in which figures must be created and saved."""
     return rc_context(_RC)  # type: ignore[arg-type]
 
 
 def styles(content: ReportContent) -> dict[str, Style]:
-    """Return the style of every label that occurs in the report."""
+    """Return the style of each label in the report."""
     labels = [m.label for m in content.methods]
     labels += [s.label for s in content.predictions or ()]
     labels += content.link_errors.percent if content.link_errors else ()
@@ -120,23 +120,23 @@ def styles(content: ReportContent) -> dict[str, Style]:
 
 
 def assign_styles(labels: Iterable[str], *, prior: str, chosen: str) -> dict[str, Style]:
-    """Return a style for the truth, the prior, the chosen method, and each other label in turn."""
+    """Return the styles of the truth, the prior, the chosen method and all other labels."""
     named = {TRUTH: _TRUTH, prior: _PRIOR, chosen: _CHOSEN}
     others = [label for label in dict.fromkeys(labels) if label not in named]
     return named | {label: _OTHERS[i % len(_OTHERS)] for i, label in enumerate(others)}
 
 
 def scale_errors(axes: Axes, name: str, values: FloatArray, logarithmic_above: float) -> None:
-    """Scale axis ``name``, x or y, for errors: from zero, or logarithmic.
+    """Scale an axis for errors: linear from zero, or logarithmic.
 
     Parameters
     ----------
     axes : matplotlib.axes.Axes
     name : {"x", "y"}
     values : (N,) float64
-        What is drawn; those not positive and finite have no place on a logarithmic axis.
+        The plotted values; a logarithmic axis shows positive finite ones only.
     logarithmic_above : float
-        Ratio of the largest to the smallest from which on the axis is logarithmic.
+        Ratio of the largest to the smallest value above which the axis is logarithmic.
     """
     positive = values[np.isfinite(values) & (values > 0)]
     spread = positive.max() / positive.min() if positive.size else 0.0
@@ -146,10 +146,10 @@ def scale_errors(axes: Axes, name: str, values: FloatArray, logarithmic_above: f
     axes.set(**{f"{name}scale": "log"})
     axis = axes.xaxis if name == "x" else axes.yaxis
     if spread < 100.0:
-        # Of whole decades alone there would be one or none to read.
+        # Whole decades alone would give at most one tick label.
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.10g}"))
-    # Between decades they would not be seen, and take most of the time.
+    # Minor ticks are invisible in this style and take most of the drawing time.
     axis.set_minor_locator(NullLocator())
 
 
@@ -158,16 +158,16 @@ _LONG_DECIMALS = re.compile(r"(\.\d\d)\d+")
 
 
 def inline_svg(figure: Figure, name: str, description: str) -> str:
-    """Return the figure as an ``<svg>`` element for a page of HTML.
+    """Return a figure as an ``<svg>`` element for an HTML page.
 
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-        What to draw; text stays text.
+        Its text stays text.
     name : str
-        Unique on the page; prefixes every id, which are one space for all SVGs of a page.
+        Unique on the page; prefixes the ids, which all SVGs of a page share.
     description : str
-        What the figure shows, for those who hear the page.
+        What the figure shows, for screen readers.
     """
     buffer = io.BytesIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
@@ -176,14 +176,14 @@ def inline_svg(figure: Figure, name: str, description: str) -> str:
 
 
 def embed_svg(svg: bytes, name: str, description: str) -> str:
-    """Return an SVG file that Matplotlib wrote as such an element."""
+    """Return an SVG file written by Matplotlib as an ``<svg>`` element; see `inline_svg`."""
     root = ElementTree.fromstring(svg)
     used = set(re.findall(r'(?:url\(|")#([^)"]+)', ElementTree.tostring(root, encoding="unicode")))
     for element in root.iter():
         _make_local(element, name, used)
     for parent in list(root.iter()):
         for child in list(parent):
-            # A style element inside an SVG would rule the whole page: the page's own sheet does.
+            # A style element inside an SVG would apply to the whole page.
             if child.tag in {"style", "metadata"}:
                 parent.remove(child)
     root.attrib.pop("width")
@@ -193,7 +193,7 @@ def embed_svg(svg: bytes, name: str, description: str) -> str:
 
 
 def _make_local(element: ElementTree.Element, name: str, used: set[str]) -> None:
-    """Strip namespaces, prefix the ids in use, drop the others and shorten coordinates."""
+    """Remove namespaces and unused ids, prefix the other ids and shorten coordinates."""
     element.tag = element.tag.rpartition("}")[2]
     element.tail = None
     attributes = element.attrib
@@ -208,5 +208,5 @@ def _make_local(element: ElementTree.Element, name: str, used: set[str]) -> None
         attributes["clip-path"] = attributes["clip-path"].replace("url(#", f"url(#{name}-")
     for key in ("d", "x", "y", "transform"):
         if key in attributes:
-            # A hundredth of a point is finer than any screen.
+            # A hundredth of a point is finer than a pixel of any screen.
             attributes[key] = _LONG_DECIMALS.sub(r"\1", " ".join(attributes[key].split()))

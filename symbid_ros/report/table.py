@@ -1,4 +1,4 @@
-"""The comparison of methods as a table for the terminal."""
+"""Comparison of methods as a table for the terminal."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from symbid_ros.report.formatting import significant
 
 
 def metrics_table(methods: Sequence[MethodResult]) -> Table:
-    """Return the five metrics of every row, the best of each column in bold.
+    """Return a table of the five metrics, with the best value of each column in bold.
 
     Parameters
     ----------
@@ -21,7 +21,7 @@ def metrics_table(methods: Sequence[MethodResult]) -> Table:
     Returns
     -------
     rich.table.Table
-        Fits in 80 columns.
+        At most 80 columns wide.
     """
     table = Table(
         title="Errors against the ground truth",

@@ -1,4 +1,4 @@
-"""A page's content is worked out from estimates and the truth, number by number."""
+"""The content of a report follows from estimates and ground truth."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from symbid_ros.report.compose import GroundTruth, compose
 from symbid_ros.report.content import METRICS, PRIOR, REALISTIC_METRICS, TRUTH
 
 COUNT = 6
-FACTS = {"Bag": "log"}
+METADATA = {"Bag": "log"}
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,7 @@ def parameters() -> ParameterSet:
 
 @pytest.fixture(scope="module")
 def ground_truth(parameters: ParameterSet) -> GroundTruth:
-    """Random states whose efforts and base forces are the true parameters' to the last digit."""
+    """Random states whose efforts and base forces are exactly those of the true parameters."""
     rng = np.random.default_rng(0)
     samples = random_samples(parameters.model, COUNT, rng)
     rows = equation_of_motion(parameters, samples)
@@ -58,7 +58,7 @@ def estimated(parameters: ParameterSet, factor: float, rank: int | None = None) 
     )
 
 
-def test_everything_is_judged_by_the_truth(
+def test_errors_are_relative_to_the_ground_truth(
     parameters: ParameterSet, ground_truth: GroundTruth
 ) -> None:
     deviation = 0.1 * np.diag(parameters.values)
@@ -66,7 +66,7 @@ def test_everything_is_judged_by_the_truth(
         {"A": estimated(parameters, 1.2), "B": estimated(parameters, 0.9)},
         parameters,
         chosen="B",
-        facts=FACTS,
+        metadata=METADATA,
         ground_truth=ground_truth,
         deviation_factor=deviation,
         truncations={("A", "itself"): estimated(parameters, 1.2, rank=3)},
@@ -109,12 +109,12 @@ def test_everything_is_judged_by_the_truth(
     assert choice.metrics == errors["A"]
 
 
-def test_without_the_truth_nothing_is_judged(parameters: ParameterSet) -> None:
+def test_without_ground_truth_there_are_no_errors(parameters: ParameterSet) -> None:
     content = compose(
         {"A": estimated(parameters, 1.1)},
         parameters,
         chosen="A",
-        facts=FACTS,
+        metadata=METADATA,
         deviation_factor=np.eye(len(parameters)),
     )
     assert [(m.label, m.metrics) for m in content.methods] == [(PRIOR, None), ("A", None)]
@@ -123,12 +123,12 @@ def test_without_the_truth_nothing_is_judged(parameters: ParameterSet) -> None:
     assert (content.realistic, content.truncations) == ({}, ())
 
 
-def test_estimates_of_other_parameters_do_not_share_a_page(parameters: ParameterSet) -> None:
+def test_estimates_of_different_parameters_raise_an_error(parameters: ParameterSet) -> None:
     more = ParameterSet(parameters.model, ("viscous",))
-    with pytest.raises(EstimateError, match="B: 32 parameters are not the 30 of A"):
+    with pytest.raises(EstimateError, match="B: its 32 parameters are not the 30 of A"):
         compose(
             {"A": estimated(parameters, 1.0), "B": estimated(more, 1.0)},
             parameters,
             chosen="A",
-            facts=FACTS,
+            metadata=METADATA,
         )

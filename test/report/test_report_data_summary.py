@@ -1,4 +1,4 @@
-"""The page says what the data told, prominently where something is wrong, and only what is so."""
+"""The page summarises what the data determine, with alarms at the top."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ from symbid_ros.report.formatting import ABSENT, with_std
 from symbid_ros.report.page import render
 
 
-def judged(*, truth: bool = False, **fields: object) -> ReportContent:
+def content_with_verdict(*, truth: bool = False, **fields: object) -> ReportContent:
     """The small report with a verdict on its chosen estimate, some fields changed."""
     base = content(2, truth=truth)
     estimate = replace(base.estimate, rank=None, verdict=replace(VERDICT, **fields))
@@ -37,71 +37,78 @@ def judged(*, truth: bool = False, **fields: object) -> ReportContent:
     return replace(base, methods=methods)
 
 
-def said(page: Page) -> str:
+def text_of(page: Page) -> str:
     return " ".join("".join(page.text).split())
 
 
 class TestAlarms:
     alarms = ("the data would have the prior 9.0 times wider", "residuals last longer <than> noise")
 
-    def test_come_before_everything_else(self) -> None:
-        page = Page(render(judged(alarms=self.alarms)))
-        text = said(page)
-        assert "2 alarms: do not trust these values as they are." in text
+    def test_alarms_come_before_everything_else(self) -> None:
+        page = Page(render(content_with_verdict(alarms=self.alarms)))
+        text = text_of(page)
+        assert "2 alarms: do not trust these values yet." in text
         assert "No alarm" not in text
         first_section = page.source.index("<section")
-        assert all(text.index(alarm) < text.index("What the data tell") for alarm in self.alarms)
+        assert all(
+            text.index(alarm) < text.index("What the data determine") for alarm in self.alarms
+        )
         assert page.source.index('class="alarms"') < page.source.index("<nav") < first_section
 
-    def test_one_is_no_plural(self) -> None:
-        assert "1 alarm: do not" in said(Page(render(judged(alarms=self.alarms[:1]))))
+    def test_one_alarm_is_singular(self) -> None:
+        assert "1 alarm: do not" in text_of(
+            Page(render(content_with_verdict(alarms=self.alarms[:1])))
+        )
 
-    def test_none_is_said_too(self) -> None:
-        page = Page(render(judged()))
-        assert "No alarm: the data contradict neither the prior nor the sensors." in said(page)
+    def test_a_page_without_alarms_says_so(self) -> None:
+        page = Page(render(content_with_verdict()))
+        assert (
+            "No alarm: the model explains this log. 2 of 30 parameter combinations were measured."
+            in text_of(page)
+        )
         assert "alarms" not in page.attributes("class")
 
-    def test_a_method_without_verdict_claims_neither(self) -> None:
-        text = said(Page(render(content(2, truth=False))))
+    def test_a_method_without_verdict_has_no_summary(self) -> None:
+        text = text_of(Page(render(content(2, truth=False))))
         assert "o alarm" not in text
-        assert "What the data tell" not in text
+        assert "What the data determine" not in text
 
     @pytest.mark.parametrize(
         ("fields", "marked"),
         [
             ({}, set()),
-            ({"prior_scale": 1.01 * SUSPICIOUS_SCALE}, {"Prior’s scale"}),
+            ({"prior_scale": 1.01 * SUSPICIOUS_SCALE}, {"Prior scale"}),
             ({"prior_scale": 0.01}, set()),
             ({"whiteness": 1.01 * SUSPICIOUS_WHITENESS}, {"Whiteness"}),
             ({"noise_share": 1.01 * SUSPICIOUS_NOISE}, {"Noise in the motion"}),
         ],
     )
-    def test_the_figure_behind_one_is_marked(
+    def test_the_number_behind_an_alarm_is_marked(
         self, fields: dict[str, object], marked: set[str]
     ) -> None:
-        told = summarise_data(judged(**fields).estimate)
-        assert told is not None
-        assert {fact.name for fact in told.facts if fact.is_alarm} == marked
+        summary = summarise_data(content_with_verdict(**fields).estimate)
+        assert summary is not None
+        assert {entry.name for entry in summary.entries if entry.is_alarm} == marked
 
 
-class TestTold:
-    page = Page(render(judged(sensors=SENSORS)))
+class TestDataSummary:
+    page = Page(render(content_with_verdict(sensors=SENSORS)))
 
-    def test_figures_are_those_given(self) -> None:
-        text = said(self.page)
+    def test_numbers_are_those_of_the_verdict(self) -> None:
+        text = text_of(self.page)
         assert "4321 rows of each coordinate, averaged over windows of 161 ms" in text
-        assert "14.2 of 30 61.5 bit gained in all" in text
-        assert "3.00 % of what the worst direction" in text
+        assert "14.2 of 30 61.5 bits gained in total" in text
+        assert "3.00 % of the apparent information about the worst direction" in text
 
-    def test_rows_at_instants_are_called_so(self) -> None:
-        told = summarise_data(judged(window=0.0, whiteness=0.0).estimate)
-        assert told is not None
-        facts = {fact.name: fact.value for fact in told.facts}
-        assert facts["Rows"] == "4321 rows of each coordinate, at single instants"
-        assert facts["Whiteness"] == ABSENT
+    def test_rows_at_single_instants_are_described(self) -> None:
+        summary = summarise_data(content_with_verdict(window=0.0, whiteness=0.0).estimate)
+        assert summary is not None
+        values = {entry.name: entry.value for entry in summary.entries}
+        assert values["Rows"] == "4321 rows of each coordinate, at single instants"
+        assert values["Whiteness"] == ABSENT
 
-    def test_each_link_has_its_gain(self) -> None:
-        estimate = judged().estimate
+    def test_each_link_shows_its_information_gain(self) -> None:
+        estimate = content_with_verdict().estimate
         rows = [row for row in self.page.rows if row[0] in LINK_GAIN and len(row) == 5]
         assert [row[0] for row in rows] == list(LINK_GAIN)
         for index, row in enumerate(rows):
@@ -110,28 +117,28 @@ class TestTold:
         bars = [style for style in self.page.attributes("style") if "width" in style]
         assert bars == ["width: 100.0%", "width: 25.0%", "width: 0.0%"]
 
-    def test_quantities_carry_their_deviation(self) -> None:
+    def test_quantities_show_their_standard_deviation(self) -> None:
         base = self.page.row("base_link/m + link_0/m − 0.5·link_1/mc_x")
         assert base[1:] == ["41.04740 ± 0.00093", "kg", "yes"]
         assert self.page.row("link_1/Ixx")[1:] == ["−0.0182 ± 0.0030", "kg m²", "no"]
         offset = self.page.row("left_sole/plate_offset_force_x")
         assert offset[1:] == ["−1.875 ± 0.013", "N", "yes"]
         assert self.page.row("knee/torque_gain")[1:] == ["0.0148 ± 0.0072", "relative", "no"]
-        text = said(self.page)
+        text = text_of(self.page)
         assert "Base parameters 1 of 2 determined" in text
         assert "Sensor errors 1 of 2 determined" in text
 
-    def test_without_sensor_errors_there_is_no_table_of_them(self) -> None:
-        assert "Sensor errors" not in said(Page(render(judged())))
+    def test_without_sensor_errors_their_table_is_absent(self) -> None:
+        assert "Sensor errors" not in text_of(Page(render(content_with_verdict())))
 
     def test_directions_keep_coefficient_and_parameter_on_one_line(self) -> None:
         directions = [text for text in self.page.text if "base_link/m" in text and "0.72" in text]
         assert directions == ["+0.72\xa0base_link/m −0.37\xa0link_0/mc_x"]
-        assert "Determined directions 2 of 30, best first" in said(self.page)
+        assert "Determined directions 2 of 30, best first" in text_of(self.page)
 
 
 @pytest.fixture(scope="class")
-def judged_page() -> Page:
+def evaluated_page() -> Page:
     realistic = {
         label: {metric.key: scale * (i + 1.0) for i, metric in enumerate(REALISTIC_METRICS)}
         for label, scale in (("truth", 0.1), ("prior", 2.0), ("WLS-RC", 0.5))
@@ -141,42 +148,42 @@ def judged_page() -> Page:
         for chosen_by, rank in (("the log itself", 34), ("the ideal bag", 19))
     )
     intervals = IntervalSummary(0.2, 0.0152, 0.93, 0.805)
-    shown = replace(judged(truth=True), predictions=None, link_errors=None)
+    shown = replace(content_with_verdict(truth=True), predictions=None, link_errors=None)
     return Page(
         render(replace(shown, intervals=intervals, realistic=realistic, truncations=truncations))
     )
 
 
-class TestJudged:
-    def test_intervals_say_how_wide_and_how_often_right(self, judged_page: Page) -> None:
-        assert judged_page.row("Centre of mass")[1:] == ["0.200 mm", "93 %"]
-        assert judged_page.row("Joint torques")[1:] == ["0.0152 Nm", "80 %"]
+class TestEvaluation:
+    def test_intervals_show_deviation_and_coverage(self, evaluated_page: Page) -> None:
+        assert evaluated_page.row("Centre of mass")[1:] == ["0.200 mm", "93 %"]
+        assert evaluated_page.row("Joint torques")[1:] == ["0.0152 Nm", "80 %"]
 
-    def test_realistic_predictions_are_those_given(self, judged_page: Page) -> None:
-        rows = [row for row in judged_page.rows if len(row) == 1 + len(REALISTIC_METRICS)]
+    def test_realistic_predictions_show_the_given_errors(self, evaluated_page: Page) -> None:
+        rows = [row for row in evaluated_page.rows if len(row) == 1 + len(REALISTIC_METRICS)]
         assert [row[0] for row in rows] == ["Method", "truth", "prior", "WLS-RC"]
         assert rows[3][1:] == ["0.500", "1.00", "1.50", "2.00", "2.50", "3.00"]
 
-    def test_the_best_of_them_is_the_estimate_not_the_truth(self, judged_page: Page) -> None:
-        start = judged_page.source.index('<section id="realistic">')
-        section = judged_page.source[start : judged_page.source.index("</section>", start)]
+    def test_the_truth_is_never_the_best_method(self, evaluated_page: Page) -> None:
+        start = evaluated_page.source.index('<section id="realistic">')
+        section = evaluated_page.source[start : evaluated_page.source.index("</section>", start)]
         assert section.count("<strong>") == len(REALISTIC_METRICS)
         assert "<strong>0.100" not in section
 
-    def test_z_stands_beside_what_the_ideal_bag_would_choose(self, judged_page: Page) -> None:
-        rows = [row for row in judged_page.rows if row[0] == "OLS" and len(row) == 8]
+    def test_z_from_the_log_is_next_to_z_from_the_ideal_bag(self, evaluated_page: Page) -> None:
+        rows = [row for row in evaluated_page.rows if row[0] == "OLS" and len(row) == 8]
         assert [row[1:4] for row in rows] == [
             ["the log itself", "34", "34.0"],
             ["the ideal bag", "19", "19.0"],
         ]
 
-    def test_sections_are_announced_in_order(self, judged_page: Page) -> None:
-        sections = [a["id"] for tag, a in judged_page.elements if tag == "section"]
+    def test_navigation_lists_the_sections_in_order(self, evaluated_page: Page) -> None:
+        sections = [a["id"] for tag, a in evaluated_page.elements if tag == "section"]
         assert sections[:2] == ["methods", "data-summary"]
         assert sections[-6:] == [
             *("realistic", "truncation", "possible", "parameters", "residuals", "data")
         ]
-        links = [a["href"] for tag, a in judged_page.elements if tag == "a"]
+        links = [a["href"] for tag, a in evaluated_page.elements if tag == "a"]
         assert links == [f"#{section}" for section in sections]
 
 
@@ -184,7 +191,7 @@ class TestJudged:
     st.floats(-1e4, 1e4).filter(lambda v: abs(v) > 1e-6),
     st.floats(1e-6, 1e3),
 )
-def test_a_deviation_has_two_figures_and_its_value_the_same_decimals(
+def test_a_deviation_has_two_digits_and_its_value_the_same_decimals(
     value: float, std: float
 ) -> None:
     shown, _, deviation = with_std(value, std).replace("−", "-").partition(" ± ")

@@ -1,4 +1,4 @@
-"""Numbers are printed with the digits they deserve; series keep their peaks."""
+"""Numbers have suitable digits, downsampled series keep their peaks, and tables fit."""
 
 import io
 
@@ -61,7 +61,7 @@ class TestThin:
         assert np.all(np.diff(kept_time) > 0)
         np.testing.assert_array_equal(kept, value[kept_time.astype(int)])
 
-    def test_leaves_a_short_series_alone(self) -> None:
+    def test_returns_a_short_series_unchanged(self) -> None:
         value = np.array([3.0, 1.0, 2.0])
         np.testing.assert_array_equal(downsample(np.arange(3.0), value, 10)[1], value)
 
@@ -86,7 +86,7 @@ class TestTable:
         console.print(metrics_table(self.methods))
         return stream.getvalue()
 
-    def test_fits_a_terminal(self) -> None:
+    def test_fits_in_80_columns(self) -> None:
         lines = self.printed().splitlines()
         assert max(map(len, lines)) <= 80
         assert next(line for line in lines if "OLS" in line).split() == ["OLS", *["11813"] * 5]
@@ -98,6 +98,6 @@ class TestTable:
         assert next(line for line in lines if "WLS-RC" in line).count(bold) == 5
         assert bold not in next(line for line in lines if "truth" in line)
 
-    def test_what_was_not_measured_is_a_dash(self) -> None:
+    def test_a_missing_metric_is_a_dash(self) -> None:
         line = next(line for line in self.printed().splitlines() if "unmeasured" in line)
         assert line.split()[1:] == ["—"] * 5

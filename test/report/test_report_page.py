@@ -1,4 +1,4 @@
-"""The page holds what it was given, whole, and nothing it was not."""
+"""The page shows its content completely and is valid, self-contained HTML."""
 
 import re
 from dataclasses import replace
@@ -26,12 +26,12 @@ def page(joints: int) -> Page:
 
 
 class TestPage:
-    def test_reaches_for_nothing_outside_itself(self, page: Page) -> None:
+    def test_has_no_external_resources(self, page: Page) -> None:
         targets = page.attributes("href") + page.attributes("src")
         assert all(target.startswith("#") for target in targets)
         assert not [tag for tag, _ in page.elements if tag in {"script", "link", "iframe", "img"}]
 
-    def test_styles_load_nothing(self, page: Page) -> None:
+    def test_styles_load_no_resources(self, page: Page) -> None:
         assert "@import" not in page.source
         assert "http" not in page.source
         assert set(re.findall(r"url\((.)", page.source)) <= {"#"}
@@ -43,7 +43,7 @@ class TestPage:
         clips = {m for a in page.attributes("clip-path") for m in re.findall(r"#([^)]+)", a)}
         assert references | clips <= set(ids)
 
-    def test_every_figure_speaks(self, page: Page) -> None:
+    def test_every_figure_has_a_label(self, page: Page) -> None:
         figures = [a for tag, a in page.elements if tag == "svg" and "aria-hidden" not in a]
         assert all(a["role"] == "img" and a["aria-label"] for a in figures)
         assert len(figures) == sum(tag == "figure" for tag, _ in page.elements)
@@ -57,21 +57,21 @@ class TestPage:
         assert {"time [s]", "position [mm]", "torque [Nm]", "momentum [Ns]"} <= labels
         assert "mean relative parameter error [%]" in labels
 
-    def test_states_the_deviation_that_the_curves_have(self, page: Page) -> None:
+    def test_panels_state_the_deviation_of_their_curves(self, page: Page) -> None:
         assert "RMSE: prior 20.0 mm, WLS-RC 2.00 mm" in {text.strip() for text in page.text}
 
-    def test_metrics_are_those_given(self, page: Page) -> None:
+    def test_metrics_are_those_of_the_content(self, page: Page) -> None:
         assert page.row("WLS-RC")[1:] == ["0.500", "1.00", "1.50", "2.00", "2.50"]
         assert page.row("prior")[1:] == ["10.0", "20.0", "30.0", "40.0", "50.0"]
 
-    def test_verdict_is_computed(self, page: Page, joints: int) -> None:
+    def test_headline_is_computed(self, page: Page, joints: int) -> None:
         assert (
-            f"WLS-RC: CoM error 1.50 mm against 30.0 mm of the prior; {5 * (joints + 1)} of "
+            f"WLS-RC: CoM error 1.50 mm, better than the prior’s 30.0 mm; {5 * (joints + 1)} of "
             f"{10 * (joints + 1)} parameters determined by the data; {joints + 1} of "
             f"{joints + 1} links physically possible."
         ) in page.text
 
-    def test_parameters_are_those_given(self, page: Page, joints: int) -> None:
+    def test_parameters_are_those_of_the_estimate(self, page: Page, joints: int) -> None:
         shown = estimate(("base_link", *(f"link_{i}" for i in range(joints))), ())
         rows = [row for row in page.rows if row[0] in PARAMETERS]
         assert [row[0] for row in rows] == list(PARAMETERS) * (joints + 1)
@@ -89,13 +89,13 @@ class TestPage:
 class TestWithoutTruth:
     page = Page(render(content(2, truth=False)))
 
-    def test_panels_are_absent_and_not_announced(self) -> None:
+    def test_panels_and_their_navigation_are_absent(self) -> None:
         assert not [tag for tag, _ in self.page.elements if tag == "figure"]
         sections = [a["id"] for tag, a in self.page.elements if tag == "section"]
         assert sections == ["possible", "parameters", "residuals", "data"]
         assert self.page.attributes("href") == [f"#{section}" for section in sections]
 
-    def test_claims_no_error(self) -> None:
+    def test_headline_has_no_error(self) -> None:
         assert "CoM error" not in "".join(self.page.text)
 
 
@@ -120,14 +120,14 @@ def test_impossible_links_are_named() -> None:
     assert "2 of 3 links physically possible" in text
 
 
-def test_what_a_method_does_not_give_is_a_dash() -> None:
+def test_a_missing_value_is_a_dash() -> None:
     page = Page(render(changed(std=None, determined=None)))
     row = page.row("Ixx")
     assert (row[2], row[5]) == ("—", "—")
     assert "determined by the data" not in "".join(page.text)
 
 
-def test_friction_stands_apart_from_links() -> None:
+def test_friction_has_a_group_of_its_own() -> None:
     base = content(2, truth=False).estimate
     page = Page(
         render(
@@ -145,16 +145,16 @@ def test_friction_stands_apart_from_links() -> None:
     assert sum(tag == "details" for tag, _ in page.elements) == 4
 
 
-def test_a_worse_method_is_not_praised() -> None:
+def test_headline_reveals_a_method_worse_than_the_prior() -> None:
     base = content(2)
     worse = tuple(
         replace(m, metrics=metrics(11.0)) if m.label == "WLS-RC" else m for m in base.methods
     )
     page = Page(render(replace(base, methods=worse, predictions=None, link_errors=None)))
-    assert "CoM error 33.0 mm no better than 30.0 mm of the prior" in "".join(page.text)
+    assert "CoM error 33.0 mm, no better than the prior’s 30.0 mm" in "".join(page.text)
 
 
-def test_names_are_text_not_markup() -> None:
+def test_names_are_escaped() -> None:
     page = Page(render(replace(content(2), title="<b>$a_b$ & co", joint_names=("a<b", "$c$"))))
     assert "<b>$a_b$ & co" in page.text
     assert "a<b" in page.text
@@ -164,7 +164,7 @@ def test_pages_of_equal_content_are_equal(page: Page, joints: int) -> None:
     assert render(content(joints)) == page.source
 
 
-def test_page_is_written_whole(tmp_path: Path) -> None:
+def test_page_is_written_atomically(tmp_path: Path) -> None:
     path = tmp_path / "new" / "report.html"
     shown = content(2, truth=False)
     write_report(shown, path)

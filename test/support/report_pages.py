@@ -1,4 +1,4 @@
-"""Pages read strictly, and small contents to render."""
+"""A strict HTML parser for report pages, and small contents to render."""
 
 import html.parser
 
@@ -40,7 +40,7 @@ VOID = {"meta", "link", "br", "hr", "img", "input"}
 
 
 class Page(html.parser.HTMLParser):
-    """A page read strictly: every element closed in order."""
+    """A parsed page; elements that are not closed in order raise an error."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -144,7 +144,7 @@ def content(joints: int, *, truth: bool = True) -> ReportContent:
         methods=tuple(rows),
         chosen="WLS-RC",
         joint_names=joint_names,
-        facts={"Bag": "log", "Samples": "4321"},
+        metadata={"Bag": "log", "Samples": "4321"},
         predictions=predictions if truth else None,
         link_errors=LinkErrors(links, errors) if truth else None,
     )
