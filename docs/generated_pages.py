@@ -1,25 +1,29 @@
 """Directives that write tables from the code, so that no page repeats what the code says.
 
-``{options} identify`` tables the options of a command, ``{parameters} identifier`` the parameters
-of a node, ``{error-codes}`` the codes of the errors and ``{public-api}`` documents every public
-name of the package.
+``{options} identify`` lists the options of a command, ``{parameters} identifier`` the parameters
+of a node, and ``{error-codes}`` the codes of the errors. ``{public-api}`` documents every public
+name of the package. Formulas become MathML, which browsers show without a script from elsewhere.
 """
 
 import inspect
 import json
 import math
 from collections import defaultdict
+from dataclasses import is_dataclass
 from typing import Any
 
+import latex2mathml.converter
 import typer.main
 from docutils import nodes
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 from sphinx.util.typing import ExtensionMetadata
+from sphinx.writers.html5 import HTML5Translator
 
 import symbid_ros
 from symbid_ros.cli.app import app as command_line
 from symbid_ros.error_codes import CODES
+from symbid_ros.options import Option, options_of
 from symbid_ros.ros.launch_arguments import node_parameters
 
 
@@ -78,28 +82,89 @@ class Parameters(SphinxDirective):
         return self.parse_text_to_nodes(markdown_table(("parameter", "default", "meaning"), rows))
 
 
+GROUPS = {
+    "E1": "Robot models",
+    "E2": "Bags and messages",
+    "E3": "Measurements",
+    "E4": "Priors and estimates",
+    "E5": "Options",
+    "E6": "Simulation",
+    "E7": "Studies and reports",
+    "E8": "ROS nodes",
+}
+
+
 class ErrorCodes(SphinxDirective):
     """The codes of the errors, each with cause and fix."""
 
     def run(self) -> list[nodes.Node]:
-        rows = [(f"`SYMBID-{code}`", entry.cause, entry.fix) for code, entry in CODES.items()]
-        table = markdown_table(("code", "cause", "fix"), rows)
-        return self.parse_text_to_nodes(table) if rows else []
+        parts = []
+        for group, title in GROUPS.items():
+            rows = [
+                (f"`SYMBID-{code}`", entry.cause, entry.fix)
+                for code, entry in CODES.items()
+                if code.startswith(group)
+            ]
+            if rows:
+                parts += [f"**{title}**", markdown_table(("code", "cause", "fix"), rows)]
+        return self.parse_text_to_nodes("\n\n".join(parts))
+
+
+def kind_of(value: Any) -> str:
+    """Return which part of the API a public value belongs to."""
+    if inspect.isclass(value):
+        if issubclass(value, Exception):
+            return "errors"
+        return "options" if is_dataclass(value) and options_of(value) else "classes"
+    return "functions" if callable(value) else "constants"
 
 
 class PublicApi(SphinxDirective):
-    """Every name that ``import symbid_ros`` offers, with its docstring."""
+    """Functions, classes, options or errors that ``import symbid_ros`` offers."""
+
+    required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        parts = []
-        for name in getattr(symbid_ros, "__all__", ()):
-            value = getattr(symbid_ros, name)
-            if inspect.isclass(value):
-                parts.append(f".. autoclass:: symbid_ros.{name}\n   :members:")
-            elif callable(value):
-                parts.append(f".. autofunction:: symbid_ros.{name}")
-        text = "```{eval-rst}\n" + "\n\n".join(parts) + "\n```" if parts else ""
-        return self.parse_text_to_nodes(text)
+        (kind,) = self.arguments
+        public = {name: getattr(symbid_ros, name) for name in symbid_ros.__all__}
+        parts = [
+            entry(kind, name, value) for name, value in public.items() if kind_of(value) == kind
+        ]
+        return self.parse_text_to_nodes("\n\n".join(parts))
+
+
+def entry(kind: str, name: str, value: Any) -> str:
+    if kind == "functions":
+        return f"```{{eval-rst}}\n.. autofunction:: symbid_ros.{name}\n```"
+    if kind != "options":
+        return f"```{{eval-rst}}\n.. autoclass:: symbid_ros.{name}\n   :members:\n```"
+    rows = [
+        (f"`{each.name}`", f"`{each.default!r}`", field_help(each)) for each in options_of(value)
+    ]
+    table = markdown_table(("field", "default", "meaning"), rows)
+    summary, *_ = (inspect.getdoc(value) or "").splitlines()
+    return f"**symbid_ros.{name}**\n\n{summary}\n\n{table}"
+
+
+def field_help(option: Option) -> str:
+    words = [option.help]
+    if option.choices:
+        words.append("One of " + ", ".join(f"`{each}`" for each in option.choices) + ".")
+    if option.unit:
+        words.append(f"Unit: {option.unit}.")
+    if option.unset:
+        words.append(f"If left out: {option.unset}.")
+    return " ".join(words)
+
+
+def write_formula(translator: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
+    """Write a formula as MathML."""
+    is_block = isinstance(node, nodes.math_block)
+    formula = latex2mathml.converter.convert(
+        node.astext().strip(), display="block" if is_block else "inline"
+    )
+    translator.body.append(f'<div class="math">{formula}</div>' if is_block else formula)
+    raise nodes.SkipNode
 
 
 def setup(app: Sphinx) -> ExtensionMetadata:
@@ -111,4 +176,5 @@ def setup(app: Sphinx) -> ExtensionMetadata:
         "public-api": PublicApi,
     }.items():
         app.add_directive(name, directive)
+    app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))
     return {"parallel_read_safe": True}
