@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import pytest
 import yaml
 from declared_environment import build_wheel, install
+from documented_robots import ur5_urdf
 from packaging.requirements import Requirement
 
 from symbid_ros.ros.launch_arguments import launch_arguments
@@ -408,6 +409,28 @@ def run_in(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
     )
 
 
+FROM_ARRAYS = """
+import sys
+import numpy as np
+import symbid_ros as sy
+
+robot = sy.load_model(sys.argv[1])
+time = np.arange(0.0, 20.0, 0.004)
+phase = np.outer(time, [1.1, 1.7, 2.3, 2.9, 3.7, 4.1])
+rate = phase[1] / time[1]
+position = np.sin(phase)
+K = sy.regressor(robot, position, rate * np.cos(phase), -(rate**2) * position)
+effort = K @ robot.phi.ravel() + np.random.default_rng(1).normal(0.0, 0.1, position.shape)
+log = sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+assert not sy.diagnose(robot, log).severity
+result = sy.identify(robot, log, prior_percent=25)
+assert not result.alarms
+assert result.parameters["wrist_3_link/mc_z"].is_determined
+result.save("result")
+print("identified")
+"""
+
+
 class TestWheel:
     def test_with_bags_identifies_and_reports(
         self, wheel: Path, simulated: Callable[..., Path], tmp_path: Path
@@ -433,10 +456,14 @@ class TestWheel:
         assert done.returncode == 2
         assert "pip install 'symbid_ros[ros]'" in done.stderr
 
-    def test_alone_names_the_extra_that_the_command_needs(
-        self, wheel: Path, tmp_path: Path
-    ) -> None:
+    def test_alone_identifies_from_arrays(self, wheel: Path, tmp_path: Path) -> None:
+        """The core needs NumPy, SciPy, Clarabel and PyYAML, and no bags, ROS or simulator."""
         scripts = install(wheel, tmp_path / "environment", set())
+        done = run_in(tmp_path, scripts / "python", "-c", FROM_ARRAYS, ur5_urdf())
+        assert done.returncode == 0, done.stderr
+        assert done.stdout == "identified\n"
+
+        # What needs an extra names it.
         done = run_in(tmp_path, scripts / "symbid", "--version")
         assert done.returncode == 2
         assert "pip install 'symbid_ros[bags]'" in done.stderr

@@ -145,7 +145,20 @@ def commands(block: Block) -> list[Command]:
 
 BLOCKS = [block for page in PAGES for block in blocks(page)]
 COMMANDS = [command for block in BLOCKS for command in commands(block)]
-PROGRAMMED = {block.page for block in BLOCKS if block.language == "python"}
+PROGRAMMED = {
+    page: "\n".join(
+        "\n".join(block.lines)
+        for block in BLOCKS
+        if (block.page, block.language) == (page, "python")
+    )
+    for page in {block.page for block in BLOCKS if block.language == "python"}
+}
+# What the README shows is the beginning of another page.
+PROGRAMMED = {
+    page: program
+    for page, program in PROGRAMMED.items()
+    if not any(other.startswith(program) for one, other in PROGRAMMED.items() if one != page)
+}
 RUN = [each for each in COMMANDS if not any(re.match(one, each.words) for one in NOT_RUN)]
 INLINE = [
     (page, span)
@@ -239,14 +252,13 @@ def update(command: Command, printed: list[str]) -> None:
 
 @pytest.mark.parametrize(
     "page",
-    [page for page in PAGES if page in PROGRAMMED and page.name not in ENDLESS],
+    sorted(page for page in PROGRAMMED if page.name not in ENDLESS),
     ids=lambda page: page.name,
 )
 def test_python_runs_as_it_is_shown(page, checkout, monkeypatch) -> None:
-    programs = [each.lines for each in BLOCKS if (each.page, each.language) == (page, "python")]
     monkeypatch.chdir(checkout)
     with contextlib.redirect_stdout(io.StringIO()):
-        exec(compile("\n".join("\n".join(lines) for lines in programs), page, "exec"), {})
+        exec(compile(PROGRAMMED[page], page, "exec"), {})
 
 
 def test_data_is_well_formed() -> None:
