@@ -1,4 +1,4 @@
-"""Which topics of the graph are recorded, and the watch for them."""
+"""Discovery of the topics to record."""
 
 import re
 from collections.abc import Callable
@@ -8,30 +8,41 @@ from rclpy.node import Node
 
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.definitions import find_definition
+from symbid_ros.ros.bag_options import RecordOptions
 from symbid_ros.ros.raw_subscription import PolledGroup, RawSubscription, subscribe
 
 
 @dataclass(frozen=True)
 class TopicFilter:
-    """Which topics are wanted: those named, or all that match.
+    """Selects topics by name or by regular expression.
 
     Attributes
     ----------
     names : tuple of str
-        Relative to the node's namespace, unless they begin with a slash.
+        Topic names, relative to the node's namespace unless they begin with a slash.
     include : regular expression or None
-        Found in the full name of whatever is wanted besides; None for nothing. Hidden topics,
-        with a part that begins with an underscore, must be named.
+        Also selects topics whose full name contains a match; None selects none. Hidden topics,
+        which have a part that begins with an underscore, must be named.
     exclude : regular expression or None
-        Found in the full names that are not wanted after all.
+        Excludes topics whose full name contains a match.
     """
 
     names: tuple[str, ...] = ()
     include: re.Pattern[str] | None = None
     exclude: re.Pattern[str] | None = None
 
+    @classmethod
+    def of(cls, options: RecordOptions) -> "TopicFilter":
+        """Return the filter that options define."""
+        pattern = "" if options.all_topics else options.topics_regex
+        return cls(
+            tuple(name for name in options.topics if name),
+            re.compile(pattern) if options.all_topics or pattern else None,
+            re.compile(options.exclude_regex) if options.exclude_regex else None,
+        )
+
     def matches(self, topic: str) -> bool:
-        """Tell whether a topic that is not named is wanted."""
+        """Return whether ``include`` selects a topic."""
         return (
             self.include is not None
             and "/_" not in topic
@@ -40,20 +51,20 @@ class TopicFilter:
         )
 
     def permits(self, topic: str) -> bool:
-        """Tell whether a topic is not excluded."""
+        """Return whether ``exclude`` leaves a topic in."""
         return self.exclude is None or self.exclude.search(topic) is None
 
 
 @dataclass
 class TopicDiscovery:
-    """Subscribes to wanted topics as soon as the graph shows a publisher.
+    """Subscribes to each wanted topic as soon as it has a publisher.
 
     Parameters
     ----------
     node : Node
     wanted : TopicFilter
     depth : int
-        Messages that each may keep waiting.
+        Length of each queue, messages.
     """
 
     node: Node
@@ -68,35 +79,36 @@ class TopicDiscovery:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Topics that were named and have had no publisher so far."""
+        """Named topics that have had no publisher yet."""
         return tuple(sorted(self._missing))
 
     @property
     def is_complete(self) -> bool:
-        """Whether nothing more can turn up."""
+        """Whether all wanted topics have been found."""
         return not self._missing and self.wanted.include is None
 
-    def look(
+    def update(
         self,
-        announce: Callable[[RawSubscription], None],
-        refuse: Callable[[str, SymbidError], None],
+        on_found: Callable[[RawSubscription], None],
+        on_skip: Callable[[str, SymbidError], None],
     ) -> None:
-        """Subscribe to what has appeared and announce each.
+        """Subscribe to topics that have appeared.
 
         Parameters
         ----------
-        announce : callable
-            Told of each topic subscribed to.
-        refuse : callable
-            Told of each topic that merely matches and is of a type that is not installed.
+        on_found : callable
+            Called with each new subscription.
+        on_skip : callable
+            Called with the name of each topic that only matches a pattern and whose type is not
+            installed, and with the error.
 
         Raises
         ------
         SymbidError
-            When a topic that was named is of such a type.
+            When the type of a named topic is not installed.
         """
         for topic in self.missing:
-            if self._subscribe(topic, announce):
+            if self._subscribe(topic, on_found):
                 self._missing.discard(topic)
         if self.wanted.include is None:
             return
@@ -104,12 +116,12 @@ class TopicDiscovery:
             if topic in self._seen or topic in self._missing or not self.wanted.matches(topic):
                 continue
             try:
-                self._subscribe(topic, announce)
+                self._subscribe(topic, on_found)
             except SymbidError as error:
                 self._seen.add(topic)
-                refuse(topic, error)
+                on_skip(topic, error)
 
-    def _subscribe(self, topic: str, announce: Callable[[RawSubscription], None]) -> bool:
+    def _subscribe(self, topic: str, on_found: Callable[[RawSubscription], None]) -> bool:
         publishers = self.node.get_publishers_info_by_topic(topic)
         if not publishers:
             return False
@@ -118,5 +130,5 @@ class TopicDiscovery:
         if subscription is None:
             return False
         self._seen.add(topic)
-        announce(subscription)
+        on_found(subscription)
         return True

@@ -1,4 +1,4 @@
-"""Recorded messages onto topics: in time or as fast as they are taken, paused and resumed."""
+"""Publishers, clock, schedule and services of a replay."""
 
 import time
 from dataclasses import dataclass, field
@@ -15,33 +15,33 @@ from symbid_ros.messages.layout import CDR
 from symbid_ros.messages.types import CLOCK, clock_layout, fill_stamp
 from symbid_ros.ros.endpoints import message_class, reliable_qos
 
-POLL = 0.02  # s; how soon a pause, a restart or the end is noticed
-GIVEN_UP = 60.0  # s; the middleware itself forgets a subscriber that has died after 20 s
+POLL = 0.02  # s; longest delay until a pause, a restart or a stop is noticed
+TIMEOUT = 60.0  # s for a slow subscriber; the middleware drops a dead one after 20 s
 CLOCK_TOPIC = RecordedTopic(name="/clock", msgtype=CLOCK, encoding=CDR, qos=())
 
 
-def replay_profile(topic: RecordedTopic, depth: int, *, patient: bool) -> QoSProfile:
-    """Return what to offer: reliable, which satisfies every subscriber, with a deep queue.
+def replay_qos(topic: RecordedTopic, depth: int, *, lossless: bool) -> QoSProfile:
+    """Return the QoS profile of a publisher: reliable, which is compatible with any subscriber.
 
-    Latched topics keep as many messages as all their recorded publishers together did: late
-    subscribers get no more than they would have got.
+    A latched topic keeps as many messages as all its recorded publishers together, so that a late
+    subscriber gets what it would have got at the time of recording.
 
     Parameters
     ----------
     topic : RecordedTopic
     depth : int
         Messages to keep for slow subscribers.
-    patient : bool
+    lossless : bool
         Whether to wait for them instead of overwriting the oldest message.
     """
     profile = reliable_qos(depth)
     latching = [offer for offer in topic.qos if offer.durability == "transient_local"]
     if latching:
         profile.durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
-        # A recorder learns neither history nor depth from discovery, and says so.
+        # Bags hold neither history nor depth of offers that the recorder discovered.
         if all(offer.history == "keep_last" and offer.depth > 0 for offer in latching):
             profile.depth = sum(offer.depth for offer in latching)
-    elif patient:
+    elif lossless:
         profile.history = QoSHistoryPolicy.KEEP_ALL
     return profile
 
@@ -56,52 +56,53 @@ class ReplayPublisher:
     depth : int
         Messages to keep for slow subscribers.
     stop : Event
-        Ends all waiting.
-    patient : bool
-        Whether to wait for them instead of overwriting the oldest message.
+        Ends every wait.
+    lossless : bool
+        Whether to wait for slow subscribers instead of overwriting the oldest message.
 
     Attributes
     ----------
     publisher : Publisher
     count : int
-        Messages published.
+        Number of published messages.
     """
 
     def __init__(
-        self, node: Node, topic: RecordedTopic, depth: int, stop: Event, *, patient: bool
+        self, node: Node, topic: RecordedTopic, depth: int, stop: Event, *, lossless: bool
     ) -> None:
-        profile = replay_profile(topic, depth, patient=patient)
+        profile = replay_qos(topic, depth, lossless=lossless)
         self.publisher = node.create_publisher(message_class(topic.msgtype), topic.name, profile)
         self.count = 0
         self._stop = stop
-        self._is_patient = patient
+        self._is_lossless = lossless
         self._is_latched = profile.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
 
     def publish(self, payload: bytes) -> None:
-        """Publish one message; a patient publisher first waits for room."""
+        """Publish one message; if lossless, first wait for space in the queue."""
         deadline = None
         while not self._stop.is_set():
             try:
                 self.publisher.publish(payload)
             except RuntimeError as error:
-                if not self._is_patient:
+                if not self._is_lossless:
                     raise
-                # What rcl reports, after 0.1 s, while a queue that keeps all is full.
-                deadline = deadline or time.monotonic() + GIVEN_UP
+                # rcl raises this after 0.1 s while a queue that keeps all messages is full.
+                deadline = deadline or time.monotonic() + TIMEOUT
                 if time.monotonic() > deadline:
                     raise SymbidError(
-                        f"{self.publisher.topic_name}: no room for a message, a subscriber has "
-                        f"taken nothing for {GIVEN_UP:g} s; end it, or set rate and lossless:=false"
+                        f"{self.publisher.topic_name}: the queue is full, a subscriber has taken "
+                        f"nothing for {TIMEOUT:g} s; stop it, or set rate and lossless:=false",
+                        "E806",
                     ) from error
             else:
                 self.count += 1
                 break
-        if self._is_patient and self._is_latched:
+        if self._is_lossless and self._is_latched:
             self.await_acknowledgement()
 
     def await_acknowledgement(self) -> None:
-        """Wait until every reliable subscriber has all messages, unless one takes none at all."""
-        deadline = time.monotonic() + GIVEN_UP
+        """Wait until every reliable subscriber has received all messages, at most `TIMEOUT` s."""
+        deadline = time.monotonic() + TIMEOUT
         wait = self.publisher.wait_for_all_acked
         while not (self._stop.is_set() or wait(Duration(seconds=POLL))):
             if time.monotonic() > deadline:
@@ -109,19 +110,19 @@ class ReplayPublisher:
 
 
 class ReplayClock:
-    """``/clock`` at a fixed rate of log time.
+    """Publishes ``/clock`` at a fixed rate of log time.
 
     Parameters
     ----------
     publisher : ReplayPublisher
-        Of ``/clock``.
+        Publisher of ``/clock``.
     rate : float
         Messages per second of log time.
 
     Attributes
     ----------
     due : int
-        Log time of the next message, nanoseconds.
+        Log time of the next message, ns.
     """
 
     def __init__(self, publisher: ReplayPublisher, rate: float) -> None:
@@ -133,11 +134,11 @@ class ReplayClock:
         self._columns = clock_layout().columns(self._record)
 
     def begin(self, log_time: int) -> None:
-        """Start again from a log time in nanoseconds."""
+        """Restart from a log time, ns."""
         self.due, self._last = log_time, -1
 
     def tick(self, now: int) -> None:
-        """Publish the time, nanoseconds, unless it stands still, and wait for the next turn."""
+        """Publish the time, ns, unless it has not advanced, and set the next due time."""
         self.due += self._period
         if now > self._last:
             fill_stamp(self._columns, now, "clock")
@@ -147,12 +148,14 @@ class ReplayClock:
 
 @dataclass
 class ReplayControls:
-    """What the services ask of the player; they answer in the executor's thread.
+    """The services pause and restart; they answer in the executor's thread.
 
     Attributes
     ----------
-    paused, restarted : Event
-        Set while the replay is to stand still, and until it has begun again.
+    paused : Event
+        Set while the replay is paused.
+    restarted : Event
+        Set from a request to restart until the replay has restarted.
     """
 
     node: Node
@@ -170,45 +173,45 @@ class ReplayControls:
 
     def _restart(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.restarted.set()
-        response.success, response.message = True, "begins again"
+        response.success, response.message = True, "the replay restarts"
         return response
 
 
 class ReplaySchedule:
-    """When each message is due, on the monotonic clock.
+    """Waits until each message is due, on the monotonic clock.
 
-    A ROS timer skips ticks: deadlines do not, and a late message does not delay the next.
+    Due times do not depend on earlier messages, so a late message does not delay the next one.
 
     Parameters
     ----------
     rate : float
-        Seconds of log time per second; 0 for no schedule at all.
-    transport : ReplayControls
+        Seconds of log time per second; 0: every message is due at once.
+    controls : ReplayControls
     stop : Event
 
     Attributes
     ----------
     lag, longest_lag : float
-        How late the newest message was and the latest of all, seconds.
+        Delay of the newest message, and the longest delay so far, s.
     """
 
-    def __init__(self, rate: float, transport: ReplayControls, stop: Event) -> None:
+    def __init__(self, rate: float, controls: ReplayControls, stop: Event) -> None:
         self.lag = self.longest_lag = 0.0
         self.rate = rate
-        self._transport = transport
+        self._controls = controls
         self._stop = stop
         self._begin = self._origin = 0
 
     def begin(self, log_time: int) -> None:
-        """Let a log time, nanoseconds, be due now."""
+        """Make a log time, ns, due now."""
         self._origin, self._begin = log_time, time.monotonic_ns()
 
     def reach(self, log_time: int) -> bool:
-        """Wait until a log time is due; return False if the replay ends or restarts instead."""
-        transport, stop = self._transport, self._stop
-        while not (stop.is_set() or transport.restarted.is_set()):
-            if transport.paused.is_set():
-                self._stand_still()
+        """Wait until a log time is due; return False if the replay stops or restarts first."""
+        controls, stop = self._controls, self._stop
+        while not (stop.is_set() or controls.restarted.is_set()):
+            if controls.paused.is_set():
+                self._wait_while_paused()
                 continue
             if not self.rate:
                 return True
@@ -221,9 +224,9 @@ class ReplaySchedule:
             stop.wait(min(ahead, POLL))
         return False
 
-    def _stand_still(self) -> None:
+    def _wait_while_paused(self) -> None:
         since = time.monotonic_ns()
-        transport, stop = self._transport, self._stop
-        while transport.paused.is_set() and not (stop.is_set() or transport.restarted.is_set()):
+        controls, stop = self._controls, self._stop
+        while controls.paused.is_set() and not (stop.is_set() or controls.restarted.is_set()):
             stop.wait(POLL)
         self._begin += time.monotonic_ns() - since

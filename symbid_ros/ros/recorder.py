@@ -1,7 +1,6 @@
 """Record topics into a bag without losing messages."""
 
 import json
-import re
 import sys
 import time
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from threading import Event, Thread
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from rclpy.node import Node
 from rich.console import Console
@@ -22,73 +21,31 @@ from symbid_ros.errors import BagError, SymbidError
 from symbid_ros.messages.layout import ENCAPSULATION, typestore
 from symbid_ros.messages.single_message import GapCounter
 from symbid_ros.messages.types import has_stamp, read_leading_stamp
+from symbid_ros.ros.bag_options import RecordOptions
 from symbid_ros.ros.diagnostics import ERROR, OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.ros.discovery import TopicDiscovery, TopicFilter
-from symbid_ros.ros.parameters import Parameter, ParameterError
+from symbid_ros.ros.parameters import Values, options_from, parameters_of
 from symbid_ros.ros.process import run_node
 from symbid_ros.ros.raw_subscription import RawSubscription
 
 REFRESH = 0.5  # s
-LATE_SYNC = 5.0  # s; a healthy disk answers within milliseconds
-SENSORS = ["joint_states", "imu/data", "left_foot/wrench", "right_foot/wrench"]
-TRUTH = ["ground_truth/joints", "ground_truth/odom", "ground_truth/base_accel"]
-POLL = 0.002  # s; far below what fills a queue
+LATE_SYNC = 5.0  # s; a healthy disk syncs within milliseconds
+POLL = 0.002  # s; queues take far longer to fill
 DISCOVERY_PERIOD = 0.05  # s
 MEGABYTE = 10**6
-EVERY_NAME = re.compile("")
-STAMPED = ENCAPSULATION + 8  # bytes, at least, of a message with a stamp
+STAMPED = ENCAPSULATION + 8  # smallest size of a message with a stamp, bytes
 SLOW = "the disk or the processor was too slow"
-PARAMETERS = (
-    Parameter("bag", "", "Folder of the new bag; empty for log_<date>-<time> here."),
-    Parameter("topics", [*SENSORS, *TRUTH], "Topics to record as soon as they are published."),
-    Parameter("all_topics", False, "Record all other topics that are not hidden, too."),
-    Parameter(
-        "topics_regex", "", "Record other topics, too, in whose full name this expression is found."
-    ),
-    Parameter("exclude_regex", "", "Record no topic in whose full name this expression is found."),
-    Parameter("queue_depth", 5000, "Messages each topic may wait to be taken.", minimum=1),
-    Parameter(
-        "queue_size",
-        256,
-        "MB of messages that may wait for a slow disk; beyond, the largest topic loses messages.",
-        minimum=1,
-    ),
-    Parameter(
-        "flush_period",
-        0.05,
-        "Seconds that data wait to be written; a killed recorder loses no older ones.",
-        minimum=0.01,
-        maximum=10.0,
-    ),
-    Parameter(
-        "sync_period",
-        0.5,
-        "Seconds between forcing data onto the disk, which a power cut then spares.",
-        minimum=0.05,
-        maximum=3600.0,
-    ),
-    Parameter("split_size", 0, "MB after which a new file is begun; 0 for never.", minimum=0),
-    Parameter(
-        "split_duration", 0.0, "Seconds after which a new file is begun; 0 for never.", minimum=0.0
-    ),
-    Parameter(
-        "stop_when_silent",
-        0.0,
-        "Stop after so many seconds without a message once there was one; 0 for never.",
-        minimum=0.0,
-    ),
-)
+PARAMETERS = parameters_of(RecordOptions)
 
 
 class RecordingProgress:
-    """Watches a writer; shows one line in place on a terminal, elsewhere nothing.
+    """Shows the progress of a writer in one line of a terminal; without a terminal, nothing.
 
     Parameters
     ----------
     bag : str
-        What is being written.
+        Path of the bag.
     console : Console
-        Where to.
     """
 
     def __init__(self, bag: str, console: Console) -> None:
@@ -117,7 +74,7 @@ class RecordingProgress:
             self._live.stop()
 
     def show(self, state: WriterState) -> None:
-        """Bring the figures up to date, twice a second."""
+        """Update the line twice a second."""
         now = time.monotonic()
         if now - self._shown < REFRESH:
             return
@@ -126,15 +83,15 @@ class RecordingProgress:
         if self._live is not None:
             self._live.update(self._line(state), refresh=True)
 
-    def health(self, state: WriterState, failure: Exception | None) -> NodeStatus:
-        """Return the status of the recording."""
+    def status(self, state: WriterState, failure: Exception | None) -> NodeStatus:
+        """Return the status for ``/diagnostics``."""
         level, message = OK, "recording" if state.messages else "waiting for messages"
         if failure is not None:
             level, message = ERROR, str(failure)
         elif state.dropped:
             level, message = WARN, "messages dropped: the disk or the processor is too slow"
         elif state.sync_age > LATE_SYNC:
-            level, message = WARN, "the disk does not keep up"
+            level, message = WARN, "the disk is too slow"
         values = {
             "bag": self._bag,
             "messages": state.messages,
@@ -147,7 +104,7 @@ class RecordingProgress:
         return NodeStatus("recording", level, message, values)
 
     def _line(self, state: WriterState) -> Text:
-        # What matters most comes first: a narrow terminal shows no more.
+        # The most important values come first, because a narrow terminal cuts the line.
         parts = [
             f"{self._shown - self._began:.0f} s",
             f"{state.size / 1e6:.1f} MB",
@@ -164,48 +121,47 @@ class RecordingProgress:
 
 
 @dataclass
-class _Recording:
-    """A topic being recorded."""
-
+class _RecordedTopic:
     subscription: RawSubscription
-    topic: int
-    gaps: GapCounter | None  # without stamps there is nothing to count
+    index: int  # of the topic in the writer
+    gaps: GapCounter | None  # None for messages without stamps
 
 
 class Recorder:
-    """Empties raw subscriptions into a bag until stopped."""
+    """Writes the messages of raw subscriptions into a bag until stopped."""
 
-    def __init__(self, node: Node, values: dict[str, Any]) -> None:
-        name = values["bag"] or datetime.now().strftime("log_%Y_%m_%d-%H_%M_%S")
-        self._silence: float = values["stop_when_silent"]
-        self._discovery = TopicDiscovery(node, _wanted(values), values["queue_depth"])
-        self._recordings: list[_Recording] = []
-        self._refusal: Exception | None = None
+    def __init__(self, node: Node, values: Values) -> None:
+        options = options_from(RecordOptions, values)
+        path = options.bag or Path(datetime.now().strftime("log_%Y_%m_%d-%H_%M_%S"))
+        self._silence = options.stop_when_silent
+        self._discovery = TopicDiscovery(node, TopicFilter.of(options), options.queue_depth)
+        self._topics: list[_RecordedTopic] = []
+        self._discovery_error: Exception | None = None
         self._bag = BagWriter(
-            Path(name),
-            split_size=values["split_size"] * MEGABYTE,
-            split_duration=round(values["split_duration"] * 1e9),
+            path,
+            split_size=options.split_size * MEGABYTE,
+            split_duration=round(options.split_duration * 1e9),
         )
         self._writer = BackgroundWriter(
             self._bag,
-            flush_period=values["flush_period"],
-            sync_period=values["sync_period"],
-            capacity=values["queue_size"] * MEGABYTE,
+            flush_period=options.flush_period,
+            sync_period=options.sync_period,
+            capacity=options.queue_size * MEGABYTE,
         )
-        self._progress = RecordingProgress(name, Console(stderr=True, highlight=False))
-        self._health = StatusPublisher(
+        self._progress = RecordingProgress(str(path), Console(stderr=True, highlight=False))
+        self._status = StatusPublisher(
             node,
-            lambda: [self._progress.health(self._writer.state, self._writer.failure)],
+            lambda: [self._progress.status(self._writer.state, self._writer.failure)],
             str(self._bag),
         )
 
     def run(self, stop: Event) -> None:
-        """Record, complete the bag and say what it holds.
+        """Record until stopped, complete the bag and print its contents as JSON.
 
         Raises
         ------
         BagError
-            When nothing was received, or not all of it could be written.
+            When no message was received or not all messages could be written.
         """
         try:
             with self._progress:
@@ -215,43 +171,44 @@ class Recorder:
         if not self._writer.received:
             names = ", ".join(self._discovery.wanted.names)
             raise self._writer.failure or BagError(
-                f"{self._bag.path}: no message received, nothing recorded; check topic names "
-                f"and ROS_DOMAIN_ID, wanted were {names or 'those that match'}"
+                f"{self._bag.path}: no message received, nothing recorded; check ROS_DOMAIN_ID and "
+                f"the topics to record: {names or 'those that match'}",
+                "E807",
             )
         for topic in self._discovery.missing:
             _warn(f"{topic}: never published")
         print(json.dumps(self._summary()), flush=True)
-        self._judge()
+        self._report_losses()
 
     def _record(self, stop: Event) -> None:
-        # To load a message type takes tenths of a second, which no topic must wait for.
+        # Loading a message type takes tenths of a second, so discovery runs in a second thread.
         ended = Event()
-        watch = Thread(target=self._watch, args=(ended,), name="discovery", daemon=True)
-        watch.start()
+        discovery = Thread(target=self._discover, args=(ended,), name="discovery", daemon=True)
+        discovery.start()
         try:
-            self._take(stop)
+            self._receive(stop)
         finally:
             ended.set()
-            watch.join()
-        if self._refusal is not None:
-            raise self._refusal
+            discovery.join()
+        if self._discovery_error is not None:
+            raise self._discovery_error
 
-    def _watch(self, ended: Event) -> None:
+    def _discover(self, ended: Event) -> None:
         try:
             while not self._discovery.is_complete and not ended.wait(DISCOVERY_PERIOD):
-                self._discovery.look(self._announce, self._refuse)
-        except Exception as refusal:
-            self._refusal = refusal
+                self._discovery.update(self._add_topic, self._skip_topic)
+        except Exception as error:
+            self._discovery_error = error
 
-    def _take(self, stop: Event) -> None:
-        heard = None
-        while not stop.is_set() and self._writer.failure is None and self._refusal is None:
+    def _receive(self, stop: Event) -> None:
+        newest = None
+        while not (stop.is_set() or self._writer.failure or self._discovery_error):
             messages = self._drain()
             now = time.monotonic()
             self._progress.show(self._writer.state)
             if messages:
-                heard = now
-            elif self._silence and heard is not None and now - heard >= self._silence:
+                newest = now
+            elif self._silence and newest is not None and now - newest >= self._silence:
                 return
             else:
                 time.sleep(POLL)
@@ -259,30 +216,24 @@ class Recorder:
         while any(message.log_time <= until for message in self._drain()):
             pass
 
-    def _announce(self, subscription: RawSubscription) -> None:
-        topic = self._writer.add_topic(subscription.topic, subscription.msgtype, subscription.qos)
-        is_stamped = subscription.msgtype in typestore().fielddefs and has_stamp(
-            subscription.msgtype
-        )
-        self._recordings.append(
-            _Recording(subscription, topic, GapCounter() if is_stamped else None)
-        )
+    def _add_topic(self, subscription: RawSubscription) -> None:
+        kind = subscription.msgtype
+        index = self._writer.add_topic(subscription.topic, kind, subscription.qos)
+        is_stamped = kind in typestore().fielddefs and has_stamp(kind)
+        gaps = GapCounter() if is_stamped else None
+        self._topics.append(_RecordedTopic(subscription, index, gaps))
 
-    def _refuse(self, topic: str, error: SymbidError) -> None:
+    def _skip_topic(self, topic: str, error: SymbidError) -> None:
         _warn(f"{topic}: not recorded: {error}")
 
     def _drain(self) -> list[QueuedMessage]:
         messages = []
-        for recording in tuple(self._recordings):
-            for received in recording.subscription.take():
-                messages.append(
-                    QueuedMessage(
-                        recording.topic, received.received, received.published, received.payload
-                    )
-                )
-                # Publishers are not trusted to send whole messages.
-                if recording.gaps is not None and len(received.payload) >= STAMPED:
-                    recording.gaps.add(read_leading_stamp(received.payload))
+        for topic in tuple(self._topics):
+            for payload, received, published in topic.subscription.take():
+                messages.append(QueuedMessage(topic.index, received, published, payload))
+                # A publisher may send truncated messages.
+                if topic.gaps is not None and len(payload) >= STAMPED:
+                    topic.gaps.add(read_leading_stamp(payload))
         if messages:
             self._writer.put(messages)
         return messages
@@ -293,23 +244,23 @@ class Recorder:
         else:
             self._writer.discard()
 
-    def _judge(self) -> None:
-        """Raise what went wrong, with what it cost; warn of messages dropped."""
+    def _report_losses(self) -> None:
+        """Raise an error if writing failed, with what is missing; warn of dropped messages."""
         lost = self._writer.lost
-        told = ", ".join(f"{topic} {count}" for topic, count in lost.items())
+        counts = ", ".join(f"{topic} {count}" for topic, count in lost.items())
         if isinstance(self._writer.failure, BagError):
-            missing = "what was written last may be missing"
+            missing = "the newest messages may be missing"
             if lost:
                 period = ""
                 if self._bag.end:
                     first, last = map(_clock_time, (self._bag.end, self._writer.latest))
                     period = f" from {first} to {last}"
-                missing = f"{sum(lost.values())} messages{period} are missing ({told})"
-            raise BagError(f"{self._writer.failure}: {missing}") from self._writer.failure
+                missing = f"{sum(lost.values())} messages{period} are missing ({counts})"
+            raise BagError(f"{self._writer.failure}: {missing}", "E808") from self._writer.failure
         if self._writer.failure is not None:
             raise self._writer.failure
         if lost:
-            _warn(f"{self._bag.path}: {sum(lost.values())} messages dropped ({told}); {SLOW}")
+            _warn(f"{self._bag.path}: {sum(lost.values())} messages dropped ({counts}); {SLOW}")
 
     def _summary(self) -> dict[str, object]:
         return {
@@ -319,29 +270,11 @@ class Recorder:
             "recorded": self._bag.counts,
             "lost": self._writer.lost,
             "gaps": {
-                recording.subscription.topic: asdict(recording.gaps.gaps)
-                for recording in self._recordings
-                if recording.gaps is not None
+                topic.subscription.topic: asdict(topic.gaps.gaps)
+                for topic in self._topics
+                if topic.gaps is not None
             },
         }
-
-
-def _wanted(values: dict[str, Any]) -> TopicFilter:
-    include = _expression("topics_regex", values)
-    return TopicFilter(
-        tuple(name for name in values["topics"] if name),
-        EVERY_NAME if values["all_topics"] else include,
-        _expression("exclude_regex", values),
-    )
-
-
-def _expression(name: str, values: dict[str, Any]) -> re.Pattern[str] | None:
-    try:
-        return re.compile(values[name]) if values[name] else None
-    except re.error as error:
-        raise ParameterError(
-            f"parameter {name}: no regular expression ({error}); give one such as ^/camera/"
-        ) from error
 
 
 def _clock_time(nanoseconds: int) -> str:

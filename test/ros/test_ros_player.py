@@ -143,7 +143,7 @@ def test_recorder_gets_the_recorded_bytes(graph, tmp_path: Path, rate: float) ->
     assert again.topics["/note"].qos[0].durability == "transient_local"
 
 
-def test_without_a_rate_it_waits_for_a_subscriber_that_keeps_all(graph, tmp_path: Path) -> None:
+def test_rate_0_waits_for_a_subscriber_that_keeps_all(graph, tmp_path: Path) -> None:
     """More messages than all queues hold, and nobody takes one before the player has to wait."""
     count = 20_000
     log = write_log(tmp_path / "bag", count)
@@ -291,9 +291,7 @@ def test_latched_messages_reach_late_subscribers(graph, tmp_path: Path) -> None:
     assert player.ended().status == 0
 
 
-def test_sqlite_is_replayed_but_for_excluded_topics_and_types_not_installed(
-    graph, tmp_path: Path
-) -> None:
+def test_sqlite_replay_skips_excluded_topics_and_types_not_installed(graph, tmp_path: Path) -> None:
     log = tmp_path / "old"
     uninstalled = "stereo_msgs/msg/DisparityImage"
     with RosbagsWriter(log, version=9) as writer:
@@ -322,7 +320,7 @@ def test_sqlite_is_replayed_but_for_excluded_topics_and_types_not_installed(
 @pytest.mark.parametrize(
     ("parameters", "line"),
     [
-        ({"bag": "['']"}, "parameter bag: empty; give -p bag:=[PATH]"),
+        ({"bag": "['']"}, "parameter bag: empty; give at least one bag"),
         ({"bag": "[/nowhere]"}, "/nowhere: no such bag; give a bag's folder or an .mcap file"),
         ({"topics": "[imu]"}, "LOG: no topic imu, it holds /clock (rosgraph_msgs/msg/Clock), "),
         (
@@ -332,14 +330,14 @@ def test_sqlite_is_replayed_but_for_excluded_topics_and_types_not_installed(
         ({"exclude": "[imu]"}, "LOG: no topic imu, it holds /clock (rosgraph_msgs/msg/Clock), "),
         (
             {"topics": "[note]", "exclude": "[/note]"},
-            "LOG: no topic left to replay; name some in topics, or fewer in exclude",
+            "LOG: no topic left to replay; name topics of the bag in topics, or ",
         ),
         ({"start": 9.0}, "parameter start: 9 s is beyond the end of LOG; give less than 0.009"),
         ({"rate": -1.0}, "parameter rate: not a valid value; give a number with a decimal point "),
         ({"clock_source": "sun"}, "parameter clock_source: 'sun' is not known; give one of header"),
         (
             {"topics": "[clock]", "publish_clock": True},
-            "parameter topics: /clock is also published anew; leave it out or set publish_clock ",
+            "parameter topics: publish_clock also publishes /clock; remove /clock from topics or ",
         ),
     ],
 )

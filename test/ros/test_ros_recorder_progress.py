@@ -1,4 +1,4 @@
-"""What a recording shows while it runs."""
+"""Progress line and status of a recording."""
 
 import time
 from io import StringIO
@@ -18,12 +18,12 @@ LOSING = WriterState(
 
 
 def shown(state: WriterState, width: int, *, is_terminal: bool = True) -> str:
-    """Return what is on the screen once the figures have been brought up to date."""
+    """Return the last line on the terminal after an update."""
     file = StringIO()
     console = Console(file=file, width=width, force_terminal=is_terminal, color_system=None)
     progress = RecordingProgress("/data/walk", console)
     with progress:
-        time.sleep(REFRESH)  # the figures are renewed at this period, not before
+        time.sleep(REFRESH)  # the shortest time between two updates
         progress.show(state)
         text = file.getvalue()
     lines = text.replace("\x1b[?25l", "").replace("\r\x1b[2K", "\n").splitlines()
@@ -39,7 +39,7 @@ def test_terminal_shows_size_rate_and_number() -> None:
 
 
 @pytest.mark.parametrize("width", [10, 20, 40])
-def test_narrow_terminal_shows_one_line_of_what_matters(width: int) -> None:
+def test_narrow_terminal_shows_the_most_important_values_in_one_line(width: int) -> None:
     line = shown(LOSING, width)
     assert len(line.rstrip()) <= width
     assert "recording".startswith(line[:9])
@@ -47,15 +47,15 @@ def test_narrow_terminal_shows_one_line_of_what_matters(width: int) -> None:
         assert line.startswith("recording  17 dropped")
 
 
-def test_elsewhere_nothing_is_shown() -> None:
+def test_nothing_is_shown_without_a_terminal() -> None:
     assert shown(STATE, 100, is_terminal=False) == ""
 
 
-def test_health_tells_the_figures_and_what_is_wrong() -> None:
+def test_status_holds_the_counts_and_the_fault() -> None:
     progress = RecordingProgress("/data/walk", Console(file=StringIO()))
-    health = progress.health(STATE, None)
-    assert (health.level, health.message) == (OK, "recording")
-    assert health.values == {
+    status = progress.status(STATE, None)
+    assert (status.level, status.message) == (OK, "recording")
+    assert status.values == {
         "bag": "/data/walk",
         "messages": 12_345,
         "bytes": 67_800_000,
@@ -65,8 +65,8 @@ def test_health_tells_the_figures_and_what_is_wrong() -> None:
         "sync_age": "0.20",
     }
     late = WriterState(1, 1, 0, {}, LATE_SYNC + 1.0)
-    assert progress.health(WriterState(0, 1, 0, {}, 0.0), None).message == "waiting for messages"
-    assert progress.health(late, None).level == WARN
-    assert progress.health(LOSING, None).level == WARN
-    failed = progress.health(LOSING, BagError("the disk is full"))
+    assert progress.status(WriterState(0, 1, 0, {}, 0.0), None).message == "waiting for messages"
+    assert progress.status(late, None).level == WARN
+    assert progress.status(LOSING, None).level == WARN
+    failed = progress.status(LOSING, BagError("the disk is full"))
     assert (failed.level, failed.message) == (ERROR, "the disk is full")
