@@ -137,7 +137,8 @@ def entry(kind: str, name: str, value: Any) -> str:
     if kind == "functions":
         return f"```{{eval-rst}}\n.. autofunction:: symbid_ros.{name}\n```"
     if kind != "options":
-        return f"```{{eval-rst}}\n.. autoclass:: symbid_ros.{name}\n   :members:\n   :exclude-members: __init__\n```"
+        directive = f".. autoclass:: symbid_ros.{name}\n   :members:\n   :exclude-members: __init__"
+        return f"```{{eval-rst}}\n{directive}\n```"
     rows = [
         (f"`{each.name}`", f"`{each.default!r}`", field_help(each)) for each in options_of(value)
     ]

@@ -1,6 +1,6 @@
 """Values that options may take, apart from what they stand for: nothing here imports NumPy."""
 
-from typing import Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 Base = Literal["auto", "floating", "fixed"]
 Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
@@ -23,3 +23,40 @@ METHODS: tuple[Method, ...] = get_args(Method)
 GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")
 TERMS: tuple[Term, ...] = get_args(Term)
 SENSOR_ERROR_KINDS: tuple[SensorErrorKind, ...] = get_args(SensorErrorKind)
+
+
+class JointTerm(NamedTuple):
+    """A parameter that each joint may add to its row of the equation of motion.
+
+    Attributes
+    ----------
+    option : str
+        Option of an identification that asks for it.
+    units : tuple of str
+        Of a revolute and of a prismatic joint.
+    field : str or None
+        Field of a joint that holds the value of a model file; None if no format has it.
+    std : float
+        Prior standard deviation of a revolute joint whose file gives no value, wide for a leg.
+    lever_power : int
+        Power of the lever by which a prismatic joint's value is larger.
+    load_share : float
+        Standard deviation in the checks of a log, as a share of the joint's load.
+    is_nonnegative : bool
+    """
+
+    option: str
+    units: tuple[str, str]
+    field: str | None
+    std: float
+    lever_power: int
+    load_share: float
+    is_nonnegative: bool
+
+
+JOINT_TERMS: dict[Term, JointTerm] = {
+    "viscous": JointTerm("friction", ("Nm s/rad", "N s/m"), "damping", 1.0, 2, 0.3, True),
+    "coulomb": JointTerm("friction", ("Nm", "N"), "friction_loss", 2.0, 1, 0.3, True),
+    "armature": JointTerm("armature", ("kg m^2", "kg"), "armature", 0.1, 2, 0.3, True),
+    "offset": JointTerm("offset", ("Nm", "N"), None, 1.0, 1, 0.1, False),
+}

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.choices import Term
+from symbid_ros.choices import JOINT_TERMS
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
 from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
 from symbid_ros.estimation.information import stacked_factor
@@ -27,8 +27,6 @@ PINNED = 1e-6  # standard deviation of what is held at its prior
 NEARLY_PINNED = 1e-2
 # Share of a load below which a residual is rounding.
 LEAST = 1e-4
-# Standard deviation of each term of a joint's drive, as a share of what its row carries.
-DRIVE: dict[Term, float] = {"viscous": 0.3, "coulomb": 0.3, "armature": 0.3, "offset": 0.1}
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,8 @@ class GainProblem:
         for term, columns in parameters.term_columns.items():
             for joint, column in enumerate(range(columns.start, columns.stop)):
                 size = np.sqrt(rows.column_squares(first + joint, column))
-                std[column] = DRIVE[term] * load[joint] / max(size, 1e-9) + PINNED
+                share = JOINT_TERMS[term].load_share
+                std[column] = share * load[joint] / max(size, 1e-9) + PINNED
         return cls(rows, mean, std, gains)
 
     @property

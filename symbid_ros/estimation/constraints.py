@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.choices import JOINT_TERMS
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.errors import EstimateError
 from symbid_ros.model.inertia import transform_phi
@@ -68,7 +69,7 @@ class Bounds:
         """Keep friction coefficients and armatures ≥ 0; a torque offset has either sign."""
         chosen = np.zeros(len(parameters), dtype=bool)
         for term, columns in parameters.term_columns.items():
-            chosen[columns] = term != "offset"
+            chosen[columns] = JOINT_TERMS[term].is_nonnegative
         names = tuple(parameters.names[i] for i in np.flatnonzero(chosen))
         zeros = np.zeros(len(names))
         return cls(names, np.eye(len(parameters))[chosen], zeros, zeros + np.inf)

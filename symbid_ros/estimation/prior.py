@@ -135,7 +135,7 @@ class Prior:
 def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
     """Return the model file's own values, uniform within ± ``percent`` % as far as it is known.
 
-    What the file does not state of a joint is zero to within ``TERM_STD``.
+    What the file does not state of a joint is zero to within ``JOINT_TERMS[...].std``.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> P
 def absolute_model_prior(parameters: ParameterSet, amount: float) -> Prior:
     """Return the model file's own values, uniform within ± ``amount`` in their SI units.
 
-    What the file does not state of a joint is zero to within ``TERM_STD``.
+    What the file does not state of a joint is zero to within ``JOINT_TERMS[...].std``.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
     ----------
     parameters : ParameterSet
         The model and its columns. What the file does not state of a joint stays zero,
-        to within ``TERM_STD``.
+        to within ``JOINT_TERMS[...].std``.
     kind : {"percent", "absolute", "consistent"}
         "percent": each parameter uniform within ± ``amount`` % of its value;
         "absolute": uniform within ± ``amount`` in its unit (thesis, Table 4.1);

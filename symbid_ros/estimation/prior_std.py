@@ -3,13 +3,10 @@
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.choices import Term
+from symbid_ros.choices import JOINT_TERMS
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, second_moments
 from symbid_ros.model.parameters import ParameterSet
 
-# Deviations of what no file states of a joint, about zero. They are wide for a leg's drives:
-# Nm s/rad, Nm, kg m² and Nm.
-TERM_STD: dict[Term, float] = {"viscous": 1.0, "coulomb": 2.0, "armature": 0.1, "offset": 1.0}
 # A slide is given the drive of a joint with this lever, m.
 _SLIDE_LEVER = 0.1
 # Share of a parameter's own scale below which its deviation does not fall.
@@ -58,8 +55,8 @@ def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:
     """Return 1 % of the deviation that a parameter of its link's scale {m, mℓ, mℓ²} would have.
 
     ℓ is the link's root-mean-square extent about its origin; the scale of a joint's term is
-    ``TERM_STD``. The floor is small: it serves zeros in somebody's file, and leaves small
-    true values their own scale.
+    ``JOINT_TERMS[...].std``. The floor is small: it serves zeros in a file and leaves small true
+    values their own scale.
     """
     unit = _FLOOR * percent / 100 / np.sqrt(3)
     floor = np.empty(len(parameters))
@@ -95,13 +92,11 @@ def is_stated(parameters: ParameterSet) -> BoolArray:
 
 
 def _term_scale(parameters: ParameterSet) -> FloatArray:
-    """Return ``TERM_STD`` of the parameters after the inertial ones."""
-    # Per lever, a slide's effort and offset grow once, what multiplies its motion twice.
-    grows = {"viscous": 2, "armature": 2, "coulomb": 1, "offset": 1}
+    """Return the standard deviations of joint terms that the model file does not state."""
     return np.array(
         [
-            TERM_STD[term] / (_SLIDE_LEVER ** grows[term] if joint.kind == "prismatic" else 1.0)
-            for term in parameters.terms
+            each.std / (_SLIDE_LEVER**each.lever_power if joint.kind == "prismatic" else 1.0)
+            for each in (JOINT_TERMS[term] for term in parameters.terms)
             for joint in parameters.model.joints
         ]
     )

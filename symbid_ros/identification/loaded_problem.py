@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from symbid_ros.choices import Method
+from symbid_ros.choices import JOINT_TERMS, Method
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, EstimateError, OptionError
@@ -132,7 +132,7 @@ def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet
         stated = [
             name for name, value in zip(robot.joint_names, values, strict=True) if value != 0.0
         ]
-        flag = "armature" if term == "armature" else "friction"
+        flag = JOINT_TERMS[term].option
         logger.warning(
             "%s states %s of %s, which is taken as known; identify it with `%s` if it may be wrong",
             robot.source,

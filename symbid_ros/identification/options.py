@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from symbid_ros.choices import (
     GAUSSIAN,
+    JOINT_TERMS,
     SENSOR_ERROR_KINDS,
     TERMS,
     Channels,
@@ -205,13 +206,7 @@ class IdentifyOptions:
     @cached_property
     def terms(self) -> tuple[Term, ...]:
         """Joint terms to identify."""
-        chosen: dict[Term, bool] = {
-            "viscous": self.friction,
-            "coulomb": self.friction,
-            "armature": self.armature,
-            "offset": self.offset,
-        }
-        return tuple(term for term in TERMS if chosen[term])
+        return tuple(term for term in TERMS if getattr(self, JOINT_TERMS[term].option))
 
     @cached_property
     def sensor_error_kinds(self) -> tuple[SensorErrorKind, ...]:

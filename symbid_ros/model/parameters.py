@@ -3,28 +3,16 @@
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.choices import TERMS, Term
+from symbid_ros.choices import JOINT_TERMS, TERMS, Term
 from symbid_ros.errors import ModelError
 from symbid_ros.model.inertia import PARAMETERS, UNITS
 from symbid_ros.model.tree import Joint, RobotModel
 
-# Fields of a joint that a model file may give. No format has a torque offset.
-_FIELDS: dict[Term, Literal["damping", "friction_loss", "armature"]] = {
-    "viscous": "damping",
-    "coulomb": "friction_loss",
-    "armature": "armature",
-}
-_UNITS: dict[Term, dict[str, str]] = {
-    "viscous": {"revolute": "Nm s/rad", "prismatic": "N s/m"},
-    "coulomb": {"revolute": "Nm", "prismatic": "N"},
-    "armature": {"revolute": "kg m^2", "prismatic": "kg"},
-    "offset": {"revolute": "Nm", "prismatic": "N"},
-}
+_FIELDS = {term: each.field for term, each in JOINT_TERMS.items() if each.field}
 
 
 @dataclass(frozen=True)
@@ -98,7 +86,11 @@ class ParameterSet:
     @cached_property
     def units(self) -> tuple[str, ...]:
         """SI unit of each parameter."""
-        joint = [_UNITS[term][joint.kind] for term in self.terms for joint in self.model.joints]
+        joint = [
+            JOINT_TERMS[term].units[each.kind == "prismatic"]
+            for term in self.terms
+            for each in self.model.joints
+        ]
         return (*(UNITS * len(self.links)), *joint)
 
     def __len__(self) -> int:

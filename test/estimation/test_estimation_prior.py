@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_robots import CONFIG, random_robot, with_drives
 
-from symbid_ros.choices import TERMS
+from symbid_ros.choices import JOINT_TERMS, TERMS
 from symbid_ros.errors import PriorError, SymbidError
 from symbid_ros.estimation.prior import (
     Prior,
@@ -19,7 +19,6 @@ from symbid_ros.estimation.prior import (
     load_prior,
     model_prior,
 )
-from symbid_ros.estimation.prior_std import TERM_STD
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent, phi_from_pseudo_inertia, pseudo_inertia
@@ -161,11 +160,13 @@ def test_what_no_file_states_of_a_joint_is_zero_within_the_terms_own_scale(drive
         np.testing.assert_array_equal(prior.mean[parameters.inertial :], 0)
         stds.append(prior.std[parameters.inertial :])
         for term, std in terms_of(parameters, prior.std).items():
-            np.testing.assert_array_equal(std[kinds == "revolute"], TERM_STD[term])
+            np.testing.assert_array_equal(std[kinds == "revolute"], JOINT_TERMS[term].std)
         # Seen at the lever of the same drive, a slide's motion and effort each count once.
         levers = {"viscous": 100, "coulomb": 10, "armature": 100, "offset": 10}
         for term, std in terms_of(parameters, prior.std).items():
-            np.testing.assert_allclose(std[kinds == "prismatic"], levers[term] * TERM_STD[term])
+            np.testing.assert_allclose(
+                std[kinds == "prismatic"], levers[term] * JOINT_TERMS[term].std
+            )
     assert model_prior(driven).std[driven.inertial] == stds[0][0]
 
 
@@ -300,7 +301,7 @@ def test_a_prior_without_friction_serves_a_model_with_it(symbitron, tmp_path):
     prior = load_prior(path, ParameterSet(symbitron.model, ("viscous", "coulomb")))
     assert len(prior.mean) == 130
     np.testing.assert_array_equal(prior.mean[110:], 0)
-    np.testing.assert_array_equal(prior.std[110:120], TERM_STD["viscous"])
+    np.testing.assert_array_equal(prior.std[110:120], JOINT_TERMS["viscous"].std)
 
 
 def test_a_prior_with_joint_terms_serves_a_model_without(driven, tmp_path):
