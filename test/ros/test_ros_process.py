@@ -1,4 +1,4 @@
-"""What every node's process does before there is a graph."""
+"""Start, arguments and parameters of every node's process, without a ROS graph."""
 
 import math
 import signal
@@ -35,6 +35,11 @@ EVERY_PARAMETER = [
 ]
 
 
+def kind_of(parameter: Parameter) -> type:
+    """Return the type of a parameter's values, which some parameters without a default state."""
+    return type(parameter.default) if parameter.kind is None else parameter.kind
+
+
 def run(executable: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [Path(sys.executable).parent / executable, *arguments],
@@ -69,7 +74,7 @@ def test_an_interruption_while_libraries_load_leaves_no_traceback(name: str) -> 
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_arguments_of_no_meaning_are_refused(name: str) -> None:
+def test_unknown_arguments_are_refused(name: str) -> None:
     ended = run(name, "--bag", "log")
     assert ended.returncode == 2
     assert f"{name}: error: unrecognized arguments: --bag log" in ended.stderr
@@ -92,29 +97,31 @@ def test_malformed_ros_arguments_end_without_traceback(arguments: tuple[str, ...
     assert "Traceback" not in ended.stderr
 
 
-# The monitor shows a terminal; nothing about it is kept in a file.
+# The monitor has no parameter file.
 @pytest.mark.parametrize("name", [name for name in NODES if name != "monitor"])
 def test_shipped_parameter_file_names_only_real_parameters(name: str) -> None:
     file = config_file({"mujoco_bridge": "bridge.yaml"}.get(name, f"{name}.yaml"))
     values = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
-    declared = {parameter.name: parameter.default for parameter in NODES[name]}
+    declared = {parameter.name: kind_of(parameter) for parameter in NODES[name]}
     for key, value in values.items():
-        assert type(value) is type(declared[key])
+        # One text may stand for a list of texts.
+        assert type(value) is declared[key] or (declared[key], type(value)) == (list, str)
 
 
 @pytest.mark.parametrize("parameter", EVERY_PARAMETER)
-def test_every_parameter_tells_what_it_does_and_what_it_may_be(parameter: Parameter) -> None:
+def test_every_parameter_describes_its_purpose_and_range(parameter: Parameter) -> None:
     shown = parameter.descriptor()
     assert shown.description.endswith(".")
     assert shown.read_only != parameter.live
     default = parameter.default
-    numbers = default if isinstance(default, list) else [default]
-    if isinstance(numbers[0], bool | str):
+    values = default if isinstance(default, list) else [default]
+    kind = type(values[0]) if parameter.kind is None else parameter.kind
+    if kind in (bool, str):
         assert not shown.integer_range
         assert not shown.floating_point_range
         assert all(choice in shown.additional_constraints for choice in parameter.choices)
         return
-    (bounds,) = shown.integer_range if isinstance(default, int) else shown.floating_point_range
-    assert all(bounds.from_value <= number <= bounds.to_value for number in numbers)
+    (bounds,) = shown.integer_range if kind is int else shown.floating_point_range
+    assert default is None or all(bounds.from_value <= one <= bounds.to_value for one in values)
     assert math.isfinite(bounds.from_value)
     assert math.isfinite(bounds.to_value)
