@@ -226,11 +226,11 @@ def _counted(file: Path, registry: SchemaRegistry) -> Statistics:
     counts: Counter[int] = Counter()
     records: Counter[type] = Counter()
     first, last = 1 << 64, 0
-    for piece in DamagedMcapReader(file, registry).pieces():
-        records[type(piece)] += 1
-        if isinstance(piece, MessageRun):
-            for start in piece.starts:
-                channel, _, log_time, _ = MESSAGE.unpack_from(piece.data, start + RECORD.size)
+    for part in DamagedMcapReader(file, registry).parts():
+        records[type(part)] += 1
+        if isinstance(part, MessageRun):
+            for start in part.starts:
+                channel, _, log_time, _ = MESSAGE.unpack_from(part.data, start + RECORD.size)
                 counts[channel] += 1
                 first, last = min(first, log_time), max(last, log_time)
     return Statistics(

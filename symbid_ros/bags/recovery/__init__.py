@@ -1,1 +1,1 @@
-"""Recovery of damaged bags: what can be trusted is copied into a new bag."""
+"""Recover interrupted and damaged bags: copy intact messages into a new bag."""

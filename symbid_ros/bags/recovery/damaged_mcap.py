@@ -1,7 +1,7 @@
-"""What can be trusted in a damaged MCAP file, and where it cannot be.
+"""Read the intact parts of a damaged MCAP file, and report the damaged ones.
 
-A chunk is trusted if it unpacks to its stated size, matches its checksum and is
-made of whole records. Behind a fault the search goes on for the next such chunk.
+A chunk is intact if it decompresses to its stated size, matches its checksum and consists of
+complete records. After a fault, the reader searches for the next intact chunk.
 """
 
 import re
@@ -36,15 +36,15 @@ from symbid_ros.bags.container.schema_registry import SchemaRegistry, parse_reco
 from symbid_ros.messages.limits import MAX_CHUNK, MAX_RECORD, MIB, check_limit
 
 WINDOW = 4 * MIB
-# A record's length is below 4 GiB: its upper bytes are zero, in compressed data a rare sight.
+# A record's length is below 4 GiB: its upper bytes are zero, which is rare in compressed data.
 ANY = rb"(?=.{4}\0{4})"
 COMPRESSION = rb"(?=.{36}(?:\x04\0\0\0zstd|\x03\0\0\0lz4|\0\0\0\0))"
 CHUNK = re.compile(rb"\x06" + ANY + COMPRESSION, re.DOTALL)
 ANNOUNCEMENT = re.compile(rb"[\x03\x04]" + ANY, re.DOTALL)
 INDEX = re.compile(rb"\x07" + ANY, re.DOTALL)
 MESSAGES = re.compile(rb"\x05" + ANY, re.DOTALL)
-MOST_FURTHER = 64  # bytes of fields that a later version of MCAP may append to an index
-LONGEST = 45  # bytes that decide whether a pattern is there
+MAX_EXTRA_FIELDS = 64  # bytes that a later version of MCAP may append to an index
+LONGEST_PATTERN = 45  # bytes
 
 
 def read_at(stream: BinaryIO, position: int, length: int) -> bytes:
@@ -58,7 +58,7 @@ def candidates(
 ) -> Iterator[int]:
     """Yield where a pattern begins between ``position`` and ``end``."""
     while position < end:
-        window = read_at(stream, position, WINDOW + LONGEST)
+        window = read_at(stream, position, WINDOW + LONGEST_PATTERN)
         for found in pattern.finditer(window):
             if found.start() < min(WINDOW, end - position):
                 yield position + found.start()
@@ -66,7 +66,7 @@ def candidates(
 
 
 def is_record(stream: BinaryIO, position: int, size: int) -> bool:
-    """Tell whether a record may begin here, or the file of ``size`` bytes ends or was cut here."""
+    """Return whether a record may begin here, or the file of ``size`` bytes ends here."""
     head = read_at(stream, position, RECORD.size)
     if len(head) < RECORD.size:
         return position <= size
@@ -77,7 +77,7 @@ def is_record(stream: BinaryIO, position: int, size: int) -> bool:
 
 
 def indexed_messages(stream: BinaryIO, position: int, end: int) -> dict[int, int]:
-    """Return what message indexes between two places count, by channel."""
+    """Return the counts of message indexes between two positions, by channel."""
     counts: Counter[int] = Counter()
     for start in candidates(stream, INDEX, position, end):
         if index := _index(stream, start):
@@ -86,7 +86,7 @@ def indexed_messages(stream: BinaryIO, position: int, end: int) -> dict[int, int
 
 
 def following_index(stream: BinaryIO, position: int, size: int) -> int:
-    """Return where the message indexes that begin at ``position`` end."""
+    """Return the end of the message indexes that begin at ``position``."""
     while index := _index(stream, position):
         if position + index.length > size:
             break
@@ -103,20 +103,20 @@ class _Index(NamedTuple):
 
 
 def _index(stream: BinaryIO, position: int) -> _Index | None:
-    """Return the message index at a place, if there is one."""
+    """Return the message index at a position, if there is one."""
     head = read_at(stream, position, RECORD.size + INDEX_HEAD.size)
     if len(head) < RECORD.size + INDEX_HEAD.size or head[0] != Opcode.MESSAGE_INDEX:
         return None
     _, length = RECORD.unpack_from(head)
     channel, size = INDEX_HEAD.unpack_from(head, RECORD.size)
-    further = length - INDEX_HEAD.size - size
-    if not 0 <= further <= MOST_FURTHER or size % INDEX_ENTRY_SIZE or length > MAX_CHUNK:
+    extra = length - INDEX_HEAD.size - size
+    if not 0 <= extra <= MAX_EXTRA_FIELDS or size % INDEX_ENTRY_SIZE or length > MAX_CHUNK:
         return None
     return _Index(channel, size // INDEX_ENTRY_SIZE, RECORD.size + length)
 
 
 def announcements(stream: BinaryIO, position: int, end: int) -> Iterator[tuple[int, bytes]]:
-    """Yield opcode and body of what may be schemas and channels between two places."""
+    """Yield opcode and body of possible schemas and channels between two positions."""
     for start in candidates(stream, ANNOUNCEMENT, position, end):
         opcode, length = RECORD.unpack(read_at(stream, start, RECORD.size))
         if length <= MAX_RECORD and start + RECORD.size + length <= end:
@@ -126,7 +126,7 @@ def announcements(stream: BinaryIO, position: int, end: int) -> Iterator[tuple[i
 def message_chain(
     stream: BinaryIO, position: int, size: int, channels: set[int], times: int = 3
 ) -> bool:
-    """Tell whether messages of known channels follow each other from here, or end the file."""
+    """Return whether messages of known channels follow from here, up to the end of the file."""
     for _ in range(times):
         head = read_at(stream, position, RECORD.size + MESSAGE.size)
         if len(head) < RECORD.size or head[0] != Opcode.MESSAGE:
@@ -142,30 +142,31 @@ def message_chain(
 
 
 FAULTS = (struct.error, ValueError, McapError, zstandard.ZstdError, RuntimeError)
-PATIENCE = 4  # bytes tried as chunks, for each byte of the file: crafted ones could take for ever
+# Bytes tried as chunks for each byte of the file: a malicious file could otherwise take for ever.
+MAX_TRIED = 4
 CUT_OFF = "cut off"
 
 
 class MessageRun(NamedTuple):
-    """Messages that can be trusted: bytes, and where message records begin in them."""
+    """Intact messages: bytes, and where message records begin in them."""
 
     data: Buffer
     starts: "array[int]"
 
 
 class DamagedRange(NamedTuple):
-    """Bytes of a file that cannot be trusted.
+    """Damaged bytes of a file.
 
     Attributes
     ----------
     offset, length : int
-        Place in the file.
+        Position in the file.
     fault : str
         What is wrong.
     messages : dict of int to int
-        Messages by channel that were there at least.
+        Lower bounds of the lost messages by channel.
     is_counted : bool
-        Whether there can have been no more.
+        Whether these are their exact numbers.
     """
 
     offset: int
@@ -176,28 +177,28 @@ class DamagedRange(NamedTuple):
 
 
 class PrivateRecord(NamedTuple):
-    """A record of an application's own kind: where it lies, bytes."""
+    """Position and size of a private record."""
 
     offset: int
     length: int
 
 
-DecodedBatch = MessageRun | DamagedRange | Metadata | Attachment | PrivateRecord
+McapPart = MessageRun | DamagedRange | Metadata | Attachment | PrivateRecord
 
 
 @dataclass
 class DamagedMcapReader:
-    """Goes through one file from beginning to end, past all faults.
+    """Reads one file from beginning to end, past all faults.
 
     Attributes
     ----------
     file : Path
     registry : SchemaRegistry
-        Known beforehand from an intact summary, and learned on the way.
+        Schemas and channels of an intact summary, extended by those found in the data.
     repeated : int
-        Chunks that lie in the file once more; they are passed over.
+        Repeated chunks, which are skipped.
     damaged : Counter of int
-        Records by opcode that begin where a hole does.
+        Records by opcode at which damaged bytes begin.
     """
 
     file: Path
@@ -205,15 +206,15 @@ class DamagedMcapReader:
     repeated: int = 0
     damaged: Counter[int] = field(default_factory=Counter)
     _size: int = 0
-    _patience: int = 0
+    _allowance: int = 0
     _has_chunks: bool = False
     _seen: set[tuple[int, int, int, int]] = field(default_factory=set)
 
-    def pieces(self) -> Iterator[DecodedBatch]:
-        """Yield what there is in the order of the file."""
+    def parts(self) -> Iterator[McapPart]:
+        """Yield all parts in the order of the file."""
         with report_damage(self.file), self.file.open("rb") as stream:
             self._size = stream.seek(0, 2)
-            self._patience = PATIENCE * self._size + MIB
+            self._allowance = MAX_TRIED * self._size + MIB
             position = len(MAGIC) if read_at(stream, 0, len(MAGIC)) == MAGIC else 0
             while position < self._size:
                 tail = read_at(stream, position, FOOTER_SIZE + len(MAGIC))
@@ -221,15 +222,15 @@ class DamagedMcapReader:
                     end = position + len(tail)
                     if end < self._size:
                         yield DamagedRange(
-                            end, self._size - end, "other bytes behind its end", {}, True
+                            end, self._size - end, "other bytes after its end", {}, True
                         )
                     return
-                piece, position = self._piece(stream, position)
-                if piece is not None:
-                    yield piece
+                part, position = self._part(stream, position)
+                if part is not None:
+                    yield part
 
-    def _piece(self, stream: BinaryIO, position: int) -> tuple[DecodedBatch | None, int]:
-        """Return what lies at ``position``, if it matters, and where to go on."""
+    def _part(self, stream: BinaryIO, position: int) -> tuple[McapPart | None, int]:
+        """Return the part at ``position``, if it matters, and where to continue."""
         head = read_at(stream, position, RECORD.size)
         if len(head) < RECORD.size:
             return DamagedRange(position, len(head), CUT_OFF, {}, True), self._size
@@ -238,7 +239,7 @@ class DamagedMcapReader:
         is_inside = end <= self._size
         is_followed = is_inside and (
             is_record(stream, end, self._size)
-            # What an index says of its own length twice is right, whatever comes behind it.
+            # An index states its length twice; if both agree, the index is intact.
             or following_index(stream, position, self._size) >= end
         )
         fault = "overwritten" if is_inside else CUT_OFF
@@ -257,15 +258,15 @@ class DamagedMcapReader:
     def _record(
         self, stream: BinaryIO, position: int, opcode: int, length: int
     ) -> MessageRun | Metadata | Attachment | PrivateRecord | None:
-        """Return what a whole record holds, if it is more than an announcement or an index."""
+        """Return the content of a complete record; None for schemas, channels and indexes."""
         start = position + RECORD.size
         if opcode == Opcode.CHUNK:
             return self._chunk(read_at(stream, start, check_limit("a chunk", length, MAX_CHUNK)))
         if opcode == Opcode.MESSAGE_INDEX:
             if following_index(stream, position, self._size) == position:
-                raise ValueError("a message index is none")
+                raise ValueError("a message index is invalid")
         elif read_at(stream, start + length, 1) == bytes([Opcode.MESSAGE_INDEX]):
-            raise ValueError("a message index follows no chunk")
+            raise ValueError("a message index does not follow a chunk")
         if opcode == Opcode.MESSAGE:
             check_limit("a message", length, MAX_CHUNK)
             record = read_at(stream, position, RECORD.size + length)
@@ -282,7 +283,7 @@ class DamagedMcapReader:
         return None
 
     def _chunk(self, body: bytes) -> MessageRun | None:
-        self._patience -= len(body)
+        self._allowance -= len(body)
         chunk = ChunkRecord.of(body)
         data = chunk.records()
         starts = find_messages(data, self.registry.add)
@@ -295,14 +296,14 @@ class DamagedMcapReader:
         return MessageRun(data, starts)
 
     def _search(self, stream: BinaryIO, position: int, fault: str) -> tuple[DamagedRange, int]:
-        """Return the hole up to what can be trusted again, and where that begins."""
+        """Return the damaged bytes up to the next intact record, and where that begins."""
         following = self._next_chunk(stream, position + 1)
         messages = indexed_messages(stream, position, following)
         if following == self._size and not messages and not self._has_chunks:
             following = self._next_message(stream, position)
         for opcode, body in announcements(stream, position, following):
-            self._learn(opcode, body)
-        # Indexes tell of some chunks; how many there were in all, nothing does.
+            self._announce(opcode, body)
+        # Indexes count the messages of some chunks; the number of all chunks is unknown.
         return DamagedRange(
             position, following - position, fault, messages, is_counted=False
         ), following
@@ -312,12 +313,12 @@ class DamagedMcapReader:
             _, length = RECORD.unpack(read_at(stream, start, RECORD.size))
             if length > MAX_CHUNK or start + RECORD.size + length > self._size:
                 continue
-            if self._patience < 0:
+            if self._allowance < 0:
                 break
-            self._patience -= length
+            self._allowance -= length
             try:
                 chunk = ChunkRecord.of(read_at(stream, start + RECORD.size, length))
-                # The registry learns from it when its turn comes.
+                # Its schemas and channels are added once it is read.
                 find_messages(chunk.records(), lambda *_: None)
             except FAULTS:
                 continue
@@ -325,17 +326,17 @@ class DamagedMcapReader:
         return self._size
 
     def _next_message(self, stream: BinaryIO, position: int) -> int:
-        """Return where messages outside of chunks go on."""
+        """Return where messages outside of chunks continue."""
         if read_at(stream, position, 1) == bytes([Opcode.CHUNK]):
-            return self._size  # what lies in a damaged chunk is no better than the chunk
+            return self._size  # messages in a damaged chunk cannot be trusted
         channels = set(self.registry.channels)
         for start in candidates(stream, MESSAGES, position + 1, self._size):
             if message_chain(stream, start, self._size, channels):
                 return start
         return self._size
 
-    def _learn(self, opcode: int, body: bytes) -> None:
-        """Take what may be a schema or channel, unless it contradicts what is known."""
+    def _announce(self, opcode: int, body: bytes) -> None:
+        """Add a possible schema or channel, unless it contradicts known ones."""
         try:
             self.registry.add(opcode, body)
         except FAULTS:

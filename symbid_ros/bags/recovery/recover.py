@@ -1,4 +1,4 @@
-"""An interrupted or damaged bag into an indexed one, with an account of what is missing."""
+"""Recover an interrupted or damaged bag into an indexed one, and report what is lost."""
 
 from collections import Counter
 from contextlib import suppress
@@ -38,20 +38,19 @@ MESSAGE_MODE = "MESSAGE"
 
 
 def recover(bag: Path, out: Path | None = None) -> RecoveryReport:
-    """Write what can be trusted in a bag into a new one.
+    """Copy the intact messages of a bag into a new one.
 
     Parameters
     ----------
     bag : Path
-        A bag's folder or one of its files, finished or not; it is not touched.
+        A bag's folder or one of its files, finished or not; it is not changed.
     out : Path, optional
-        Folder of the new bag, which must not exist. Default: the bag's name with
-        ``_recovered``.
+        Folder of the new bag, which must not exist. Default: the bag's name with ``_recovered``.
 
     Raises
     ------
     BagError
-        When there is no such bag or nothing in it, or the new one cannot be written.
+        When there is no such bag, nothing in it can be recovered, or writing fails.
     """
     files = files_present(bag)
     for file in files:
@@ -60,25 +59,25 @@ def recover(bag: Path, out: Path | None = None) -> RecoveryReport:
         with report_damage(file):
             kind = identify_other_format(file)
         if kind and len(files) == 1:
-            raise BagError(f"{file}: {kind}")
+            raise BagError(f"{file}: {kind}", "E204")
     place = bag.resolve()
     target = out or place.with_name(f"{place.stem if bag.is_file() else place.name}_recovered")
     mode = _compression_mode(bag)
     with new_folder(target) as folder, BagRewriter(folder, mode) as new:
         counts = RecoveryCounts()
         for file in files:
-            rescue = SqliteRecovery if file.suffix == SQLITE_SUFFIX else McapRecovery
-            rescue(file, new, counts).run()
+            recovery = SqliteRecovery if file.suffix == SQLITE_SUFFIX else McapRecovery
+            recovery(file, new, counts).run()
             new.end_file()
         _count_what_metadata_tell(bag, files, counts)
         if not counts.kept.total() and not counts.records.total():
-            raise BagError(f"{bag}: nothing in it can be recovered; take another copy")
+            raise BagError(f"{bag}: nothing in it can be recovered; use another copy", "E221")
         new.finish()
-    return counts.recovery(bag, target)
+    return counts.report(bag, target)
 
 
 def _compression_mode(bag: Path) -> str:
-    """Return how rosbag2 compressed messages, which are taken over as they are."""
+    """Return how rosbag2 compressed the messages, which are copied as they are."""
     with suppress(BagError):
         mode = str(read_metadata(bag / "metadata.yaml").get("compression_mode", "")).upper()
         return mode if mode == MESSAGE_MODE else ""
@@ -86,7 +85,10 @@ def _compression_mode(bag: Path) -> str:
 
 
 def _count_what_metadata_tell(bag: Path, files: list[Path], counts: RecoveryCounts) -> None:
-    """Add what metadata.yaml, written when the recording was finished, tells beyond the files."""
+    """Add missing files and messages that only metadata.yaml states.
+
+    rosbag2 writes it when the recording ends.
+    """
     try:
         information = read_metadata(bag / "metadata.yaml")
         stated = {
@@ -103,13 +105,13 @@ def _count_what_metadata_tell(bag: Path, files: list[Path], counts: RecoveryCoun
     for topic, count in stated.items():
         known = names.get(topic.name, topic)
         counts.stated[known] = max(counts.stated[known], count)
-    # Where it counts less than was found it belongs to another state of the bag.
+    # A metadata.yaml that counts fewer messages than were found is outdated.
     counts.is_counted |= sum(stated.values()) >= counts.kept.total()
 
 
 @dataclass
 class McapRecovery:
-    """Copies what can be trusted in one MCAP file."""
+    """Copies the intact messages of one MCAP file."""
 
     file: Path
     new: BagRewriter
@@ -122,7 +124,7 @@ class McapRecovery:
     records: Counter[int] = field(default_factory=Counter)
 
     def run(self) -> None:
-        """Copy what the file holds and keep account of it."""
+        """Copy and count all intact messages of the file."""
         if not self.file.stat().st_size:
             self.counts.holes.append(LostRange(self.file.name, 0, 0, "empty"))
             self.counts.is_counted = False
@@ -130,38 +132,38 @@ class McapRecovery:
         statistics = self._statistics()
         lost: Counter[int] = Counter()
         latest: int | None = None
-        salvage = DamagedMcapReader(self.file, self.registry)
-        for piece in salvage.pieces():
-            if isinstance(piece, DamagedRange):
-                lost.update(piece.messages)
-                self.counts.is_counted &= piece.is_counted or statistics is not None
-                self.holes.append(self._lost(piece, latest))
-            elif isinstance(piece, Metadata | Attachment):
-                self._copy_record(piece)
-            elif isinstance(piece, PrivateRecord):
+        reader = DamagedMcapReader(self.file, self.registry)
+        for part in reader.parts():
+            if isinstance(part, DamagedRange):
+                lost.update(part.messages)
+                self.counts.is_counted &= part.is_counted or statistics is not None
+                self.holes.append(self._lost(part, latest))
+            elif isinstance(part, Metadata | Attachment):
+                self._copy_record(part)
+            elif isinstance(part, PrivateRecord):
                 with self.file.open("rb") as stream:
-                    self.new.add_private(record_parts(stream, *piece))
-            elif len(piece.starts):
-                first, latest = self._copy(piece)
+                    self.new.add_private(record_parts(stream, *part))
+            elif len(part.starts):
+                first, latest = self._copy(part)
                 self.holes = [h if h.before else replace(h, before=first) for h in self.holes]
-        self._account_for_records(statistics, salvage.damaged)
+        self._account_for_records(statistics, reader.damaged)
         stated = self.found + lost if statistics is None else statistics.channel_message_counts
         for channel, count in stated.items():
             self.counts.stated[self._topic(channel)] += count
         for channel, count in self.kept.items():
             self.counts.kept[self._topic(channel)] += count
         self.counts.holes += self.holes
-        self.counts.repeated += salvage.repeated
+        self.counts.repeated += reader.repeated
         for channel in self.registry.channels:
-            self._target(channel)  # a topic without a message is a topic all the same
+            self._target(channel)  # also topics without messages
 
     def _statistics(self) -> Statistics | None:
-        """Return what an intact summary counts, and learn its channels."""
+        """Return the statistics of an intact summary, and keep its channels."""
         with suppress(BagError), report_damage(self.file):
             summary = read_summary(self.file)
             self.registry = summary.registry
             stated = summary.statistics
-            # Writers may leave the messages' channels out.
+            # Writers may omit the counts by channel.
             if stated is not None and stated.message_count == sum(
                 stated.channel_message_counts.values()
             ):
@@ -178,7 +180,7 @@ class McapRecovery:
             self.counts.records_lost[opcode] += max(0, totals[opcode] - self.records[opcode])
 
     def _copy_record(self, record: Metadata | Attachment) -> None:
-        """Copy what is no message, but for rosbag2's own metadata, which are written anew."""
+        """Copy an attachment or metadata record, except rosbag2's own, which is rewritten."""
         kind = Opcode.ATTACHMENT if isinstance(record, Attachment) else Opcode.METADATA
         self.records[kind] += 1
         if isinstance(record, Attachment):
@@ -201,11 +203,11 @@ class McapRecovery:
             is_counted=hole.is_counted,
         )
 
-    def _copy(self, stretch: MessageRun) -> tuple[int, int]:
+    def _copy(self, run: MessageRun) -> tuple[int, int]:
         """Copy messages and return their first and last log time."""
-        data = stretch.data
+        data = run.data
         first, last = 1 << 64, 0
-        for start in stretch.starts:
+        for start in run.starts:
             _, length = RECORD.unpack_from(data, start)
             channel, sequence, log_time, publish_time = MESSAGE.unpack_from(
                 data, start + RECORD.size
@@ -223,7 +225,7 @@ class McapRecovery:
         """Return the channel in the new bag; None if it was never announced."""
         if channel not in self.targets:
             known = self.registry.channels.get(channel)
-            if known is None:  # a later record may still announce it
+            if known is None:  # a later record may announce it
                 return None
             self.targets[channel] = self.new.channel(self.registry, known)
         return self.targets[channel]
@@ -231,5 +233,5 @@ class McapRecovery:
     def _topic(self, channel: int) -> Topic:
         known = self.registry.channels.get(channel)
         if known is None:
-            return Topic(f"channel {channel}, of which nothing is known", "")
+            return Topic(f"(unknown channel {channel})", "")
         return Topic(known.topic, self.registry.msgtype(known))

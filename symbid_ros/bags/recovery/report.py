@@ -1,4 +1,4 @@
-"""What a recovery kept and what is missing."""
+"""Report of a recovery: what was kept and what was lost."""
 
 from collections import Counter
 from dataclasses import asdict, dataclass, field
@@ -12,22 +12,22 @@ from symbid_ros.messages.topics import Topic
 
 @dataclass(frozen=True)
 class LostRange:
-    """A hole in a recording.
+    """A lost part of a recording.
 
     Attributes
     ----------
     file : str
         Name of the damaged file.
     offset, length : int
-        Bytes of it that cannot be used; both 0 for a file that is not there.
+        Unusable bytes of the file; both 0 for a missing file.
     fault : str
-        What is wrong with them.
+        Why they are unusable.
     after, before : int or None
-        Log times of the messages kept on either side, nanoseconds; None at an end.
+        Log times of the messages kept before and after it, nanoseconds; None at either end.
     messages : int
-        Messages that were in it at least.
+        Lower bound of the lost messages.
     is_counted : bool
-        Whether there can have been no more.
+        Whether this is their exact number.
     """
 
     file: str
@@ -42,7 +42,7 @@ class LostRange:
 
 @dataclass(frozen=True)
 class TopicRecovery:
-    """What became of a topic: messages kept, and messages known to be lost."""
+    """Messages of a topic that were kept, and those known to be lost."""
 
     name: str
     msgtype: str
@@ -52,7 +52,7 @@ class TopicRecovery:
 
 @dataclass(frozen=True)
 class RecordCount:
-    """What became of the records of one kind that are no messages."""
+    """Attachment or metadata records that were kept, and those that were lost."""
 
     kept: int
     lost: int
@@ -60,20 +60,20 @@ class RecordCount:
 
 @dataclass(frozen=True)
 class RecoveryReport:
-    """What became of a bag.
+    """The result of a recovery.
 
     Attributes
     ----------
     source, out : Path
-        The bag as it was, which is left as it is, and the new one.
+        The damaged bag, which is not changed, and the new one.
     topics : tuple of TopicRecovery
     holes : tuple of LostRange
     attachments, metadata : RecordCount
-        rosbag2's own metadata record, which is written anew, does not count.
+        rosbag2's own metadata record, which is rewritten, does not count.
     repeated : int
-        Chunks that were there twice.
+        Chunks that were in the bag twice.
     is_counted : bool
-        Whether all that is lost is counted: False if a hole may have held more.
+        Whether all lost messages are counted; False if some range may have held more.
     """
 
     source: Path
@@ -112,20 +112,20 @@ UNKNOWN_TOPIC = Topic("(unknown topic)", "")
 
 @dataclass
 class RecoveryCounts:
-    """Counts of messages by topic and of other records by opcode.
+    """Running counts of messages by topic and of other records by opcode.
 
     Attributes
     ----------
     kept, stated : Counter of Topic
-        Messages that were kept, and that the bag states to hold.
+        Messages that were kept, and that the bag should hold.
     unassigned : int
-        Messages that were lost, whose topics are unknown.
+        Lost messages of unknown topics.
     holes : list of LostRange
     records, records_lost : Counter of int
     repeated : int
         Chunks found twice.
     is_counted : bool
-        Whether every lost message is counted.
+        Whether all lost messages are counted.
     """
 
     kept: Counter[Topic] = field(default_factory=Counter)
@@ -137,8 +137,8 @@ class RecoveryCounts:
     repeated: int = 0
     is_counted: bool = True
 
-    def recovery(self, bag: Path, out: Path) -> RecoveryReport:
-        """Return what became of a bag and where the new one is."""
+    def report(self, bag: Path, out: Path) -> RecoveryReport:
+        """Return the report on a bag that was recovered into ``out``."""
         known = sum((self.stated - self.kept).values())
         if self.unassigned > known:
             self.stated[UNKNOWN_TOPIC] += self.unassigned - known

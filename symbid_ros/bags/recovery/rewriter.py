@@ -1,4 +1,4 @@
-"""Messages of other bags into a new one, with the schemas and channels they came with."""
+"""Write messages of other bags into a new one, with their original schemas and channels."""
 
 import os
 from collections.abc import Iterable
@@ -28,7 +28,7 @@ ROSBAG2 = "rosbag2"  # name of the metadata record that rosbag2 keeps about a fi
 
 @dataclass(frozen=True)
 class _Origin:
-    """A channel as it came, whatever number it had."""
+    """A channel of another file, without its number."""
 
     topic: str
     encoding: str
@@ -40,7 +40,7 @@ class _Origin:
         schema = 0 if self.schema is None else writer.add_schema(*self.schema)
         return writer.add_channel(self.topic, schema, dict(self.metadata), self.encoding)
 
-    def described(self) -> TopicMetadata:
+    def topic_metadata(self) -> TopicMetadata:
         name = "" if self.schema is None else self.schema[0]
         type_hash = dict(self.metadata).get("topic_type_hash", "")
         return TopicMetadata(self.topic, name, self.qos, type_hash, self.encoding)
@@ -48,14 +48,14 @@ class _Origin:
 
 @dataclass
 class BagRewriter:
-    """Writes the files of a bag's folder; a topic has the same channel in all of them.
+    """Writes the files of a new bag; each topic has the same channel in all of them.
 
     Attributes
     ----------
     folder : Path
-        To be created; files are named after it.
+        Folder to create; files are named after it.
     compression_mode : str
-        ``MESSAGE`` where each message is compressed by itself, which it then remains.
+        ``MESSAGE`` if each message is compressed by itself; the messages are copied as they are.
     """
 
     folder: Path
@@ -66,7 +66,7 @@ class BagRewriter:
     _writer: McapWriter | None = None
 
     def channel(self, registry: SchemaRegistry, channel: Channel) -> int:
-        """Return the number of another file's channel here."""
+        """Return the number in this bag of another file's channel."""
         schema = registry.schema(channel)
         try:
             qos = registry.offered_qos(channel)
@@ -94,11 +94,11 @@ class BagRewriter:
         self._output().add_metadata(record.name, record.metadata)
 
     def add_attachment(self, attachment: Attachment, source: BinaryIO) -> None:
-        """Copy an attachment from the file in which it lies."""
+        """Copy an attachment from the file that holds it."""
         self._output().add_attachment(attachment, source)
 
     def add_private(self, parts: Iterable[bytes]) -> None:
-        """Write an application's own record as it was."""
+        """Write a private record unchanged."""
         self._output().add_record(parts)
 
     def end_file(self) -> None:
@@ -134,7 +134,7 @@ class BagRewriter:
             self._stream.close()
 
     def _output(self) -> McapWriter:
-        """Return the writer of the current file, begun when there is something to write."""
+        """Return the writer of the current file, which is created when it is first needed."""
         if self._writer is None:
             self._stream = (self.folder / f"{self.folder.name}_{len(self._files)}.mcap").open("xb")
             self._writer = McapWriter(self._stream, CHUNK_SIZE)
@@ -143,5 +143,5 @@ class BagRewriter:
         return self._writer
 
     def _information(self) -> dict[str, object]:
-        topics = {number: origin.described() for origin, number in self._channels.items()}
+        topics = {number: origin.topic_metadata() for origin, number in self._channels.items()}
         return describe_bag(topics, self._files, self.compression_mode)

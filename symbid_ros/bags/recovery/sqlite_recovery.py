@@ -1,4 +1,4 @@
-"""The messages of an SQLite file into a new bag."""
+"""Recover the readable messages of a damaged SQLite file."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
@@ -19,7 +19,7 @@ LARGEST_ROW = (1 << 63) - 1
 
 
 class Row(NamedTuple):
-    """A message: row number, topic's number, log time in nanoseconds, payload."""
+    """A message: row number, number of its topic, log time in nanoseconds, payload."""
 
     number: int
     topic: int
@@ -34,7 +34,7 @@ class RowGap(NamedTuple):
     ----------
     first : int
     stop : int or None
-        Next row that can be read; None if there is none.
+        Next readable row; None if there is none.
     fault : str
     """
 
@@ -47,19 +47,19 @@ class RowGap(NamedTuple):
 class DamagedSqliteReader:
     """Reads the messages of a file in order of recording, past damaged pages.
 
-    SQLite has no checksums: a changed payload is not noticed.
+    SQLite has no checksums, so a changed payload is not detected.
 
     Attributes
     ----------
     database : apsw.Connection
     topics : collection of int
-        Messages of other topics are damaged.
+        Known topics; messages of others count as damaged.
     """
 
     database: apsw.Connection
     topics: Collection[int]
 
-    def pieces(self) -> Iterator[Row | RowGap]:
+    def parts(self) -> Iterator[Row | RowGap]:
         """Yield all readable rows and the gaps between them."""
         position = -LARGEST_ROW
         while position < LARGEST_ROW:
@@ -91,14 +91,14 @@ class DamagedSqliteReader:
         if not is_in_order:
             return "rows are out of order"
         if not isinstance(payload, bytes) or not isinstance(time, int) or time < 0:
-            return "a message is no bytes, or its time is invalid"
+            return "a message is not a blob, or its time is invalid"
         return "" if topic in self.topics else "a message's topic was never announced"
 
     def _next_readable(self, position: int) -> int | None:
-        """Return the first readable row behind an unreadable one.
+        """Return the first readable row after an unreadable one.
 
-        Steps are doubled until one meets a readable row, then halved: a damaged page makes all
-        of its rows unreadable, and only those.
+        Steps are doubled until a row is readable, then halved. This assumes that a damaged page
+        makes all its rows unreadable, and no others.
         """
         start, step = max(position, 0), 1
         while (found := self._readable(start + step)) is None:
@@ -115,7 +115,7 @@ class DamagedSqliteReader:
         return found
 
     def _readable(self, start: int) -> int | None:
-        """Return the first row from ``start`` on, or None if it cannot be read or is not there."""
+        """Return the first row from ``start`` on; None if it is unreadable or does not exist."""
         try:
             for number, topic, time, payload in self._rows(start):
                 is_sound = not self._fault(number >= start, topic, time, payload)
@@ -127,7 +127,7 @@ class DamagedSqliteReader:
 
 @dataclass
 class SqliteRecovery:
-    """Copies the messages of one SQLite file that can be read."""
+    """Copies the readable messages of one SQLite file."""
 
     file: Path
     new: BagRewriter
@@ -135,7 +135,7 @@ class SqliteRecovery:
     holes: list[LostRange] = field(default_factory=list)
 
     def run(self) -> None:
-        """Copy what the file holds and keep account of it."""
+        """Copy and count all readable messages of the file."""
         if not self.file.stat().st_size:
             self.counts.holes.append(LostRange(self.file.name, 0, 0, "empty"))
             self.counts.is_counted = False
@@ -155,18 +155,18 @@ class SqliteRecovery:
             for topic in topics.values():
                 self.counts.stated[topic] += 0
             latest: int | None = None
-            for piece in DamagedSqliteReader(database, targets).pieces():
-                if isinstance(piece, RowGap):
-                    self._lose(piece, latest)
+            for part in DamagedSqliteReader(database, targets).parts():
+                if isinstance(part, RowGap):
+                    self._report_gap(part, latest)
                     continue
-                latest = piece.log_time
+                latest = part.log_time
                 self.holes = [h if h.before else replace(h, before=latest) for h in self.holes]
-                self.new.write(targets[piece.topic], latest, latest, piece.payload, sequence=0)
-                self.counts.kept[topics[piece.topic]] += 1
-                self.counts.stated[topics[piece.topic]] += 1
+                self.new.write(targets[part.topic], latest, latest, part.payload, sequence=0)
+                self.counts.kept[topics[part.topic]] += 1
+                self.counts.stated[topics[part.topic]] += 1
         self.counts.holes += self.holes
 
-    def _lose(self, gap: RowGap, after: int | None) -> None:
+    def _report_gap(self, gap: RowGap, after: int | None) -> None:
         """Count lost rows; rosbag2 numbers them from 1 without gaps."""
         first = max(gap.first, 1)
         count = 0 if gap.stop is None else max(gap.stop - first, 0)
@@ -187,7 +187,7 @@ class SqliteRecovery:
 
 
 def _complete_definitions(registry: SchemaRegistry) -> None:
-    """Add the definitions of known types: before Jazzy, SQLite bags have none."""
+    """Add the definitions of known types, which SQLite bags lack before Jazzy."""
     for number, schema in registry.schemas.items():
         if schema.data:
             continue
