@@ -1,4 +1,4 @@
-"""What a bag is: its files, topics and times, whether or not its recording was finished."""
+"""Describe a bag: its files, topics and times, even if its recording was interrupted."""
 
 from collections import Counter
 from contextlib import suppress
@@ -39,19 +39,19 @@ class FileInfo:
     storage : str
         ``mcap`` or ``sqlite3``.
     compression : tuple of str
-        Of its chunks; empty where none is compressed, or nothing tells.
+        Of its chunks; empty if none is compressed or it is unknown.
     recorded_by : str
-        Library that wrote it, as it says itself; empty where it does not.
+        Library that wrote it, as stated in the file; empty if unknown.
     is_finished, is_indexed : bool
-        Whether it has its end, and whether that tells where messages are.
+        Whether it has a footer, and an index of its messages.
     fault : str
-        What is wrong with it and what to do; empty if nothing was seen.
+        What is wrong with it and how to fix it; empty if it seems intact.
     start, end : int or None
         First and last log time, nanoseconds; None without a message.
     counts : dict of Topic to int
         Messages.
     attachments, metadata : int
-        Records of these kinds.
+        Number of such records.
     """
 
     name: str
@@ -79,9 +79,9 @@ class TopicInfo:
     count : int
         Messages.
     rate : float or None
-        Messages per second of the whole bag; None where it has no duration.
+        Messages per second over the duration of the bag; None if that is zero.
     qos : tuple of OfferedQos
-        What the publishers offered.
+        Quality of service that the publishers offered.
     """
 
     name: str
@@ -93,7 +93,7 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class BagInfo:
-    """A bag: its files in order, its topics by name, first and last log time in nanoseconds."""
+    """A bag: its files in order, topics by name, first and last log time in nanoseconds."""
 
     bag: Path
     files: tuple[FileInfo, ...]
@@ -104,12 +104,12 @@ class BagInfo:
 
     @property
     def size(self) -> int:
-        """Bytes of all files."""
+        """Total bytes of the files."""
         return sum(file.size for file in self.files)
 
     @property
     def count(self) -> int:
-        """Messages of all topics."""
+        """Number of messages."""
         return sum(topic.count for topic in self.topics)
 
     @property
@@ -119,11 +119,11 @@ class BagInfo:
 
     @property
     def is_finished(self) -> bool:
-        """Whether all files have their end."""
+        """Whether all files have a footer."""
         return all(file.is_finished for file in self.files)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
+        """Return the output of ``symbid bag info --json``."""
         files = []
         for file in self.files:
             counts = {topic.name: count for topic, count in file.counts.items()}
@@ -143,7 +143,7 @@ class BagInfo:
 
 
 def bag_info(bag: Path) -> BagInfo:
-    """Return what a bag's files say of themselves; those without an end are read through.
+    """Describe a bag from the summaries of its files; files without one are read completely.
 
     Raises
     ------
@@ -190,12 +190,12 @@ def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone
         with report_damage(file):
             summary = read_summary(file, with_chunks=True)
     except BagError as error:
-        if is_alone and not _begins_well(file):
+        if is_alone and not _begins_with_magic(file):
             raise
         fault = str(error).removeprefix(f"{file}: ")
         summary = McapSummary(SchemaRegistry(), None, (), data_end=0, data_crc=0)
     registry = summary.registry
-    stated = summary.statistics if summary.has_topic_counts else _counted(file, registry)
+    stated = summary.statistics if summary.has_topic_counts else _read_statistics(file, registry)
     assert stated is not None
     counts: Counter[Topic] = Counter()
     for number, channel in registry.channels.items():
@@ -210,7 +210,7 @@ def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone
         storage="mcap",
         compression=tuple(sorted({chunk.compression for chunk in summary.chunks} - {""})),
         recorded_by=_library(file),
-        is_finished=_has_end(file),
+        is_finished=_has_footer(file),
         is_indexed=any(chunk.message_index_offsets for chunk in summary.chunks),
         fault=fault,
         start=stated.message_start_time if is_filled else None,
@@ -221,8 +221,8 @@ def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone
     )
 
 
-def _counted(file: Path, registry: SchemaRegistry) -> Statistics:
-    """Read a file to its end and return what its statistics ought to be."""
+def _read_statistics(file: Path, registry: SchemaRegistry) -> Statistics:
+    """Read a file to its end and return its actual statistics."""
     counts: Counter[int] = Counter()
     records: Counter[type] = Counter()
     first, last = 1 << 64, 0
@@ -246,7 +246,7 @@ def _counted(file: Path, registry: SchemaRegistry) -> Statistics:
     )
 
 
-def _begins_well(file: Path) -> bool:
+def _begins_with_magic(file: Path) -> bool:
     try:
         with file.open("rb") as stream:
             return stream.read(len(MAGIC)) == MAGIC
@@ -254,7 +254,7 @@ def _begins_well(file: Path) -> bool:
         return False
 
 
-def _has_end(file: Path) -> bool:
+def _has_footer(file: Path) -> bool:
     with suppress(BagError):
         checked_size(file)
         return True
@@ -262,7 +262,7 @@ def _has_end(file: Path) -> bool:
 
 
 def _library(file: Path) -> str:
-    """Return which library wrote a file; empty where its first record does not tell."""
+    """Return which library wrote a file; empty if its first record does not state it."""
     with file.open("rb") as stream:
         stream.seek(len(MAGIC))
         head = stream.read(RECORD.size)

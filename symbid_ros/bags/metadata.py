@@ -1,4 +1,4 @@
-"""What rosbag2 writes about a bag: metadata.yaml, and a record in its files."""
+"""The metadata of a bag as rosbag2 writes it: metadata.yaml, and a record in each file."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ import yaml
 from symbid_ros.messages.layout import CDR
 from symbid_ros.messages.topics import OfferedQos
 
-METADATA_VERSION = 9  # ROS 2 Jazzy's
+METADATA_VERSION = 9  # of ROS 2 Jazzy
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,11 @@ class TopicMetadata:
     ----------
     name, msgtype : str
     qos : tuple of OfferedQos
-        One entry per publisher.
+        One entry for each publisher.
     type_hash : str
         RIHS01 hash of the type; empty if unknown.
     encoding : str
-        Of its messages.
+        Encoding of its messages.
     """
 
     name: str
@@ -35,9 +35,9 @@ class TopicMetadata:
     type_hash: str
     encoding: str = CDR
 
-    def channel(self) -> dict[str, str]:
+    def channel_metadata(self) -> dict[str, str]:
         """Return the metadata of the topic's MCAP channel."""
-        profiles = _dumped([entry.as_dict() for entry in self.qos])
+        profiles = _dump([entry.as_dict() for entry in self.qos])
         return {"offered_qos_profiles": profiles.strip(), "topic_type_hash": self.type_hash}
 
     def as_dict(self) -> dict[str, Any]:
@@ -71,7 +71,7 @@ class FileMetadata:
 
     @property
     def count(self) -> int:
-        """Messages of all channels."""
+        """Number of messages."""
         return sum(self.counts.values())
 
     def as_dict(self) -> dict[str, Any]:
@@ -87,9 +87,15 @@ class FileMetadata:
 def describe_bag(
     topics: Mapping[int, TopicMetadata], files: Sequence[FileMetadata], compression_mode: str = ""
 ) -> dict[str, Any]:
-    """Return what stands under ``rosbag2_bagfile_information``; topics by channel.
+    """Return the content of ``rosbag2_bagfile_information``.
 
-    ``compression_mode`` is ``MESSAGE`` where each message is compressed by itself.
+    Parameters
+    ----------
+    topics : mapping of int to TopicMetadata
+        By channel.
+    files : sequence of FileMetadata
+    compression_mode : str
+        ``MESSAGE`` if each message is compressed by itself.
     """
     filled = [file for file in files if file.count]
     start = min((file.start for file in filled), default=0)
@@ -117,16 +123,16 @@ def describe_bag(
 
 
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
-    """Write a bag's metadata.yaml, on the disk before it has its name.
+    """Write a bag's metadata.yaml in one step; it is synced to the disk before it is renamed.
 
     Raises
     ------
     OSError
-        When it does not fit; an earlier one is then untouched.
+        When it does not fit; an earlier file is then unchanged.
     """
     temporary = folder / "metadata.yaml.part"
     with temporary.open("w", encoding="utf-8") as stream:
-        stream.write(_dumped({"rosbag2_bagfile_information": dict(information)}))
+        stream.write(_dump({"rosbag2_bagfile_information": dict(information)}))
         stream.flush()
         os.fsync(stream.fileno())
     temporary.replace(folder / "metadata.yaml")
@@ -135,12 +141,12 @@ def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:
 def encode_metadata_record(information: Mapping[str, Any]) -> dict[str, str]:
     """Return the content of the MCAP metadata record ``rosbag2``.
 
-    rosbag2 reads topics and counts from it when metadata.yaml is lost.
+    rosbag2 reads topics and counts from it if metadata.yaml is missing.
     """
-    return {"serialized_metadata": _dumped(dict(information))}
+    return {"serialized_metadata": _dump(dict(information))}
 
 
-def _dumped(content: object) -> str:
-    # A bag of many files is described anew with each of them: libyaml takes a tenth of the time.
+def _dump(content: object) -> str:
+    # libyaml is ten times faster, and the metadata is rewritten for each file of the bag.
     text: str = yaml.dump(content, Dumper=yaml.CSafeDumper, sort_keys=False)
     return text

@@ -1,4 +1,4 @@
-"""The messages of bags as they were recorded, in order of log time."""
+"""Read the messages of bags in order of log time, for replay."""
 
 from bisect import bisect_left
 from collections import Counter
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from symbid_ros.bags.container.file_index import FileIndex, RecordedTopic, read_mcap_index
-from symbid_ros.bags.container.files import bag_files
+from symbid_ros.bags.container.files import bag_files, join_names
 from symbid_ros.bags.container.mcap_summary import warn_of_count_mismatch
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_index
 from symbid_ros.errors import BagError
@@ -18,7 +18,7 @@ from symbid_ros.messages.topics import Topic, describe_topics
 
 
 class RecordedMessage(NamedTuple):
-    """One message as it was recorded.
+    """A recorded message.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class RecordedMessage(NamedTuple):
     topic : str
         Name as recorded.
     payload : bytes
-        Serialised, with its encapsulation header.
+        Serialised message with its encapsulation header.
     """
 
     log_time: int
@@ -37,12 +37,12 @@ class RecordedMessage(NamedTuple):
 
 @dataclass(frozen=True)
 class Recording:
-    """Bags to replay as one.
+    """Bags that are replayed as one.
 
     Attributes
     ----------
     source : str
-        Names of the bags, for messages to the user.
+        Names of the bags, for error messages.
     topics : dict of str to RecordedTopic
         All topics by name.
     start, end : int
@@ -58,16 +58,14 @@ class Recording:
 
     @classmethod
     def of(cls, bags: Sequence[Path]) -> "Recording":
-        """Return what bag folders or files, MCAP or SQLite, hold together.
+        """Return the recording in bag folders or files, MCAP or SQLite.
 
         Raises
         ------
         BagError
-            When a bag is missing or damaged or holds no message, or a topic has two types.
+            When a bag is missing, damaged or empty, or a topic has two types.
         """
-        if not bags:
-            raise BagError("no bag given; name at least one")
-        source = ", ".join(str(bag) for bag in bags)
+        source = join_names(bags)
         files = tuple(_read_index(file) for bag in bags for file in bag_files(bag))
         topics: dict[str, RecordedTopic] = {}
         for topic in (topic for file in files for topic in file.topics.values()):
@@ -75,16 +73,17 @@ class Recording:
             if known.msgtype != topic.msgtype:
                 raise BagError(
                     f"{source}: topic {topic.name} is both {known.msgtype} and {topic.msgtype}; "
-                    "give the bags separately"
+                    "give the bags separately",
+                    "E211",
                 )
         extents = [extent for file in files for extent in file.extents]
         if not extents:
-            raise BagError(f"{source}: no message in it; record it again")
+            raise BagError(f"{source}: no message in it; record it again", "E213")
         start, end = min(extent.start for extent in extents), max(extent.end for extent in extents)
         return cls(source, topics, start, end, files)
 
     def find(self, names: Sequence[str]) -> tuple[RecordedTopic, ...]:
-        """Return the named topics; a leading slash may be left out.
+        """Return the named topics; a leading slash may be omitted.
 
         Raises
         ------
@@ -98,24 +97,24 @@ class Recording:
                     Topic(topic.name, topic.msgtype) for topic in self.topics.values()
                 )
                 raise BagError(
-                    f"{self.source}: no topic {name}, it holds {held}; name one of these"
+                    f"{self.source}: no topic {name}, it holds {held}; name one of these", "E210"
                 )
         return tuple(dict.fromkeys(by_name[name.lstrip("/")] for name in names))
 
     def require_cdr(self, topic: RecordedTopic) -> None:
-        """Raise BagError if a topic's messages are not serialised as ROS 2 does it."""
+        """Raise BagError if a topic's messages are not in ROS 2's encoding, CDR."""
         if topic.encoding != CDR:
             raise BagError(
                 f"{self.source}: messages on {topic.name} are encoded as "
-                f"{topic.encoding or 'nothing known'}, not {CDR}; leave the topic out"
+                f"{topic.encoding or 'nothing known'}, not {CDR}; leave the topic out",
+                "E217",
             )
 
     def messages(self, topics: Collection[str], start: int, stop: int) -> Iterator[RecordedMessage]:
         """Yield the messages of some topics with start ≤ log time < stop, by log time.
 
-        Equal times keep the order of recording. Only chunks whose times overlap are in
-        memory together. A warning names each file that was read completely and does not
-        hold as many messages as its summary counts.
+        Equal times keep the order of recording. Only chunks with overlapping times are in memory
+        together. A warning names each file that was read completely and has a wrong summary.
         """
         extents = sorted(
             (

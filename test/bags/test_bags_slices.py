@@ -59,7 +59,7 @@ def test_topics_recorded_one_after_the_other_are_brought_together(tmp_path: Path
 def test_what_comes_too_late_is_counted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(slices, "MOST_WAITING", 0)
+    monkeypatch.setattr(slices, "MAX_BUFFERED", 0)
     one = write_rosbags(tmp_path / "a", joints(2.0, 3.0, 5.0))
     other = write_rosbags(tmp_path / "b", gyro(2.0, 5.0, 9.0) + joints(9.0))
     early, late, last = iterate_slices([one, other], span=SPAN)

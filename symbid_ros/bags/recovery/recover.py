@@ -146,7 +146,7 @@ class McapRecovery:
             elif len(part.starts):
                 first, latest = self._copy(part)
                 self.holes = [h if h.before else replace(h, before=first) for h in self.holes]
-        self._account_for_records(statistics, reader.damaged)
+        self._count_records(statistics, reader.damaged)
         stated = self.found + lost if statistics is None else statistics.channel_message_counts
         for channel, count in stated.items():
             self.counts.stated[self._topic(channel)] += count
@@ -170,7 +170,7 @@ class McapRecovery:
                 return stated
         return None
 
-    def _account_for_records(self, stated: Statistics | None, damaged: Counter[int]) -> None:
+    def _count_records(self, stated: Statistics | None, damaged: Counter[int]) -> None:
         totals = damaged + self.records
         if stated is not None:
             totals = Counter(

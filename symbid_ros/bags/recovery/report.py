@@ -102,7 +102,7 @@ class RecoveryReport:
         return self.is_counted and not self.lost and not records_lost
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what ``--json`` prints."""
+        """Return the output of ``symbid bag recover --json``."""
         totals = {"kept": self.kept, "lost": self.lost, "is_whole": self.is_whole}
         return {**asdict(self), "source": str(self.source), "out": str(self.out), **totals}
 

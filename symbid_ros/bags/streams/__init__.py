@@ -1,1 +1,1 @@
-"""Sensor messages as arrays, in order and slice by slice."""
+"""Read the sensor messages of bags as arrays, at once or in slices of time."""

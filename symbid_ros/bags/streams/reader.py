@@ -1,4 +1,4 @@
-"""Bags into streams of arrays."""
+"""Read bags as logs, sensor streams or ground truth."""
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
@@ -31,14 +31,14 @@ def bag_log(
     topics: TopicSelection = DEFAULT_SELECTION,
     part: TimeRange = ALL_OF_IT,
 ) -> Log:
-    """Return the log in bags that continue one another; nothing is read yet.
+    """Return the log in bags that continue one another; messages are read when needed.
 
     Parameters
     ----------
     bags : sequence of Path
         Bag folders or files; give separate runs separately.
     model : RobotModel, optional
-        Whose joints must be in the log; messages that name none of them are ignored.
+        Robot whose joints the log must contain; messages that name none of them are ignored.
     topics : TopicSelection
         Topics to read.
     part : TimeRange
@@ -58,18 +58,14 @@ def bag_log(
 
 
 def read_streams(bags: Sequence[Path], topics: TopicSelection = DEFAULT_SELECTION) -> Streams:
-    """Read the sensor topics of one recording at once.
-
-    Stamps increase strictly in every stream.
-    """
+    """Read the sensor topics of one recording at once; stamps increase strictly in each stream."""
     return bag_log(bags, topics=topics).streams()
 
 
 def read_truth(bags: Sequence[Path]) -> TruthStreams:
     """Read the ``ground_truth/`` topics of one recording, for validation only.
 
-    Instants that one of the three topics lacks are left out and counted in a
-    warning.
+    Instants that one of the three topics lacks are dropped; a warning counts them.
     """
     source = join_names(bags)
     counts: dict[Topic, int] = {}
@@ -79,7 +75,8 @@ def read_truth(bags: Sequence[Path]) -> TruthStreams:
         if kind not in by_kind or not by_kind[kind].count:
             raise BagError(
                 f"{source}: no message on {TRUTH}/{kind}, it holds {describe_topics(counts)}; "
-                "use a simulated bag with ground truth"
+                "use a simulated bag with ground truth",
+                "E223",
             )
     joints, odometry, accel = (by_kind[kind] for kind in TRUTH_TYPES)
     return _truth_streams(joints, odometry, accel)
@@ -103,7 +100,7 @@ def _decode(
 
 
 def _truth_kind(topic: Topic) -> str | None:
-    """Return which of the ground-truth topics this is."""
+    """Return which ground-truth topic this is; None if it is not one."""
     *_, folder, kind = ["", "", *topic.name.split("/")]
     return kind if folder == TRUTH and TRUTH_TYPES.get(kind) == topic.msgtype else None
 
@@ -114,13 +111,7 @@ logger = logging.getLogger("symbid_ros.bags")
 def _truth_streams(
     joints: TopicDecoder, odometry: TopicDecoder, accel: TopicDecoder
 ) -> TruthStreams:
-    """Return the instants that all three topics have.
-
-    Parameters
-    ----------
-    joints, odometry, accel : TopicDecoder
-        Of ``ground_truth/joints``, ``ground_truth/odom`` and ``ground_truth/base_accel``.
-    """
+    """Return the instants that all three topics have in common."""
     source = joints.source
     names = _joint_names(joints)
     decoders = (joints, odometry, accel)
@@ -136,7 +127,8 @@ def _truth_streams(
     common = reduce(np.intersect1d, stamp)
     if not len(common):
         raise DataError(
-            f"{source}: the ground_truth/ topics have no instant in common; record all three"
+            f"{source}: the ground_truth/ topics have no instant in common; record all three",
+            "E223",
         )
     left_out = max(map(len, stamp)) - len(common)
     if left_out:
@@ -167,7 +159,7 @@ def _truth_streams(
 
 
 def _joint_names(joints: TopicDecoder) -> tuple[str, ...]:
-    """Return the joints, the same in every message and each with all four values."""
+    """Return the joints, which must be the same in each message, with all four values."""
     names = joints.batches[0].layout.text["joint_names"]
     paths = [f"points.0.{kind}" for kind in ("positions", "velocities", "accelerations", "effort")]
     for batch in joints.batches:
@@ -177,7 +169,8 @@ def _joint_names(joints: TopicDecoder) -> tuple[str, ...]:
         )
         if not complete or batch.layout.text["joint_names"] != names:
             raise DataError(
-                f"{joints.source}: {joints.topic.name}: not one full point of the same joints in "
-                "every message; use a bag of this package's simulator"
+                f"{joints.source}: {joints.topic.name}: the messages do not have one complete "
+                "point each for the same joints; use a bag of this package's simulator",
+                "E223",
             )
     return names

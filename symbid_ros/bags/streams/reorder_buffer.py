@@ -1,4 +1,4 @@
-"""Decoded messages of one topic that wait until every topic has reached their time."""
+"""Buffer for decoded messages of one topic until all topics have reached their time."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,18 +16,18 @@ from symbid_ros.signals.stamps import check_clock
 
 @dataclass
 class ReorderBuffer:
-    """The messages of one topic, from the oldest that is still wanted.
+    """The buffered messages of one topic.
 
     Attributes
     ----------
     decoder : TopicDecoder
-        Decodes them; what it has decoded is taken from it at once.
+        Decodes the messages, which are then moved from it to the buffer.
     tally : DefectCounts
-        What is wrong with them.
+        Defects of the messages.
     newest : int or None
         Largest stamp so far, ns; None before the first message.
     size : int
-        Bytes that wait.
+        Buffered bytes.
     """
 
     decoder: TopicDecoder
@@ -39,25 +39,25 @@ class ReorderBuffer:
 
     @classmethod
     def of(cls, source: str, topic: Topic) -> "ReorderBuffer":
-        """Return that of a topic before its first message."""
+        """Return an empty buffer for a topic."""
         return cls(TopicDecoder(source, topic), DefectCounts(source, topic.name))
 
     def add(
         self,
         data: ByteArray,
         spans: IntArray,
-        worked_until: int = ALWAYS[0],
-        wanted_from: int = ALWAYS[0],
+        processed_until: int = ALWAYS[0],
+        requested_from: int = ALWAYS[0],
     ) -> None:
-        """Take the payloads (N, 2: start, length) of one block of bytes.
+        """Decode and add the payloads (N, 2: start, length) in a block of bytes.
 
-        Those stamped before ``worked_until``, ns, are left out, and counted where they are of the
-        part that is wanted, from ``wanted_from`` on.
+        Messages with stamps before ``processed_until``, ns, are dropped. They count as late if they
+        belong to the requested part, which starts at ``requested_from``.
 
         Raises
         ------
         DataError
-            When one cannot be decoded, or their clock jumps back.
+            When a message cannot be decoded, or the clock jumps back.
         """
         if not len(spans):
             return
@@ -68,14 +68,14 @@ class ReorderBuffer:
             stamps = read_stamp(batch.records)
             recorded[batch.index - first] = stamps
             numbers = DecodedBatch(batch.layout, batch.index, batch.layout.packed(batch.records))
-            self._keep(_Part(numbers, stamps).between(worked_until, ALWAYS[1]))
+            self._keep(_Part(numbers, stamps).between(processed_until, ALWAYS[1]))
         self.decoder.batches = []
         topic = self.decoder.topic.name
         check_clock(self.decoder.source, topic, np.append(self._last, recorded))
         self._last = recorded[-1:]
         self.tally.during = ALWAYS
         self.tally.see(recorded)
-        is_late = (recorded >= wanted_from) & (recorded < worked_until)
+        is_late = (recorded >= requested_from) & (recorded < processed_until)
         self.tally.add(Defect.LATE, recorded, is_late)
         newest = int(recorded.max())
         self.newest = newest if self.newest is None else max(self.newest, newest)
@@ -100,16 +100,16 @@ class ReorderBuffer:
 
     @property
     def stamps(self) -> IntArray:
-        """(N,) stamps of what waits, ns, in order of recording."""
+        """(N,) stamps of the buffered messages, ns, in order of recording."""
         return np.concatenate([np.empty(0, np.int64), *(part.stamps for part in self._parts)])
 
     def first_from(self, start: int) -> int | None:
-        """Return the oldest stamp that waits from ``start`` on, ns."""
+        """Return the smallest buffered stamp from ``start`` on, ns."""
         waiting = (part.between(start, ALWAYS[1]) for part in self._parts)
         return min((part.oldest for part in waiting if part), default=None)
 
     def drop_before(self, stamp: int) -> None:
-        """Let go of what is older than ``stamp``, ns."""
+        """Drop messages older than ``stamp``, ns."""
         parts, self._parts, self.size = self._parts, [], 0
         for part in parts:
             self._keep(part.between(stamp, ALWAYS[1]))
@@ -122,7 +122,7 @@ class ReorderBuffer:
 
 @dataclass(frozen=True)
 class _Part:
-    """Messages of one layout and one block, one at least."""
+    """Messages of one layout and one block, at least one."""
 
     batch: DecodedBatch
     stamps: IntArray
@@ -136,7 +136,7 @@ class _Part:
         return int(self.stamps.max())
 
     def between(self, start: int, stop: int) -> "_Part | None":
-        """Return the messages with stamps from ``start`` up to ``stop``, ns, if there are any."""
+        """Return the messages with stamps from ``start`` up to ``stop``, ns; None if none."""
         if start <= self.oldest and self.newest < stop:
             return self
         wanted = (self.stamps >= start) & (self.stamps < stop)

@@ -1,4 +1,4 @@
-"""Bags into streams of arrays, slice by slice of time, so that a long log need not be held."""
+"""Read bags as streams of arrays in slices of time, so that long logs need not fit in memory."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -17,8 +17,8 @@ from symbid_ros.signals.defects import ALWAYS, Defect
 from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
 from symbid_ros.signals.streams import ALL_OF_IT, Slice, TimeRange
 
-# Bytes that may wait for a topic that lags; it is silent or recorded behind the others.
-MOST_WAITING = 256 << 20
+# Bytes to buffer for a topic that lags, because it is silent or recorded with a delay.
+MAX_BUFFERED = 256 << 20
 
 
 DEFAULT_SELECTION = TopicSelection()
@@ -37,20 +37,20 @@ def iterate_slices(
     Parameters
     ----------
     bags : sequence of Path
-        Bag folders or files that continue one another; separate runs are to be read separately.
+        Bag folders or files that continue one another; read separate runs separately.
     topics : TopicSelection
         Topics to read.
     span : int, optional
-        Length of the slices, ns: they end at multiples of it. One slice of everything without.
+        Length of the slices, ns; they end at its multiples. Default: a single slice.
     part : TimeRange
-        What to read.
+        Part of the recording.
     warn : bool
-        Whether to tell at the end what was mended on the way.
+        Whether to warn at the end of defects that were repaired.
 
     Raises
     ------
     BagError, DataError
-        When a bag or what it holds cannot be used.
+        When a bag or its messages are unusable.
     """
     source = join_names(bags)
     slicer = _Slicer(
@@ -58,38 +58,38 @@ def iterate_slices(
     )
     for block in read_blocks(bags):
         slicer.add(block)
-        yield from slicer.whole()
+        yield from slicer.complete_slices()
         if slicer.is_done:
             break
     else:
-        yield from slicer.rest()
+        yield from slicer.remaining_slices()
     if warn:
         slicer.report()
 
 
 class _Slicer:
-    """What has been read and waits, and how far slices have been given out."""
+    """Buffers the messages of all topics and cuts them into slices."""
 
     def __init__(
         self, source: str, chosen: SelectedTopics, span: int | None, part: TimeRange
     ) -> None:
         self._source, self._chosen, self._span, self._part = source, chosen, span, part
-        self._backlogs = {topic: ReorderBuffer.of(source, topic) for topic in chosen.all}
-        self._joints = self._backlogs[chosen.clock]
+        self._buffers = {topic: ReorderBuffer.of(source, topic) for topic in chosen.all}
+        self._joints = self._buffers[chosen.clock]
         self._until, self._end = ALWAYS
-        self._begin = self._until  # of the part that is wanted
+        self._begin = self._until  # of the requested part
         self._has_begun = False
 
     @property
     def is_done(self) -> bool:
-        """Whether nothing that follows is wanted."""
+        """Whether the requested part has been read."""
         return self._until >= self._end
 
     def add(self, block: MessageBlock) -> None:
-        """Take the messages of a block."""
-        for topic, backlog in self._backlogs.items():
+        """Add the messages of a block."""
+        for topic, buffer in self._buffers.items():
             if topic in block.spans:
-                backlog.add(block.data, block.spans[topic], self._until, self._begin)
+                buffer.add(block.data, block.spans[topic], self._until, self._begin)
         if not self._has_begun and (first := self._joints.first_from(ALWAYS[0])) is not None:
             self._has_begun = True
             if self._part.start > 0:
@@ -97,27 +97,27 @@ class _Slicer:
             if np.isfinite(self._part.stop):
                 self._end = first + round(1e9 * self._part.stop)
 
-    def whole(self) -> Iterator[Slice]:
-        """Yield the slices that nothing will be added to."""
+    def complete_slices(self) -> Iterator[Slice]:
+        """Yield the slices that all topics have passed."""
         while self._span is not None and (stop := self._stop()) is not None:
-            newest = min(backlog.newest or ALWAYS[0] for backlog in self._backlogs.values())
-            waiting = sum(backlog.size for backlog in self._backlogs.values())
-            if newest < stop + LONGEST_MARGIN + CLOCK_JUMP and waiting < MOST_WAITING:
+            newest = min(buffer.newest or ALWAYS[0] for buffer in self._buffers.values())
+            waiting = sum(buffer.size for buffer in self._buffers.values())
+            if newest < stop + LONGEST_MARGIN + CLOCK_JUMP and waiting < MAX_BUFFERED:
                 return
             yield self._slice(stop)
 
-    def rest(self) -> Iterator[Slice]:
-        """Yield what is left at the end of the bags."""
+    def remaining_slices(self) -> Iterator[Slice]:
+        """Yield the last slices at the end of the bags."""
         while (stop := self._stop()) is not None:
             yield self._slice(stop)
 
     def report(self) -> None:
-        """Warn of what was mended."""
-        for backlog in self._backlogs.values():
-            backlog.tally.report()
+        """Warn of repaired defects."""
+        for buffer in self._buffers.values():
+            buffer.tally.report()
 
     def _stop(self) -> int | None:
-        """Return where the slice ends that the next joint state belongs to, ns."""
+        """Return the end of the slice of the next joint state, ns."""
         first = None if self.is_done else self._joints.first_from(self._until)
         if first is None or first >= self._end:
             return None
@@ -127,19 +127,19 @@ class _Slicer:
 
     def _slice(self, stop: int) -> Slice:
         start, self._until = self._until, stop
-        for backlog in self._backlogs.values():
-            backlog.tally.during = (start, stop)
-        margin = resampling_margin(backlog.stamps for backlog in self._backlogs.values())
+        for buffer in self._buffers.values():
+            buffer.tally.during = (start, stop)
+        margin = resampling_margin(buffer.stamps for buffer in self._buffers.values())
         decoders = {
-            topic: backlog.between(start - margin, stop + margin)
-            for topic, backlog in self._backlogs.items()
+            topic: buffer.between(start - margin, stop + margin)
+            for topic, buffer in self._buffers.items()
         }
-        for backlog in self._backlogs.values():
-            backlog.drop_before(stop - LONGEST_MARGIN)
-        tallies = {topic: backlog.tally for topic, backlog in self._backlogs.items()}
+        for buffer in self._buffers.values():
+            buffer.drop_before(stop - LONGEST_MARGIN)
+        tallies = {topic: buffer.tally for topic, buffer in self._buffers.items()}
         for topic, tally in tallies.items():
-            if singly := self._backlogs[topic].decoder.decoded_singly:
-                tally.counts[Defect.OTHER_LAYOUT] = singly
+            if count := self._buffers[topic].decoder.decoded_singly:
+                tally.counts[Defect.OTHER_LAYOUT] = count
         recorded = {
             topic.name: _during(self._stamps(topic, decoder), start, stop)
             for topic, decoder in decoders.items()
@@ -156,13 +156,13 @@ class _Slicer:
         return Slice(start, stop, streams, recorded, tuple(tallies.values()), fault)
 
     def _stamps(self, topic: Topic, decoder: TopicDecoder) -> IntArray:
-        """Return header stamps in order of recording, each once where joints come in parts."""
+        """Return header stamps in order of recording; each once if joints come in groups."""
         recorded = stamps(decoder)
-        is_parted = (
+        is_split = (
             topic in self._chosen.joints
             and len(group_joints(decoder, frozenset(self._chosen.joint_names))) > 1
         )
-        return np.unique(recorded) if is_parted else recorded
+        return np.unique(recorded) if is_split else recorded
 
 
 def _during(stamp: IntArray, start: int, stop: int) -> IntArray:

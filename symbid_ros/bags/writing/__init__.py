@@ -1,1 +1,1 @@
-"""Messages into new bags, and what a crash or a full disk leaves of them."""
+"""Write new bags so that a crash, a power cut or a full disk costs few messages."""

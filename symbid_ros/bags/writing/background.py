@@ -1,4 +1,4 @@
-"""A bag written by threads of its own, so that nobody who has data waits for a disk."""
+"""Write a bag in background threads, so that the sources of messages never wait for the disk."""
 
 import time
 from collections import defaultdict, deque
@@ -13,7 +13,7 @@ from symbid_ros.messages.topics import OfferedQos
 
 
 class QueuedMessage(NamedTuple):
-    """A message on its way into a bag: topic's number, times in nanoseconds, bytes."""
+    """A message to be written: number of its topic, times in nanoseconds, serialised message."""
 
     topic: int
     log_time: int
@@ -28,9 +28,10 @@ class _Entry:
 
 @dataclass
 class MessageQueue:
-    """First in, first out; when it is full, the topic with the most bytes loses its newest message.
+    """A bounded queue in which a large topic cannot displace small ones.
 
-    One message is accepted whatever its size.
+    When it is full, the topic with the most bytes loses its newest message. A single message is
+    accepted regardless of its size.
 
     Attributes
     ----------
@@ -51,7 +52,7 @@ class MessageQueue:
     _count: int = 0
 
     def put(self, message: QueuedMessage) -> None:
-        """Append a message and drop others, or this one, while the queue is too full."""
+        """Append a message, then drop messages while the queue exceeds its capacity."""
         entry = _Entry(message)
         self._entries.append(entry)
         self._by_topic[message.topic].append(entry)
@@ -60,7 +61,7 @@ class MessageQueue:
             self._drop()
 
     def take(self, size: int) -> list[QueuedMessage]:
-        """Remove and return the oldest messages, of ``size`` bytes together or slightly more."""
+        """Remove and return the oldest messages, at least ``size`` bytes if there are as many."""
         taken = []
         while self._entries and size > 0:
             message = self._entries.popleft().message
@@ -88,12 +89,12 @@ class MessageQueue:
 
 @dataclass(frozen=True)
 class WriterState:
-    """How far a bag has come.
+    """Progress of writing a bag.
 
     Attributes
     ----------
     messages : int
-        Handed to the operating system.
+        Messages written to the operating system.
     size : int
         Bytes of the files.
     queued : int
@@ -101,7 +102,7 @@ class WriterState:
     dropped : dict of str to int
         Messages dropped because the queue was full, by topic; only topics that lost any.
     sync_age : float
-        Seconds; what is older than these lies on the disk.
+        Seconds since the last sync; older data are on the disk.
     """
 
     messages: int
@@ -118,23 +119,23 @@ class _Announcement(NamedTuple):
 
 
 class BackgroundWriter:
-    """Queues messages for a thread that compresses and writes them; another one syncs the disk.
+    """Queues messages for a thread that compresses and writes them; a second one syncs the disk.
 
-    After the first failed write nothing is accepted any more, and `failure` says why.
+    After a failed write no message is written any more; `failure` is its error.
 
     Parameters
     ----------
     bag : BagWriter
-        Used by no one else until this is closed.
+        Must not be used elsewhere until this writer is closed.
     flush_period : float
-        Seconds that a message waits at most to be handed to the operating system,
-        which keeps it should the process be killed.
+        Longest time, in seconds, until a message is written to the operating system. From then on
+        it survives if the process is killed.
     sync_period : float
-        Seconds that data then wait at most to be forced onto the disk, which keeps
-        them should the power be cut.
+        Longest time, in seconds, until written data are synced to the disk. From then on they
+        survive a power cut.
     capacity : int
-        Bytes that may wait. When more arrive, the topic with the most bytes waiting loses its
-        newest messages, which are counted.
+        Bytes of messages that may wait. Beyond that, the topic with the most waiting bytes loses
+        its newest messages, which are counted.
     """
 
     def __init__(
@@ -162,7 +163,7 @@ class BackgroundWriter:
 
     @property
     def state(self) -> WriterState:
-        """How far the bag has come."""
+        """Progress of the bag."""
         age = time.monotonic() - self._synced
         with self._changed:
             dropped = {self._names[topic]: n for topic, n in self._queue.dropped.items()}
@@ -170,12 +171,12 @@ class BackgroundWriter:
 
     @property
     def received(self) -> int:
-        """Messages handed over."""
+        """Number of messages passed to `put`."""
         return sum(self._received)
 
     @property
     def lost(self) -> dict[str, int]:
-        """Messages handed over that are not in the closed bag, by topic; only where there are."""
+        """Messages received that are not in the closed bag, by topic; only topics that lost any."""
         counts = self._bag.counts
         missing = {
             name: received - counts.get(name, 0)
@@ -185,7 +186,7 @@ class BackgroundWriter:
 
     @property
     def latest(self) -> int:
-        """Largest log time handed over, nanoseconds."""
+        """Largest log time received, nanoseconds."""
         return self._latest
 
     def add_topic(self, name: str, msgtype: str, qos: Sequence[OfferedQos]) -> int:
@@ -194,9 +195,9 @@ class BackgroundWriter:
         Raises
         ------
         BagError
-            When its type is not known.
+            When the definition of its type is not found.
         """
-        find_definition(msgtype)  # here, where the caller can still do without the topic
+        find_definition(msgtype)  # fails here, where the caller can still omit the topic
         with self._changed:
             self._announced.append(_Announcement(name, msgtype, tuple(qos)))
             self._names.append(name)
@@ -204,7 +205,7 @@ class BackgroundWriter:
             return len(self._names) - 1
 
     def put(self, messages: Sequence[QueuedMessage]) -> None:
-        """Hand messages over, in order of arrival; never waits."""
+        """Queue messages in order of arrival, without blocking."""
         with self._changed:
             for message in messages:
                 self._received[message.topic] += 1
@@ -214,12 +215,14 @@ class BackgroundWriter:
                 self._changed.notify()
 
     def close(self) -> None:
-        """Write what is queued and complete the bag, after a failure with what it holds by then.
+        """Write the queued messages and complete the bag.
+
+        After a failure, the bag is completed with the messages written before it.
 
         Raises
         ------
         BagError
-            When not even that succeeds.
+            When the bag cannot be completed.
         """
         self._end()
         if self.failure is None:
@@ -244,7 +247,7 @@ class BackgroundWriter:
         try:
             work()
         except Exception as failure:
-            # The first tells why; the writer's own is a consequence of the other's.
+            # The first failure is the cause; one in the other thread is its consequence.
             self.failure = self.failure or failure
 
     def _write(self) -> None:
@@ -257,7 +260,7 @@ class BackgroundWriter:
                     lambda: self._is_closing or self._queue.size >= CHUNK_SIZE,
                     max(0.0, flush_due - time.monotonic()),
                 )
-                # No more than this: messages can be dropped only while they are in the queue.
+                # Take few messages at a time: only queued messages can be dropped.
                 messages = self._queue.take(CHUNK_SIZE)
                 announced, self._announced = self._announced, []
                 is_done = self._is_closing and not messages

@@ -11,25 +11,25 @@ from symbid_ros.bags.writing.disk import sync_folder
 from symbid_ros.bags.writing.mcap_writer import McapWriter
 from symbid_ros.messages.definitions import find_definition
 
-RECORD = "rosbag2"
+ROSBAG2 = "rosbag2"  # name of rosbag2's metadata record
 
 
 class BagFile:
-    """A file that is complete once finished; all errors are OSError.
+    """A file that is complete once `finish` succeeds; all errors are OSError.
 
     Parameters
     ----------
     path : Path
         The file, which must not exist.
     chunk_size : int
-        Bytes of serialised data collected before they are compressed and written.
+        Bytes of serialised data to collect before they are compressed and written.
     """
 
     def __init__(self, path: Path, chunk_size: int) -> None:
         self.path = path
         self.is_finished = False
         self._is_in_folder = False
-        # A buffer would hide from the writer how much of a chunk has reached a full disk.
+        # Unbuffered, so that the writer knows how much of a chunk has reached a full disk.
         self._stream = path.open("xb", buffering=0)
         try:
             self.mcap = McapWriter(self._stream, chunk_size)
@@ -39,19 +39,19 @@ class BagFile:
 
     @property
     def metadata(self) -> FileMetadata:
-        """What lies in whole chunks."""
+        """Times and counts of the messages in complete chunks."""
         mcap = self.mcap
         return FileMetadata(self.path.name, mcap.start, mcap.end, mcap.counts)
 
     def add_topic(self, topic: TopicMetadata) -> int:
-        """Announce a topic and return its channel: in all files of a bag the same."""
+        """Announce a topic and return its channel, the same in all files of a bag."""
         definition = find_definition(topic.msgtype).text
         schema = self.mcap.add_schema(topic.msgtype, definition.encode())
-        return self.mcap.add_channel(topic.name, schema, topic.channel())
+        return self.mcap.add_channel(topic.name, schema, topic.channel_metadata())
 
     def record(self, information: Mapping[str, Any]) -> None:
         """Write rosbag2's metadata record."""
-        self.mcap.add_metadata(RECORD, encode_metadata_record(information))
+        self.mcap.add_metadata(ROSBAG2, encode_metadata_record(information))
 
     def finish(self, information: Callable[[], Mapping[str, Any]]) -> None:
         """Write the last chunk, the metadata record, summary and footer.
@@ -59,7 +59,7 @@ class BagFile:
         Parameters
         ----------
         information : callable
-            Returns the bag's metadata; called once this file's last chunk is written.
+            Function that returns the bag's metadata; called after the last chunk is written.
         """
         self.mcap.end_chunk()
         self.record(information())
@@ -67,7 +67,7 @@ class BagFile:
         self.is_finished = True
 
     def salvage(self, information: Callable[[], Mapping[str, Any]]) -> None:
-        """Finish after a failed write, without whatever does not fit."""
+        """Finish after a failed write, without the messages that do not fit on the disk."""
         self.mcap.abandon()
         while True:
             try:
@@ -80,9 +80,9 @@ class BagFile:
 
     @property
     def displacement(self) -> str:
-        """Why the file is no longer at its path; empty if it still is.
+        """``moved`` or ``deleted`` if the file is no longer at its path, else empty.
 
-        Writing to a file that was deleted or moved succeeds all the same.
+        Writing to such a file still succeeds.
         """
         own = os.fstat(self._stream.fileno())
         with suppress(FileNotFoundError, NotADirectoryError):
@@ -91,16 +91,16 @@ class BagFile:
         return "moved" if own.st_nlink else "deleted"
 
     def sync(self) -> None:
-        """Wait until the disk holds what has been written."""
+        """Wait until all written data are on the disk."""
         os.fdatasync(self._stream.fileno())
         if not self._is_in_folder:
-            # A file whose name is not on the disk is lost with all that it holds.
+            # A file is lost if its name is not on the disk.
             sync_folder(self.path.parent)
             sync_folder(self.path.parent.parent)
             self._is_in_folder = True
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._stream.close()
 
     def remove(self) -> None:

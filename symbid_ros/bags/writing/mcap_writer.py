@@ -1,8 +1,8 @@
-"""An indexed, chunked MCAP file, written message by message.
+"""Write an indexed, chunked MCAP file message by message.
 
-The record types are the mcap package's. Its ``Writer`` is not used because it
-spends some 20 µs on a message, five times what packing one takes, and because
-after a failed write it goes on accepting messages that never reach the file.
+The record types are those of the mcap package. Its ``Writer`` is not used: it takes 20 µs for a
+message, five times as long as this one, and after a failed write it accepts messages that never
+reach the file.
 """
 
 import struct
@@ -32,12 +32,12 @@ from mcap.records import (
 
 from symbid_ros.bags.container.mcap_records import MAGIC, Attachment
 
-FRAME_SIZE = 512  # bytes, at most, of data end, statistics, summary offsets, footer and magic
-STATISTICS_ENTRY = 16  # bytes, at most, that a channel adds to the statistics
+FRAME_SIZE = 512  # upper bound for data end, statistics, summary offsets, footer and magic, bytes
+STATISTICS_ENTRY = 16  # upper bound for a channel's part of the statistics, bytes
 
 
 class StoredChunk(NamedTuple):
-    """A chunk that lies in the file, with what its index tells of it."""
+    """A written chunk: position, times, its index record, and messages by channel."""
 
     offset: int
     start: int
@@ -47,12 +47,12 @@ class StoredChunk(NamedTuple):
 
 
 class SummaryBuilder:
-    """What lies in a file, told again at its end.
+    """Collects the summary, which is written at the end of the file.
 
     Attributes
     ----------
     schemas, channels, chunks, metadata, attachments : list
-        Records of the file, in its order.
+        Records of the file, in order.
     """
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ class SummaryBuilder:
 
     @property
     def size(self) -> int:
-        """Bytes, at most, of `encoded`."""
+        """Upper bound for the size of the encoded summary, bytes."""
         return self._size
 
     @property
@@ -79,39 +79,39 @@ class SummaryBuilder:
         return max((chunk.end for chunk in self.chunks), default=0)
 
     def add_schema(self, schema: Schema) -> None:
-        """Note a type's definition."""
+        """Add a schema."""
         self.schemas.append(schema)
         self._size += len(encode(schema))
 
     def add_channel(self, channel: Channel) -> None:
-        """Note a channel."""
+        """Add a channel."""
         self.channels.append(channel)
         self._size += len(encode(channel)) + STATISTICS_ENTRY
 
     def add_chunk(self, chunk: StoredChunk) -> None:
-        """Note a chunk."""
+        """Add a written chunk."""
         self.chunks.append(chunk)
         self._size += len(chunk.index_record)
 
     def add_metadata(self, place: MetadataIndex) -> None:
-        """Note where a metadata record lies."""
+        """Add the index record of a metadata record."""
         self.metadata.append(place)
         self._size += len(encode(place))
 
     def add_attachment(self, place: AttachmentIndex) -> None:
-        """Note where an attachment lies."""
+        """Add the index record of an attachment."""
         self.attachments.append(place)
         self._size += len(encode(place))
 
     def remove_last(self, size: int, end: int) -> list[StoredChunk]:
-        """Forget the last chunks and what lies behind them; return them, last first.
+        """Remove the last chunks and the records after them; return the chunks, last first.
 
         Parameters
         ----------
         size : int
-            Bytes that they span, at least, if there are as many.
+            Bytes to remove, at least, if the file has as many.
         end : int
-            Where the file ends.
+            End of the file.
         """
         gone: list[StoredChunk] = []
         cut = end
@@ -119,13 +119,13 @@ class SummaryBuilder:
             gone.append(self.chunks.pop())
             cut = gone[-1].offset
             self._size -= len(gone[-1].index_record)
-        # A channel announced behind the cut has no message left; it is still named.
+        # A channel announced after the cut has no message left, but stays in the summary.
         self.metadata = [place for place in self.metadata if place.offset < cut]
         self.attachments = [place for place in self.attachments if place.offset < cut]
         return gone
 
     def encode(self, position: int, counts: dict[int, int]) -> bytes:
-        """Return the end of a file whose data end at ``position``.
+        """Return the end of a file whose data section ends at ``position``.
 
         ``counts`` are the file's messages by channel.
         """
@@ -147,7 +147,7 @@ class SummaryBuilder:
                 offsets += encode(SummaryOffset(opcode, start + len(summary), len(body)))
                 summary += body
         footer = Footer(start, start + len(summary), summary_crc=0)
-        # The checksum covers the footer as well, up to itself.
+        # The checksum also covers the footer up to itself.
         footer.summary_crc = zlib.crc32(summary + offsets + encode(footer)[:-4])
         return data_end + summary + offsets + encode(footer) + MAGIC
 
@@ -166,7 +166,7 @@ class SummaryBuilder:
 
 
 def encode(record: McapRecord) -> bytes:
-    """Return a record as it lies in a file."""
+    """Return a record as stored in a file."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
@@ -178,15 +178,15 @@ INDEX_HEAD = struct.Struct("<BQHI")
 
 
 class McapWriter:
-    """Writes messages in compressed chunks with index, summary and checksums.
+    """Writes messages in compressed chunks with indexes, summary and checksums.
 
-    Every record reaches the stream whole or, after an ``OSError``, can be cut off again:
-    `abandon` and `remove_last_chunks` leave a file that `finish` can complete.
+    After an ``OSError``, an incomplete record can be removed again: `abandon` and
+    `remove_last_chunks` leave a file that `finish` can complete.
 
     Parameters
     ----------
     stream : binary file
-        Open for writing, at its start; may write less than it is given.
+        Open for writing, at its start; may write less than requested.
     chunk_size : int
         Bytes of message records after which a chunk is compressed and written.
     """
@@ -214,21 +214,21 @@ class McapWriter:
 
     @property
     def summary_size(self) -> int:
-        """Bytes, at most, that `finish` has to write for what lies in the file."""
+        """Upper bound for what `finish` writes after the last chunk, bytes."""
         return self._summary.size
 
     @property
     def start(self) -> int:
-        """Smallest log time in the file's chunks, nanoseconds; 0 without any."""
+        """Smallest log time in the file's chunks, nanoseconds; 0 without a chunk."""
         return self._summary.start
 
     @property
     def end(self) -> int:
-        """Largest log time in the file's chunks, nanoseconds; 0 without any."""
+        """Largest log time in the file's chunks, nanoseconds; 0 without a chunk."""
         return self._summary.end
 
     def add_schema(self, name: str, definition: bytes, encoding: str = "ros2msg") -> int:
-        """Return the number of a type's definition, written if it is new."""
+        """Return the number of a type's definition, and write it if it is new."""
         for known in self._summary.schemas:
             if (known.name, known.data, known.encoding) == (name, definition, encoding):
                 return known.id
@@ -242,7 +242,7 @@ class McapWriter:
     def add_channel(
         self, topic: str, schema: int, metadata: dict[str, str], message_encoding: str = "cdr"
     ) -> int:
-        """Write a channel and return its number; a ``schema`` of 0 is none."""
+        """Write a channel and return its number; ``schema`` is 0 for none."""
         channel = Channel(
             id=len(self._summary.channels) + 1,
             topic=topic,
@@ -282,18 +282,18 @@ class McapWriter:
         self._summary.add_metadata(place)
 
     def add_attachment(self, attachment: Attachment, source: BinaryIO) -> None:
-        """Copy an attachment's record from the file in which it lies."""
+        """Copy an attachment's record from another file."""
         index = attachment.index(self._position)
         self.add_record(attachment.record(source))
         self._summary.add_attachment(index)
 
     def add_record(self, parts: Iterable[bytes]) -> None:
-        """Write a record of a kind of its own, given as it is to lie in the file."""
+        """Write an encoded record."""
         for part in parts:
             self._write(part)
 
     def end_chunk(self) -> None:
-        """Write the open chunk and its message indexes, if it holds anything."""
+        """Write the open chunk and its message indexes, unless it is empty."""
         if not self._open:
             return
         raw = bytes(self._open)
@@ -338,7 +338,7 @@ class McapWriter:
         self._places.clear()
 
     def abandon(self) -> None:
-        """Give up the open chunk and whatever a failed write has left in the file."""
+        """Discard the open chunk and what a failed write has left in the file."""
         for channel, entries in self._places.items():
             self._counts[channel] -= len(entries)
         self._open.clear()
@@ -346,7 +346,7 @@ class McapWriter:
         self._cut(self._position)
 
     def remove_last_chunks(self, size: int) -> bool:
-        """Give up the last chunks, ``size`` bytes or more; return False if there is none left."""
+        """Remove the last chunks, at least ``size`` bytes; return False if there is no chunk."""
         gone = self._summary.remove_last(size, self._position)
         if not gone:
             return False
@@ -359,7 +359,7 @@ class McapWriter:
     def finish(self) -> None:
         """Write the last chunk, the summary and the footer; the stream stays open."""
         self.end_chunk()
-        # In one piece: a summary that does not fit is cut off again as a whole.
+        # In one step: if the summary does not fit, all of it is removed.
         self._write(self._summary.encode(self._position, self._counts))
 
     def _write(self, data: bytes | bytearray) -> None:

@@ -1,4 +1,4 @@
-"""Bags as rosbag2 writes them: MCAP files and their metadata.yaml in a folder."""
+"""Write bags in the format of rosbag2: MCAP files and a metadata.yaml in a folder."""
 
 import shutil
 from collections.abc import Sequence
@@ -19,29 +19,28 @@ from symbid_ros.errors import BagError
 from symbid_ros.messages.definitions import find_definition
 from symbid_ros.messages.topics import OfferedQos
 
-CHUNK_SIZE = 64 * 1024  # what a killed recorder loses at most: 64 ms of four sensors at 1 kHz
-DESCRIPTION = 2048  # bytes, at most, that a file without topics takes in the bag's metadata
+CHUNK_SIZE = 64 * 1024  # the most that a killed recorder loses: 64 ms of four sensors at 1 kHz
+DESCRIPTION = 2048  # upper bound for a file without topics in the bag's metadata, bytes
 
 
 class BagWriter:
-    """Writes one bag; complete once closed, removed when left by an exception.
+    """Writes one bag: complete once closed, and removed if the context is left by an exception.
 
-    The folder carries no metadata.yaml and the last file no footer until `close`
-    succeeds, so that an interrupted bag can be told from a complete one. `flush` and `close` fail
-    if the file has been deleted or moved. Room for both
-    is held on the disk from the beginning: after a failed write, `salvage` completes
-    the bag with all that had been written until then.
+    Until `close` succeeds, the folder has no metadata.yaml and the last file no footer, which marks
+    an interrupted bag. Disk space for both is reserved from the beginning, so that `salvage` can
+    complete the bag after a failed write. `flush` and `close` fail if the file was deleted or
+    moved.
 
     Parameters
     ----------
     path : Path
         The bag's folder, which must not exist.
     chunk_size : int
-        Bytes of serialised data collected before they are compressed and written.
+        Bytes of serialised data to collect before they are compressed and written.
     split_size : int
-        Bytes after which a file is followed by the next; 0 for never.
+        Bytes after which the next file begins; 0 for never.
     split_duration : int
-        Nanoseconds of log time after which a file is followed by the next; 0 for never.
+        Nanoseconds of log time after which the next file begins; 0 for never.
     """
 
     def __init__(
@@ -64,7 +63,7 @@ class BagWriter:
         self._described = DESCRIPTION
         self._has_failed = self._is_closed = self._is_displaced = False
         if path.exists() or path.is_symlink():
-            raise BagError(f"{path}: exists already; choose another name or remove it")
+            raise BagError(f"{path}: exists already; choose another name or remove it", "E218")
         try:
             path.mkdir(parents=True)
             try:
@@ -75,11 +74,15 @@ class BagWriter:
                 shutil.rmtree(path, ignore_errors=True)
                 raise
         except OSError as error:
-            raise BagError(f"{path}: cannot create the bag: {error.strerror}") from error
+            raise BagError(
+                f"{path}: cannot create the bag: {error.strerror}; free disk space or choose "
+                "another folder",
+                "E219",
+            ) from error
 
     @property
     def file(self) -> Path:
-        """The file that is being written."""
+        """The current file."""
         return self._current.path
 
     @property
@@ -109,23 +112,23 @@ class BagWriter:
     def add_topic(
         self, name: str, msgtype: str, qos: Sequence[OfferedQos] = (OfferedQos(),)
     ) -> int:
-        """Announce a topic and return the number that `write` wants.
+        """Announce a topic and return its number for `write`.
 
         Parameters
         ----------
         name : str
             Fully qualified topic name.
         msgtype : str
-            For example ``sensor_msgs/msg/Imu``; ROS 2 Jazzy's or an installed package's.
+            For example ``sensor_msgs/msg/Imu``; part of ROS 2 Jazzy or of an installed package.
         qos : sequence of OfferedQos
-            One entry per publisher.
+            One entry for each publisher.
         """
         if any(topic.name == name for topic in self._topics.values()):
-            raise BagError(f"{self.path}: topic {name} is announced twice; record it once")
+            raise BagError(f"{self.path}: topic {name} is announced twice; record it once", "E222")
         try:
             definition = find_definition(msgtype)
         except BagError as error:
-            raise BagError(f"{self.path}: topic {name}: {error}") from error
+            raise BagError(f"{self.path}: topic {name}: {error}", error.code) from error
         topic = TopicMetadata(name, msgtype, tuple(qos), definition.type_hash)
         self._require_health()
         try:
@@ -140,7 +143,7 @@ class BagWriter:
     def write(
         self, topic: int, log_time: int, payload: bytes, publish_time: int | None = None
     ) -> None:
-        """Append one serialised message; times in nanoseconds."""
+        """Append a serialised message; times in nanoseconds."""
         published = log_time if publish_time is None else publish_time
         self._require_health()
         try:
@@ -154,7 +157,7 @@ class BagWriter:
             raise self._failure(error) from error
 
     def flush(self) -> None:
-        """Hand everything written so far to the operating system, closing the open chunk."""
+        """Write the open chunk to the operating system."""
         self._require_health()
         try:
             self._require_file()
@@ -164,7 +167,7 @@ class BagWriter:
             raise self._failure(error) from error
 
     def sync(self) -> None:
-        """Wait until the disk holds what has been flushed; a thread of its own may call it."""
+        """Wait until the flushed data are on the disk; safe to call from another thread."""
         try:
             while self._unsynced:
                 file = self._unsynced.pop()
@@ -175,12 +178,12 @@ class BagWriter:
             raise self._failure(error) from error
 
     def close(self) -> None:
-        """Write index, footer and metadata.yaml; the bag is complete afterwards.
+        """Write index, footer and metadata.yaml, which complete the bag.
 
         Raises
         ------
         BagError
-            When it is not, or when an earlier file of it is missing.
+            When this fails, or when an earlier file of the bag is missing.
         """
         if self._is_closed:
             return
@@ -198,13 +201,14 @@ class BagWriter:
             names = ", ".join(file.name for file in missing)
             raise BagError(
                 f"{self.path}: {names} was deleted or moved while the bag was being written; "
-                "the bag consists of the other files"
+                "the bag consists of the other files",
+                "E220",
             )
 
     def salvage(self) -> None:
-        """Complete the bag after a failed write; `counts` then tells what it holds.
+        """Complete the bag after a failed write; `counts` are then the messages in it.
 
-        A file that was deleted or moved is not part of it any more.
+        A file that was deleted or moved is no longer part of it.
         """
         self._reserve.release()
         if self._is_closed:
@@ -219,7 +223,8 @@ class BagWriter:
         except OSError as error:
             raise BagError(
                 f"{self.path}: cannot complete the bag: {error.strerror}; "
-                f"make room and run symbid bag recover {self.path}"
+                f"free disk space and run `symbid bag recover {self.path}`",
+                "E219",
             ) from error
 
     def discard(self) -> None:
@@ -246,7 +251,11 @@ class BagWriter:
 
     def _require_health(self) -> None:
         if self._has_failed:
-            raise BagError(f"{self.path}: a write has failed, nothing follows; record anew")
+            raise BagError(
+                f"{self.path}: an earlier write failed, so the bag takes no more messages; record "
+                "again",
+                "E219",
+            )
 
     def _require_file(self) -> None:
         """Raise BagError if the current file has been deleted or moved."""
@@ -254,11 +263,12 @@ class BagWriter:
             self._has_failed = self._is_displaced = True
             raise BagError(
                 f"{self.file}: the file or its folder was {displacement} while the bag was being "
-                "written; record again and leave the bag in place until the recording has ended"
+                "written; record again and leave the bag in place until the recording has ended",
+                "E220",
             )
 
     def _abandon(self) -> None:
-        """End the current file, which is not in the bag's folder, as well as possible."""
+        """Finish the current file, which is no longer in the bag's folder, if possible."""
         with suppress(OSError):
             self._current.salvage(self._information)
         for file in [*self._unsynced, self._current]:
@@ -269,7 +279,9 @@ class BagWriter:
 
     def _failure(self, error: OSError) -> BagError:
         self._has_failed = True
-        return BagError(f"{self.file}: cannot write: {error.strerror}; the bag is incomplete")
+        return BagError(
+            f"{self.file}: cannot write: {error.strerror}; the bag is incomplete", "E219"
+        )
 
     def _is_full(self, duration: int) -> bool:
         return (
@@ -277,7 +289,7 @@ class BagWriter:
         )
 
     def _begin_next(self) -> None:
-        """Finish the file and begin another with the same topics."""
+        """Finish the file and begin the next with the same topics."""
         self._require_file()
         finished = self._current
         finished.finish(self._information)
@@ -298,11 +310,11 @@ class BagWriter:
         self._hold_room()
 
     def _hold_room(self) -> None:
-        # The metadata stand in the last file and in metadata.yaml.
+        # The metadata is written to the last file and to metadata.yaml.
         self._reserve.hold(self._current.mcap.summary_size + 2 * self._described)
 
     def _complete(self) -> None:
-        """Let the disk have the files and then metadata.yaml."""
+        """Sync the files, then write and sync metadata.yaml."""
         self.sync()
         write_metadata(self.path, self._information())
         sync_folder(self.path)
