@@ -1,1 +1,1 @@
-"""Rows to information to estimate."""
+"""Estimation: from rows of the equation of motion to information, posterior and verdict."""

@@ -1,9 +1,11 @@
-"""All that the data say about the parameters, in one triangular factor.
+"""Information of the data about the parameters, in one triangular factor.
 
-Rows are folded by QR as they come and never stored. From the factor of the
-*flat* sample row follow, with no second pass over the data, the least-squares
-problem under any covariance of the residuals across coordinates, any column
-scaling, prior or truncation, and the residual of any parameter vector.
+QR updates fold in rows as they arrive, and rows are not stored. The factor of *flat* sample rows
+is enough, without a second pass over the data, for:
+
+- the least-squares problem with any covariance of the residuals across coordinates, any column
+  scaling, prior or truncation,
+- the residual of any parameter vector.
 """
 
 from collections.abc import Iterable
@@ -21,12 +23,12 @@ from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
-INCOMPATIBLE = "two records of different robots or columns cannot be merged"
+INCOMPATIBLE = "information about different robots or parameters cannot be merged"
 
 
 @dataclass(frozen=True)
 class RowLayout:
-    """The flattened sample row: for each coordinate its non-zeros of K, then its y.
+    """Layout of a flat sample row: for each coordinate its structural non-zeros of K, then its y.
 
     Attributes
     ----------
@@ -35,7 +37,7 @@ class RowLayout:
     parameters : tuple of str
         Names of the p parameters.
     structure : (n, p) bool
-        The entries of K that some motion makes non-zero.
+        Entries of K that are non-zero for some motion.
     """
 
     coordinates: tuple[str, ...]
@@ -49,16 +51,16 @@ class RowLayout:
         Raises
         ------
         EstimateError
-            When the robot cannot move at all.
+            When no part of the robot can move.
         """
         model = parameters.model
         K = np.abs(equation_of_motion(parameters, random_motions(model, 20)).K).max(axis=0)
-        # Entries that vanish by structure still hold rounding, of the column's size at most.
+        # Structural zeros still contain rounding, relative to their column or row.
         structure = 1e-10 * np.maximum(K.max(axis=0), K.max(axis=1, keepdims=True)) < K
         return cls(model.coordinates, parameters.names, structure)
 
     def extended(self, names: tuple[str, ...], structure: BoolArray) -> "RowLayout":
-        """Return the layout with more columns, and the coordinates (n, r) that they reach."""
+        """Return the layout with more parameters, non-zero in the coordinates ``structure``."""
         return RowLayout(
             self.coordinates,
             self.parameters + names,
@@ -77,7 +79,7 @@ class RowLayout:
 
     @cached_property
     def slices(self) -> tuple[slice, ...]:
-        """Per coordinate its stretch of the flat row, y last."""
+        """Per coordinate its slice of the flat row, y last."""
         ends = np.cumsum([len(columns) + 1 for columns in self.columns])
         return tuple(
             slice(int(end) - len(columns) - 1, int(end))
@@ -86,14 +88,14 @@ class RowLayout:
 
     @cached_property
     def coordinate_pairs(self) -> IntArray:
-        """(w w,) the place in an (n, n) matrix of the coordinates of any two entries."""
+        """(w w,) index into a flat (n, n) matrix of the coordinates of each pair of entries."""
         n = len(self.columns)
         coordinate = np.repeat(np.arange(n), [len(each) + 1 for each in self.columns])
         return np.asarray((coordinate[:, None] * n + coordinate).ravel())
 
     @cached_property
     def moment_places(self) -> IntArray:
-        """(w w,) where the product of two entries stands in a flat moment of [K y], (p+1, p+1)."""
+        """(w w,) index into a flat moment of [K y], (p+1, p+1), of each pair of entries."""
         p = len(self.parameters)
         column = np.concatenate([np.append(each, p) for each in self.columns])
         return np.asarray((column[:, None] * (p + 1) + column).ravel())
@@ -107,7 +109,7 @@ class RowLayout:
         return flat
 
     def residual_map(self, phi: FloatArray) -> FloatArray:
-        """Return B (w, n) with flat row @ B = y - K φ for the parameters φ (p,)."""
+        """Return B (w, n) such that flat row @ B = y - K φ for parameters φ (p,)."""
         B = np.zeros((self.width, len(self.coordinates)))
         for coordinate, (columns, place) in enumerate(zip(self.columns, self.slices, strict=True)):
             B[place.start : place.stop - 1, coordinate] = -phi[columns]
@@ -116,20 +118,21 @@ class RowLayout:
 
 
 def random_motions(model: RobotModel, count: int) -> Samples:
-    """Return ``count`` noise-free random states and accelerations, the same at every call.
+    """Return ``count`` noise-free random states and accelerations, the same in every call.
 
-    They show what the regressor can show: lengths, rates and accelerations are of
-    order one in SI units, joint limits are ignored, nothing touches the robot.
+    Rates and accelerations are of order one in SI units, joint limits are ignored, and nothing
+    touches the robot.
 
     Raises
     ------
     EstimateError
-        When the robot cannot move at all.
+        When no part of the robot can move.
     """
     if not model.coordinates:
         raise EstimateError(
-            f"{model.source}: its base is fixed and no joint moves, so no force tells of its "
-            "inertia; name a model with joints, or give `base` floating"
+            f"{model.source}: its base is fixed and no joint moves, so its inertia has no effect; "
+            "give a model with joints, or `base` floating",
+            "E419",
         )
     rng = np.random.default_rng(0)
     joints, base = (count, len(model.joints)), (3, count, 3)
@@ -157,11 +160,11 @@ class Information:
     Attributes
     ----------
     layout : RowLayout
-        What the flat row holds.
+        Layout of the flat rows.
     factor : (w, w) float64
         Upper triangular R with RᵀR = Σ rowᵀ row.
     samples : float
-        Number of samples folded in; where old ones fade, what is left of it.
+        Number of samples folded in; the effective number if old ones are discounted.
     """
 
     layout: RowLayout
@@ -170,22 +173,24 @@ class Information:
 
     @classmethod
     def empty(cls, layout: RowLayout) -> "Information":
-        """Return the state before any data."""
+        """Return the information of no data."""
         return cls(layout, np.zeros((layout.width, layout.width), order="F"), 0)
 
     def fold(self, blocks: Iterable[Rows]) -> "Information":
-        """Return the information with more rows in it.
+        """Return the information with more rows.
 
         Raises
         ------
         DataError
-            When a row is not finite: one NaN would poison everything known so far.
+            When a row is not finite, because one NaN would destroy all information.
         """
         factor, samples = self.factor.copy(order="F"), self.samples
         for rows in blocks:
             flat = self.layout.flatten(rows)
             if not np.all(np.isfinite(flat)):
-                raise DataError("a sample of the equation of motion is not finite; mask it first")
+                raise DataError(
+                    "a sample of the equation of motion is not finite; mask it first", "E413"
+                )
             factor = _updated(factor, flat)
             samples += len(flat)
         return Information(self.layout, factor, samples)
@@ -197,33 +202,33 @@ class Information:
         return Information(self.layout, np.sqrt(share) * self.factor, share * self.samples)
 
     def merge(self, other: "Information") -> "Information":
-        """Return the information of both records together.
+        """Return the sum of both informations.
 
         Raises
         ------
         DataError
-            When the two are about different robots.
+            When they are about different robots or parameters.
         """
         if (self.layout.coordinates, self.layout.parameters) != (
             other.layout.coordinates,
             other.layout.parameters,
         ) or not np.array_equal(self.layout.structure, other.layout.structure):
-            raise DataError(INCOMPATIBLE)
+            raise DataError(f"{INCOMPATIBLE}; use one model and the same terms", "E412")
         factor = _updated(self.factor.copy(order="F"), other.factor)
         return Information(self.layout, factor, self.samples + other.samples)
 
     def coordinate_factor(self, coordinate: int) -> FloatArray:
-        """Return the triangular factor of [K_i y_i] of one coordinate, its non-zeros only."""
+        """Return the triangular factor of [K_i y_i] of one coordinate, structural zeros omitted."""
         return self._coordinate_factors[coordinate]
 
     def whitened(self, whitening: FloatArray) -> FloatArray:
-        """Return the factor of the stacked problem with rows weighted across coordinates.
+        """Return the triangular factor of the rows weighted across coordinates.
 
         Parameters
         ----------
         whitening : (n, n) float64
-            G: each sample's rows become G [K y]. A diagonal G is Eq. 31's, the
-            inverse Cholesky factor of a residual covariance whitens it fully.
+            Weight G: each sample's rows become G [K y]. G is diagonal in Eq. 31. The inverse
+            Cholesky factor of the residual covariance whitens the rows completely.
 
         Returns
         -------
@@ -238,7 +243,7 @@ class Information:
             weighted = np.zeros((p + 1, self._parts[used[-1]].shape[1] if len(used) else 0))
             for coordinate in used:
                 part = row[coordinate] * self._parts[coordinate]
-                # Below its last column a stretch of a triangle is zero; columns never repeat.
+                # A slice of a triangle is zero below its last column; columns never repeat.
                 weighted[layout.columns[coordinate], : part.shape[1]] += part[:-1]
                 weighted[p, : part.shape[1]] += part[-1]
             stacked.append(_triangle(weighted.T))
@@ -247,8 +252,8 @@ class Information:
     def whitened_moment(self, precision: FloatArray) -> FloatArray:
         """Return Σ [K y]ᵀ P [K y] (p + 1, p + 1) for a precision P (n, n) across coordinates.
 
-        Half the digits of :meth:`whitened` and a hundredth of its time, for what is only
-        estimated, or on the way to what is not.
+        It has half the digits of :meth:`whitened` and takes a hundredth of its time. It serves
+        quantities that are only estimated, and intermediate iterations.
         """
         width = len(self.layout.parameters) + 1
         moment: FloatArray = self._products @ precision.ravel()
@@ -256,9 +261,9 @@ class Information:
 
     @cached_property
     def _parts(self) -> tuple[FloatArray, ...]:
-        """Each coordinate's stretch of the factor, transposed, its rows without content left out.
+        """Each coordinate's slice of the factor, transposed, without its zero rows.
 
-        Few samples fill few rows of a wide factor.
+        Few samples fill only a few rows of a wide factor.
         """
         size = np.abs(self.factor).max(axis=1, initial=0.0)
         filled = size > 1e-15 * size.max(initial=0.0)
@@ -276,7 +281,7 @@ class Information:
     def _products(self) -> csr_array:
         """((p+1)(p+1), n n) the moments of [K y], by pairs of coordinates."""
         layout = self.layout
-        # Half of a symmetric product is enough to know it.
+        # The products are symmetric, so half of each is enough.
         half = blas.dsyrk(1.0, self.factor, trans=True)
         gram = half + np.triu(half, 1).T
         shape = (len(layout.parameters) + 1) ** 2, len(layout.coordinates) ** 2
@@ -296,7 +301,7 @@ class Information:
         return moment
 
     def approximate_residual_moment(self, phi: FloatArray) -> FloatArray:
-        """Return :meth:`residual_moment` with half its digits, in a fifth of its time."""
+        """Return :meth:`residual_moment` with half the digits, in a fifth of the time."""
         n = len(self.layout.coordinates)
         residual = np.append(-phi, 1.0)
         squares = np.outer(residual, residual).ravel()
@@ -310,21 +315,21 @@ class Information:
 
 
 def _updated(factor: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the triangle with rows folded in; LAPACK's tpqrt leaves its zeros alone."""
+    """Return the triangular factor with rows folded in; LAPACK's tpqrt keeps its zeros."""
     width = len(factor)
-    # LAPACK works in the block it is given; a record's own factor may be the rows.
+    # LAPACK overwrites its input, and the rows may be another information's factor.
     block = np.array(rows, order="F")
     updated, _, _, info = lapack.dtpqrt(
         0, min(32, width), factor, block, overwrite_a=True, overwrite_b=True
     )
     if info != 0:
-        raise DataError(f"LAPACK dtpqrt refused argument {-info}")
+        raise ValueError(f"LAPACK dtpqrt rejected argument {-info}")
     triangle: FloatArray = updated
     return triangle
 
 
 def stacked_factor(*blocks: FloatArray) -> FloatArray:
-    """Return the square upper triangular factor of matrices (·, w) on top of one another."""
+    """Return the square upper triangular factor of vertically stacked matrices (·, w)."""
     return _triangle(np.concatenate(blocks))
 
 
@@ -332,7 +337,7 @@ def _triangle(matrix: FloatArray) -> FloatArray:
     """Return the square upper triangular factor of a matrix, padded with zero rows."""
     width = matrix.shape[1]
     square = np.zeros((width, width))
-    if len(matrix):  # older SciPy, as Ubuntu 24.04 has it, refuses a matrix without rows
+    if len(matrix):  # SciPy of Ubuntu 24.04 rejects a matrix without rows
         (upper,) = qr(matrix, mode="r", check_finite=False)
         square[: min(len(upper), width)] = upper[:width]
     return square

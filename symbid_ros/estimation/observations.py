@@ -1,4 +1,4 @@
-"""What one or several logs say: the rows' information, and that of the noise in them."""
+"""Observations of one or several logs: information of windowed rows and of their noise."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -12,42 +12,42 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.information import Information, RowLayout
 from symbid_ros.signals.weak_form import INFLATION, SampledRows, WindowedRows
 
-# Fewer samples than this per coordinate give no covariance between coordinates worth having.
+# Independent samples per coordinate below which covariances between coordinates are not estimated.
 SAMPLES_PER_COORDINATE = 3
-# Share of a coordinate's mean square that is rounding, and no residual.
-LEAST = 1e-14
-# Shares of its diagonal that make a moment positive definite in spite of rounding, tried in turn.
-ROUNDING = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)
-# So much more is the variance of a coordinate that has no say.
-SILENT = 1e20
-# Largest ratio of two estimates of one covariance that is taken for chance.
+# A residual below this share of a coordinate's mean square is rounding.
+ROUNDING = 1e-14
+# Multiples of the diagonal that make a moment positive definite despite rounding, tried in turn.
+REGULARIZATIONS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)
+# Factor on the variance of a coordinate that gets no weight.
+NO_WEIGHT = 1e20
+# Largest ratio of two estimates of one covariance that chance explains.
 CHANCE = 2.0
-# Independent rows that a coordinate must have, and more for each parameter that it alone feels.
+# Independent rows that a coordinate needs, and additional rows per parameter of its own.
 FEWEST_ROWS = 5
 ROWS_PER_OWN_PARAMETER = 3
 
 
 @dataclass(frozen=True)
 class Observations:
-    """Rows averaged over windows of one length, folded.
+    """Information of rows averaged over windows of one length.
 
     Attributes
     ----------
     rows : Information
-        Of the rows.
+        Information of the rows.
     noise : Information
-        Of the differences that as much noise again in the motion makes. As Σ ΔᵀΔ of [K y] it is
-        what that noise adds, on average, to the rows' own moments.
+        Information of the changes Δ of [K y] when the motion's noise is added once more. ΣΔᵀΔ is
+        the mean contribution of noise to the rows' moments.
     counts : (n, n) float64
-        In how many samples two coordinates are both used.
+        Number of samples in which two coordinates are both used.
     window : float
-        s.
+        Length of the windows, s.
     inflation : float
-        By how much overlapping windows make the rows look more than they are.
+        Number of overlapping rows per independent row.
     kept : float
-        Share of the first rows' weight that has not faded.
+        Share of the first rows' weight that is left after discounting.
     seconds : frozenset of int
-        Fingerprints of the seconds that the rows cover; none for rows of unknown origin.
+        Fingerprints of the seconds that the rows cover; empty for rows of unknown origin.
     """
 
     rows: Information
@@ -60,23 +60,23 @@ class Observations:
 
     @classmethod
     def empty(cls, layout: RowLayout, window: float) -> "Observations":
-        """Return the state before any data."""
+        """Return the observations of no data."""
         n = len(layout.coordinates)
         nothing = Information.empty(layout)
         return cls(nothing, nothing, np.zeros((n, n)), window)
 
     @property
     def layout(self) -> RowLayout:
-        """What the flat rows hold."""
+        """Layout of the flat rows."""
         return self.rows.layout
 
     @classmethod
     def unwindowed(
         cls, layout: RowLayout, blocks: Iterable[SampledRows], inflation: float
     ) -> "Observations":
-        """Fold rows taken at single instants, whose noise is taken as it comes.
+        """Return the observations of rows at single instants, without information of their noise.
 
-        Coordinates that must not be used are left out.
+        Invalid coordinates are omitted.
         """
         n = len(layout.coordinates)
         counts = np.zeros((n, n))
@@ -92,7 +92,7 @@ class Observations:
         return cls(rows, Information.empty(layout), counts, 0.0, inflation)
 
     def fold(self, blocks: Iterable[WindowedRows]) -> "Observations":
-        """Return the observations with more rows in them."""
+        """Return the observations with more rows."""
         kept = list(blocks)
         if not kept:
             return self
@@ -119,23 +119,24 @@ class Observations:
         )
 
     def covering(self, seconds: frozenset[int]) -> "Observations":
-        """Return the observations as covering these seconds, too."""
+        """Return the observations, marked as covering these seconds too."""
         return replace(self, seconds=self.seconds | seconds)
 
     def merge(self, other: "Observations") -> "Observations":
-        """Return what both records say together.
+        """Return the observations of both logs.
 
         Raises
         ------
         DataError
-            When the two are about different robots.
+            When they are about different robots or parameters.
         EstimateError
-            When their windows differ: their residuals are not alike.
+            When their windows differ, as their residuals then have different variances.
         """
         if self.window != other.window:
             raise EstimateError(
                 f"information over windows of {other.window:g} s cannot be added to information "
-                f"over {self.window:g} s; choose one window for both"
+                f"over {self.window:g} s; give both the same `window`",
+                "E412",
             )
         return replace(
             self,
@@ -147,21 +148,20 @@ class Observations:
         )
 
     def residual_covariance(self, phi: FloatArray) -> FloatArray:
-        """Return Σ (n, n) of one row's residual at φ (p,), overlap accounted for.
+        """Return the covariance Σ (n, n) of a row's residual at φ (p,), corrected for overlap.
 
-        Coordinates that are left out here and there are taken to be independent of the
-        others: what a residual that was not there would have said of theirs is
-        not known. So are all of a log too short to tell.
+        Coordinates with invalid samples are treated as independent of the others, because the
+        missing residuals are unknown. In a short log all coordinates are treated as independent.
 
-        Weights taken from the residuals they weigh look better than they are: of N independent
-        rows of n coordinates by (N + n)/(N - n) in variance. That is made up for.
+        Weights from the residuals that they weight are optimistic. With N independent rows of n
+        coordinates the variance is corrected by (N + n)/(N - n).
         """
         moment = self.rows.residual_moment(phi) / np.maximum(self.counts, 1)
         moment[~self._coupled] = 0.0
-        # A coordinate without any residual is an ideal one; its weight must stay finite. One with
-        # too few rows fits whatever they say, and has no say.
+        # A coordinate without residual must keep a finite weight. A coordinate with too few rows
+        # fits them exactly, so it gets no weight.
         floor = self._least_residual
-        floor[self._scarce] = SILENT * floor.max()
+        floor[self._scarce] = NO_WEIGHT * floor.max()
         moment[np.diag_indices(len(moment))] = np.maximum(moment.diagonal(), floor) + floor
         coupled = int(np.sum(self._coupled.sum(axis=0) > 1))
         moment = _definite(moment)
@@ -171,11 +171,10 @@ class Observations:
         return self.inflation * (independent + coupled) / (independent - coupled) * moment
 
     def plausible_noise(self, phi: FloatArray, covariance: FloatArray) -> float:
-        """Return the share of the noise's moments that the residuals Σ (n, n) leave room for.
+        """Return the share of the noise's moments that is plausible given the residuals Σ (n, n).
 
-        Noise in K is in the residual at φ (p,) as well. Where it were more than all that is
-        there, and than chance lets two estimates of one covariance differ, motion has been taken
-        for noise.
+        Noise in K is part of the residual at φ (p,). If its moment exceeds the residual's by more
+        than chance explains, some motion was mistaken for noise.
         """
         moment = self.noise.approximate_residual_moment(phi) / np.maximum(self.counts, 1)
         moment[~self._coupled] = 0.0
@@ -184,9 +183,9 @@ class Observations:
 
     @property
     def _coupled(self) -> BoolArray:
-        """(n, n) pairs of coordinates seen together often enough to tell their covariance."""
+        """(n, n) pairs of coordinates with enough common samples to estimate their covariance."""
         n = len(self.counts)
-        # Counts that have faded are equal but for rounding.
+        # Discounted counts are equal except for rounding.
         full = np.diag(self.counts) > (1 - 1e-9) * self.rows.samples
         full &= self.rows.samples > SAMPLES_PER_COORDINATE * n * self.inflation
         return np.asarray(np.outer(full, full) | np.eye(n, dtype=bool))
@@ -196,11 +195,11 @@ class Observations:
         """(n,) variances below which a residual is rounding."""
         scale = self.rows.target_squares / np.maximum(self.counts.diagonal(), 1)
         largest = float(scale.max()) or 1.0
-        return np.asarray(LEAST * scale + 1e-4 * LEAST * largest)
+        return np.asarray(ROUNDING * scale + 1e-4 * ROUNDING * largest)
 
     @property
     def _scarce(self) -> BoolArray:
-        """(n,) coordinates with too few rows for the parameters that only they feel."""
+        """(n,) coordinates with too few rows for the parameters that affect no other."""
         structure = self.layout.structure
         own = structure[:, structure.sum(axis=0) == 1].sum(axis=1)
         needed = ROWS_PER_OWN_PARAMETER * own + FEWEST_ROWS
@@ -210,13 +209,13 @@ class Observations:
 def _definite(moment: FloatArray) -> FloatArray:
     """Return a moment (n, n) that is positive definite in floating point.
 
-    Residuals without noise may depend on one another exactly, as those of efforts that are always
-    zero: rounding then leaves eigenvalues below zero.
+    Residuals without noise may be linearly dependent, as those of efforts that are always zero.
+    Rounding then makes eigenvalues negative.
     """
     own = np.diag(np.diag(moment))
-    # Whoever factors a multiple of it rounds otherwise.
+    # The margin covers different rounding when a multiple of the moment is factored.
     margin = 4 * len(moment) * np.finfo(float).eps * own
-    for share in ROUNDING:
+    for share in REGULARIZATIONS:
         definite = moment if share == 0 else moment + share * own
         try:
             np.linalg.cholesky(definite - margin)
@@ -227,13 +226,14 @@ def _definite(moment: FloatArray) -> FloatArray:
 
 
 def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float:
-    """Return how much less the residual at φ (p,) shrinks in longer windows than noise would.
+    """Return how slowly the residual at φ (p,) shrinks with window length, compared to white noise.
 
-    White noise loses variance as windows gain length; what lasts, as an error of the model or of
-    a sensor's calibration does, loses none. It may show in few combinations of coordinates, so
-    the one that lasts longest counts: its variance in long windows over what noise would have
-    left, at most the ratio of the windows' lengths, and over what chance makes of the largest of
-    n (Marchenko and Pastur 1967). Noise gives 1 or less.
+    The variance of white noise falls as windows get longer. A lasting error, of the model or of a
+    sensor's calibration, keeps its variance. The error may appear in few combinations of
+    coordinates, so the combination that keeps most is used. The result is its variance in long
+    windows over that of white noise, divided by the value that chance gives the largest of n
+    (Marchenko and Pastur 1967). It is at most about 1 for white noise, and at most the ratio of
+    the windows' lengths.
     """
     together = short._coupled & long._coupled
     before, after = (
@@ -241,7 +241,7 @@ def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float
         / np.maximum(one.counts, 1)
         for one in (short, long)
     )
-    # What is rounding is noise.
+    # Rounding counts as white noise.
     rounding = np.diag(short._least_residual)
     before, after = before + rounding, after + rounding * short.window / long.window
     used = np.flatnonzero(~(short._scarce | long._scarce))

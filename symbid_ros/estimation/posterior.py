@@ -1,10 +1,10 @@
-"""Rows and a prior to a Gaussian posterior: the method ``map``.
+"""Gaussian posterior of the parameters from observations and a prior: the method ``map``.
 
-With φ = φ̄ + L x, x ~ N(0, 1), and rows whitened across coordinates by the covariance Σ of their
-residuals, the most probable x solves (AᵀA - NᵀN + 1) x = Aᵀb - Nᵀc. A x = b are the rows and
-N x = c their noise part, which would otherwise pass for information: noise in K adds to AᵀA
-whether or not the motion does (errors in variables). Σ follows from the residuals at the
-solution, so the two are found in turn, from the one pass over the data that the wide factor is.
+With φ = φ̄ + L x, x ~ N(0, 1), the rows are whitened by the covariance Σ of their residuals across
+coordinates. The most probable x solves (AᵀA - NᵀN + 1) x = Aᵀb - Nᵀc. Here A x = b are the rows
+and N x = c is their noise. The noise must be subtracted, because noise in K adds to AᵀA like
+information (errors in variables). Σ is the covariance of the residuals at the solution, so Σ and
+x are computed alternately. The factor of the data suffices for that, without a second pass.
 """
 
 from dataclasses import dataclass
@@ -21,23 +21,24 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior
 
 REWHITENINGS = 20
-CONVERGED = 1e-9  # of a posterior standard deviation
-APPROXIMATE_TOLERANCE, APPROXIMATE_TURNS = 1e-6, 15  # from here on digits count
+CONVERGED = 1e-9  # in posterior standard deviations
+# Later iterations, or those closer to convergence, need all digits.
+APPROXIMATE_TOLERANCE, APPROXIMATE_TURNS = 1e-6, 15
 
-# More of a direction's information than this is never called noise: its noise is only estimated.
-NOISIEST = 0.75
+# Largest share of a direction's information that is subtracted as noise, which is only estimated.
+MAX_NOISE_SHARE = 0.75
 
-# Directions of which data say less than this, in prior deviations, or too little beside others for
-# a computer's digits, are not asked about the prior.
-TOLD, DIGITS = 1e-6, 1e-12
+# Directions with less information than this, absolute (in prior deviations) or relative to the
+# best one, are not used to judge the prior.
+MIN_INFORMATION, MIN_RELATIVE_INFORMATION = 1e-6, 1e-12
 
-# Factor by which the evidence may say that a prior is too wide or too narrow.
+# Range of the factor that the evidence may put on the prior's deviations.
 SCALES = (1e-2, 1e2)
 
 
 @dataclass(frozen=True)
 class PseudoMeasurements:
-    """Knowledge that is no log's: rows @ φ = targets, each to a standard deviation of one.
+    """Constraints with uncertainty: rows @ φ = targets, each with a standard deviation of one.
 
     Attributes
     ----------
@@ -60,14 +61,14 @@ class Posterior:
     factor : (p, p) float64
         R with (RᵀR)⁻¹ the covariance: the minimised square is ‖R (φ - mean)‖².
     prior : Prior
-        What was believed before.
+        Distribution before the data.
     covariance : (n, n) float64
-        Σ of a row's residual.
+        Covariance Σ of a row's residual.
     prior_scale : float
-        The factor on the deviations of ``prior`` under which the data are most probable; 1 where
-        the evidence has set them.
+        Factor on the deviations of ``prior`` that makes the data most probable; 1 if the evidence
+        has chosen them.
     noise_share : float
-        Largest share of a direction's apparent information that was noise in the regressor.
+        Largest share of a direction's apparent information that is noise in the regressor.
     """
 
     mean: FloatArray
@@ -93,9 +94,9 @@ class Posterior:
         return std
 
     def gain(self, count: int) -> float:
-        """Return what was learnt of the first ``count`` parameters, whatever the others are.
+        """Return the information gained about the first ``count`` parameters, nat.
 
-        In nats: half the logarithm of the ratio of the covariances' determinants.
+        It is half the logarithm of the ratio of the marginal covariances' determinants.
         """
 
         def log_volume(factor: FloatArray) -> float:
@@ -107,20 +108,20 @@ class Posterior:
 
 @dataclass(frozen=True)
 class _Square:
-    """‖A x - b‖² less the noise's xᵀT x - 2 tᵀx, with x in prior deviations.
+    """The cost ‖A x - b‖² minus the noise's xᵀT x - 2 tᵀx, with x in prior deviations.
 
     Attributes
     ----------
     A : (k, p) float64
         Factor of the rows.
     b : (k,) float64
-        Its right-hand side.
+        Right-hand side of the factor.
     T : (p, p) float64
         Moments NᵀN of the noise in the rows.
     t : (p,) float64
-        Nᵀc of the noise in both their sides.
+        Moments Nᵀc of the noise on both sides.
     covariance : (n, n) float64
-        What whitened the rows.
+        Covariance that whitened the rows.
     """
 
     A: FloatArray
@@ -145,9 +146,9 @@ class _Square:
             root = cholesky(covariance, lower=True)
         except np.linalg.LinAlgError:
             raise EstimateError(
-                "the residuals of the prior's mean are so large that rounding hides how they "
-                "differ between coordinates; correct the value of the prior that is out of all "
-                "proportion"
+                "the residuals at the prior's mean are too large to estimate their covariance; "
+                "correct the prior value that is out of proportion",
+                "E417",
             ) from None
         whitening = np.asarray(np.linalg.inv(root), dtype=np.float64)
         precision = whitening.T @ whitening
@@ -167,7 +168,7 @@ class _Square:
         return cls(A, b, noise[:-1, :-1], noise[:-1, -1], covariance)
 
     def minimum(self, scale: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return x (p,), the precision's factor R (p, p) and the largest share of noise."""
+        """Return x (p,), the factor R (p, p) of the precision and the largest share of noise."""
         p = self.A.shape[1]
         square = stacked_factor(
             np.column_stack([self.A, self.b]),
@@ -175,16 +176,15 @@ class _Square:
         )
         R, target = square[:p, :p], square[:p, p]
         x = solve_triangular(R, target)
-        # What noise added is taken off in the directions in which it is a share of the whole.
+        # Noise is subtracted along the generalised eigenvectors of noise and total information.
         inverse = solve_triangular(R, np.eye(p))
         share, V = np.linalg.eigh(inverse.T @ self.T @ inverse)
-        kept = np.clip(share, 0.0, NOISIEST)
+        kept = np.clip(share, 0.0, MAX_NOISE_SHARE)
         pull = kept / np.where(share > 0, share, 1.0)
         step = V.T @ (inverse.T @ (self.T @ x - self.t))
         x = x + inverse @ (V @ (pull / (1 - kept) * step))
         factor = (V * np.sqrt(1 - kept)) @ V.T @ R
-        # Noise is only estimated: where more of it than there is information would be taken off,
-        # the prior alone is left.
+        # The noise is an estimate. Where it exceeds the information, only the prior remains.
         _, values, Vt = np.linalg.svd(factor * scale, full_matrices=False)
         least = np.maximum(values, 1.0)
         x = scale * (Vt.T @ ((values / least) ** 2 * (Vt @ (x / scale))))
@@ -193,23 +193,23 @@ class _Square:
     def evidence_scale(self, count: int) -> float:
         """Return the factor λ on the first ``count`` deviations that makes the data most probable.
 
-        Σ is kept as it is (MacKay 1992, Neural Computation 4(3)), and noise in the regressor is
-        no information here either.
+        Σ is held constant (MacKay 1992, Neural Computation 4(3)), and noise in the regressor is
+        subtracted here too.
         """
         x, R, _ = self.minimum(np.ones(self.A.shape[1]))
-        # The gradient R'R x of the rows at the prior's mean is H x₀ plus noise of covariance W,
-        # where H is what is left of W when the noise's part is taken off.
+        # The gradient RᵀR x of the rows at the prior's mean is H x₀ plus noise of covariance W,
+        # where H is W without the regressor's noise.
         values, V = np.linalg.eigh(self.A.T @ self.A)
-        some = values > max(TOLD, DIGITS * values[-1])
+        some = values > max(MIN_INFORMATION, MIN_RELATIVE_INFORMATION * values[-1])
         root = V[:, some] / np.sqrt(values[some])
         A, b = root.T @ (R.T @ R - np.eye(len(x))), root.T @ (R.T @ (R @ x))
         others = self.A.shape[1] - count
-        # What is left of the rows when the other unknowns have taken up what they can.
+        # Rows that remain after marginalising the other parameters.
         rows = np.column_stack([A[:, count:], A[:, :count], b])
         of_prior = np.eye(others, rows.shape[1])
         left = stacked_factor(rows, of_prior)[others:, others:]
-        U, told, _ = np.linalg.svd(left[:, :-1], full_matrices=False)
-        square, fit = told**2, (U.T @ left[:, -1]) ** 2
+        U, values, _ = np.linalg.svd(left[:, :-1], full_matrices=False)
+        square, fit = values**2, (U.T @ left[:, -1]) ** 2
 
         def slope(log_scale: float) -> float:
             ratio = np.exp(2 * log_scale) * square
@@ -228,7 +228,7 @@ class _Square:
 
 
 def _root(moment: FloatArray) -> FloatArray:
-    """Return A with AᵀA the moment, as far as its digits tell."""
+    """Return A with AᵀA equal to the moment, to the moment's precision."""
     values, V = np.linalg.eigh(moment)
     root: FloatArray = np.sqrt(np.maximum(values, 0.0))[:, None] * V.T
     return root
@@ -250,28 +250,28 @@ def posterior(
     Parameters
     ----------
     observations : Observations
-        The data.
+        Observations of the logs.
     prior : Prior
         Mean and covariance of the parameters before the data.
     pseudo_measurements : PseudoMeasurements, optional
-        What else is known, such as a weighing.
+        Further constraints with uncertainty, such as a weighing.
     empirical : bool
-        Let the evidence choose a common factor on the prior's deviations.
+        Whether the evidence chooses a common factor on the prior's deviations.
     count : int, optional
-        How many parameters, the first ones, the evidence judges the deviations of: those of
-        the links. All by default.
+        Number of leading parameters whose deviations the evidence judges, those of the links.
+        All by default.
     tolerance : float
-        Change, in posterior standard deviations, at which weights and solution have settled.
+        Change in posterior standard deviations at which weights and solution have converged.
     start : (p,) float64, optional
-        Parameters whose residuals give the first weights, better ones than the prior's mean.
+        Parameters whose residuals give the initial weights; the prior's mean by default.
     approximate : bool
-        Stop where half a computer's digits say no more: enough to compare, not to keep.
+        Whether to stop at half of the digits, which is enough for comparisons.
     """
     mean, L = prior.mean, prior.covariance_factor()
     count = len(mean) if count is None else count
     scale = np.ones(len(mean))
     x = np.zeros(len(mean)) if start is None else np.linalg.solve(L, start - mean)
-    # Weights and solution are found in turn: roughly at first, as that takes most of the turns.
+    # Weights and solution alternate. Most iterations are the early ones, which need fewer digits.
     coarse = True
     for turn in range(REWHITENINGS):
         square = _Square.of(

@@ -1,4 +1,4 @@
-"""What is believed about the parameters before the data: a Gaussian."""
+"""Gaussian prior of the parameters: drawn, taken from a model file, written and read."""
 
 import json
 from dataclasses import dataclass, replace
@@ -26,40 +26,40 @@ from symbid_ros.safe_yaml import load_json
 
 Kind = Literal["percent", "absolute", "consistent"]
 
-# What is believed about a model file that comes without a prior of its own.
+# Half-width of the prior of a model file without a prior of its own, %.
 DEFAULT_PERCENT = 25.0
-# Share of a deviation that must remain when all parameters before it are known.
+# Smallest share of a deviation that must remain given all parameters before it.
 _CERTAINTY = 1e-10
 
-# The moment of inertia of a gram within a millimetre is 1e-9 kg m²; this is a billionth of it.
+# A billionth of the moment of inertia of a gram within a millimetre, 1e-9 kg m².
 LEAST_STD = 1e-18
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Gaussian beliefs about the parameters of one model.
+    """Gaussian distribution of the parameters of one model before the data.
 
     Attributes
     ----------
     model : str
-        Name of the robot model it belongs to.
+        Name of the robot model.
     kind : str
-        How it came about, such as "percent 25".
+        Origin, such as "percent 25".
     seed : int or None
-        Seed of the draw; None when nothing was drawn.
+        Seed of the draw; None if nothing was drawn.
     names : tuple of str
         Parameter names.
     mean, std : (p,) float64
-        In each parameter's SI unit; every standard deviation is positive.
+        Means and standard deviations in SI units. Every standard deviation is positive.
     factor : (p, p) float64 or None
-        Lower triangular L with covariance L Lᵀ, whose diagonal is ``std`` squared;
-        None for independent beliefs.
+        Lower triangular L with covariance L Lᵀ, whose diagonal is ``std`` squared.
+        None for independent parameters.
 
     Raises
     ------
     PriorError
-        When a number is not finite, a standard deviation not positive, or the factor
-        not that of a covariance with these deviations.
+        When a number is not finite, a standard deviation is not positive, or the factor
+        contradicts the standard deviations.
     """
 
     model: str
@@ -71,29 +71,30 @@ class Prior:
     factor: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no distribution."""
+        """Check that this is a distribution."""
         for name, value, deviation in zip(self.names, self.mean, self.std, strict=True):
             if not (np.isfinite(value) and np.isfinite(deviation) and deviation > 0):
                 raise PriorError(
                     f"{name} has value {value} and std {deviation}; both must be finite and the "
-                    "standard deviation positive"
+                    "standard deviation positive",
+                    "E404",
                 )
         if self.factor is not None:
             _check_factor(self.factor, self.names, self.std)
 
     def covariance_factor(self) -> FloatArray:
-        """Return L (p, p), lower triangular, with covariance L Lᵀ."""
+        """Return the lower triangular L (p, p) with covariance L Lᵀ."""
         return np.diag(self.std) if self.factor is None else self.factor
 
     def widened(self, scale: FloatArray) -> "Prior":
-        """Return the prior with each column of its covariance's factor times ``scale`` (p,)."""
+        """Return the prior with column i of its covariance factor times ``scale[i]``."""
         if self.factor is None:
             return replace(self, std=scale * self.std)
         factor = self.factor * scale
         return replace(self, std=np.linalg.norm(factor, axis=1), factor=factor)
 
     def extended(self, names: tuple[str, ...], mean: FloatArray, std: FloatArray) -> "Prior":
-        """Return the prior with more parameters, independent of those that are there."""
+        """Return the prior with more parameters, independent of the others."""
         factor = None if self.factor is None else block_diag(self.factor, np.diag(std))
         return replace(
             self,
@@ -109,13 +110,14 @@ class Prior:
         Raises
         ------
         PriorError
-            When a mass is negative, which no reader accepts.
+            When a mass is negative, which :func:`load_prior` rejects.
         """
         for name, value in zip(self.names, self.mean, strict=True):
             if name.endswith("/m") and value < 0:
                 raise PriorError(
                     f"{path}: not written, as {name} came out as {value:.3g} kg; choose another "
-                    "seed or a smaller half-width"
+                    "seed or a smaller half-width",
+                    "E407",
                 )
         parameters = {
             name: {"value": float(value), "std": float(std)}
@@ -133,9 +135,9 @@ class Prior:
 
 
 def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
-    """Return the model file's own values, uniform within ± ``percent`` % as far as it is known.
+    """Return a prior with the model file's values, uniform within ± ``percent`` %.
 
-    What the file does not state of a joint is zero to within ``JOINT_TERMS[...].std``.
+    Joint terms that the file does not give are zero with the deviation ``JOINT_TERMS[...].std``.
 
     Raises
     ------
@@ -149,9 +151,9 @@ def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> P
 
 
 def absolute_model_prior(parameters: ParameterSet, amount: float) -> Prior:
-    """Return the model file's own values, uniform within ± ``amount`` in their SI units.
+    """Return a prior with the model file's values, uniform within ± ``amount`` in SI units.
 
-    What the file does not state of a joint is zero to within ``JOINT_TERMS[...].std``.
+    Joint terms that the file does not give are zero with the deviation ``JOINT_TERMS[...].std``.
 
     Raises
     ------
@@ -170,15 +172,15 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
     Parameters
     ----------
     parameters : ParameterSet
-        The model and its columns. What the file does not state of a joint stays zero,
-        to within ``JOINT_TERMS[...].std``.
+        The model and its columns. Joint terms that the file does not give stay zero, with the
+        deviation ``JOINT_TERMS[...].std``.
     kind : {"percent", "absolute", "consistent"}
-        "percent": each parameter uniform within ± ``amount`` % of its value;
-        "absolute": uniform within ± ``amount`` in its unit (thesis, Table 4.1);
-        "consistent": each link's pseudo-inertia J = L Lᵀ becomes L S Lᵀ, where S has
-        random axes and eigenvalues uniform within 1 ± ``amount`` %, so that every
-        drawn link is physically possible and every moment ∫(aᵀx + b)² dm within
-        ± ``amount`` % of its value; joints as with "percent".
+        "percent": each parameter uniform within ± ``amount`` % of its value.
+        "absolute": uniform within ± ``amount`` in its unit (thesis, Table 4.1).
+        "consistent": each link's pseudo-inertia J = L Lᵀ becomes L S Lᵀ, where S has random axes
+        and eigenvalues uniform within 1 ± ``amount`` %. Every drawn link is then physically
+        consistent, and every moment ∫(aᵀx + b)² dm is within ± ``amount`` % of its value. Joint
+        terms as with "percent".
     amount : float
         Half-width of the distribution.
     seed : int
@@ -201,7 +203,9 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
         std = absolute_std(parameters, amount)
     else:
         if amount >= 100:
-            raise PriorError(f"± {amount:g} % leaves no mass; a consistent prior stays below 100")
+            raise PriorError(
+                f"± {amount:g} % leaves no mass; give a consistent prior less than 100 %", "E406"
+            )
         drawn = [_consistent(phi, amount / 100, rng) for phi in parameters.link_phi(mean)]
         mean[:count] = np.concatenate([phi for phi, _ in drawn])
         mean[count:] *= 1 + rng.uniform(-amount / 100, amount / 100, len(mean) - count)
@@ -214,7 +218,9 @@ def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -
 
 def _check_amount(amount: float) -> None:
     if not (np.isfinite(amount) and amount > 0):
-        raise PriorError(f"a prior of ± {amount:g} is no distribution; give a positive half-width")
+        raise PriorError(
+            f"a prior cannot be uniform within ± {amount:g}; give a positive half-width", "E406"
+        )
 
 
 def _check_factor(factor: FloatArray, names: tuple[str, ...], std: FloatArray) -> None:
@@ -222,38 +228,44 @@ def _check_factor(factor: FloatArray, names: tuple[str, ...], std: FloatArray) -
     if factor.shape != (size, size):
         raise PriorError(
             f"covariance_factor has shape {factor.shape}; {size} parameters need "
-            f"{size} rows of {size} numbers"
+            f"{size} rows of {size} numbers",
+            "E405",
         )
     if not np.all(np.isfinite(factor)):
-        raise PriorError("covariance_factor has a number that is not finite; correct it")
+        raise PriorError("covariance_factor has a number that is not finite; correct it", "E405")
     if np.any(np.triu(factor, 1)):
-        raise PriorError("covariance_factor is not lower triangular; give L of covariance L Lᵀ")
-    # The diagonal is what remains of each deviation when the parameters before it are known.
+        raise PriorError(
+            "covariance_factor is not lower triangular; give L of covariance L Lᵀ", "E405"
+        )
+    # The diagonal is the conditional deviation of each parameter given those before it.
     certain = np.flatnonzero(np.diag(factor) <= _CERTAINTY * std)
     if len(certain):
         raise PriorError(
             f"covariance_factor is not positive definite: its diagonal at {names[certain[0]]} is "
-            f"{factor[certain[0], certain[0]]:g}; give every parameter some freedom"
+            f"{factor[certain[0], certain[0]]:g}; give every parameter some freedom",
+            "E405",
         )
     implied = np.linalg.norm(factor, axis=1)
     wrong = np.flatnonzero(np.abs(implied / std - 1) > 1e-6)
     if len(wrong):
         raise PriorError(
             f"covariance_factor gives {names[wrong[0]]} a std of {implied[wrong[0]]:g}, its own "
-            f"entry {std[wrong[0]]:g}; make them agree"
+            f"entry {std[wrong[0]]:g}; make them agree",
+            "E405",
         )
 
 
 def _consistent(
     phi: FloatArray, half_width: float, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
-    """Return φ (10,) of a random possible link near φ, and its deviations (10,)."""
+    """Return φ (10,) of a random consistent link near φ, and its deviations (10,)."""
     matrix = pseudo_inertia(phi)
     eigenvalues, axes = np.linalg.eigh(matrix)
     if eigenvalues[0] < -1e-12 * abs(eigenvalues[-1]):
         raise PriorError(
-            "the model has a physically impossible link, so no consistent prior can be drawn "
-            "around it; correct the model or use --percent"
+            "the model has a physically inconsistent link, so no consistent prior can be drawn "
+            "around it; correct the model or use --percent",
+            "E407",
         )
     root = axes * np.sqrt(np.maximum(eigenvalues, 0))
     turn, upper = np.linalg.qr(rng.normal(size=(4, 4)))
@@ -266,22 +278,23 @@ def _consistent(
 def load_prior(path: Path, parameters: ParameterSet) -> Prior:
     """Read prior.json and check that it belongs to the model.
 
-    Of the joints' terms it may hold more or fewer than ``parameters``: those not in use are
-    marginalised out, those that it lacks are as the model file has them, as in
-    :func:`model_prior`.
+    The file may contain more or fewer joint terms than ``parameters``. Terms not in use are
+    marginalised, and missing terms are those of :func:`model_prior`.
 
     Raises
     ------
     PriorError
-        When the file is missing, malformed, for another model, or no distribution.
+        When the file is missing or malformed, belongs to another model or is not a distribution.
     """
     try:
         document = load_json(path)
     except OSError as error:
-        raise PriorError(f"{path}: cannot read it ({error.strerror}); check the path") from None
+        raise PriorError(
+            f"{path}: cannot read it ({error.strerror}); check the path", "E401"
+        ) from None
     except ValueError as error:
         raise PriorError(
-            f"{path}: not a prior.json ({error}); write one with `symbid prior`"
+            f"{path}: not a prior.json ({error}); write one with `symbid prior`", "E402"
         ) from None
     try:
         model, entries = document["model"], document["parameters"]
@@ -292,7 +305,7 @@ def load_prior(path: Path, parameters: ParameterSet) -> Prior:
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
         raise PriorError(
-            f"{path}: not a prior.json ({reason}); write one with `symbid prior`"
+            f"{path}: not a prior.json ({reason}); write one with `symbid prior`", "E402"
         ) from None
     _check_belongs(path, model, values, parameters)
     _check_size(path, values)
@@ -301,28 +314,32 @@ def load_prior(path: Path, parameters: ParameterSet) -> Prior:
         read = Prior(model, kind, seed, tuple(values), mean, std, factor)
         return _for_columns(read, parameters)
     except PriorError as error:
-        raise PriorError(f"{path}: {error}") from None
+        raise PriorError(f"{path}: {error}", error.code) from None
 
 
 def _check_size(path: Path, values: dict[str, tuple[float, float]]) -> None:
-    """Refuse numbers that are no robot's, whose squares would overflow or vanish."""
+    """Reject values outside a robot's range, whose squares would overflow or underflow."""
     for name, (value, std) in values.items():
         if abs(value) > LARGEST:
             raise PriorError(
-                f"{path}: {name} has value {value:g}, no robot's; give at most {LARGEST:g} in SI "
-                "units"
+                f"{path}: {name} has value {value:g}, outside a robot's range; give at most "
+                f"{LARGEST:g} in SI units",
+                "E404",
             )
         if value < 0 and name.endswith("/m"):
-            raise PriorError(f"{path}: {name} has value {value:g}; give a mass of 0 kg or more")
+            raise PriorError(
+                f"{path}: {name} has value {value:g}; give a mass of 0 kg or more", "E404"
+            )
         if 0 < std < LEAST_STD or std > LARGEST:
             raise PriorError(
                 f"{path}: {name} has std {std:g}; give one from {LEAST_STD:g} to {LARGEST:g}, or "
-                "drop `prior` and give `prior_percent`"
+                "drop `prior` and give `prior_percent`",
+                "E404",
             )
 
 
 def _for_columns(prior: Prior, parameters: ParameterSet) -> Prior:
-    """Return the beliefs about ``parameters``, in their order."""
+    """Return the prior of ``parameters``, in their order."""
     names = parameters.names
     if prior.names == names:
         return prior
@@ -333,7 +350,7 @@ def _for_columns(prior: Prior, parameters: ParameterSet) -> Prior:
     mean, std, factor = own.mean.copy(), own.std.copy(), None
     mean[held], std[held] = prior.mean[index], prior.std[index]
     if prior.factor is not None:
-        # A Gaussian's marginal keeps the rows of a root of its covariance; QR makes the root
+        # The marginal covariance has the same rows of the factor; QR makes the factor
         # triangular again.
         root = np.zeros((len(names), len(prior.names) + len(names)))
         root[held, : len(prior.names)] = prior.factor[index]
@@ -352,12 +369,13 @@ def _check_belongs(
     known = set(ParameterSet(robot, TERMS).names)
     unknown = [name for name in values if name not in known]
     if model != robot.name or missing or unknown:
-        detail = f"the model calls itself {robot.name!r}"
+        detail = f"the name of that model is {robot.name!r}"
         if missing:
-            detail = f"it lacks {missing[0]}"
+            detail = f"the prior lacks {missing[0]}"
         elif unknown:
-            detail = f"{unknown[0]} is unknown there"
+            detail = f"that model has no {unknown[0]}"
         raise PriorError(
             f"{path}: this prior is for model {model!r}, not for {robot.source} ({detail}); draw "
-            f"one with `symbid prior --model {robot.source}`"
+            f"one with `symbid prior --model {robot.source}`",
+            "E403",
         )

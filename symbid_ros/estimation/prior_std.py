@@ -1,4 +1,4 @@
-"""How far off a parameter may be: scales of links and joints, and uniform half-widths."""
+"""Standard deviations of priors, from the scales of links and joints and from half-widths."""
 
 import numpy as np
 
@@ -7,20 +7,20 @@ from symbid_ros.choices import JOINT_TERMS
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, second_moments
 from symbid_ros.model.parameters import ParameterSet
 
-# A slide is given the drive of a joint with this lever, m.
+# A slide gets the terms of a revolute drive with this lever, m.
 _SLIDE_LEVER = 0.1
-# Share of a parameter's own scale below which its deviation does not fall.
+# Smallest deviation, as a share of the deviation at the parameter's own scale.
 _FLOOR = 0.01
-# Deviation of a payload's mass, of the robot's: what people and robots pick up; and the extent that
-# its link is given at least, m: it may stick out.
+# Deviation of a payload's mass, as a share of the robot's mass: what people and robots pick up.
 PAYLOAD = 0.1
+# Smallest extent of a loaded link, m, because the payload may stick out.
 _LEAST_EXTENT = 0.05
-# The scale of a link that the file gives no mass or no extent.
+# Scale of a link without mass or extent in the file.
 _BARE_MASS, _BARE_EXTENT = 1.0, 0.1
 
 
 def percent_std(parameters: ParameterSet, mean: FloatArray, percent: float) -> FloatArray:
-    """Return the deviation of a uniform ± percent, floored so that a zero is no certainty."""
+    """Return the deviation of a uniform ± percent, with a positive floor for zero values."""
     uniform = percent / 100 * np.abs(mean) / np.sqrt(3)
     std: FloatArray = np.maximum(uniform, percent_floor(parameters, percent))
     joints = slice(parameters.inertial, None)
@@ -29,7 +29,7 @@ def percent_std(parameters: ParameterSet, mean: FloatArray, percent: float) -> F
 
 
 def absolute_std(parameters: ParameterSet, amount: float) -> FloatArray:
-    """Return the deviation of a uniform ± amount where the file states a value."""
+    """Return the deviation of a uniform ± amount for the values that the file gives."""
     std = np.full(len(parameters), amount / np.sqrt(3))
     joints = slice(parameters.inertial, None)
     std[joints] = np.where(is_stated(parameters)[joints], std[joints], _term_scale(parameters))
@@ -37,7 +37,7 @@ def absolute_std(parameters: ParameterSet, amount: float) -> FloatArray:
 
 
 def consistent_std(root: FloatArray, half_width: float) -> FloatArray:
-    """Return the deviations (10,) of φ under J → L S Lᵀ, in closed form, L (4, 4) being ``root``.
+    """Return the deviations (10,) of φ under J → L S Lᵀ in closed form, where ``root`` is L (4, 4).
 
     With iid eigenvalues of variance σ² and axes uniform over O(4), S has
     E[S_ij S_kl] - E[S_ij] E[S_kl] = σ²/6 (δ_ij δ_kl + δ_ik δ_jl + δ_il δ_jk).
@@ -52,11 +52,11 @@ def consistent_std(root: FloatArray, half_width: float) -> FloatArray:
 
 
 def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:
-    """Return 1 % of the deviation that a parameter of its link's scale {m, mℓ, mℓ²} would have.
+    """Return 1 % of the deviation that a value of the link's scale {m, mℓ, mℓ²} would have.
 
-    ℓ is the link's root-mean-square extent about its origin; the scale of a joint's term is
-    ``JOINT_TERMS[...].std``. The floor is small: it serves zeros in a file and leaves small true
-    values their own scale.
+    ℓ is the link's root-mean-square extent about its origin. The scale of a joint term is
+    ``JOINT_TERMS[...].std``. The floor makes zeros in the file uncertain. It is small, so that small true
+    values keep their own scale.
     """
     unit = _FLOOR * percent / 100 / np.sqrt(3)
     floor = np.empty(len(parameters))
@@ -69,13 +69,13 @@ def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:
 
 
 def link_extent(phi: FloatArray) -> float:
-    """Return a link's root-mean-square extent about its origin, m; 0 where φ (10,) tells none."""
+    """Return a link's root-mean-square extent about its origin, m; 0 for a link without mass."""
     mass = abs(phi[0])
     return float(np.sqrt(max(np.trace(second_moments(phi)), 0.0) / mass)) if mass > 0 else 0.0
 
 
 def payload_std(parameters: ParameterSet, mean: FloatArray) -> FloatArray:
-    """Return by how much a payload may change each link of a robot like ``mean``, (links, 10)."""
+    """Return the deviations (links, 10) that a payload adds to each link of the robot ``mean``."""
     means = parameters.link_phi(mean[: len(parameters)])
     mass = PAYLOAD * means[:, 0].sum()
     extents = np.maximum([link_extent(phi) for phi in means], _LEAST_EXTENT)
@@ -85,14 +85,14 @@ def payload_std(parameters: ParameterSet, mean: FloatArray) -> FloatArray:
 
 
 def is_stated(parameters: ParameterSet) -> BoolArray:
-    """Return (p,) whether the model file states the parameter: links do, joints where not zero."""
+    """Return (p,) whether the model file gives the parameter: all of links, non-zero of joints."""
     stated: BoolArray = parameters.values != 0.0
     stated[: parameters.inertial] = True
     return stated
 
 
 def _term_scale(parameters: ParameterSet) -> FloatArray:
-    """Return the standard deviations of joint terms that the model file does not state."""
+    """Return the standard deviations of the joint terms when the model file does not give them."""
     return np.array(
         [
             each.std / (_SLIDE_LEVER**each.lever_power if joint.kind == "prismatic" else 1.0)

@@ -1,4 +1,4 @@
-"""What a log could and could not tell, in words and numbers."""
+"""Verdict on an estimate: what the log determined, and alarms that warn against trusting it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,29 +11,29 @@ from symbid_ros.estimation.directions import determined_directions
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.parameters import ParameterSet
 
-# A parameter, or a direction, is determined where the data say more of it than the prior did:
-# where half the prior's variance is gone, and the ratio of standard deviations falls below this.
+# A parameter or direction is determined if the data say more about it than the prior, which halves
+# the variance. This is the largest ratio of standard deviations.
 DETERMINED = 1 / np.sqrt(2)
 
-# The evidence would have the prior this much wider: prior, kinematics or sensors are wrong. A prior
-# that is more modest than need be harms nobody.
+# Largest factor on the prior's deviations by evidence. Above it, prior, kinematics or sensors are
+# wrong. A factor below 1 is harmless, as the prior is then only too wide.
 SUSPICIOUS_SCALE = 2.0
-# Residuals that outlast noise by this much are no noise.
+# Largest whiteness of residuals that count as white noise.
 SUSPICIOUS_WHITENESS = 1.4
-# Noise in the regressor was this much of what a direction seemed to be told.
+# Largest share of a direction's apparent information that may be noise in the regressor.
 SUSPICIOUS_NOISE = 0.5
 
 
 @dataclass(frozen=True)
 class EstimatedQuantity:
-    """One number with its doubt.
+    """An estimated number with its uncertainty.
 
     Attributes
     ----------
     name, unit : str
     value, std : float
     determined : bool
-        Whether the data say more of it than was known before.
+        Whether the data say more about it than the prior.
     """
 
     name: str
@@ -52,27 +52,26 @@ class Verdict:
     window : float
         Length of the rows' windows, s; 0 for filtered rows.
     prior_scale : float
-        Factor on the prior's deviations under which the data are most probable.
+        Factor on the prior's deviations that makes the data most probable.
     whiteness : float
-        Variance that the residual keeps in long windows over what noise would, in the
-        combination of coordinates where it keeps most; at most about 1 for noise, 0 where there
-        was one window only.
+        Variance of the residual in long windows relative to white noise, see
+        :func:`symbid_ros.estimation.observations.whiteness`; 0 if there was one window only.
     noise_share : float
-        Largest share of a direction's apparent information that was noise in the regressor.
+        Largest share of a direction's apparent information that is noise in the regressor.
     alarms : tuple of str
-        What is wrong, one line each.
+        Reasons not to trust the estimate, one line each.
     effective : float
-        How many parameters' worth of knowledge the data brought, Σ (1 - r²).
+        Effective number of parameters that the data determine, Σ (1 - r²).
     gain : float
-        Information gained in all, bit.
+        Total information gain, bit.
     link_gain : dict of str to float
-        The same per link, bit.
+        Information gain per link, bit.
     directions : tuple of str
-        The determined directions of parameter space, best first.
+        Determined directions of parameter space, best first.
     base : tuple of EstimatedQuantity
-        The combinations of parameters that forces can depend on.
+        Base parameters: the combinations of parameters that affect forces.
     sensors : tuple of EstimatedQuantity
-        Errors of the sensors that were identified along with the robot.
+        Sensor errors that were identified together with the robot.
     """
 
     window: float
@@ -103,15 +102,15 @@ def assess(
     Parameters
     ----------
     posterior : Posterior
-        Of the robot's p parameters and r errors of its sensors.
+        Posterior of the robot's p parameters and r sensor errors.
     value : (p + r,) float64
         The estimate, which may differ from the posterior's mean.
     parameters : ParameterSet
         The robot's columns.
     window, whiteness : float
-        As in :class:`Verdict`.
+        See :class:`Verdict`.
     sensors : pair of sequences of str
-        Names and units of the sensors' errors.
+        Names and units of the sensor errors.
     has_wrenches : bool
         Whether the robot has wrench sensors, which a tare could calibrate.
     """
@@ -160,7 +159,7 @@ def assess(
 
 
 def _square(factor: FloatArray) -> FloatArray:
-    """Return a square (p, p) factor of the same covariance as one of p rows."""
+    """Return a square factor (p, p) of the covariance that a factor with p rows has."""
     if factor.shape[0] == factor.shape[1]:
         return factor
     triangle = np.asarray(np.linalg.qr(factor.T, mode="r"), dtype=np.float64)
@@ -168,23 +167,23 @@ def _square(factor: FloatArray) -> FloatArray:
 
 
 def alarms(posterior: Posterior, whiteness: float, *, has_wrenches: bool = True) -> tuple[str, ...]:
-    """Return what is wrong with an estimate, one line each; arguments as in :func:`assess`."""
+    """Return the alarms of an estimate, one line each; arguments as in :func:`assess`."""
     found = []
     if posterior.prior_scale > SUSPICIOUS_SCALE:
         found.append(
-            f"the data would have the prior {posterior.prior_scale:.1f} times wider: the prior, "
-            "the kinematics or a sensor's calibration is wrong"
+            f"the data contradict the prior, which would have to be {posterior.prior_scale:.1f} "
+            "times wider: the prior, the kinematics or a sensor's calibration is wrong"
         )
     if whiteness > SUSPICIOUS_WHITENESS:
-        tare = "a tare, " if has_wrenches else ""
+        tare = "a tare bag, " if has_wrenches else ""
         found.append(
-            f"residuals last longer than noise would (whiteness {whiteness:.1f}, at most 1 for "
-            f"noise): the model or a sensor's calibration is wrong; identify {tare}sensor_errors "
-            "typical or the joint terms that are missing (friction, armature, offset)"
+            f"the residuals are not white noise (whiteness {whiteness:.1f}, at most 1 for noise): "
+            f"the model or a sensor's calibration is wrong; add {tare}sensor_errors typical or "
+            "the missing joint terms (friction, armature, offset)"
         )
     if posterior.noise_share > SUSPICIOUS_NOISE:
         found.append(
-            f"{100 * posterior.noise_share:.0f} % of what some direction seems to be told is noise "
+            f"{100 * posterior.noise_share:.0f} % of the information about one direction is noise "
             "in the motion: move more, or use longer windows"
         )
     return tuple(found)

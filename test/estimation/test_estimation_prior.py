@@ -92,7 +92,7 @@ def test_a_consistent_prior_of_links_without_volume_is_drawn(points):
 def test_no_consistent_prior_is_drawn_around_an_impossible_link():
     robot = random_robot(3, links=5)
     robot.links[2].phi[0] *= -1.0
-    with pytest.raises(PriorError, match="physically impossible link"):
+    with pytest.raises(PriorError, match="physically inconsistent link"):
         draw_prior(ParameterSet(robot), "consistent", 25, 0)
 
 
@@ -332,7 +332,7 @@ BAD = {
     ),
     "unknown link": (
         lambda d: edited(d, lambda x: x["parameters"].update({"tail/m": {"value": 1, "std": 1}})),
-        "tail/m is unknown",
+        "has no tail/m",
     ),
     "zero std": (
         lambda d: edited(d, lambda x: x["parameters"]["R_foot/m"].update(std=0)),
@@ -348,7 +348,7 @@ BAD = {
     ),
     "a value of no robot": (
         lambda d: edited(d, lambda x: x["parameters"]["R_foot/Ixy"].update(value=-1e308)),
-        "R_foot/Ixy has value -1e.308, no robot's; give at most 1e.09",
+        "R_foot/Ixy has value -1e.308, outside a robot's range; give at most 1e.09",
     ),
     "a negative mass": (
         lambda d: edited(d, lambda x: x["parameters"]["R_foot/m"].update(value=-0.1)),
