@@ -50,14 +50,14 @@ def write_bag(out: Path, seconds: float, rate: float, chunk_size: int) -> int:
     records = {topic: layout.records(count) for topic, layout in layouts.items()}
     columns = {topic: layouts[topic].columns(rows) for topic, rows in records.items()}
     joints, imu, *wrenches = columns.values()
-    messages.fill_joint_state(
+    messages.fill_message(
         joints,
         stamp,
         position=signal(10, 1e-4),
         velocity=signal(10, 1e-2),
         effort=100 * signal(10, 1e-2),
     )
-    messages.fill_imu(
+    messages.fill_message(
         imu,
         stamp,
         orientation=signal(4, 1e-4),

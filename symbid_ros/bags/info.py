@@ -199,7 +199,7 @@ def _mcap_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]], *, is_alone
     assert stated is not None
     counts: Counter[Topic] = Counter()
     for number, channel in registry.channels.items():
-        topic = Topic(channel.topic, registry.msgtype(channel))
+        topic = registry.topic(channel)
         counts[topic] += stated.channel_message_counts.get(number, 0)
         with suppress(ValueError):
             qos[topic] = qos.get(topic) or registry.offered_qos(channel)

@@ -5,13 +5,13 @@ may share a topic, each publishing its own joints.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import read_stamp
@@ -226,7 +226,7 @@ def imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
                 "E231",
             )
         readings[name] = column(decoder, name)
-    usable = _usable_vectors(tally, stamp, readings)
+    usable = _usable(tally, stamp, readings)
     orientation = column(decoder, "orientation")
     absent = column(decoder, "orientation_covariance")[:, 0] == -1
     orientation[absent] = np.nan
@@ -248,7 +248,7 @@ def wrench_stream(decoder: TopicDecoder, tally: DefectCounts) -> WrenchStream:
     frame_id = _frame_id(decoder)
     stamp = stamps(decoder)
     force, torque = column(decoder, "wrench.force"), column(decoder, "wrench.torque")
-    usable = _usable_vectors(tally, stamp, {"wrench.force": force, "wrench.torque": torque})
+    usable = _usable(tally, stamp, {"wrench.force": force, "wrench.torque": torque})
     kept = _in_order(usable, stamp, tally)
     return WrenchStream(
         topic=topic,
@@ -290,31 +290,20 @@ def _frame_id(decoder: TopicDecoder) -> str:
     return frames.pop()
 
 
-def _usable_vectors(
-    tally: DefectCounts, stamp: IntArray, readings: dict[str, FloatArray]
-) -> IntArray:
+def _usable(tally: DefectCounts, stamp: IntArray, readings: dict[str, FloatArray]) -> IntArray:
+    """Return the positions of the messages whose vectors (N, 3) are all finite."""
     finite = np.hstack([np.isfinite(values) for values in readings.values()])
-    labels = [f"{name}.{axis}" for name in readings for axis in AXES]
-    return _usable(tally, stamp, finite, lambda: np.hstack(list(readings.values())), labels)
-
-
-def _usable(
-    tally: DefectCounts,
-    stamp: IntArray,
-    finite: BoolArray,
-    values: Callable[[], FloatArray],
-    labels: Sequence[str],
-) -> IntArray:
-    """Return the positions of the messages whose values (N, c) are all finite."""
     if finite.all():
         return np.arange(len(stamp))
+    labels = [f"{name}.{axis}" for name in readings for axis in AXES]
     wrong = np.logical_or.reduce(~finite, axis=1)
     if np.count_nonzero(wrong) >= MAX_INVALID_SHARE * len(stamp):
         row, bad = np.argwhere(~finite)[0]
+        values = np.hstack(list(readings.values()))
         raise DefectError(
             tally.topic,
             Defect.NOT_FINITE,
-            f"{tally.source}: {tally.topic}: {labels[bad]} is {values()[row, bad]} at "
+            f"{tally.source}: {tally.topic}: {labels[bad]} is {values[row, bad]} at "
             f"{seconds(stamp[row])}, and at least half of the messages hold NaN or infinite "
             "values; fix the driver or leave the topic out",
             "E234",

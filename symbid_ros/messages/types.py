@@ -64,7 +64,10 @@ def joint_state_layout(names: tuple[str, ...]) -> Layout:
 
 
 def imu_layout(frame_id: str) -> Layout:
-    """Return the layout of an Imu; zero covariances mean unknown (REP-145)."""
+    """Return the layout of an Imu: orientation of the IMU in the world, rad/s, specific force.
+
+    Zero covariances mean unknown (REP-145).
+    """
     unknown = np.zeros(9)
     message = _message(
         IMU,
@@ -139,34 +142,14 @@ def read_stamp(records: Records, path: str = "header.stamp") -> IntArray:
     return seconds * NANO + records[f"{path}.nanosec"].astype(np.int64)
 
 
-def fill_joint_state(
-    columns: Columns,
-    stamp: IntArray | int,
-    *,
-    position: FloatArray,
-    velocity: FloatArray,
-    effort: FloatArray,
-) -> None:
-    """Write joint arrays, given in the joint order of the layout."""
-    fill_stamp(columns, stamp)
-    columns["position"][...] = position
-    columns["velocity"][...] = velocity
-    columns["effort"][...] = effort
+def fill_message(columns: Columns, stamp: IntArray | int, **fields: FloatArray) -> None:
+    """Write the stamps and some fields, named by their paths in the layout.
 
-
-def fill_imu(
-    columns: Columns,
-    stamp: IntArray | int,
-    *,
-    orientation: FloatArray,
-    angular_velocity: FloatArray,
-    linear_acceleration: FloatArray,
-) -> None:
-    """Write orientation (xyzw, IMU to world), rad/s and specific force (m/s²) in the IMU frame."""
+    Joints are in the order of the layout, an orientation is xyzw.
+    """
     fill_stamp(columns, stamp)
-    columns["orientation"][...] = orientation
-    columns["angular_velocity"][...] = angular_velocity
-    columns["linear_acceleration"][...] = linear_acceleration
+    for path, values in fields.items():
+        columns[path][...] = values
 
 
 def fill_wrench(columns: Columns, stamp: IntArray | int, wrench: FloatArray) -> None:
@@ -174,49 +157,6 @@ def fill_wrench(columns: Columns, stamp: IntArray | int, wrench: FloatArray) -> 
     fill_stamp(columns, stamp)
     columns["wrench.force"][...] = wrench[..., :3]
     columns["wrench.torque"][...] = wrench[..., 3:]
-
-
-def fill_trajectory(
-    columns: Columns,
-    stamp: IntArray | int,
-    *,
-    position: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    effort: FloatArray,
-) -> None:
-    """Write the only point of each trajectory."""
-    fill_stamp(columns, stamp)
-    columns["points.0.positions"][...] = position
-    columns["points.0.velocities"][...] = velocity
-    columns["points.0.accelerations"][...] = acceleration
-    columns["points.0.effort"][...] = effort
-
-
-def fill_odometry(
-    columns: Columns,
-    stamp: IntArray | int,
-    *,
-    position: FloatArray,
-    orientation: FloatArray,
-    linear_velocity: FloatArray,
-    angular_velocity: FloatArray,
-) -> None:
-    """Write the pose in the header's frame and the twist in the child frame."""
-    fill_stamp(columns, stamp)
-    columns["pose.pose.position"][...] = position
-    columns["pose.pose.orientation"][...] = orientation
-    columns["twist.twist.linear"][...] = linear_velocity
-    columns["twist.twist.angular"][...] = angular_velocity
-
-
-def fill_accel(
-    columns: Columns, stamp: IntArray | int, *, linear: FloatArray, angular: FloatArray
-) -> None:
-    """Write linear (m/s²) and angular (rad/s²) acceleration in the header's frame."""
-    fill_stamp(columns, stamp)
-    columns["accel.linear"][...] = linear
-    columns["accel.angular"][...] = angular
 
 
 def has_stamp(msgtype: str) -> bool:

@@ -79,7 +79,7 @@ def truth_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
 
 
 def _fill_joints(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
-    messages.fill_joint_state(
+    messages.fill_message(
         columns,
         stamp,
         position=instant.joint_position,
@@ -89,7 +89,7 @@ def _fill_joints(columns: Columns, stamp: IntArray | int, instant: Instant) -> N
 
 
 def _fill_imu(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
-    messages.fill_imu(
+    messages.fill_message(
         columns,
         stamp,
         orientation=instant.imu_orientation,
@@ -106,31 +106,28 @@ def _wrench_fill(index: int) -> Fill:
 
 
 def _fill_true_joints(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
-    messages.fill_trajectory(
-        columns,
-        stamp,
-        position=instant.true_position,
-        velocity=instant.true_velocity,
-        acceleration=instant.true_acceleration,
-        effort=instant.true_effort,
-    )
+    fields = {
+        "points.0.positions": instant.true_position,
+        "points.0.velocities": instant.true_velocity,
+        "points.0.accelerations": instant.true_acceleration,
+        "points.0.effort": instant.true_effort,
+    }
+    messages.fill_message(columns, stamp, **fields)
 
 
 def _fill_odometry(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
-    messages.fill_odometry(
-        columns,
-        stamp,
-        position=instant.base_position,
-        orientation=instant.base_orientation,
-        linear_velocity=instant.base_linear_velocity,
-        angular_velocity=instant.base_angular_velocity,
-    )
+    fields = {
+        "pose.pose.position": instant.base_position,
+        "pose.pose.orientation": instant.base_orientation,
+        "twist.twist.linear": instant.base_linear_velocity,
+        "twist.twist.angular": instant.base_angular_velocity,
+    }
+    messages.fill_message(columns, stamp, **fields)
 
 
 def _fill_accel(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
-    messages.fill_accel(
-        columns,
-        stamp,
-        linear=instant.base_linear_acceleration,
-        angular=instant.base_angular_acceleration,
-    )
+    fields = {
+        "accel.linear": instant.base_linear_acceleration,
+        "accel.angular": instant.base_angular_acceleration,
+    }
+    messages.fill_message(columns, stamp, **fields)

@@ -56,7 +56,7 @@ def test_joint_state_bytes_equal_rosbags(data: st.DataObject, joints: tuple, sta
     position, velocity, effort = (data.draw(vector(len(joints))) for _ in range(3))
     ours = encoded(
         messages.joint_state_layout(joints),
-        messages.fill_joint_state,
+        messages.fill_message,
         stamp,
         position=position,
         velocity=velocity,
@@ -79,7 +79,7 @@ def test_imu_bytes_equal_rosbags(
 ) -> None:
     ours = encoded(
         messages.imu_layout(frame),
-        messages.fill_imu,
+        messages.fill_message,
         stamp,
         orientation=orientation,
         angular_velocity=gyro,
@@ -114,12 +114,14 @@ def test_trajectory_bytes_equal_rosbags(data: st.DataObject, joints: tuple, stam
     position, velocity, acceleration, effort = (data.draw(vector(len(joints))) for _ in range(4))
     ours = encoded(
         messages.trajectory_layout(joints),
-        messages.fill_trajectory,
+        messages.fill_message,
         stamp,
-        position=position,
-        velocity=velocity,
-        acceleration=acceleration,
-        effort=effort,
+        **{
+            "points.0.positions": position,
+            "points.0.velocities": velocity,
+            "points.0.accelerations": acceleration,
+            "points.0.effort": effort,
+        },
     )
     point = TYPES["trajectory_msgs/msg/JointTrajectoryPoint"](
         positions=position,
@@ -144,12 +146,14 @@ def test_odometry_bytes_equal_rosbags(
     linear, angular = velocity[:3], velocity[3:]
     ours = encoded(
         messages.odometry_layout(frame, child),
-        messages.fill_odometry,
+        messages.fill_message,
         stamp,
-        position=position,
-        orientation=orientation,
-        linear_velocity=linear,
-        angular_velocity=angular,
+        **{
+            "pose.pose.position": position,
+            "pose.pose.orientation": orientation,
+            "twist.twist.linear": linear,
+            "twist.twist.angular": angular,
+        },
     )
     geometry = "geometry_msgs/msg/"
     pose = TYPES[geometry + "Pose"](
@@ -170,9 +174,8 @@ def test_odometry_bytes_equal_rosbags(
 def test_accel_bytes_equal_rosbags(
     frame: str, stamp: int, linear: np.ndarray, angular: np.ndarray
 ) -> None:
-    ours = encoded(
-        messages.accel_layout(frame), messages.fill_accel, stamp, linear=linear, angular=angular
-    )
+    fields = {"accel.linear": linear, "accel.angular": angular}
+    ours = encoded(messages.accel_layout(frame), messages.fill_message, stamp, **fields)
     message = TYPES[messages.ACCEL](
         header=header(stamp, frame),
         accel=TYPES["geometry_msgs/msg/Accel"](linear=xyz(linear), angular=xyz(angular)),
@@ -209,7 +212,7 @@ def test_rclpy_decodes_what_was_patched_in_place() -> None:
     sensor_msgs = pytest.importorskip("sensor_msgs.msg")
     payload = encoded(
         messages.joint_state_layout(("left_knee", "right_knee")),
-        messages.fill_joint_state,
+        messages.fill_message,
         12_000_000_034,
         position=np.array([1.0, 2.0]),
         velocity=np.array([3.0, 4.0]),

@@ -25,7 +25,7 @@ from symbid_ros.messages.types import (
     IMU,
     JOINT_STATE,
     clock_layout,
-    fill_joint_state,
+    fill_message,
     fill_stamp,
     imu_layout,
     joint_state_layout,
@@ -51,7 +51,7 @@ def write_log(
     joint_states, imus = joints.records(len(stamps)), gyro.records(len(stamps))
     clocks = clock.records(len(stamps))
     position, velocity, effort = draw.standard_normal((3, len(stamps), 1))
-    fill_joint_state(
+    fill_message(
         joints.columns(joint_states), stamps, position=position, velocity=velocity, effort=effort
     )
     fill_stamp(gyro.columns(imus), stamps)

@@ -16,8 +16,7 @@ from symbid_ros.messages.types import (
     IMU,
     JOINT_STATE,
     WRENCH,
-    fill_imu,
-    fill_joint_state,
+    fill_message,
     fill_wrench,
     imu_layout,
     joint_state_layout,
@@ -146,11 +145,11 @@ def record_log(log, model, path: Path) -> Path:
             if topic == "/joint_states":
                 layout = joint_state_layout(tuple(model.joint_names[i] for i in order))
                 records = layout.records(len(stamp))
-                fill_joint_state(records, stamp, **{k: v[:, order] for k, v in columns.items()})
+                fill_message(records, stamp, **{k: v[:, order] for k, v in columns.items()})
                 channel = writer.add_topic(topic, JOINT_STATE)
             elif topic == "/imu":
                 records = imu_layout("imu_link").records(len(stamp))
-                fill_imu(records, stamp, **columns)
+                fill_message(records, stamp, **columns)
                 channel = writer.add_topic(topic, IMU)
             else:
                 records = wrench_layout(topic.split("/")[1]).records(len(stamp))

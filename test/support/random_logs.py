@@ -14,7 +14,7 @@ from symbid_ros.messages.types import (
     IMU,
     JOINT_STATE,
     WRENCH,
-    fill_imu,
+    fill_message,
     fill_stamp,
     fill_wrench,
     imu_layout,
@@ -176,7 +176,7 @@ def write_bag(streams: Streams, path: Path) -> Path:
     for imu in streams.imus:
         records = imu_layout(imu.frame_id).records(len(imu.stamp))
         upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(imu.stamp), 1))
-        fill_imu(
+        fill_message(
             records,
             imu.stamp,
             orientation=upright,

@@ -9,7 +9,7 @@ import numpy as np
 from symbid_ros.bags.container.files import read_blocks
 from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.messages.decoder import TopicDecoder
-from symbid_ros.messages.types import JOINT_STATE, fill_joint_state, joint_state_layout, read_stamp
+from symbid_ros.messages.types import JOINT_STATE, fill_message, joint_state_layout, read_stamp
 
 JOINTS = "/joint_states"
 
@@ -65,7 +65,7 @@ def split_joints(bag: Path, out: Path, parts: Sequence[Part]) -> Path:
                     rows = slice(None, None, part.every)
                     stamp = stamps[rows] + part.delay
                     records = layout.records(len(stamp))
-                    fill_joint_state(
+                    fill_message(
                         layout.columns(records),
                         stamp,
                         **{

@@ -285,7 +285,7 @@ class _FileReader:
         """Sort spans (N, 2) by topic; a topic may have several channels."""
         for channel in self.registry.channels.values():
             if self.topic_of[channel.id] < 0:
-                topic = Topic(channel.topic, self.registry.msgtype(channel))
+                topic = self.registry.topic(channel)
                 self.topic_of[channel.id] = self.topics.setdefault(topic, len(self.topics))
         numbers = self.topic_of[channels]
         if (numbers < 0).any():

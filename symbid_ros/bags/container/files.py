@@ -138,11 +138,10 @@ def _count_messages_of_file(file: Path) -> dict[Topic, int]:
         return dict(read_sqlite_summary(file).counts)
     with report_damage(file):
         summary = read_summary(file)
-    registry, stated = summary.registry, summary.statistics
+    stated = summary.statistics
     counts: Counter[Topic] = Counter()
     if stated is not None and summary.has_topic_counts:
-        for number, channel in registry.channels.items():
-            topic = Topic(channel.topic, registry.msgtype(channel))
+        for number, topic in summary.registry.topics.items():
             counts[topic] += stated.channel_message_counts.get(number, 0)
         return counts
     for block in read_mcap_blocks(file):

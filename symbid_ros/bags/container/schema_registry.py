@@ -25,7 +25,7 @@ from symbid_ros.messages.limits import (
     MAX_YAML_NODES,
     check_limit,
 )
-from symbid_ros.messages.topics import ENCODED, OfferedQos
+from symbid_ros.messages.topics import ENCODED, OfferedQos, Topic
 from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, ODOMETRY, TRAJECTORY, WRENCH
 from symbid_ros.safe_yaml import parse_yaml
 
@@ -91,23 +91,27 @@ class SchemaRegistry:
         """Return the schema of a channel; None if it has none."""
         return self.schemas.get(channel.schema_id)
 
-    def msgtype(self, channel: Channel) -> str:
-        """Return a channel's message type as `describe_type` does."""
-        return describe_type(self.schema(channel), channel.message_encoding)
+    @property
+    def topics(self) -> dict[int, Topic]:
+        """The topics by channel."""
+        return {number: self.topic(channel) for number, channel in self.channels.items()}
+
+    def topic(self, channel: Channel) -> Topic:
+        """Return the topic of a channel.
+
+        Its type has a remark if the encoding or the definition is not ROS 2 Jazzy's.
+        """
+        schema, encoding = self.schema(channel), channel.message_encoding
+        name = "" if schema is None else full_type_name(schema.name)
+        if encoding != CDR:
+            name = f"{name or 'something'}{ENCODED}{encoding or 'nothing known'}"
+        elif schema is not None and name in READ and not _is_jazzy(name, schema):
+            name = f"{name} of another definition"
+        return Topic(channel.topic, name)
 
     def offered_qos(self, channel: Channel) -> tuple[OfferedQos, ...]:
         """Return the quality of service that a channel's publishers offered; empty if unknown."""
         return parse_qos_profiles(channel.topic, channel.metadata.get("offered_qos_profiles", ""))
-
-
-def describe_type(schema: Schema | None, message_encoding: str) -> str:
-    """Return a message type, with a remark if its encoding or definition is not ROS 2 Jazzy's."""
-    name = "" if schema is None else full_type_name(schema.name)
-    if message_encoding != CDR:
-        return f"{name or 'something'}{ENCODED}{message_encoding or 'nothing known'}"
-    if schema is not None and name in READ and not _is_jazzy(name, schema):
-        return f"{name} of another definition"
-    return name
 
 
 def full_type_name(name: str) -> str:

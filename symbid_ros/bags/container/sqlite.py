@@ -67,7 +67,7 @@ def read_sqlite_summary(file: Path) -> SqliteSummary:
     qos: dict[Topic, tuple[OfferedQos, ...]] = {}
     with open_database(file) as database:
         registry = read_registry(database)
-        topics = _topics(registry)
+        topics = registry.topics
         for number, topic in topics.items():
             counts[topic] += 0
             with suppress(ValueError):
@@ -84,7 +84,7 @@ def read_sqlite_blocks(file: Path) -> Iterator[MessageBlock]:
     """Yield all messages in order of recording, as `blocks.read_mcap_blocks` does."""
     warn_of_journals(file)
     with open_database(file) as database:
-        topics = _topics(read_registry(database))
+        topics = read_registry(database).topics
         waiting: dict[Topic, list[tuple[int, int]]] = {topic: [] for topic in topics.values()}
         data = bytearray()
         for number, payload in database.execute(
@@ -188,13 +188,6 @@ def read_registry(database: apsw.Connection) -> SchemaRegistry:
         )
         check_limit("a number of topics", len(registry.channels), MAX_CHANNELS)
     return registry
-
-
-def _topics(registry: SchemaRegistry) -> dict[int, Topic]:
-    return {
-        number: Topic(channel.topic, registry.msgtype(channel))
-        for number, channel in registry.channels.items()
-    }
 
 
 def _texts(values: Sequence[object]) -> list[str]:

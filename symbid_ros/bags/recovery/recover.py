@@ -234,4 +234,4 @@ class McapRecovery:
         known = self.registry.channels.get(channel)
         if known is None:
             return Topic(f"(unknown channel {channel})", "")
-        return Topic(known.topic, self.registry.msgtype(known))
+        return self.registry.topic(known)

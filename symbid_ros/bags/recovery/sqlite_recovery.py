@@ -13,7 +13,6 @@ from symbid_ros.bags.recovery.report import LostRange, RecoveryCounts
 from symbid_ros.bags.recovery.rewriter import BagRewriter
 from symbid_ros.errors import BagError
 from symbid_ros.messages.definitions import find_definition
-from symbid_ros.messages.topics import Topic
 
 LARGEST_ROW = (1 << 63) - 1
 
@@ -148,10 +147,7 @@ class SqliteRecovery:
                 number: self.new.channel(registry, channel)
                 for number, channel in registry.channels.items()
             }
-            topics = {
-                number: Topic(channel.topic, registry.msgtype(channel))
-                for number, channel in registry.channels.items()
-            }
+            topics = registry.topics
             for topic in topics.values():
                 self.counts.stated[topic] += 0
             latest: int | None = None
