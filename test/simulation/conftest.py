@@ -1,4 +1,4 @@
-"""Runs that several tests look at, each simulated once, with ideal sensors."""
+"""Simulated runs with ideal sensors, shared by several tests."""
 
 from dataclasses import dataclass
 
@@ -51,7 +51,7 @@ def run(request: pytest.FixtureRequest) -> Run:
 
 
 class Body:
-    """MuJoCo's own dynamics without contacts, set to the true state of an instant."""
+    """Contact-free MuJoCo dynamics at the true state of an instant."""
 
     def __init__(self) -> None:
         self.model = mujoco.MjModel.from_xml_path(str(config_file("symbitron.xml")))

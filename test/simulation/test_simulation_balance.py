@@ -1,4 +1,4 @@
-"""The closed loop: what errors of the controller's model do to the true robot."""
+"""Closed-loop balance of the true robot with errors in the controller's model."""
 
 import mujoco
 import numpy as np
@@ -32,7 +32,7 @@ def truth():
     return run(None)
 
 
-def test_truth_tracks_its_reference(truth):
+def test_true_model_tracks_its_reference(truth):
     assert truth.failed_at is None
     assert truth.failure == ""
     assert truth.com_rmse_mm < 4.0
@@ -40,18 +40,20 @@ def test_truth_tracks_its_reference(truth):
     assert np.linalg.norm(truth.com_bias_mm) < truth.com_rmse_mm
 
 
-def test_truth_tracks_better_than_priors_and_needs_less_feedback(truth):
-    drawn = [draw_prior(PARAMETERS, "percent", 25, seed).mean for seed in (7, 8, 9)]  # these stand
+def test_true_model_tracks_better_than_priors_with_less_feedback(truth):
+    drawn = [
+        draw_prior(PARAMETERS, "percent", 25, seed).mean for seed in (7, 8, 9)
+    ]  # the robot stands with these
     priors = [run(by_link(values)) for values in drawn]
     assert [prior.failure for prior in priors] == ["", "", ""]
     assert truth.com_rmse_mm < 0.5 * min(prior.com_rmse_mm for prior in priors)
-    # On average: a robot that stands lower for its error needs more torque of any model.
+    # On average: errors that make the robot stand lower need more torque from any model.
     shares = [prior.feed_forward_share for prior in priors]
     assert truth.feed_forward_share > np.mean(shares) + 0.01
 
 
 class Statics:
-    """The standing robot with some links heavier, as MuJoCo's compiler makes it."""
+    """The standing robot with some heavier links, compiled by MuJoCo."""
 
     def __init__(self, heavier):
         spec = mujoco.MjSpec.from_file(str(ROBOT))
@@ -76,7 +78,7 @@ class Statics:
 
 
 def static_bias(heavier):
-    """Where the true robot comes to rest, from the reference, m.
+    """Offset of the true robot at rest from the reference, m.
 
     Along the motions N that leave the soles in place the drives hold the true robot up,
     Nᵀτ = Nᵀg, while the controller believes to accelerate its own: NᵀM̂N z̈ = Nᵀ(τ - ĝ). It
@@ -93,7 +95,7 @@ def static_bias(heavier):
 
 
 @pytest.mark.parametrize("links", [LINKS, ("R_thigh",), ("base_link",)], ids=len)
-def test_mass_believed_too_big_shifts_the_robot_as_statics_say(truth, links):
+def test_overestimated_mass_shifts_the_robot_as_statics_predict(truth, links):
     heavier = dict.fromkeys(links, 1.1)
     phi = {name: heavier.get(name, 1.0) * phi for name, phi in by_link(PARAMETERS.values).items()}
     bias = np.array(run(phi).com_bias_mm) - truth.com_bias_mm
@@ -106,7 +108,7 @@ def test_same_arguments_give_the_same_result(truth):
     assert run(None) == truth
 
 
-def test_impossible_link_need_not_keep_the_robot_from_standing(truth):
+def test_robot_can_stand_with_an_impossible_link_in_the_model(truth):
     foot = by_link(PARAMETERS.values)["R_foot"]
     foot[:4] *= -0.1
     result = run({"R_foot": foot})
@@ -115,7 +117,7 @@ def test_impossible_link_need_not_keep_the_robot_from_standing(truth):
 
 
 @pytest.mark.parametrize("links", [("R_foot",), ("base_link", "R_thigh", "L_thigh")])
-def test_model_of_no_use_to_a_controller_is_reported(truth, links):
+def test_indefinite_mass_matrix_is_reported(truth, links):
     result = run({name: -phi for name, phi in by_link(PARAMETERS.values).items() if name in links})
     assert result.failure == "the mass matrix of the controller's model is not positive definite"
     assert result.failed_at == -1.0
@@ -123,10 +125,10 @@ def test_model_of_no_use_to_a_controller_is_reported(truth, links):
     assert result.duration == truth.duration
 
 
-def test_robot_that_does_not_last_is_reported(truth):
+def test_end_stop_is_reported(truth):
     result = run(by_link(draw_prior(PARAMETERS, "percent", 25, 0).mean))
     assert result.failure == "joint R_kfe ran into its end stop"
-    assert -1.0 < result.failed_at < 0.0  # it stretches its legs while it settles
+    assert -1.0 < result.failed_at < 0.0  # the legs extend while the robot settles
     assert np.isnan(result.com_rmse_mm)
     assert result.duration == truth.duration
 
@@ -135,6 +137,6 @@ def test_robot_that_does_not_last_is_reported(truth):
     ("options", "message"),
     [({"motion_seed": -1}, "motion seed -1"), ({"moves": 0}, "0 moves")],
 )
-def test_bad_options_are_refused(options, message):
+def test_invalid_options_raise_an_error(options, message):
     with pytest.raises(SimulationError, match=message):
         balance(None, **{"moves": 1, "motion_seed": 0} | options)

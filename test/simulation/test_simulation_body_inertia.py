@@ -1,4 +1,4 @@
-"""A payload fastened to the running robot: its inertia, when it comes, who knows of it."""
+"""Payloads attached to the running robot: inertia, time and effect on the controller."""
 
 import dataclasses
 import itertools
@@ -23,12 +23,14 @@ PAYLOADS = [
 
 
 def robot_with_sphere(payload: Payload) -> mujoco.MjModel:
-    """Compile the robot with the payload as a body of its own, welded to its link."""
+    """Compile the robot with the payload as a separate body welded to its link."""
     root = ET.parse(config_file("symbitron.xml")).getroot()
     link = root.find(f".//body[@name='{payload.link}']")
     position = " ".join(map(repr, payload.position))
     sphere = ET.SubElement(link, "body", pos=position)
-    moment = max(2.0 / 5.0 * payload.mass * payload.radius**2, 1e-15)  # a body has some extent
+    moment = max(
+        2.0 / 5.0 * payload.mass * payload.radius**2, 1e-15
+    )  # MuJoCo requires positive inertias
     ET.SubElement(
         sphere,
         "inertial",
@@ -51,9 +53,9 @@ def inverse_dynamics(model: mujoco.MjModel, random: np.random.Generator) -> np.n
 
 
 @pytest.mark.parametrize("payload", PAYLOADS, ids=lambda payload: payload.link)
-def test_loaded_robot_moves_like_one_with_a_sphere_welded_on(payload):
+def test_loaded_robot_moves_like_one_with_a_welded_sphere(payload):
     plant = Plant(config_file("symbitron.xml"), SOLES)
-    plant.attach(Payload("R_foot", 7.0))  # is replaced
+    plant.attach(Payload("R_foot", 7.0))  # replaced by the next
     plant.attach(payload)
     truth = robot_with_sphere(payload)
     np.testing.assert_allclose(plant.mass, 41.05 + payload.mass, rtol=1e-9)
@@ -65,7 +67,7 @@ def test_loaded_robot_moves_like_one_with_a_sphere_welded_on(payload):
         np.testing.assert_allclose(forces, expected, atol=1e-11 * np.abs(expected).max())
 
 
-def test_taken_off_it_leaves_the_robot_as_it_was():
+def test_detaching_restores_the_robot():
     plant = Plant(config_file("symbitron.xml"), SOLES)
     before = plant.data.qpos.copy()
     plant.attach(PAYLOADS[0])
@@ -77,7 +79,7 @@ def test_taken_off_it_leaves_the_robot_as_it_was():
     np.testing.assert_array_equal(plant.data.qpos, before)
 
 
-def test_it_comes_at_its_time_and_leaves_the_state_alone():
+def test_payload_is_attached_at_its_time_without_changing_the_state():
     plain, loaded = (
         Simulator(moves=1, noise_seed=4, payload=payload, payload_time=0.3)
         for payload in (None, PAYLOADS[0])
@@ -89,13 +91,13 @@ def test_it_comes_at_its_time_and_leaves_the_state_alone():
     one, other = plain.step(), loaded.step()
     for name in ("true_position", "true_velocity", "base_position", "base_linear_velocity"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    # The controller does not know, so that nothing but gravity pulls at the payload yet.
+    # The controller does not know the payload: so far only gravity acts on it.
     np.testing.assert_array_equal(one.true_effort, other.true_effort)
     assert other.base_linear_acceleration[2] < one.base_linear_acceleration[2] - 1e-3
 
 
 @pytest.mark.parametrize("payload", PAYLOADS[:2], ids=lambda payload: payload.link)
-def test_it_is_carried_and_the_equation_of_motion_closes_with_it(payload, body):
+def test_equation_of_motion_holds_with_payload(payload, body):
     simulator = Simulator(motion_seed=7, ideal=True, payload=payload, payload_time=0.3)
     instants = list(itertools.islice(simulator, 1500))
     body.model = robot_with_sphere(payload)
@@ -117,7 +119,7 @@ def test_it_is_carried_and_the_equation_of_motion_closes_with_it(payload, body):
     assert load == pytest.approx((41.05 + payload.mass) * 9.81, rel=2e-3)
 
 
-def test_the_balance_controller_does_not_know_of_it():
+def test_balance_controller_does_not_know_the_payload():
     torques = []
     for payload in (None, PAYLOADS[0]):
         plant = Plant(config_file("symbitron.xml"), SOLES)
@@ -128,7 +130,7 @@ def test_the_balance_controller_does_not_know_of_it():
     np.testing.assert_array_equal(*torques)
 
 
-def test_it_can_be_exchanged_and_taken_off_while_running():
+def test_payload_can_be_replaced_and_detached_while_running():
     simulator = Simulator(moves=1, ideal=True)
 
     def load() -> float:
@@ -152,7 +154,7 @@ def test_it_can_be_exchanged_and_taken_off_while_running():
         ({"radius": -1.0}, "radius -1 m"),
     ],
 )
-def test_impossible_payloads_are_refused(values, message):
+def test_invalid_payloads_raise_an_error(values, message):
     simulator = Simulator(moves=1)
     with pytest.raises(SimulationError, match=message) as caught:
         simulator.attach(Payload(**{"link": "base_link", "mass": 1.0} | values))
@@ -160,11 +162,11 @@ def test_impossible_payloads_are_refused(values, message):
 
 
 @pytest.mark.parametrize("options", [{"payload_time": -1.0}, {"payload_time": float("nan")}])
-def test_impossible_times_are_refused(options):
+def test_invalid_times_raise_an_error(options):
     with pytest.raises(SimulationError, match="payload time"):
         Simulator(moves=1, payload=PAYLOADS[0], **options)
 
 
-def test_a_scheduled_payload_is_checked_at_once():
+def test_scheduled_payload_is_checked_immediately():
     with pytest.raises(SimulationError, match="no link 'tail'"):
         Simulator(moves=1, payload=Payload("tail", 1.0), payload_time=9.0)

@@ -1,4 +1,4 @@
-"""A robot commanded from outside does what it is told, and is held to its limits."""
+"""A commanded robot executes external torques within its limits."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ def drives_of(simulator: Simulator) -> Drives:
     return Drives(simulator.joint_names, simulator.drive_names, simulator.torque_limits)
 
 
-def test_the_same_torques_from_outside_make_the_same_instants():
+def test_equal_external_torques_give_equal_instants():
     options = {"moves": 1, "motion_seed": 5, "noise_seed": 6}
     internal, commanded = Simulator(**options), Simulator(**options, is_commanded=True)
     places = [internal.joint_names.index(name) for name in internal.drive_names]
@@ -34,46 +34,46 @@ def test_drives_are_named_by_their_joints():
     assert simulator.torque_limits.tolist() == [[-100.0, 100.0]] * 8
 
 
-def test_without_a_command_torques_stay():
+def test_without_a_command_the_torques_do_not_change():
     simulator = Simulator(moves=1, is_commanded=True)
     settled = simulator.step().true_effort
-    assert np.abs(settled).max() > 1.0  # it stands
+    assert np.abs(settled).max() > 1.0  # the torques of standing
     simulator.step(np.full(8, 2.0))
     assert set(simulator.step().true_effort) == {0.0, 2.0}
 
 
-def test_it_goes_on_after_the_motion():
+def test_simulation_continues_after_the_motion():
     simulator = Simulator("tare", is_commanded=True)
     stamps = [simulator.step().stamp for _ in range(simulator.steps + 2)]
     assert stamps[-1] == (simulator.steps + 2) * simulator.period_ns
 
 
 @pytest.mark.parametrize("torques", [np.zeros(7), np.zeros((8, 1)), np.full(8, np.nan)])
-def test_commands_of_another_shape_are_refused(torques):
+def test_commands_of_wrong_shape_raise_an_error(torques):
     simulator = Simulator(moves=1, is_commanded=True)
     with pytest.raises(SimulationError, match="for 8 drives"):
         simulator.step(torques)
 
 
-def test_a_robot_with_a_controller_of_its_own_takes_no_commands():
+def test_uncommanded_robot_rejects_torques():
     with pytest.raises(SimulationError, match="is_commanded"):
         Simulator(moves=1).step(np.zeros(8))
 
 
-def test_safe_torques_only_ever_brake():
+def test_safe_torques_dissipate_energy():
     simulator = Simulator(moves=1, ideal=True, is_commanded=True)
     drives = drives_of(simulator)
     places = [simulator.joint_names.index(name) for name in simulator.drive_names]
     instant = simulator.step()
-    for _ in range(150):  # it begins to fall
+    for _ in range(150):  # the robot starts to fall
         instant = simulator.step(drives.safe_torques(instant.joint_velocity))
         power = instant.true_effort[places] * instant.true_velocity[places]
-        # Torques are a period late, in which a rate next to nothing may change its sign.
+        # Torques are one period late, in which a small velocity may change its sign.
         assert np.all(power < 1e-3)
     assert np.abs(instant.true_velocity).max() > 0.5
 
 
-def test_torques_are_refused_for_a_reason():
+def test_invalid_torques_are_rejected_with_a_reason():
     drives = drives_of(Simulator(moves=1))
     assert drives.validate(np.full(8, 100.0)) is None
     assert drives.validate(np.full(8, np.inf)) is Rejection.NOT_FINITE

@@ -1,4 +1,4 @@
-"""A model with other inertias computes what one compiled with them, or the regressor, says."""
+"""A model with replaced inertias agrees with a compiled model and with the regressor."""
 
 import mujoco
 import numpy as np
@@ -46,7 +46,7 @@ def by_link(values):
 
 @pytest.fixture
 def impossible():
-    """A foot lighter than nothing and a shank of indefinite inertia, in a robot that can move."""
+    """Parameters with a negative foot mass and an indefinite shank inertia."""
     values = PARAMETERS.values.copy()
     phi = by_link(values)  # views
     phi["R_foot"][:4] *= -0.2
@@ -77,16 +77,16 @@ def smooth_dynamics(model, state):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_possible_inertias_move_as_if_compiled(plant_model, state, seed):
+def test_replaced_inertias_move_like_compiled_ones(plant_model, state, seed):
     values = draw_prior(PARAMETERS, "consistent", 40, seed).mean
     text = mjcf_text(PARAMETERS.apply(values), ROBOT, ROBOT.parent)
-    believed = smooth_dynamics(replace_inertias(plant_model, by_link(values)), state)
+    replaced = smooth_dynamics(replace_inertias(plant_model, by_link(values)), state)
     for name, expected in smooth_dynamics(mujoco.MjModel.from_xml_string(text), state).items():
-        np.testing.assert_allclose(believed[name], expected, rtol=1e-9, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(replaced[name], expected, rtol=1e-9, atol=1e-9, err_msg=name)
 
 
 def regressor_samples(state, velocity, acceleration):
-    """Samples at one posture; motion (N, nv) as MuJoCo's, but its linear part in base axes."""
+    """Samples at one posture; motion (N, nv) as in MuJoCo except for base axes."""
     count = len(acceleration)
     return Samples(
         stamp=np.arange(count),
@@ -108,7 +108,7 @@ def base_rotation(state):
     return rotation.reshape(3, 3)
 
 
-def test_mass_matrix_of_impossible_inertias_is_the_regressor_s(plant_model, state, impossible):
+def test_mass_matrix_of_impossible_inertias_matches_the_regressor(plant_model, state, impossible):
     units = np.eye(plant_model.nv)
     units[:3, :3] = base_rotation(state)  # unit accelerations in the world, in base axes
     K = equation_of_motion(PARAMETERS, regressor_samples(state, np.zeros_like(units), units)).K
@@ -119,9 +119,9 @@ def test_mass_matrix_of_impossible_inertias_is_the_regressor_s(plant_model, stat
     np.testing.assert_allclose(mass_matrix, expected, rtol=1e-9, atol=1e-11)
 
 
-def test_momentum_of_impossible_inertias_is_the_regressor_s(plant_model, state, impossible):
-    belief = ControllerModel(replace_inertias(plant_model, by_link(impossible)), SOLES)
-    belief.update(state)
+def test_momentum_of_impossible_inertias_matches_the_regressor(plant_model, state, impossible):
+    dynamics = ControllerModel(replace_inertias(plant_model, by_link(impossible)), SOLES)
+    dynamics.update(state)
     to_world = base_rotation(state)
     velocity = state.velocity[None]
     samples = regressor_samples(state, velocity, np.zeros_like(velocity))
@@ -131,19 +131,19 @@ def test_momentum_of_impossible_inertias_is_the_regressor_s(plant_model, state, 
         momentum_regressor(PARAMETERS, samples, velocity[:, :3] @ to_world, poses) @ impossible
     )
     angular, linear = np.split(centroidal(momentum, com)[0], 2)
-    np.testing.assert_allclose(belief.com, state.position[:3] + to_world @ com[0], atol=1e-12)
-    np.testing.assert_allclose(belief.com_velocity, to_world @ linear / belief.mass, atol=1e-12)
-    np.testing.assert_allclose(belief.angular_momentum, to_world @ angular, atol=1e-12)
+    np.testing.assert_allclose(dynamics.com, state.position[:3] + to_world @ com[0], atol=1e-12)
+    np.testing.assert_allclose(dynamics.com_velocity, to_world @ linear / dynamics.mass, atol=1e-12)
+    np.testing.assert_allclose(dynamics.angular_momentum, to_world @ angular, atol=1e-12)
 
 
-def test_mass_matrix_that_is_not_positive_definite_is_refused(plant_model, state, capfd):
+def test_indefinite_mass_matrix_raises_an_error(plant_model, state, capfd):
     foot = -by_link(PARAMETERS.values)["R_foot"]
-    belief = ControllerModel(replace_inertias(plant_model, {"R_foot": foot}), SOLES)
+    dynamics = ControllerModel(replace_inertias(plant_model, {"R_foot": foot}), SOLES)
     with pytest.raises(RobotFailureError, match=r"mass matrix .* at 0\.250 s; give") as caught:
-        belief.update(state)
+        dynamics.update(state)
     assert caught.value.time == state.time
     assert "\n" not in str(caught.value)
-    assert capfd.readouterr() == ("", "")  # nor does MuJoCo warn on its own
+    assert capfd.readouterr() == ("", "")  # MuJoCo does not warn either
 
 
 def test_plant_and_other_bodies_keep_their_inertias(plant_model):
@@ -166,7 +166,7 @@ def test_plant_and_other_bodies_keep_their_inertias(plant_model):
         ({name: np.zeros(10) for name in PARAMETERS.link_names}, "sum to 0 kg"),
     ],
 )
-def test_inertias_that_cannot_be_believed_are_named(plant_model, change, message):
+def test_inertias_without_centre_of_mass_raise_an_error(plant_model, change, message):
     with pytest.raises(SimulationError, match=message) as caught:
         replace_inertias(plant_model, change)
     assert "\n" not in str(caught.value)

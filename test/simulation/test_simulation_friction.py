@@ -27,7 +27,7 @@ def rubbing(scenario):
 
 
 class Robot:
-    """The robot that the simulator says it was, in the air, pushed by what the log says."""
+    """The simulated robot without contacts, driven by the forces in the log."""
 
     def __init__(self, simulator):
         self.sensors = simulator.wrench_sensors
@@ -75,7 +75,7 @@ class Robot:
         )
 
 
-def test_equation_of_motion_closes_with_the_robot_written_out(rubbing):
+def test_equation_of_motion_holds_for_the_exported_robot(rubbing):
     simulator, instants = rubbing
     robot = Robot(simulator)
     for instant in instants[::23]:
@@ -83,7 +83,7 @@ def test_equation_of_motion_closes_with_the_robot_written_out(rubbing):
         np.testing.assert_allclose(robot.data.qacc, acceleration, atol=1e-6)
 
 
-def test_a_slipping_joint_feels_its_coulomb_friction(rubbing):
+def test_a_slipping_joint_has_its_coulomb_friction(rubbing):
     simulator, instants = rubbing
     robot = Robot(simulator)
     friction = load_friction(config_file("friction.yaml"))
@@ -96,7 +96,7 @@ def test_a_slipping_joint_feels_its_coulomb_friction(rubbing):
     seen = 0
     for instant in instants[::23]:
         robot.put(instant)
-        # What the bare links do not explain, joint by joint.
+        # The part that rigid-body dynamics do not explain, for each joint.
         inverse.qpos[:], inverse.qvel[:] = robot.data.qpos, robot.data.qvel
         inverse.qacc[:] = robot.data.qacc
         bare.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
@@ -105,7 +105,7 @@ def test_a_slipping_joint_feels_its_coulomb_friction(rubbing):
         velocity = instant.true_velocity
         explained = damping * velocity + armature * instant.true_acceleration
         afterwards = velocity + 1e-3 * instant.true_acceleration
-        # A joint that friction stops within the period feels no more than that takes.
+        # Friction that stops a joint within the period is smaller than its full value.
         slips = (np.abs(velocity) > SLIPPING) & (afterwards * np.sign(velocity) > STOPPED)
         seen += slips.sum()
         np.testing.assert_allclose(
@@ -114,7 +114,7 @@ def test_a_slipping_joint_feels_its_coulomb_friction(rubbing):
     assert seen > 100
 
 
-def test_recorded_acceleration_is_the_rate_of_the_velocity(rubbing):
+def test_recorded_acceleration_is_the_derivative_of_the_velocity(rubbing):
     _, instants = rubbing
     velocity, acceleration = (
         np.array([getattr(instant, name) for instant in instants])
@@ -123,7 +123,7 @@ def test_recorded_acceleration_is_the_rate_of_the_velocity(rubbing):
     np.testing.assert_allclose(np.diff(velocity, axis=0), 1e-3 * acceleration[:-1], atol=1e-12)
 
 
-def test_effort_is_the_motors(rubbing):
+def test_effort_is_the_motor_torque(rubbing):
     simulator, instants = rubbing
     effort = np.array([instant.true_effort for instant in instants])
     driven = np.array([not name.endswith("_aie") for name in simulator.joint_names])
@@ -131,14 +131,14 @@ def test_effort_is_the_motors(rubbing):
     assert effort[:, driven].any(axis=0).all()
 
 
-def test_friction_leaves_motion_as_lively(scenario, rubbing):
+def test_friction_does_not_reduce_the_motion(scenario, rubbing):
     _, instants = rubbing
     acceleration = np.array([instant.true_acceleration for instant in instants])
     low, high = (8.0, 10.0) if scenario == "vibrating" else (0.02, 0.5)
     assert low < np.sqrt(np.mean(acceleration**2)) < high
 
 
-def test_robot_written_out_is_the_files_but_for_its_joints():
+def test_exported_robot_differs_from_the_file_in_its_joints_only():
     file = mujoco.MjModel.from_xml_path(str(config_file("symbitron.xml")))
     robot = mujoco.MjModel.from_xml_string(Simulator("tare", friction=True, ideal=True).robot)
     values = yaml.safe_load(config_file("friction.yaml").read_text())
@@ -152,7 +152,7 @@ def test_robot_written_out_is_the_files_but_for_its_joints():
         np.testing.assert_array_equal(getattr(robot, name), getattr(file, name), err_msg=name)
 
 
-def test_without_options_the_robot_is_the_file():
+def test_without_options_the_exported_robot_is_the_file():
     assert Simulator("tare").robot == config_file("symbitron.xml").read_text()
 
 
@@ -162,7 +162,7 @@ def friction_file(folder, text):
     return path
 
 
-def test_joints_not_named_keep_what_the_robot_gives_them(tmp_path):
+def test_unnamed_joints_keep_their_friction(tmp_path):
     text = "L_kfe: {damping: 1.5, frictionloss: 0, armature: 0.25}"
     simulator = Simulator("tare", friction_path=friction_file(tmp_path, text))
     robot = mujoco.MjModel.from_xml_string(simulator.robot)
@@ -187,7 +187,7 @@ VALUES = "damping: 1, frictionloss: 1, armature: 1"
         ("L_kfe: {", "not valid YAML"),
     ],
 )
-def test_bad_friction_is_named_in_one_line(tmp_path, text, message):
+def test_invalid_friction_raises_a_one_line_error(tmp_path, text, message):
     with pytest.raises(SimulationError) as caught:
         Simulator("tare", friction_path=friction_file(tmp_path, text))
     assert message in str(caught.value)

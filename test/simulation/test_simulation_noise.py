@@ -81,19 +81,19 @@ def test_channels_are_independent(errors):
     assert np.abs(correlation).max() < 6 / np.sqrt(SAMPLES)
 
 
-def test_what_carries_no_noise(errors, driven):
+def test_orientation_and_undriven_efforts_have_no_noise(errors, driven):
     assert not errors["imu_orientation"].any()
     assert not errors["joint_effort"][:, ~driven].any()
 
 
-def test_noise_never_feeds_the_motion(errors):
+def test_noise_does_not_influence_the_motion(errors):
     truths = [name for name in errors if name.startswith(("true_", "base_"))]
     assert len(truths) == 10
     for name in truths:
         assert not errors[name].any(), name
 
 
-def test_zero_stands_for_an_ideal_sensor(tmp_path):
+def test_zero_noise_gives_an_ideal_sensor(tmp_path):
     path = noise_file(tmp_path, joint_effort=0)
     instant = Simulator(moves=1, noise_path=path).step()
     np.testing.assert_array_equal(instant.joint_effort, instant.true_effort)
@@ -101,7 +101,7 @@ def test_zero_stands_for_an_ideal_sensor(tmp_path):
 
 @pytest.mark.parametrize("factor", [0.0, 0.25, 3.0])
 def test_factor_multiplies_the_noise(factor):
-    """The draws stay the same, so that the errors are multiples of each other."""
+    """The random numbers stay the same, so the errors are multiples of each other."""
     options = {"moves": 1, "noise_seed": 3}
     scaled, plain, ideal = (
         Simulator(**options, **extra).step()
@@ -116,7 +116,7 @@ def test_factor_multiplies_the_noise(factor):
 
 
 @pytest.mark.parametrize("factor", [-0.1, float("nan"), float("inf")])
-def test_factors_that_scale_nothing_are_refused(factor):
+def test_invalid_factors_raise_an_error(factor):
     with pytest.raises(SimulationError, match=r"^noise factor .*; give a finite number"):
         Simulator(moves=1, noise_factor=factor)
 
@@ -134,7 +134,7 @@ def test_factors_that_scale_nothing_are_refused(factor):
         ({"force": None}, "force is None"),
     ],
 )
-def test_bad_values_are_named(tmp_path, changes, message):
+def test_invalid_values_are_named(tmp_path, changes, message):
     path = noise_file(tmp_path, **changes)
     with pytest.raises(SimulationError) as caught:
         load_noise(path)
@@ -147,7 +147,7 @@ def test_bad_values_are_named(tmp_path, changes, message):
     ("content", "message"),
     [("force: [1", "not valid YAML"), ("- 1\n- 2\n", "not a mapping"), ("", "not a mapping")],
 )
-def test_files_that_are_no_mapping(tmp_path, content, message):
+def test_files_without_a_mapping_raise_an_error(tmp_path, content, message):
     path = tmp_path / "noise.yaml"
     path.write_text(content)
     with pytest.raises(SimulationError) as caught:

@@ -31,7 +31,7 @@ def test_wrenches_are_the_sum_of_the_contact_forces():
         np.testing.assert_allclose(truth.wrenches, expected, atol=1e-9)
 
 
-def test_drives_stop_at_their_limits():
+def test_torques_are_clipped_to_their_limits():
     plant = Plant(config_file("symbitron.xml"), SOLES)
     plant.observe()
     effort = plant.advance(np.full(plant.model.nu, 1e4)).effort
@@ -47,7 +47,7 @@ def test_unreadable_model_is_named(tmp_path):
         Plant(path, SOLES)
 
 
-def test_model_without_a_floating_base_is_refused(tmp_path):
+def test_model_without_floating_base_raises_an_error(tmp_path):
     path = tmp_path / "robot.xml"
     path.write_text(config_file("symbitron.xml").read_text().replace("<freejoint", "<joint"))
     with pytest.raises(SimulationError) as caught:
@@ -56,7 +56,7 @@ def test_model_without_a_floating_base_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["imu_linear_acceleration", "left_sole"])
-def test_model_without_a_needed_part_is_refused(tmp_path, name):
+def test_model_without_a_required_element_raises_an_error(tmp_path, name):
     path = tmp_path / "robot.xml"
     path.write_text(config_file("symbitron.xml").read_text().replace(f'"{name}"', '"other"'))
     with pytest.raises(SimulationError, match=name):

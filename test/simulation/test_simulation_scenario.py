@@ -1,4 +1,4 @@
-"""Every scenario's run: what is published of it is true, and it is the motion it should be."""
+"""Each scenario is physically consistent and has the intended motion."""
 
 import dataclasses
 import subprocess
@@ -26,7 +26,7 @@ def test_stamps_are_multiples_of_the_period(run):
     assert np.all(np.diff(stamps) == 1_000_000)
 
 
-def test_equation_of_motion_closes_with_what_is_published(run, body):
+def test_published_truth_satisfies_the_equation_of_motion(run, body):
     worst = 0.0
     for instant in run.instants[::7]:
         body.set(instant)
@@ -50,7 +50,7 @@ def test_equation_of_motion_closes_with_what_is_published(run, body):
     assert worst < 1e-8
 
 
-def test_feet_carry_the_weight_when_standing_still(smooth, body):
+def test_feet_carry_the_weight_at_rest(smooth, body):
     for instant in smooth.instants[:400:50]:
         body.set(instant)
         mujoco.mj_kinematics(body.model, body.data)
@@ -92,7 +92,7 @@ def test_truth_is_consistent_in_time(smooth):
     position, velocity, acceleration = (
         smooth.array(name) for name in ("true_position", "true_velocity", "true_acceleration")
     )
-    # Semi-implicit Euler: the velocity takes the acceleration, the position the new velocity.
+    # Semi-implicit Euler: the position is integrated with the new velocity.
     np.testing.assert_allclose(np.diff(velocity, axis=0), period * acceleration[:-1], atol=1e-12)
     np.testing.assert_allclose(np.diff(position, axis=0), period * velocity[1:], atol=1e-12)
 
@@ -108,7 +108,7 @@ def test_equal_seeds_give_equal_instants(scenario):
             )
 
 
-def test_noise_seed_changes_readings_and_not_the_motion():
+def test_noise_seed_changes_the_readings_only():
     first, second = (Simulator("vibrating", moves=1, noise_seed=seed) for seed in (0, 1))
     for _ in range(100):
         one, other = first.step(), second.step()
@@ -121,7 +121,7 @@ def test_motion_seed_changes_the_moves():
     assert len(durations) == 3
 
 
-def test_iteration_yields_the_steps_that_are_left():
+def test_iteration_yields_the_remaining_steps():
     simulator = Simulator("suspended", moves=1, ideal=True)
     for _ in range(10):
         simulator.step()
@@ -146,7 +146,7 @@ def test_centre_of_mass_follows_its_moves(smooth, body):
     path = com_path(smooth, body)
     offsets = (path - path[0] - COM_MOVES.centre) / COM_MOVES.half_widths
     distances = np.linalg.norm(offsets, axis=1)
-    arrived = np.argmax(distances < 1.0)  # the start itself lies higher
+    arrived = np.argmax(distances < 1.0)  # the start is higher
     assert distances[arrived] < 1.0
     assert distances[arrived:].max() < 1.05
     assert np.ptp(offsets, axis=0).min() > 0.7
@@ -154,7 +154,7 @@ def test_centre_of_mass_follows_its_moves(smooth, body):
     np.testing.assert_allclose(feet, [[-0.115, 0.13, 0.0], [-0.115, -0.13, 0.0]], atol=2e-3)
 
 
-def test_squat_bends_the_knees_and_goes_straight_down(squat, body):
+def test_squat_bends_the_knees_and_moves_vertically(squat, body):
     path = com_path(squat, body)
     forward, sideways, height = np.ptp(path, axis=0)
     assert height > 0.04
@@ -168,7 +168,7 @@ def test_squat_bends_the_knees_and_goes_straight_down(squat, body):
     )
 
 
-def test_vibration_is_as_strong_and_as_fast_as_in_the_thesis(vibrating):
+def test_vibration_has_the_amplitude_and_frequency_of_the_thesis(vibrating):
     acceleration = vibrating.array("true_acceleration")
     assert 8.0 < rms(acceleration) < 10.0
     frequency, power = scipy.signal.welch(acceleration, fs=1000.0, nperseg=1024, axis=0)
@@ -177,7 +177,7 @@ def test_vibration_is_as_strong_and_as_fast_as_in_the_thesis(vibrating):
     assert 250.0 < median < 460.0
 
 
-def test_suspended_robot_hangs_by_its_hoist_alone(suspended, body):
+def test_suspended_robot_has_no_floor_contact(suspended, body):
     topics = [sensor.topic for sensor in suspended.sensors]
     assert topics == ["left_foot/wrench", "right_foot/wrench", "suspension/wrench"]
     wrenches = suspended.array("wrenches")
@@ -191,14 +191,14 @@ def test_suspended_robot_hangs_by_its_hoist_alone(suspended, body):
     assert np.mean(upward) == pytest.approx(41.05 * 9.81, rel=0.02)
 
 
-def test_suspended_robot_is_rocked_about_changing_axes(suspended):
+def test_suspended_robot_rotates_about_all_axes(suspended):
     attitudes = suspended.array("base_orientation")
     tilt = np.degrees(2 * np.arccos(np.clip(np.abs(attitudes @ attitudes[0]), 0, 1)))
     assert 10.0 < tilt.max() < 25.0
     assert np.ptp(suspended.array("true_position"), axis=0).min() > 0.02
 
 
-def test_a_fall_is_reported_with_its_time(tmp_path):
+def test_a_failure_is_reported_with_its_time(tmp_path):
     feeble = tmp_path / "feeble.xml"
     feeble.write_text(config_file("symbitron.xml").read_text().replace("-100 100", "-10 10"))
     with pytest.raises(SimulationError, match=r"at -?\d+\.\d{3} s"):
@@ -215,7 +215,7 @@ def test_a_fall_is_reported_with_its_time(tmp_path):
         ({"moves": 0}, "0 moves"),
     ],
 )
-def test_bad_options_are_refused(options, message):
+def test_invalid_options_raise_an_error(options, message):
     with pytest.raises(SimulationError, match=message):
         Simulator(**options)
 

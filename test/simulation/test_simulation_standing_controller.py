@@ -1,4 +1,4 @@
-"""Balance by sensors alone: the estimated state against the true one, and standing by it."""
+"""Leg odometry estimates the true state, and the robot stands on its estimate."""
 
 import itertools
 from collections import deque
@@ -33,7 +33,7 @@ def rms(errors: list[np.ndarray]) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def test_estimated_state_is_the_true_one():
+def test_estimated_state_is_close_to_the_true_state():
     legs = odometry()
     places, attitudes, velocities = [], [], []
     for instant in itertools.islice(Simulator(motion_seed=1), 3000):
@@ -41,16 +41,16 @@ def test_estimated_state_is_the_true_one():
         places.append(state.position[:3] - instant.base_position)
         attitudes.append(state.position[3:7] @ instant.base_orientation[[3, 0, 1, 2]])
         velocities.append(state.velocity - true_velocity(instant))
-    # Soles give way by tenths of a millimetre under a changing load.
+    # Soles move by tenths of a millimetre under a changing load.
     assert np.abs(places).max() < 1e-3
     np.testing.assert_allclose(np.abs(attitudes), 1.0, atol=1e-9)
     velocities = np.array(velocities[20:])
     assert rms(velocities[:, :3]) < 3e-3  # m/s
-    assert rms(velocities[:, 3:6]) < 3e-3  # rad/s, of a gyroscope of 5e-3
-    assert rms(velocities[:, 6:]) < 5e-3  # rad/s, of encoders of 1.3e-2
+    assert rms(velocities[:, 3:6]) < 3e-3  # rad/s; gyroscope noise 5e-3
+    assert rms(velocities[:, 6:]) < 5e-3  # rad/s; encoder noise 1.3e-2
 
 
-def test_time_that_runs_back_begins_anew():
+def test_decreasing_stamps_restart_the_moves():
     instants = list(itertools.islice(Simulator(moves=1), 50))
     controller = StandingController(moves=1)
     first, *_, again = [controller.torques(instant) for instant in (*instants, instants[0])]
@@ -59,10 +59,10 @@ def test_time_that_runs_back_begins_anew():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_it_stands_late_and_with_commands_lost(seed):
+def test_robot_stands_with_delays_and_lost_commands(seed):
     robot = Simulator(motion_seed=seed, noise_seed=seed, is_commanded=True)
     controller = StandingController(motion_seed=seed)
-    late = deque([robot.step()], maxlen=4)  # three periods beside the one of lockstep
+    late = deque([robot.step()], maxlen=4)  # three periods in addition to the one of lockstep
     random = np.random.default_rng(seed)
     heights = []
     for _ in range(5000):
@@ -73,6 +73,6 @@ def test_it_stands_late_and_with_commands_lost(seed):
     assert rms([instant.true_acceleration for instant in late]) < 2.0
 
 
-def test_only_standing_scenarios_can_be_balanced():
+def test_suspended_scenarios_raise_an_error():
     with pytest.raises(SimulationError, match="choose one of smooth, squat"):
         StandingController("suspended")

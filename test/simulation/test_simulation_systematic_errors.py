@@ -23,7 +23,7 @@ SENSOR_ERRORS = [name for name in ERRORS if name != "link_length"]
 
 
 def instants(errors="", *, scenario="vibrating", seed=3, steps=STEPS, **options):
-    """The errors drawn, and the first instants as arrays by name."""
+    """The drawn errors, and the first instants as arrays by name."""
     simulator = Simulator(
         scenario, moves=1, motion_seed=1, errors=errors, error_seed=seed, **options
     )
@@ -35,7 +35,7 @@ def instants(errors="", *, scenario="vibrating", seed=3, steps=STEPS, **options)
 
 @pytest.fixture(scope="module")
 def perfect():
-    """A vibrating robot's first instants: every reading changes from one to the next."""
+    """The first instants of a vibrating robot, whose readings differ from each other."""
     return instants(ideal=True)[1]
 
 
@@ -69,7 +69,7 @@ def others(*changed):
     return [name for name in READINGS if name not in changed]
 
 
-def test_encoders_read_off_zero(perfect):
+def test_encoders_have_offsets(perfect):
     errors, readings = instants("encoder_offset", ideal=True)
     offset = readings["joint_position"] - perfect["joint_position"]
     np.testing.assert_allclose(offset, np.tile(errors.encoder_offset, (STEPS, 1)), atol=1e-15)
@@ -88,9 +88,9 @@ def test_torque_sensors_have_gains(perfect):
     unchanged(readings, perfect, *others("joint_effort"))
 
 
-def test_imu_is_mounted_askew(perfect):
+def test_imu_has_a_mounting_error(perfect):
     errors, readings = instants("imu_mounting", ideal=True)
-    # The sensor's own axes in those of its frame.
+    # The sensor's axes in its frame.
     mounting = Rotation.from_rotvec(errors.imu_mounting)
     assert between(np.degrees(mounting.magnitude()), 0.1, 0.3)
     for name in ("imu_angular_velocity", "imu_linear_acceleration"):
@@ -119,19 +119,19 @@ def test_plates_have_offsets(perfect):
     unchanged(readings, perfect, *others("wrenches"))
 
 
-def test_plates_report_about_another_point(perfect):
+def test_plates_are_displaced(perfect):
     errors, readings = instants("plate_pose", ideal=True)
     assert between(np.linalg.norm(errors.plate_pose, axis=1), 1e-3, 3e-3)
     force, moment = np.split(readings["wrenches"], 2, axis=2)
     np.testing.assert_array_equal(force, perfect["wrenches"][..., :3])
-    # Back about the named frame's origin: a force through the other point turns about this one.
+    # The moment about the frame's origin includes that of the force at the displaced point.
     restored = moment + np.cross(errors.plate_pose, force)
     np.testing.assert_allclose(restored, perfect["wrenches"][..., 3:], atol=1e-12)
     assert np.abs(moment - restored).max() > 0.05
     unchanged(readings, perfect, *others("wrenches"))
 
 
-def test_late_sensors_show_what_was(perfect):
+def test_delayed_sensors_report_past_instants(perfect):
     errors, readings = instants("delays", ideal=True)
     joints, imu, *plates = errors.delays
     assert len({joints, imu, *plates}) == 4
@@ -144,12 +144,12 @@ def test_late_sensors_show_what_was(perfect):
         np.testing.assert_array_equal(
             readings["wrenches"][delay:, plate], perfect["wrenches"][:-delay, plate]
         )
-    # What they show at first is what was before the first instant, not that instant again.
+    # Their first readings are those before the first instant, not copies of it.
     assert np.all(readings["imu_linear_acceleration"][0] != perfect["imu_linear_acceleration"][0])
     unchanged(readings, perfect, "stamp")
 
 
-def test_readings_are_rounded_to_steps(perfect):
+def test_readings_are_quantised(perfect):
     _, readings = instants("quantisation", ideal=True)
     steps = Resolution()
     force, moment = (slice(None), slice(None), slice(0, 3)), (slice(None), slice(None), slice(3, 6))
@@ -169,19 +169,19 @@ def test_readings_are_rounded_to_steps(perfect):
     unchanged(readings, perfect, "imu_orientation")
 
 
-def test_sensors_speak_at_rates_of_their_own(tmp_path):
+def test_sensors_have_different_rates(tmp_path):
     record(Simulator("tare", noise_seed=2, errors="sample_rates"), tmp_path / "bag")
     streams = read_streams([tmp_path / "bag"])
-    plates, hoist = streams.wrenches[:2], streams.wrenches[2]
+    plates, support = streams.wrenches[:2], streams.wrenches[2]
     for stream, every in (
         (streams.joints, 1),
         (streams.imus[0], 2),
         (plates[0], 3),
         (plates[1], 3),
-        (hoist, 1),
+        (support, 1),
     ):
         np.testing.assert_array_equal(stream.stamp, np.arange(1, 5001, every) * 1_000_000)
-    # Beyond the blocks in which a bag is written.
+    # Longer than the blocks in which a bag is written.
     _, full = instants(scenario="tare", noise_seed=2, steps=1500)
     for read, expected, every in (
         (streams.joints.position, full["joint_position"], 1),
@@ -192,7 +192,7 @@ def test_sensors_speak_at_rates_of_their_own(tmp_path):
         np.testing.assert_array_equal(read[: len(expected[::every])], expected[::every])
 
 
-def test_links_are_longer_or_shorter_than_in_the_file():
+def test_links_differ_in_length_from_the_file():
     simulator = Simulator("smooth", moves=1, errors="link_length", error_seed=3, ideal=True)
     file = mujoco.MjModel.from_xml_path(str(config_file("symbitron.xml")))
     robot = mujoco.MjModel.from_xml_string(simulator.robot)
@@ -210,7 +210,7 @@ def test_links_are_longer_or_shorter_than_in_the_file():
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_robot_of_other_lengths_stands_on_both_feet(seed):
+def test_robot_with_modified_lengths_stands_on_both_feet(seed):
     _, run = instants("link_length", scenario="smooth", seed=seed, steps=400, ideal=True)
     upward = run["wrenches"][:, :, 2]
     assert upward.min() > 0.35 * 41.05 * 9.81
@@ -218,14 +218,14 @@ def test_robot_of_other_lengths_stands_on_both_feet(seed):
     assert np.abs(run["true_acceleration"]).max() < 1.0
 
 
-def test_errors_leave_motion_and_truth_alone(perfect):
+def test_errors_do_not_change_motion_and_truth(perfect):
     errors, readings = instants(",".join(SENSOR_ERRORS), ideal=True)
     assert not errors.link_length.any()
     unchanged(readings, perfect, *(name for name in perfect if name not in READINGS))
     assert all(np.any(readings[name] != perfect[name]) for name in READINGS)
 
 
-def test_noise_comes_on_top_and_is_the_same(perfect, typical):
+def test_noise_is_added_and_does_not_depend_on_errors(perfect, typical):
     exact = typical[1]
     _, noisy = instants(noise_seed=4)
     _, both = instants("typical", noise_seed=4)
@@ -234,7 +234,7 @@ def test_noise_comes_on_top_and_is_the_same(perfect, typical):
         np.testing.assert_allclose(both[name] - exact[name], noise, atol=1e-12, err_msg=name)
 
 
-def test_gain_precedes_offset_on_a_displaced_plate(perfect, typical):
+def test_displacement_and_gain_precede_the_offset(perfect, typical):
     errors, readings = typical
     force, moment = np.split(perfect["wrenches"], 2, axis=2)
     about = np.concatenate([force, moment - np.cross(errors.plate_pose, force)], axis=2)
@@ -243,12 +243,12 @@ def test_gain_precedes_offset_on_a_displaced_plate(perfect, typical):
 
 
 class TestTare:
-    def test_plates_read_their_offsets_alone(self):
+    def test_plates_read_their_offsets(self):
         errors, readings = instants("typical", scenario="tare", ideal=True)
         for reading in readings["wrenches"][:, :2]:
             np.testing.assert_array_equal(reading, errors.plate_offset)
 
-    def test_hoist_has_no_errors(self):
+    def test_overhead_support_has_no_errors(self):
         everything = ",".join(SENSOR_ERRORS)
         (_, wrong), (_, right) = (
             instants(names, scenario="tare", ideal=True) for names in (everything, "")
@@ -257,14 +257,14 @@ class TestTare:
         pull = np.linalg.norm(right["wrenches"][0, 2, :3])
         assert pull == pytest.approx(41.05 * 9.81, rel=1e-3)
 
-    def test_is_of_the_same_robot_as_the_log(self, typical):
+    def test_has_the_same_errors_as_the_log(self, typical):
         errors, _ = instants("typical", scenario="tare")
         for field in dataclasses.fields(errors):
             np.testing.assert_array_equal(
                 getattr(errors, field.name), getattr(typical[0], field.name)
             )
 
-    def test_lasts_five_seconds_at_rest_whatever_the_moves(self):
+    def test_lasts_five_seconds_at_rest_for_any_moves(self):
         short, long = (
             Simulator("tare", moves=moves, motion_seed=moves, ideal=True) for moves in (1, 30)
         )
@@ -273,7 +273,7 @@ class TestTare:
         velocity = np.array([instant.true_velocity for instant in run])
         driven = [not name.endswith("_aie") for name in short.joint_names]
         assert np.abs(velocity[:, driven]).max() < 0.02
-        # Nothing damps the ankles without a drive: they hang plumb, but for a third of a degree.
+        # The undriven ankles have no damping; they hang vertically within a third of a degree.
         assert np.ptp([instant.true_position for instant in run], axis=0).max() < 0.02
         spin = np.array([instant.base_angular_velocity for instant in run])
         assert np.abs(spin).max() < 2e-3
@@ -286,7 +286,7 @@ def draw(names, seed=0):
 
 class TestDraws:
     @pytest.mark.parametrize("name", ERRORS)
-    def test_depend_on_their_own_name_alone(self, name):
+    def test_depend_on_their_name_only(self, name):
         alone, among = draw((name,), 7), draw(tuple(ERRORS), 7)
         np.testing.assert_array_equal(getattr(alone, name), getattr(among, name))
         nothing = draw(())
@@ -297,18 +297,18 @@ class TestDraws:
                 )
 
     @pytest.mark.parametrize("name", [*TYPICAL, "link_length"])
-    def test_differ_from_seed_to_seed_with_either_sign(self, name):
+    def test_differ_between_seeds_in_size_and_sign(self, name):
         values = np.array([getattr(draw((name,), seed), name) for seed in range(40)])
         assert len(np.unique(values.reshape(40, -1), axis=0)) == 40
         assert np.all((values > 0).any(axis=0) & (values < 0).any(axis=0))
 
-    def test_of_different_errors_are_unrelated(self):
+    def test_of_different_errors_are_independent(self):
         drawn = draw(tuple(ERRORS), 5)
         gain, offset = drawn.torque_gain, drawn.encoder_offset
         assert np.any(np.sign(gain) != np.sign(offset))
 
 
-def test_typical_is_the_six_calibration_errors():
+def test_typical_means_the_six_calibration_errors():
     assert parse_errors("typical") == parse_errors(",".join(TYPICAL)) == TYPICAL
     assert set(parse_errors("delays, typical")) == {*TYPICAL, "delays"}
     assert parse_errors("") == ()

@@ -20,7 +20,7 @@ def draw(seed=0, moves=20):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_targets_lie_in_the_range_and_apart(seed):
+def test_targets_are_in_range_and_separated(seed):
     reference = draw(seed)
     scaled = (reference.points[1:] - START - SPAN.centre) / SPAN.half_widths
     assert np.all(np.linalg.norm(scaled, axis=1) <= 1.0 + 1e-12)
@@ -41,7 +41,7 @@ def test_speed_grows_then_shrinks(moves):
     assert speeds[0] == pytest.approx(SPAN.slowest)
 
 
-def test_moves_are_straight_and_cubic_and_rest_at_both_ends():
+def test_moves_are_straight_cubic_and_at_rest_at_both_ends():
     reference = draw()
     for move in range(20):
         begin, end = reference.starts[move : move + 2]
@@ -80,6 +80,6 @@ def test_seed_decides_the_moves():
     assert not np.allclose(draw(7).points, draw(8).points)
 
 
-def test_no_moves_are_refused():
+def test_zero_moves_raise_an_error():
     with pytest.raises(SimulationError, match="0 moves"):
         draw(moves=0)

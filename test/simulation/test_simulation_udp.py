@@ -1,4 +1,4 @@
-"""The UDP loop over sockets: lockstep, losses, and controllers that come and go."""
+"""The UDP loop over sockets: lockstep, lost datagrams and restarted controllers."""
 
 import json
 import os
@@ -22,13 +22,13 @@ from symbid_ros.simulation.command import Drives
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.udp_server import UdpServer
 
-PATIENCE = 300.0  # s, before a test that hangs is given up
+PATIENCE = 300.0  # s until a hanging test fails
 SUPPORT = Path(__file__).parents[1] / "support"
 
 
 @contextmanager
 def client(port: int, *options: object) -> Iterator[subprocess.Popen[str]]:
-    """Run ``symbid udp-client``, killed in the end if it still lives."""
+    """Run ``symbid udp-client`` and kill it at the end if it still runs."""
     words = [Path(sys.executable).parent / "symbid", "udp-client", "--port", port, *options]
     with subprocess.Popen(
         list(map(str, words)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -54,7 +54,7 @@ def stop() -> Iterator[threading.Event]:
 
 
 class Answering:
-    """A controller in a thread, which knows sockets and ``struct`` and nothing else."""
+    """A controller in a thread that uses only ``socket`` and ``struct``."""
 
     def __init__(self, plant: tuple[str, int], answers: Callable[[bytes], list[bytes]]) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -81,7 +81,7 @@ def torques_for(datagram: bytes) -> list[float]:
     return [float(value) for value in measurement(datagram)["joint_position"][:8]]
 
 
-def test_lockstep_with_a_controller_of_struct_alone(stop):
+def test_lockstep_with_an_independent_controller(stop):
     robot, drives = commanded(moves=1)
     with UdpServer("127.0.0.1", 0, drives, command_timeout=PATIENCE) as commands:
 
@@ -98,7 +98,7 @@ def test_lockstep_with_a_controller_of_struct_alone(stop):
         assert commands.counts.accepted == 50
 
 
-def test_bad_datagrams_on_the_way_move_nothing(stop):
+def test_invalid_datagrams_do_not_move_the_robot(stop):
     robot, drives = commanded(moves=1)
 
     def answers(datagram: bytes) -> list[bytes]:
@@ -131,7 +131,7 @@ def test_bad_datagrams_on_the_way_move_nothing(stop):
         assert commands.counts.accepted == 20
 
 
-def test_silence_is_answered_by_safe_torques_and_waited_for_once(stop):
+def test_timeout_gives_safe_torques_and_is_waited_for_once(stop):
     robot, drives = commanded(moves=1)
     instant = robot.step()
     with UdpServer("127.0.0.1", 0, drives, command_timeout=0.05) as commands:
@@ -147,7 +147,7 @@ def test_silence_is_answered_by_safe_torques_and_waited_for_once(stop):
         assert commands.controller is None
 
 
-def test_nobody_is_waited_for_after_the_stop():
+def test_stop_ends_the_wait():
     robot, drives = commanded(moves=1)
     stopped = threading.Event()
     stopped.set()
@@ -156,7 +156,7 @@ def test_nobody_is_waited_for_after_the_stop():
         assert commands.exchange(robot.step(), stopped).is_safe
 
 
-def test_measurements_go_to_another_port_where_wanted(stop):
+def test_measurements_go_to_the_reply_port(stop):
     robot, drives = commanded(moves=1)
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiving,
@@ -173,7 +173,7 @@ def test_measurements_go_to_another_port_where_wanted(stop):
             assert sequence_and_stamp(receiving.recv(65507)) == (1, instant.stamp)
 
 
-def test_the_documented_program_holds_the_robot(stop):
+def test_the_documented_program_controls_the_robot(stop):
     page = (Path(__file__).parents[2] / "docs" / "udp.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     robot, drives = commanded(moves=1, motion_seed=2)
@@ -191,7 +191,7 @@ def test_the_documented_program_holds_the_robot(stop):
     assert np.abs(instant.true_velocity).max() < 0.1
 
 
-def test_a_killed_client_is_followed_by_a_new_one(stop):
+def test_a_new_client_replaces_a_killed_one(stop):
     robot, drives = commanded(moves=1, motion_seed=3)
     instant = robot.step()
     with UdpServer("127.0.0.1", 0, drives, command_timeout=1.0) as commands:
@@ -206,14 +206,14 @@ def test_a_killed_client_is_followed_by_a_new_one(stop):
                 process.send_signal(signal.SIGKILL)
                 process.wait()
             timeouts = commands.counts.timeouts
-            while commands.counts.timeouts == timeouts:  # an answer may still be on its way
+            while commands.counts.timeouts == timeouts:  # a command may still be in transit
                 answer = commands.exchange(instant, stop)
             assert answer.is_safe
             assert commands.controller is None
         assert instant.base_position[2] > 0.9
 
 
-def test_a_client_that_was_stopped_goes_on(stop):
+def test_a_suspended_client_continues(stop):
     robot, drives = commanded(moves=1)
     instant = robot.step()
     with (
@@ -234,7 +234,7 @@ def test_a_client_that_was_stopped_goes_on(stop):
         until(is_safe=False)
 
 
-def test_processes_stand_over_a_lossy_network():
+def test_robot_stands_over_a_lossy_network():
     options = {"moves": 20, "motion_seed": 4, "noise_seed": 4}
     with (
         subprocess.Popen(
@@ -267,6 +267,6 @@ def test_a_port_in_use_is_named():
             UdpServer(host, port, drives)
 
 
-def test_no_host_does_not_open_every_interface():
+def test_empty_host_raises_an_error():
     with pytest.raises(SimulationError, match=r"give 127\.0\.0\.1"):
         UdpServer("", 0, commanded(moves=1)[1])

@@ -1,4 +1,4 @@
-"""What may move the robot: datagrams made by ``struct`` alone, offered one by one."""
+"""The command validator accepts expected commands only; datagrams are built by ``struct``."""
 
 import functools
 import math
@@ -27,18 +27,18 @@ def run() -> tuple[Drives, list[Instant]]:
 
 
 def awaiting() -> CommandValidator:
-    """Return a gate that has had its first answer and awaits the second."""
+    """Return a validator that has accepted a first command and expects the second."""
     drives, instants = run()
-    gate = CommandValidator(drives)
-    gate.process(hello(), CLIENT)
-    sequence, stamp = sequence_and_stamp(gate.expect(instants[0]))
-    assert gate.process(command(sequence, stamp, TORQUES), CLIENT) is not None
-    gate.expect(instants[1])
-    return gate
+    validator = CommandValidator(drives)
+    validator.process(hello(), CLIENT)
+    sequence, stamp = sequence_and_stamp(validator.expect(instants[0]))
+    assert validator.process(command(sequence, stamp, TORQUES), CLIENT) is not None
+    validator.expect(instants[1])
+    return validator
 
 
 @pytest.fixture
-def gate() -> CommandValidator:
+def validator() -> CommandValidator:
     return awaiting()
 
 
@@ -47,22 +47,22 @@ def instants() -> list[Instant]:
     return run()[1]
 
 
-def rejected(gate: CommandValidator) -> dict[str, int]:
-    return {str(reason): count for reason, count in gate.counts.rejected.items() if count}
+def rejected(validator: CommandValidator) -> dict[str, int]:
+    return {str(reason): count for reason, count in validator.counts.rejected.items() if count}
 
 
-def test_a_measurement_says_all_that_the_sensors_say(gate, instants):
-    datagram = gate.expect(instants[2])
+def test_a_measurement_contains_all_readings(validator, instants):
+    datagram = validator.expect(instants[2])
     assert sequence_and_stamp(datagram) == (3, instants[2].stamp)
     for name, values in measurement(datagram).items():
         np.testing.assert_array_equal(values, getattr(instants[2], name).ravel())
 
 
-def test_the_answer_passes_and_its_torques_are_in_order(gate, instants):
-    passed = gate.process(command(2, instants[1].stamp, TORQUES), CLIENT)
+def test_the_expected_command_is_accepted(validator, instants):
+    passed = validator.process(command(2, instants[1].stamp, TORQUES), CLIENT)
     assert passed.tolist() == TORQUES
-    assert rejected(gate) == {}
-    assert (gate.counts.accepted, gate.counts.hellos) == (2, 1)
+    assert rejected(validator) == {}
+    assert (validator.counts.accepted, validator.counts.hellos) == (2, 1)
 
 
 STAMP = 2_000_000
@@ -92,52 +92,52 @@ REJECTIONS = [
 
 
 @pytest.mark.parametrize(("reason", "datagram"), REJECTIONS)
-def test_what_is_no_answer_is_counted_by_its_reason(gate, reason, datagram):
-    assert gate.process(datagram, CLIENT) is None
-    assert rejected(gate) == {reason: 1}
-    assert gate.counts.accepted == 1
-    # It has changed nothing: the answer still passes.
-    assert gate.process(ANSWER, CLIENT) is not None
+def test_rejected_datagrams_are_counted_by_reason(validator, reason, datagram):
+    assert validator.process(datagram, CLIENT) is None
+    assert rejected(validator) == {reason: 1}
+    assert validator.counts.accepted == 1
+    # The state has not changed: the expected command is still accepted.
+    assert validator.process(ANSWER, CLIENT) is not None
 
 
-def test_an_answer_is_obeyed_once(gate):
-    assert gate.process(ANSWER, CLIENT) is not None
-    assert gate.process(ANSWER, CLIENT) is None
-    assert rejected(gate) == {"duplicate": 1}
+def test_a_command_is_accepted_once(validator):
+    assert validator.process(ANSWER, CLIENT) is not None
+    assert validator.process(ANSWER, CLIENT) is None
+    assert rejected(validator) == {"duplicate": 1}
 
 
-def test_strangers_are_not_heard_while_somebody_is_in_control(gate, instants):
+def test_other_senders_are_rejected_while_a_controller_is_in_control(validator, instants):
     for datagram in (hello(), ANSWER, b"nonsense"):
-        assert gate.process(datagram, OTHER) is None
-    assert rejected(gate) == {"stranger": 3}
-    assert gate.controller == CLIENT
+        assert validator.process(datagram, OTHER) is None
+    assert rejected(validator) == {"stranger": 3}
+    assert validator.controller == CLIENT
 
 
-def test_whoever_says_hello_first_follows(gate, instants):
-    gate.release()
-    gate.process(hello(), OTHER)
-    assert (gate.controller, gate.is_controlled) == (OTHER, True)
-    assert gate.process(ANSWER, CLIENT) is None
-    assert gate.process(ANSWER, OTHER).tolist() == TORQUES
-    assert rejected(gate) == {"stranger": 1}
+def test_the_first_hello_after_release_takes_control(validator, instants):
+    validator.release()
+    validator.process(hello(), OTHER)
+    assert (validator.controller, validator.is_controlled) == (OTHER, True)
+    assert validator.process(ANSWER, CLIENT) is None
+    assert validator.process(ANSWER, OTHER).tolist() == TORQUES
+    assert rejected(validator) == {"stranger": 1}
 
 
-def test_a_late_answer_does_not_move_the_robot_but_is_a_sign_of_life(gate, instants):
-    gate.release()
-    gate.expect(instants[2])
-    assert gate.process(ANSWER, OTHER) is None
-    assert not gate.is_controlled
-    assert gate.process(ANSWER, CLIENT) is None
-    assert gate.is_controlled
-    assert rejected(gate) == {"old": 2}
+def test_a_late_command_is_rejected_but_keeps_control(validator, instants):
+    validator.release()
+    validator.expect(instants[2])
+    assert validator.process(ANSWER, OTHER) is None
+    assert not validator.is_controlled
+    assert validator.process(ANSWER, CLIENT) is None
+    assert validator.is_controlled
+    assert rejected(validator) == {"old": 2}
 
 
-def test_hello_moves_nothing(gate):
-    assert gate.process(command(0, STAMP, TORQUES), CLIENT) is None
-    assert (gate.counts.hellos, gate.counts.accepted) == (2, 1)
+def test_hello_gives_no_torques(validator):
+    assert validator.process(command(0, STAMP, TORQUES), CLIENT) is None
+    assert (validator.counts.hellos, validator.counts.accepted) == (2, 1)
 
 
-def test_numbers_go_round():
+def test_sequence_numbers_wrap_around():
     assert next_sequence(MAX_SEQUENCE) == 1
     assert is_before(MAX_SEQUENCE, 1)
     assert is_before(MAX_SEQUENCE - 1, MAX_SEQUENCE)
@@ -157,17 +157,17 @@ def mutated(changes: list[tuple[int, int]]) -> bytes:
 
 @settings(deadline=None)
 @given(st.lists(st.binary(max_size=200) | MUTATIONS.map(mutated), max_size=5))
-def test_whatever_comes_nothing_is_raised_and_no_torque_exceeds_its_limit(datagrams):
-    gate = awaiting()
+def test_no_datagram_raises_an_error_or_exceeds_the_torque_limits(datagrams):
+    validator = awaiting()
     for datagram in datagrams:
-        passed = gate.process(datagram, CLIENT)
+        passed = validator.process(datagram, CLIENT)
         if passed is not None:
-            # Only bits of the torques themselves can have been changed.
+            # Only bits of the torques can have changed.
             assert datagram[:24] == ANSWER[:24]
             assert len(datagram) == len(ANSWER)
             assert np.all(np.abs(passed) <= 100.0)
-    counts = gate.counts
-    before = 2  # hello and first answer
+    counts = validator.counts
+    before = 2  # hello and first command
     assert (
         counts.accepted + counts.hellos + sum(counts.rejected.values()) == len(datagrams) + before
     )

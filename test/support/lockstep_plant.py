@@ -1,4 +1,4 @@
-"""A simulated robot commanded over UDP, as a process: prints its port, then how it went."""
+"""A process that simulates a robot commanded over UDP; prints its port, then the result."""
 
 import json
 import sys
@@ -15,7 +15,7 @@ def main(steps: int, options: dict[str, object]) -> None:
     robot = Simulator(**options, is_commanded=True)
     drives = Drives(robot.joint_names, robot.drive_names, robot.torque_limits)
     stop, safe, heights, end = Event(), 0, [], "stands"
-    # A busy machine may well let a process wait for longer than the usual time-out.
+    # On a busy machine a process may wait longer than the default timeout.
     with UdpServer("127.0.0.1", 0, drives, command_timeout=300.0) as commands:
         print(commands.address[1], flush=True)
         commands.await_controller(stop)

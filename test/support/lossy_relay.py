@@ -1,4 +1,4 @@
-"""A network between two ends on this machine that drops, doubles and swaps datagrams."""
+"""A relay between two local sockets that drops, duplicates and reorders datagrams."""
 
 import random
 import select
@@ -8,10 +8,10 @@ from types import TracebackType
 
 
 class LossyRelay:
-    """Relays datagrams to ``target`` and back, each direction with faults drawn from a seed.
+    """Relays datagrams to ``target`` and back with random faults in both directions.
 
-    ``share`` of all datagrams are dropped, as many doubled, and as many held back until the next
-    has passed.
+    A fraction ``share`` of all datagrams is dropped, another one is duplicated, and a third one is
+    held back until the next datagram has passed.
     """
 
     def __init__(self, target: tuple[str, int], *, share: float = 0.05, seed: int = 0) -> None:
@@ -57,7 +57,7 @@ class LossyRelay:
                 try:
                     self._pass_on(self._near, self._far.recv(65507))
                 except ConnectionRefusedError:
-                    continue  # nobody listens at the target yet
+                    continue  # the target does not listen yet
 
     def _pass_on(self, to: socket.socket, datagram: bytes) -> None:
         lot = self._random.random()

@@ -1,4 +1,4 @@
-"""A random robot that really moves in MuJoCo, as instants for bags and as streams."""
+"""Random robots simulated by MuJoCo, as instants for bags and as streams."""
 
 from dataclasses import dataclass
 
@@ -18,9 +18,9 @@ class Sensor:
 
 
 class TreeSimulation:
-    """Driven joints follow sines, each wrench frame is pushed by sines, ideal sensors.
+    """Driven joints track sines, sinusoidal wrenches act on each frame, and sensors are ideal.
 
-    The interface is the simulator's, so that its recording writes the bag.
+    It has the interface of `Simulator`, so `record` can write its bag.
     """
 
     period_ns = 1_000_000
@@ -36,7 +36,7 @@ class TreeSimulation:
         self.wrench_sensors = tuple(Sensor(f"{name}/wrench", name) for name in frames)
         self.m = mujoco.MjModel.from_xml_string(mjcf_text(model))
         self.m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
-        # The plant is continuous to a 1 kHz sensor: ten Runge-Kutta steps between readings.
+        # Ten Runge-Kutta steps between the readings of 1 kHz sensors.
         self.m.opt.timestep = 1e-4
         self.m.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
         self.d = mujoco.MjData(self.m)
@@ -74,14 +74,14 @@ class TreeSimulation:
         wave = self._target(d.time)
         joints = len(self.joint_names)
         position, velocity = d.qpos[m.nq - joints :], d.qvel[self.joints]
-        # Servos of a few hertz; what has no motor swings.
+        # Servos of a few hertz; joints without motor swing freely.
         effort = self.inertia * (400 * (wave[:joints] - position) - 30 * velocity) * self.driven
         wrenches = np.zeros((len(self.wrench_sensors), 6))
         if len(wrenches):
             wrenches[:, 3:] = self.scale * wave[joints:].reshape(-1, 6)[:, :3] / len(wrenches)
             wrenches[:, :3] = 0.1 * self.scale * wave[joints:].reshape(-1, 6)[:, 3:]
         d.qfrc_applied[:] = 0
-        # MuJoCo's own dry friction is soft; this is Coulomb's, but for the slowest motion.
+        # Coulomb friction; MuJoCo's dry friction would be softer at low speed.
         rubbing = self.friction_loss * np.clip(velocity / 1e-3, -1, 1)
         d.qfrc_applied[self.joints] = effort - rubbing
         for site, wrench in zip(self.sites, wrenches, strict=True):

@@ -1,4 +1,4 @@
-"""The UDP loop's packets as docs/udp.md tables them, by ``struct`` alone."""
+"""Packets of the UDP loop as documented in docs/udp.md, built with ``struct``."""
 
 import struct
 
