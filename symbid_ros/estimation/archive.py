@@ -1,4 +1,4 @@
-"""information.npz: what a run knows, so that the next can go on from it."""
+"""information.npz: the observations of a run, from which the next run can continue."""
 
 import math
 import zipfile
@@ -20,7 +20,7 @@ from symbid_ros.user_files import open_regular
 FORMAT = 2
 MAX_ARRAYS = 10_000
 MAX_BYTES = 512 << 20  # of all arrays, unpacked
-LARGEST_ENTRY = 1e15  # an hour of large forces at a high rate stays far below
+LARGEST_ENTRY = 1e15  # far above an hour of large forces at a high rate
 
 
 def write_archive(
@@ -31,11 +31,11 @@ def write_archive(
     Parameters
     ----------
     path : Path
-        information.npz.
+        File to write, information.npz.
     observations : sequence of Observations
-        All of one layout.
+        Observations with the same layout.
     deviation_factor : (p, r) float64, optional
-        L of the estimate's covariance L Lᵀ, for those who want its intervals.
+        Factor L of the estimate's covariance L Lᵀ, from which intervals can be computed.
     """
     layout = observations[0].layout
     content: dict[str, Any] = {
@@ -69,14 +69,15 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
     Raises
     ------
     EstimateError
-        When the file is missing or is none.
+        When the file is missing, damaged or not an information.npz.
     """
     content = _read(path)
     try:
         if int(content["format"]) != FORMAT:
             raise EstimateError(
-                f"{path}: written in format {int(content['format'])}, this is {FORMAT}; identify "
-                "the log again"
+                f"{path}: written in format {int(content['format'])}, this version reads {FORMAT}; "
+                "identify the log again",
+                "E411",
             )
         layout = _layout(content)
         windows, inflations, kept = (
@@ -103,23 +104,26 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
     except (ValueError, TypeError, IndexError, OverflowError) as error:
         reason = str(error)
     raise EstimateError(
-        f"{path}: no information.npz of symbid identify ({reason}); give the file that a run wrote"
+        f"{path}: not an information.npz ({reason}); give the file that `symbid identify` wrote",
+        "E410",
     )
 
 
 def load_deviation_factor(path: Path) -> FloatArray | None:
-    """Return L (p, r) of the estimate's covariance L Lᵀ, None where the method gave none.
+    """Return L (p, r) of the estimate's covariance L Lᵀ, or None if the method gave none.
 
     Raises
     ------
     EstimateError
-        When the file is missing or is none.
+        When the file is missing, damaged or not an information.npz.
     """
     factor = _read(path).get("deviation_factor")
     if factor is None:
         return None
     if factor.ndim != 2 or factor.dtype != np.float64 or not np.all(np.isfinite(factor)):
-        raise EstimateError(f"{path}: its deviation_factor is none; identify the log again")
+        raise EstimateError(
+            f"{path}: its deviation_factor is not a finite matrix; identify the log again", "E410"
+        )
     return factor
 
 
@@ -139,12 +143,12 @@ def _information(
 def _numbers(
     content: dict[str, np.ndarray], name: str, shape: tuple[int, ...], least: float = 0.0
 ) -> FloatArray:
-    """Return an array of real numbers from ``least`` to the largest that any run writes."""
+    """Return an array of real numbers from ``least`` to ``LARGEST_ENTRY``."""
     found = content[name]
     _require(found.shape == shape, f"{name} has shape {found.shape}, not {shape}")
     _require(found.dtype.kind in "fiu", f"{name} is of type {found.dtype}, not real numbers")
     numbers = found.astype(np.float64)
-    # Written so that NaN is refused.
+    # This comparison is False for NaN.
     _require(
         np.all((numbers >= least) & (numbers <= LARGEST_ENTRY)),
         f"{name} has a number that is not from {least:g} to {LARGEST_ENTRY:g}",
@@ -177,7 +181,7 @@ def _counts(content: dict[str, np.ndarray], index: int, layout: RowLayout) -> Fl
 
 
 def _seconds(content: dict[str, np.ndarray]) -> list[int]:
-    """Return the fingerprints of the seconds covered; earlier versions wrote none."""
+    """Return the fingerprints of the seconds covered, which earlier versions did not write."""
     found = content.get("seconds", np.zeros(0, dtype=np.int64))
     _require(found.ndim == 1 and found.dtype == np.int64, "seconds must be a list of integers")
     seconds: list[int] = found.tolist()
@@ -189,43 +193,44 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         with open_regular(path) as stream:
             _check_sizes(path, stream)
             stream.seek(0)
-            # A lone array is no context: that is the TypeError below.
+            # A single array is not a context manager, hence the TypeError below.
             with np.load(stream, allow_pickle=False) as stored:
                 return dict(stored)
     except OSError as error:
         reason = error.strerror or "not a zip of arrays"
-        raise EstimateError(f"{path}: cannot read it ({reason}); check the path") from None
+        raise EstimateError(f"{path}: cannot read it ({reason}); check the path", "E401") from None
     except (ValueError, TypeError, zipfile.BadZipFile, zlib.error, EOFError, AttributeError):
-        # NumPy's own words advise to load it as a pickle.
+        # NumPy's own message advises loading the file as a pickle, so it is dropped.
         raise EstimateError(
-            f"{path}: no information.npz of symbid identify; give the file that a run wrote"
+            f"{path}: not an information.npz; give the file that `symbid identify` wrote", "E410"
         ) from None
 
 
 def _check_sizes(path: Path, file: BinaryIO) -> None:
-    """Refuse arrays that are larger than their bytes or than any run's, before they are made."""
+    """Reject arrays that exceed the limits or their own bytes, before memory is allocated."""
     with zipfile.ZipFile(file) as archive:
         members = archive.infolist()
         if len(members) > MAX_ARRAYS or sum(one.file_size for one in members) > MAX_BYTES:
             raise EstimateError(
                 f"{path}: more than {MAX_ARRAYS} arrays or {MAX_BYTES >> 20} MiB unpacked, the "
-                "limits; identify fewer logs at a time"
+                "limits; identify fewer logs at a time",
+                "E411",
             )
         for member in members:
             with archive.open(member) as stream:
                 shape, kind = _stated(stream)
                 if math.prod(shape) * kind.itemsize != member.file_size - stream.tell():
-                    raise ValueError("an array is not as large as it says")
+                    raise ValueError("an array does not have the size in its header")
 
 
 def _stated(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Return the shape and type that an array's header states."""
+    """Return the shape and type in an array's header."""
     npy = np.lib.format
     is_first = npy.read_magic(stream) == (1, 0)
     read = npy.read_array_header_1_0 if is_first else npy.read_array_header_2_0
     try:
         shape, _, kind = read(stream)
     except (SyntaxError, TokenError, RecursionError, MemoryError):
-        # Of a header that is no Python literal NumPy lets the parser's own errors through.
-        raise ValueError("an array has no header") from None
+        # NumPy passes on the parser's errors for a header that is not a Python literal.
+        raise ValueError("an array has no valid header") from None
     return shape, kind

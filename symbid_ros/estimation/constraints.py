@@ -1,7 +1,7 @@
-"""What is known of a robot beside data and prior: its weight, its symmetry, linear bounds.
+"""Constraints beside data and prior: total mass, left/right symmetry and linear bounds.
 
-A weighing and the symmetry have a deviation of their own and join the prior as rows,
-row · φ = target with unit variance; bounds are hard.
+A weighing and the symmetry have standard deviations and are pseudo-measurements,
+row · φ = target with unit variance. Bounds are hard constraints.
 """
 
 import re
@@ -18,11 +18,11 @@ from symbid_ros.model.inertia import transform_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
-# How far two joints may be from mirror images, in m and in rad.
+# Largest deviation of two joints from mirror images, in m and in rad.
 MIRROR_TOLERANCE = 1e-4
 
 _MIRROR = np.diag([1.0, -1.0, 1.0])
-# Beside plain sides the corners of quadrupeds: FL and RL, or LF and LH.
+# Sides, and corners of quadrupeds such as FL and RL, or LF and LH.
 _RIGHT_OF = {"left": "right", "l": "r"} | {
     corner: corner.replace("l", "r") for corner in ("fl", "rl", "hl", "lf", "lh", "lr")
 }
@@ -30,14 +30,14 @@ _RIGHT_OF = {"left": "right", "l": "r"} | {
 
 @dataclass(frozen=True)
 class Bounds:
-    """Linear bounds lower ≤ matrix φ ≤ upper; equal ones make an equation.
+    """Linear bounds lower ≤ matrix φ ≤ upper. Equal bounds are an equation.
 
     Attributes
     ----------
     names : tuple of str
-        What each of the k rows is, for messages.
+        Names of the k rows, for messages.
     matrix : (k, p) float64
-        In units of the bound per unit of the parameter, for the first p parameters.
+        Rows for the first p parameters, in units of the bound per unit of the parameter.
     lower, upper : (k,) float64
         Infinite where there is no bound.
     """
@@ -48,25 +48,28 @@ class Bounds:
     upper: FloatArray
 
     def __post_init__(self) -> None:
-        """Refuse a bound on nothing, or one that no number meets."""
+        """Reject rows without a parameter, and bounds that no number satisfies."""
         for name, row in zip(self.names, self.matrix, strict=True):
             if not (np.all(np.isfinite(row)) and np.any(row)):
-                raise EstimateError(f"{name}: a bound on no parameter at all; mend its row")
+                raise EstimateError(
+                    f"{name}: the bound concerns no parameter; correct its row", "E414"
+                )
         for name, lower, upper in zip(self.names, self.lower, self.upper, strict=True):
             if not lower <= upper or lower == np.inf or upper == -np.inf:
                 raise EstimateError(
-                    f"{name}: nothing lies between {lower:g} and {upper:g}; mend the bounds"
+                    f"{name}: nothing lies between {lower:g} and {upper:g}; correct the bounds",
+                    "E414",
                 )
 
     @classmethod
     def total_mass(cls, parameters: ParameterSet, lower: float, upper: float) -> "Bounds":
-        """Keep the robot's mass between two values, kg."""
+        """Return bounds on the robot's mass, kg."""
         row = _mass_row(parameters)[None]
         return cls(("total mass",), row, np.array([lower]), np.array([upper]))
 
     @classmethod
     def nonnegative(cls, parameters: ParameterSet) -> "Bounds":
-        """Keep friction coefficients and armatures ≥ 0; a torque offset has either sign."""
+        """Return the bounds friction ≥ 0 and armature ≥ 0; a torque offset may be negative."""
         chosen = np.zeros(len(parameters), dtype=bool)
         for term, columns in parameters.term_columns.items():
             chosen[columns] = JOINT_TERMS[term].is_nonnegative
@@ -75,10 +78,10 @@ class Bounds:
         return cls(names, np.eye(len(parameters))[chosen], zeros, zeros + np.inf)
 
     def one_sided(self, count: int) -> tuple[FloatArray, FloatArray, int]:
-        """Return matrix (k', count) and offset (k',) of matrix φ - offset = 0 or ≥ 0.
+        """Return matrix (k', count), offset (k',) and the number e of equations.
 
-        The last of the three is the number of equations, which come first. Parameters
-        beyond the bounds' own columns are free.
+        The first e rows mean matrix φ - offset = 0, the others ≥ 0. Parameters beyond the bounds'
+        own columns are free.
         """
         equal = self.lower == self.upper
         below, above = (np.isfinite(side) & ~equal for side in (self.lower, self.upper))
@@ -92,7 +95,7 @@ class Bounds:
         )
 
     def __add__(self, other: "Bounds") -> "Bounds":
-        """Return both."""
+        """Return both bounds together."""
         return Bounds(
             self.names + other.names,
             np.concatenate([self.matrix, other.matrix]),
@@ -107,11 +110,12 @@ def total_mass_row(parameters: ParameterSet, mass: float, std: float) -> tuple[F
     Raises
     ------
     EstimateError
-        When mass or deviation is not a positive number.
+        When the mass or its standard deviation is not a positive number.
     """
     if not (0 < mass < np.inf and 0 < std < np.inf):
         raise EstimateError(
-            f"a total mass of {mass:g} ± {std:g} kg is no weighing; both must be positive numbers"
+            f"a total mass of {mass:g} ± {std:g} kg is not valid; give two positive numbers",
+            "E414",
         )
     return _mass_row(parameters) / std, mass / std
 
@@ -131,8 +135,8 @@ class MirrorPair:
     left, right : str
         Link names.
     transform : (10, 10) float64
-        Takes the right link's φ to the left link's. Where both frames are mirrored
-        in one axis it is diagonal with signs ±1.
+        Maps the right link's φ to the left link's. It is diagonal with signs ±1 if the frames are
+        mirror images in one axis.
     """
 
     left: str
@@ -141,12 +145,11 @@ class MirrorPair:
 
 
 def mirror_pairs(parameters: ParameterSet) -> tuple[MirrorPair, ...]:
-    """Find the links that are left and right of each other, by name and by kinematics.
+    """Find pairs of left and right links by name and kinematics.
 
-    Names are paired by a word of side (``left_foot``, ``hip_l``, ``FL_calf``, ``LThigh``).
-    Of those, a pair is kept when the joints that carry it and the joints it carries are
-    mirror images about the base's x-z plane (REP-103: y points left) with all joints at
-    zero; the frames themselves may be turned as the model likes.
+    Names are paired by a word for the side (``left_foot``, ``hip_l``, ``FL_calf``, ``LThigh``).
+    A pair is accepted if its parent and child joints are mirror images about the base's x-z plane
+    (REP-103: y points left) with all joints at zero. The orientation of the frames is arbitrary.
 
     Parameters
     ----------
@@ -186,7 +189,7 @@ def mirror_rows(
     ratio: float,
     pairs: Sequence[MirrorPair] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rows (10 k, p) and targets (10 k,) that tie k pairs of links left to right.
+    """Return rows (10 k, p) and targets (10 k,) that tie k pairs of left and right links.
 
     Parameters
     ----------
@@ -195,10 +198,10 @@ def mirror_rows(
     std : (p,) float64
         Prior standard deviations.
     ratio : float
-        Deviation of the difference between left and mirrored right, in units of the
-        prior's deviations, which are averaged (root mean square) over the two sides.
+        Standard deviation of the difference between left and mirrored right link, in units of the
+        prior's deviations (root mean square of both sides).
     pairs : sequence of MirrorPair, optional
-        By default all of :func:`mirror_pairs`.
+        All of :func:`mirror_pairs` by default.
 
     Raises
     ------
@@ -206,12 +209,15 @@ def mirror_rows(
         When the ratio is not positive or the robot has no such pair.
     """
     if not 0 < ratio < np.inf:
-        raise EstimateError(f"left/right tying of {ratio:g} prior deviations; give a positive one")
+        raise EstimateError(
+            f"left/right tying of {ratio:g} prior deviations; give a positive number", "E414"
+        )
     pairs = mirror_pairs(parameters) if pairs is None else pairs
     if not pairs:
         raise EstimateError(
             f"{parameters.model.source}: no two links are named left and right and mirror images "
-            "about the base's x-z plane; leave left/right tying out"
+            "about the base's x-z plane; leave left/right tying out",
+            "E415",
         )
     rows = np.zeros((len(pairs), 10, len(parameters)))
     for row, pair in zip(rows, pairs, strict=True):
@@ -228,7 +234,7 @@ def mirror_rows(
 
 
 def _other_side(name: str) -> list[str]:
-    """Return what the right-hand link may be called, if ``name`` is one of the left."""
+    """Return possible names of the right link if ``name`` is that of a left link."""
     words = re.split(r"([_\-./ ])", name)
     found = []
     for index, word in enumerate(words):
@@ -247,7 +253,7 @@ def _other_side(name: str) -> list[str]:
 def _mirrored(
     model: RobotModel, rotation: FloatArray, position: FloatArray, left: int, right: int
 ) -> bool:
-    """Tell whether the joints at two links, in the base frame, are mirror images."""
+    """Return whether the joints at two links are mirror images in the base frame."""
 
     def is_mirror_image(one: int, other: int) -> bool:
         joints = model.joints[one - 1], model.joints[other - 1]
@@ -257,7 +263,7 @@ def _mirrored(
         )
         image = _MIRROR @ image
         apart = position[one] - _MIRROR @ position[other]
-        # An origin may lie anywhere on a hinge's axis; a slide's axis lies nowhere at all.
+        # A hinge's origin may be anywhere on its axis; a slide's axis has no position.
         apart = np.cross(axis, apart) if kinds == {"revolute"} else np.zeros(3)
         deviation = max(np.linalg.norm(np.cross(axis, image)), np.linalg.norm(apart))
         return len(kinds) == 1 and bool(deviation < MIRROR_TOLERANCE)

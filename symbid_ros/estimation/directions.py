@@ -1,4 +1,4 @@
-"""What the data added to the prior: which directions of parameter space, how much, about whom."""
+"""Information that the data add to the prior, by direction of parameter space and by link."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,11 +9,11 @@ from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.errors import EstimateError, PriorError
 from symbid_ros.model.inertia import PARAMETERS
 
-# Beyond this the prior's covariance is singular to working precision.
+# Condition number above which the prior's covariance is numerically singular.
 _CONDITION = 1e12
-# Rounding of two factors computed apart; a posterior wider by more belongs to another prior.
+# Tolerance for rounding. A posterior wider than its prior by more belongs to another prior.
 _SLACK = 1e-6
-# Loadings below this share of the largest one do not help a reader.
+# Smallest loading that is printed, relative to the largest one.
 _WORTH_READING = 0.2
 
 
@@ -21,30 +21,29 @@ _WORTH_READING = 0.2
 class DeterminedDirections:
     """The posterior covariance against the prior's, P d = r² P₀ d, most determined first.
 
-    In the coordinates ξ = C φ the prior has covariance I and the posterior diag(r²):
-    each ξ_i is known to r_i of what the prior knew, independently of the others
-    (Golub and Van Loan 2013, Matrix Computations, sec. 8.7).
+    In the coordinates ξ = C φ the prior has covariance I and the posterior diag(r²). The data
+    reduce the standard deviation of each ξ_i by r_i, independently of the others (Golub and Van
+    Loan 2013, Matrix Computations, sec. 8.7).
 
     Attributes
     ----------
     names : tuple of str
-        Of the p parameters.
+        Names of the p parameters.
     threshold : float
-        A direction is determined where its ratio is smaller.
+        Ratio below which a direction is determined.
     ratios : (p,) float64
-        Posterior over prior standard deviation r of each direction, ascending.
+        Ratio r of posterior to prior standard deviation of each direction, ascending.
     directions : (p, p) float64
-        D = C⁻¹ in its columns: what one prior standard deviation of ξ_i does to φ, in
-        the parameters' units; D Dᵀ is the prior's covariance, D diag(r²) Dᵀ the
-        posterior's.
+        Columns of D = C⁻¹, the change of φ for one prior standard deviation of ξ_i, in the
+        parameters' units. D Dᵀ is the prior's covariance, D diag(r²) Dᵀ the posterior's.
     coordinates : (p, p) float64
-        C in its rows: the combinations of parameters that the data tell of.
+        Rows of C, the combinations of parameters that define ξ.
     prior_std : (p,) float64
         Prior standard deviation of each parameter.
     link_gain : dict of str to float
-        Per link half the base-2 logarithm of det(prior block) over det(posterior block)
-        of its ten parameters, bit. Links that the data see only together gain less one
-        by one than together.
+        Per link half the base-2 logarithm of det(prior block) over det(posterior block) of its
+        ten parameters, bit. The sum is less than the total gain if the data determine links only
+        in combination.
     """
 
     names: tuple[str, ...]
@@ -57,37 +56,34 @@ class DeterminedDirections:
 
     @property
     def determined(self) -> BoolArray:
-        """(p,) directions that the data, not the prior, decide."""
+        """(p,) directions that the data rather than the prior determine."""
         return np.asarray(self.ratios < self.threshold)
 
     @property
     def gain(self) -> float:
-        """Information of the data about all parameters together, bit."""
+        """Information gain about all parameters together, bit."""
         return _bits(self.ratios)
 
     @property
     def effective(self) -> float:
-        """Effective number of parameters the data decide, Σ (1 - r²).
-
-        MacKay 1992, Neural Computation 4(3).
-        """
+        """Effective number of determined parameters, Σ (1 - r²) (MacKay 1992)."""
         return float(np.sum(1 - self.ratios**2))
 
     @property
     def loadings(self) -> FloatArray:
-        """(p, p) prior correlation of each parameter (row) with each ξ (column)."""
+        """(p, p) prior correlations of parameters (rows) with ξ (columns)."""
         loadings: FloatArray = self.directions / self.prior_std[:, None]
         return loadings
 
     def describe(self, index: int, terms: int = 4) -> str:
-        """Return direction ``index`` by its largest loadings, ``+0.92 foot/m -0.31 shank/m``."""
+        """Return the largest loadings of a direction, such as ``+0.92 foot/m -0.31 shank/m``."""
         loading = self.loadings[:, index]
         largest = np.argsort(-np.abs(loading), kind="stable")[:terms]
         worth = np.abs(loading[largest]) >= _WORTH_READING * abs(loading[largest[0]])
         return " ".join(f"{loading[k]:+.2f} {self.names[k]}" for k in largest[worth])
 
     def text(self, limit: int | None = 12, terms: int = 4) -> str:
-        """Return the determined directions, one a line, and each link's information gain."""
+        """Return the determined directions, one per line, and the information gain per link."""
         count = int(np.sum(self.determined))
         shown = count if limit is None else min(limit, count)
         lines = [
@@ -112,10 +108,10 @@ def determined_directions(
     Parameters
     ----------
     prior_factor, posterior_factor : (p, p) float64
-        Any L₀ and L with covariances L₀ L₀ᵀ and L Lᵀ, in the parameters' units. The
-        posterior may be certain of a direction, the prior may not.
+        Any L₀ and L with covariances L₀ L₀ᵀ and L Lᵀ, in the parameters' units. Only the
+        posterior's covariance may be singular.
     names : sequence of str
-        Of the p parameters, ``<link>/<m|mc_x|...|Izz>`` or ``<joint>/<term>``.
+        Names of the p parameters, ``<link>/<m|mc_x|...|Izz>`` or ``<joint>/<term>``.
     threshold : float
         Largest ratio of standard deviations at which a direction counts as determined.
 
@@ -128,19 +124,21 @@ def determined_directions(
     """
     if not (np.all(np.isfinite(prior_factor)) and np.all(np.isfinite(posterior_factor))):
         raise EstimateError(
-            "a covariance factor of the prior or the posterior is not finite; solve again"
+            "a covariance factor of the prior or the posterior is not finite; solve again", "E417"
         )
     prior_std = np.linalg.norm(prior_factor, axis=1)
     vanishing = np.flatnonzero(prior_std == 0)
     if len(vanishing):
         raise PriorError(
-            f"the prior is certain of {names[vanishing[0]]}; give it a positive standard deviation"
+            f"the prior is certain of {names[vanishing[0]]}; give it a positive standard deviation",
+            "E408",
         )
-    # In units of the prior's deviations, so that kg and kg m² weigh alike.
+    # Prior deviations as units make kg and kg m² comparable.
     scaled = prior_factor / prior_std[:, None]
     if np.linalg.cond(scaled) > _CONDITION:
         raise PriorError(
-            "the prior is certain of a combination of parameters; widen its covariance factor"
+            "the prior is certain of a combination of parameters; widen its covariance factor",
+            "E408",
         )
     whitened = np.linalg.solve(scaled, posterior_factor / prior_std[:, None])
     axes, ratios, _ = np.linalg.svd(whitened)
@@ -148,7 +146,8 @@ def determined_directions(
     if ratios[-1] > 1 + _SLACK:
         raise EstimateError(
             f"the posterior is {ratios[-1]:.6g} times as wide as the prior in some direction; "
-            "compare it with the prior that it was computed from"
+            "compare it with the prior that it was computed from",
+            "E423",
         )
     loadings = scaled @ axes
     largest = np.abs(loadings).argmax(axis=0)
@@ -178,6 +177,6 @@ def _link_gain(prior: FloatArray, posterior: FloatArray, names: Sequence[str]) -
 
 
 def _bits(ratios: FloatArray) -> float:
-    """Return -Σ log₂ r; a direction known exactly is worth infinitely many."""
+    """Return -Σ log₂ r, which is infinite if a direction is known exactly."""
     with np.errstate(divide="ignore"):
         return float(-np.sum(np.log2(ratios)))

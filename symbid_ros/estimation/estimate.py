@@ -1,4 +1,4 @@
-"""An identified parameter vector with everything that is known about it."""
+"""The estimate: identified parameters with their uncertainty, provenance and verdict."""
 
 import json
 from dataclasses import asdict, dataclass, field
@@ -31,30 +31,31 @@ class Estimate:
     value, prior : (p,) float64
         Estimate and prior mean.
     std : (p,) float64 or None
-        Standard deviation of the estimate; None where the method gives none.
+        Standard deviation of the estimate; None if the method gives none.
     determined : (p,) bool or None
-        Whether the data, not the prior, decide the value; None where the
-        method cannot tell.
+        Whether the data rather than the prior determine the value; None if the method cannot
+        tell.
     rank : int or None
-        Number of singular values used (the thesis's z); None where none are cut off.
+        Number of singular values used (z in the thesis); None without truncation.
     condition : float
-        Ratio of the largest to the smallest singular value used, of the columns as the
-        method scales them.
+        Ratio of the largest to the smallest singular value used, with columns scaled as in the
+        method.
     samples : int
-        Rows per coordinate folded into the information.
+        Number of rows per coordinate.
     residual_rmse : dict of str to float
-        Per coordinate (``base/moment_x`` ... ``base/force_z``, joint names), Nm or N.
+        Root mean square of the residual per coordinate (``base/moment_x`` ... ``base/force_z``,
+        joint names), Nm or N.
     consistent : dict of str to bool
-        Per link: mass and pseudo-inertia positive definite.
+        Per link, whether its mass is positive and its pseudo-inertia positive definite.
     inputs : tuple of str
-        Bags, model and prior, as given.
+        Bags, model and prior as given by the user.
     software : str
-        Name and version of what computed it.
+        Name and version of the software.
     verdict : Verdict or None
-        What the log could tell; None for the truncated methods.
+        What the log determined; None for the truncated methods.
     known : dict of str to float
-        Joint terms ``<joint>/<viscous|coulomb|armature>`` that the model file states and that
-        were not identified; they are part of the equation of motion.
+        Joint terms ``<joint>/<viscous|coulomb|armature>`` of the model file that were not
+        identified; the equation of motion contains them.
     """
 
     method: str
@@ -76,7 +77,7 @@ class Estimate:
     known: dict[str, float] = field(default_factory=dict)
 
     def document(self) -> dict[str, object]:
-        """Return estimate.json's content; what the method cannot give is None."""
+        """Return the content of estimate.json; values that the method cannot give are None."""
         count = len(self.names)
         stds = [None] * count if self.std is None else self.std.tolist()
         verdicts = [None] * count if self.determined is None else self.determined.tolist()
@@ -106,7 +107,7 @@ class Estimate:
         }
 
     def write(self, path: Path) -> None:
-        """Write estimate.json in one step."""
+        """Write estimate.json atomically."""
         write_text(path, json.dumps(self.document(), indent=1) + "\n")
 
 
@@ -121,9 +122,13 @@ def load_estimate(path: Path) -> Estimate:
     try:
         document = load_json(path)
     except OSError as error:
-        raise EstimateError(f"{path}: cannot read it ({error.strerror}); check the path") from None
+        raise EstimateError(
+            f"{path}: cannot read it ({error.strerror}); check the path", "E401"
+        ) from None
     except ValueError as error:
-        raise EstimateError(f"{path}: not an estimate.json ({error})") from None
+        raise EstimateError(
+            f"{path}: not an estimate.json ({error}); write one with `symbid identify`", "E409"
+        ) from None
     try:
         entries = list(document["parameters"].values())
         stds = [entry["std"] for entry in entries]
@@ -150,12 +155,15 @@ def load_estimate(path: Path) -> Estimate:
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(
             f"{path}: not an estimate.json ({type(error).__name__}: {error}); write one with "
-            "`symbid identify`"
+            "`symbid identify`",
+            "E409",
         ) from None
     for kind, numbers in (("value", estimate.value), ("prior", estimate.prior)):
         if not np.all(np.isfinite(numbers)):
             name = estimate.names[int(np.argmin(np.isfinite(numbers)))]
-            raise EstimateError(f"{path}: {kind} of {name} is not finite; identify the log again")
+            raise EstimateError(
+                f"{path}: {kind} of {name} is not finite; identify the log again", "E409"
+            )
     return estimate
 
 

@@ -55,8 +55,8 @@ def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:
     """Return 1 % of the deviation that a value of the link's scale {m, mℓ, mℓ²} would have.
 
     ℓ is the link's root-mean-square extent about its origin. The scale of a joint term is
-    ``JOINT_TERMS[...].std``. The floor makes zeros in the file uncertain. It is small, so that small true
-    values keep their own scale.
+    ``JOINT_TERMS[...].std``. The floor makes zeros in the file uncertain. It is small, so that
+    small true values keep their own scale.
     """
     unit = _FLOOR * percent / 100 / np.sqrt(3)
     floor = np.empty(len(parameters))

@@ -98,8 +98,8 @@ def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
         ({"prior_percent": -3}, "give a positive half-width"),
         ({"prior_absolute": "nan"}, "give a positive half-width"),
         ({"prior_percent": 5, "prior_absolute": 0.1}, "give one of --prior, --prior-percent"),
-        ({"total_mass": -41}, "a total mass of -41 ± 0.05 kg is no weighing"),
-        ({"total_mass": 41, "total_mass_std": 0}, "a total mass of 41 ± 0 kg is no weighing"),
+        ({"total_mass": -41}, "a total mass of -41 ± 0.05 kg is not valid"),
+        ({"total_mass": 41, "total_mass_std": 0}, "a total mass of 41 ± 0 kg is not valid"),
         ({"total_mass": 60, "prior_percent": 5}, "60 kg contradicts the prior, whose links weigh"),
         ({"mirror": 0}, "left/right tying of 0 prior deviations"),
         ({"sensor_errors": "plate_offse"}, "no sensor error 'plate_offse'; give typical or any of"),
@@ -149,7 +149,7 @@ def test_information_that_is_not_there(fails, good, tmp_path) -> None:
 
 
 def test_information_that_is_no_archive(fails, good, model) -> None:
-    said = fails("no information.npz of symbid identify", **good | {"information": model})
+    said = fails("not an information.npz", **good | {"information": model})
     assert "pickle" not in said, "advice to load what nobody should load"
 
 
