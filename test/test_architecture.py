@@ -46,6 +46,8 @@ BAG_PARTS: dict[str, set[str]] = {
     "streams": {"container"},
 }
 FREE = {
+    "arrays",
+    "error_codes",
     "choices",
     "options",
     "atomic_write",
