@@ -20,25 +20,25 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.ros.diagnostics import OK, WARN, NodeStatus
 from symbid_ros.ros.endpoints import latched_qos
 
-# How far a parameter is stepped, in its own deviations, to find the slope of a message's fields.
+# Step of a parameter for numerical derivatives of message fields, in its standard deviations.
 STEP = 1e-4
 
 
 def topic_token(link: str) -> str:
-    """Return a link's name as one token of a topic name."""
+    """Return a link's name as a valid part of a topic name."""
     token = re.sub(r"[^A-Za-z0-9_]", "_", link)
     return f"_{token}" if token[:1].isdigit() else token
 
 
 def inertia_message(estimate: Estimate, link: str, stamp: Time) -> InertiaStamped:
-    """Return a link's inertia: centre of mass in the link's frame, tensor about that centre."""
+    """Return a link's mass, centre of mass in the link's frame, and inertia about that centre."""
     return _inertia_stamped(_central(_of_link(estimate.value, estimate, link)), link, stamp)
 
 
 def inertia_stddev_message(estimate: Estimate, link: str, stamp: Time) -> InertiaStamped:
-    """Return the deviations of the same ten numbers, NaN where the data do not determine them.
+    """Return the standard deviations of the same ten numbers; NaN for undetermined parameters.
 
-    First order, from the deviations of the link's parameters taken as independent.
+    They are first-order approximations that treat the link's parameters as independent.
     """
     phi = _of_link(estimate.value, estimate, link)
     if estimate.std is None or estimate.determined is None:
@@ -52,24 +52,24 @@ def inertia_stddev_message(estimate: Estimate, link: str, stamp: Time) -> Inerti
 
 
 def estimate_status(
-    estimate: Estimate, alarms: Sequence[str], facts: Mapping[str, object]
+    estimate: Estimate, alarms: Sequence[str], details: Mapping[str, object]
 ) -> NodeStatus:
-    """Return the health of an estimate, with further facts about it."""
+    """Return the status of an estimate, with further key-value pairs."""
     impossible = [link for link, possible in estimate.consistent.items() if not possible]
     faults = [f"physically impossible: {', '.join(impossible)}"] if impossible else []
-    figures: dict[str, object] = {"method": estimate.method, "samples": estimate.samples}
+    values: dict[str, object] = {"method": estimate.method, "samples": estimate.samples}
     if estimate.determined is not None:
         count = int(estimate.determined.sum())
-        figures["determined"] = f"{count} of {len(estimate.determined)}"
+        values["determined"] = f"{count} of {len(estimate.determined)}"
     faults += alarms
     if estimate.rank is not None:
-        figures["rank"] = estimate.rank
-    figures["condition"] = f"{estimate.condition:.6g}"
+        values["rank"] = estimate.rank
+    values["condition"] = f"{estimate.condition:.6g}"
     return NodeStatus(
         "estimate",
         WARN if faults else OK,
         "; ".join(faults) or "estimate published",
-        figures | dict(facts),
+        values | dict(details),
     )
 
 
@@ -79,7 +79,7 @@ def _of_link(values: FloatArray, estimate: Estimate, link: str) -> FloatArray:
 
 
 def _central(phi: FloatArray) -> FloatArray:
-    """Return mass, centre of mass and central inertia (10,) of φ."""
+    """Return mass, centre of mass and inertia about it (10,) for parameters φ."""
     mass, com, inertia = com_from_phi(phi)
     return np.concatenate([[mass], com, inertia[np.triu_indices(3)]])
 
@@ -96,7 +96,7 @@ def _inertia_stamped(numbers: FloatArray, link: str, stamp: Time) -> InertiaStam
 
 
 def estimate_message(estimate: Estimate, stamp: Time) -> DiagnosticArray:
-    """Return one status per link with every parameter and deviation by name, joints' terms last."""
+    """Return one status per link with all parameters and standard deviations, then joint terms."""
     message = DiagnosticArray()
     message.header.stamp = stamp
     groups: dict[str, list[int]] = {}
@@ -132,7 +132,7 @@ def effort_residual_message(estimate: Estimate, stamp: Time) -> JointState:
     message.header.stamp = stamp
     joints = {name: rmse for name, rmse in estimate.residual_rmse.items() if "base/" not in name}
     message.name, message.effort = list(joints), list(joints.values())
-    # They may be empty by their definition, but plotters index all arrays by the joint.
+    # The definition allows empty arrays, but plotters index all of them by joint.
     message.position = message.velocity = [float("nan")] * len(joints)
     return message
 
@@ -149,14 +149,14 @@ def wrench_residual_message(estimate: Estimate, base: str, stamp: Time) -> Wrenc
 
 
 class EstimateTopics:
-    """Latched publishers of an estimate's parts.
+    """Latched publishers of an estimate.
 
     Parameters
     ----------
     node : Node
-        Whose private names the topics have.
+        Node with whose private names the topics begin.
     parameters : ParameterSet
-        The robot's columns.
+        Parameters of the robot.
     """
 
     def __init__(self, node: Node, parameters: ParameterSet) -> None:
@@ -180,7 +180,7 @@ class EstimateTopics:
         self._robot = publisher(String, "robot_description")
 
     def publish(self, estimate: Estimate, stamp: Time) -> None:
-        """Publish all but the robot description, ``stamp`` being the newest data's."""
+        """Publish all but the robot description; ``stamp`` is that of the newest data."""
         for link, publisher in self._inertia.items():
             publisher.publish(inertia_message(estimate, link, stamp))
         for link, publisher in self._inertia_stddev.items():
@@ -191,6 +191,6 @@ class EstimateTopics:
         self._estimate.publish(estimate_message(estimate, stamp))
 
     def describe(self, urdf: str) -> None:
-        """Publish the identified robot."""
-        # A comment in an encoding other than UTF-8 comes as surrogates, which no message can hold.
+        """Publish the robot description with the identified parameters."""
+        # Comments that are not UTF-8 were read as surrogates, which a message cannot contain.
         self._robot.publish(String(data=urdf.encode(errors="replace").decode()))

@@ -35,60 +35,55 @@ from symbid_ros.ros.process import construct, run_node
 from symbid_ros.shutdown import interruptible
 
 TOPIC = "robot_description"
-LOOK = 0.1  # s
+POLL = 0.1  # s
 
 
 @contextmanager
 def model_file(node: Node, values: dict[str, Any], stop: Event) -> Iterator[dict[str, Any] | None]:
-    """Provide parameter values in which ``model`` names a file.
+    """Yield parameter values whose ``model`` names a file.
 
-    Where none is given, the text of the parameter ``robot_description`` is written to a temporary
-    file, else that of the first usable message on the topic of that name. The file lasts as long
-    as the context: exports are written into a copy of it.
+    Without a model, a temporary file gets the text of the parameter ``robot_description``, or of
+    the first valid message on the topic of that name. The file exists as long as the context,
+    because exported models are edited copies of it.
 
     Parameters
     ----------
     node : Node
     values : dict
-        Of the identifier's parameters; not changed.
+        Values of the identifier's parameters; not changed.
     stop : Event
-        Ends the wait for a message; None is provided then.
-
-    Raises
-    ------
-    ModelError
-        When the parameter's text is not a usable model.
+        Ends the wait for a message; the context then yields None.
     """
     if values["model"]:
         yield values
         return
     with tempfile.TemporaryDirectory(prefix="symbid_") as folder:
         file = Path(folder) / f"{TOPIC}.urdf"
-        found: dict[str, Any] | None = values | {"model": str(file)}
+        complete: dict[str, Any] | None = values | {"model": str(file)}
         if values[TOPIC]:
             file.write_text(values[TOPIC])
-        elif not _awaited(node, file, values["base"], stop):
-            found = None
-        yield found
+        elif not _receive_model(node, file, values["base"], stop):
+            complete = None
+        yield complete
 
 
-def _awaited(node: Node, file: Path, base: Any, stop: Event) -> bool:
-    """Write the first usable message to a file; return False when stopped before."""
+def _receive_model(node: Node, file: Path, base: Any, stop: Event) -> bool:
+    """Write the first valid message to a file; return False if stopped before."""
     texts: SimpleQueue[str] = SimpleQueue()
     subscription = node.create_subscription(
         String, TOPIC, lambda message: texts.put(message.data), latched_qos()
     )
     topic = subscription.topic_name
-    notices = FaultReporter(node)
+    reporter = FaultReporter(node)
     fault = (
         f"waiting for the robot's model on topic {topic} (std_msgs/msg/String, latched); start "
         "robot_state_publisher, or give -p model:=FILE"
     )
     try:
         while not stop.is_set():
-            notices.update({topic: fault})
+            reporter.update({topic: fault})
             try:
-                text = texts.get(timeout=LOOK)
+                text = texts.get(timeout=POLL)
             except Empty:
                 continue
             file.write_text(text)
@@ -96,10 +91,10 @@ def _awaited(node: Node, file: Path, base: Any, stop: Event) -> bool:
                 model = load_model(file, base)
             except SymbidError as error:
                 fault = (
-                    f"topic {topic}: no usable model ({error}); publish another, or give "
+                    f"topic {topic}: invalid model ({error}); publish a valid one, or give "
                     "-p model:=FILE"
                 )
-                notices = FaultReporter(node)  # a new fault is reported at once
+                reporter = FaultReporter(node)  # reports the new fault at once
                 continue
             node.get_logger().info(f"model {model.name} from topic {topic}")
             return True
@@ -109,7 +104,7 @@ def _awaited(node: Node, file: Path, base: Any, stop: Event) -> bool:
 
 
 class OfflineIdentifier:
-    """Solves a job and keeps its result on the topics until stopped."""
+    """Identifies bags and keeps the estimate on its topics until stopped."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
@@ -120,8 +115,8 @@ class OfflineIdentifier:
         self._out = given_path(values["out"])
 
     def run(self, stop: Event) -> None:
-        """Identify, publish, and say once a second that the estimate stands."""
-        with interruptible(stop):  # it takes minutes where the bag is long
+        """Identify, publish the estimate, and publish its status once a second."""
+        with interruptible(stop):  # long bags take minutes
             problem = self._request.load(self._out)
             found = problem.solve()
         estimate = found.estimate
@@ -136,15 +131,15 @@ class OfflineIdentifier:
         )
         verdict = estimate.verdict
         alarms = () if verdict is None else verdict.alarms
-        facts = {} if verdict is None else {"window": f"{verdict.window:g}"}
+        details = {} if verdict is None else {"window": f"{verdict.window:g}"}
         StatusPublisher(
-            self._node, lambda: [estimate_status(estimate, alarms, facts)], estimate.model
+            self._node, lambda: [estimate_status(estimate, alarms, details)], estimate.model
         )
         stop.wait()
 
 
 def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
-    """Identify from what the parameters name until stopped."""
+    """Identify from the bags or topics that the parameters name, until stopped."""
     with model_file(node, values, stop) as complete:
         if complete is None:
             return

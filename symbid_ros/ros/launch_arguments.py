@@ -1,7 +1,7 @@
-"""Arguments of the launch files: one for each node parameter, one meaning for each name.
+"""Arguments of the launch files, generated from the node parameters.
 
-Launch files ask here for names, descriptions and command lines, so that none of them repeats a
-parameter. Nothing here imports launch.
+Launch files get the names, descriptions and command lines from here and repeat no parameter. This
+module does not import launch.
 """
 
 import json
@@ -13,7 +13,7 @@ import yaml
 
 from symbid_ros.ros.parameters import Parameter, ParameterError
 
-# Parameters of other nodes that share a name with something else.
+# Launch arguments of parameters whose names have another meaning in another node.
 RENAMED = {
     ("mujoco_bridge", "friction"): "bridge_friction",
     ("mujoco_bridge", "queue_depth"): "bridge_queue_depth",
@@ -28,7 +28,7 @@ RENAMED = {
 
 
 class LaunchArgument(NamedTuple):
-    """What a launch file declares; an empty one leaves the value to params_file and node."""
+    """An argument of a launch file; empty, it leaves the value to params_file and the node."""
 
     name: str
     default: str
@@ -54,18 +54,20 @@ def argument_name(node: str, parameter: str) -> str:
 
 
 def launch_arguments(*nodes: str) -> tuple[LaunchArgument, ...]:
-    """Return what a launch file of these nodes declares.
+    """Return the arguments of a launch file that starts these nodes.
 
     Parameters
     ----------
     *nodes : str
-        Executables. Where two have a parameter of one name, the first describes it.
+        Executables. If two have a parameter of the same name, the first one describes it.
     """
     found = {common.name: common for common in COMMON}
     for node in nodes:
         for parameter in node_parameters(node):
             name = argument_name(node, parameter.name)
-            text = f"{node}: {parameter.description} Default: {json.dumps(parameter.default)}."
+            text = f"{node}: {parameter.description}"
+            if parameter.default is not None and "Default:" not in text:
+                text += f" Default: {json.dumps(parameter.default)}."
             found.setdefault(name, LaunchArgument(name, "", text))
     return tuple(found.values())
 
@@ -81,18 +83,18 @@ def node_arguments(
     Parameters
     ----------
     node : str
-        Its executable.
+        Executable of the node.
     configurations : mapping of str to str
-        The launch arguments by name; empty ones are not given.
+        Launch arguments by name; empty ones count as not given.
     preset : mapping of str to object, optional
-        Parameters of this node that a parameter file may override.
+        Parameters of this node that a parameter file overrides.
     **fixed : object
-        Parameters that nothing overrides.
+        Parameters that cannot be overridden.
 
     Raises
     ------
     ParameterError
-        When an argument is not a value of its parameter.
+        When an argument is not a valid value of its parameter.
     """
     arguments = ["--ros-args"]
     for name, value in (preset or {}).items():
@@ -112,9 +114,10 @@ def node_arguments(
 
 
 def _value(parameter: Parameter, name: str, text: str) -> Any:
-    """Return what a launch argument says, in the parameter's type."""
+    """Return the value of a launch argument in the type of its parameter."""
     default = parameter.default
-    if isinstance(default, str):
+    kind = type(default) if parameter.kind is None else parameter.kind
+    if kind is str:
         return text
     try:
         value = yaml.safe_load(text)
@@ -123,19 +126,19 @@ def _value(parameter: Parameter, name: str, text: str) -> Any:
     if isinstance(default, list) and isinstance(default[0], str):
         texts = value if isinstance(value, list) else [text]
         return [str(each) for each in texts]
-    if isinstance(default, list):
+    if kind is list or parameter.length:
         is_valid = isinstance(value, list) and all(_is_number(each) for each in value)
         value = [float(each) for each in value] if is_valid else value
-    elif isinstance(default, float):
+    elif kind is float:
         try:
             return float(text)
         except ValueError:
             is_valid = False
     else:
-        is_valid = type(value) is type(default)
+        is_valid = type(value) is kind
     if not is_valid:
         raise ParameterError(
-            f"launch argument {name}: {text!r} is not valid; give {parameter.expected}"
+            f"launch argument {name}: {text!r} is not valid; give {parameter.expected}", "E801"
         )
     return value
 

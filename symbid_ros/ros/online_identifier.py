@@ -1,4 +1,4 @@
-"""The identifier's online half: topics in, an estimate that follows them out."""
+"""Online identification: from sensor topics to an estimate that is updated every period."""
 
 import json
 import sys
@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from threading import Event
 from typing import Any
 
@@ -35,29 +35,28 @@ from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.raw_subscription import RawSubscription
 from symbid_ros.ros.sensor_topics import SensorTopics, resolve_topics
 
-POLL = 0.005  # s; far below what fills a queue
+POLL = 0.005  # s; queues take far longer to fill
 FOREVER = 2**63 - 1  # ns
-LONGEST_DRAIN = 1.0  # s; on a machine too slow for its topics the queues never end
-# An estimate by all data takes so many times as long as one between. Asked to end, the node
-# spends so long on it, s: launch ends by force what takes longer than a few seconds.
+LONGEST_DRAIN = 1.0  # s; on a machine that is too slow, queues never run empty
+# Cost of an exact estimate, relative to the estimates in between.
 EXACT_COST = 4.0
+# Longest time for an estimate at shutdown, s; launch kills nodes that take a few seconds.
 SHUTDOWN_SOLVE_TIME = 1.5
 ANSWER_POLL = 0.1  # s
-LOOK = 0.1  # s; between two looks at the graph while topics are waited for
-PATIENCE = 2.0  # s; topics that are missing for longer are reported
-LOOK_AGAIN = 1.0  # s; afterwards
-# Whoever shows the robot loads it anew each time.
-DESCRIPTION_PERIOD = 10.0  # s
+DISCOVERY_PERIOD = 0.1  # s between two looks at the graph before identification starts
+LATER_DISCOVERY_PERIOD = 1.0  # s afterwards
+PATIENCE = 2.0  # s until missing topics are reported
+DESCRIPTION_PERIOD = 10.0  # s; viewers reload the whole robot for each description
 
 Answer = tuple[bool, str]
 
 
 class _ServiceRequest:
-    """What a service asks of the thread that identifies, and waits for."""
+    """Work that a service queues for the identifying thread, and whose answer it awaits."""
 
     def __init__(self, work: Callable[[], str]) -> None:
         self._work, self._done = work, Event()
-        self._answer: Answer = (False, "the identifier stops")
+        self._answer: Answer = (False, "the identifier is shutting down")
 
     def perform(self) -> None:
         try:
@@ -66,20 +65,21 @@ class _ServiceRequest:
             self._answer = (False, str(error))
         self._done.set()
 
-    def answer(self, ended: Event) -> Answer:
-        # Asked while the node ends, or while its work fails, it would never be done.
+    def await_answer(self, ended: Event) -> Answer:
+        # A request that arrives during shutdown is never performed.
         while not self._done.wait(ANSWER_POLL) and not ended.is_set():
             pass
         return self._answer
 
 
 class OnlineIdentifier:
-    """Reads topics, solves every period, publishes, answers services, until stopped."""
+    """Reads topics, solves every period, publishes estimates and answers services."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
-        self._beginning = InitialState.of(load_model(*model_of(values)), identify_options(values))
-        self._parameters = self._beginning.problem.parameters
+        model = load_model(*model_of(values))
+        self._initial_state = InitialState.of(model, identify_options(values))
+        self._parameters = self._initial_state.problem.parameters
         memory: float = values["memory"]
         self._pace = Pace(memory or float("inf"), values["lag"], values["row_share"])
         self._out: Path | None = given_path(values["out"])
@@ -98,132 +98,129 @@ class OnlineIdentifier:
         self._is_enabled = True
         self._identification: OnlineIdentification | None = None
         self._selected: SelectedTopics | None = None
-        self._declined: set[str] = set()
+        self._unused: set[str] = set()
         self._subscriptions: tuple[tuple[Topic, RawSubscription], ...] = ()
         self._topics = EstimateTopics(node, self._parameters)
         self._described = float("-inf")
         self._solves = 0
         self._newest: OnlineEstimate | None = None
         self._solve_time = 0.0  # s
-        self._health = IdentifierDiagnostics()
-        self._notices = FaultReporter(node)
-        for handler_name, work in (
+        self._diagnostics = IdentifierDiagnostics()
+        self._fault_reporter = FaultReporter(node)
+        for service, work in (
             ("reset", self._reset),
-            ("solve", self._solve_exactly),
+            ("solve", self._solve_on_request),
             ("save", self._save),
         ):
-            node.create_service(Trigger, f"~/{handler_name}", self._triggered(work))
+            node.create_service(Trigger, f"~/{service}", self._trigger_handler(work))
         node.create_service(SetBool, "~/enable", self._enable)
-        watch(node, PARAMETERS, self._adopt)
-        self._publisher = StatusPublisher(node, self._health.look, self._parameters.model.name)
+        watch(node, PARAMETERS, self._change_parameters)
+        self._publisher = StatusPublisher(node, self._diagnostics.statuses, model.name)
 
     def run(self, stop: Event) -> None:
-        """Identify until stopped; then save, where a folder is named, and say what was done.
+        """Identify until stopped, save the final estimate if wanted, and print counts as JSON.
 
         Raises
         ------
         EstimateError
-            When it ends without an estimate.
+            When there is no estimate at the end.
         """
         try:
             self._await_topics(stop)
             if self._identification is not None:
-                self._follow(stop)
+                self._identify(stop)
         except BaseException:
-            self._rescue()
+            self._save_after_error()
             raise
         finally:
             self._ended.set()
             if self._identification is not None:
                 self._identification.close()
         if not self._solves:
-            raise EstimateError(f"it ends without an estimate: {self._health.obstacle}")
+            raise EstimateError(f"stopped without an estimate: {self._diagnostics.reason}", "E811")
 
     def _await_topics(self, stop: Event) -> None:
-        begun = time.monotonic()
+        began = time.monotonic()
         while not stop.is_set() and self._identification is None:
-            self._look()
+            self._update_topics()
             missing = self._sensors.missing()
-            if time.monotonic() - begun >= PATIENCE and self._identification is None:
-                self._notices.update(missing)
-            self._health.waiting(self._sensors.found, missing.values())
-            self._answer_requests()
-            stop.wait(LOOK)
+            if time.monotonic() - began >= PATIENCE and self._identification is None:
+                self._fault_reporter.update(missing)
+            self._diagnostics.set_waiting(self._sensors.found, missing.values())
+            self._perform_requests()
+            stop.wait(DISCOVERY_PERIOD)
         if self._identification is not None:
-            self._notices.update({})
+            self._fault_reporter.update({})
 
-    def _look(self) -> None:
-        """Look at the graph; begin once the robot's topics are there.
+    def _update_topics(self) -> None:
+        """Start identification as soon as the graph has the robot's topics.
 
-        Topics that turn up later are taken as well as long as there is no estimate to lose:
-        without a wrench that carries weight there is none.
+        Topics that appear later restart it as long as there is no estimate to lose. Without a
+        wrench sensor that carries weight, for example, there is none.
         """
-        selected = self._sensors.look()
+        selected = self._sensors.find()
         if selected is None or selected == self._selected:
             return
         names = ", ".join(topic.name for topic in selected.all)
         if self._identification is not None:
             if self._newest is not None:
-                self._decline(selected)
+                self._report_unused(selected)
                 return
-            self._node.get_logger().warning(f"topics turned up late, begins anew with {names}")
+            self._node.get_logger().warning(f"new topics appeared; restarting with {names}")
             self._identification.close()
-        self._identification = OnlineIdentification(self._beginning, selected, self._pace)
+        self._identification = OnlineIdentification(self._initial_state, selected, self._pace)
         self._subscriptions = self._sensors.subscriptions(selected)
         self._selected = selected
-        model = self._parameters.model.name
-        self._node.get_logger().info(f"identifying {model} from {names}")
+        self._node.get_logger().info(f"identifying {self._parameters.model.name} from {names}")
 
-    def _decline(self, selected: SelectedTopics) -> None:
-        """Keep the streams; say once which others could be used."""
+    def _report_unused(self, selected: SelectedTopics) -> None:
+        """Warn once of each topic that appeared too late, and unsubscribe from it."""
         used = () if self._selected is None else self._selected.all
-        new = {topic.name for topic in selected.all if topic not in used} - self._declined
+        new = {topic.name for topic in selected.all if topic not in used} - self._unused
         if new:
-            self._declined |= new
+            self._unused |= new
             self._node.get_logger().warning(
-                f"{', '.join(sorted(new))} turned up late and is not used: that would forget what "
-                "has been learnt; call ~/reset to begin anew with it"
+                f"{', '.join(sorted(new))} appeared late and is ignored: using it would discard "
+                "all data so far; call ~/reset to restart with it"
             )
         self._sensors.release()
 
-    def _follow(self, stop: Event) -> None:
+    def _identify(self, stop: Event) -> None:
         due = time.monotonic() + self._period
-        looked = time.monotonic()
+        discovered = time.monotonic()
         while not stop.is_set():
-            count = self._drain()
+            count = self._receive()
             self._live.advance()
-            self._answer_requests()
+            self._perform_requests()
             now = time.monotonic()
-            if now - looked >= LOOK_AGAIN:
-                self._look()
+            if now - discovered >= LATER_DISCOVERY_PERIOD:
+                self._update_topics()
                 for _, subscription in self._subscriptions:
                     subscription.match_publishers()
-                looked = now
+                discovered = now
             if now >= due:
-                faults = self._health.heard(self._live)
+                faults = self._diagnostics.update_streams(self._live)
                 if faults is not None:
-                    self._notices.update(faults)
+                    self._fault_reporter.update(faults)
                 if self._is_enabled and self._live.has_news:
                     self._solve()
-                # A machine that cannot keep the pace needs time for the topics, too.
+                # A machine that cannot keep the period also needs time for the topics.
                 spent = time.monotonic() - now
                 due = max(due + self._period, now + 1.5 * spent)
             elif not count:
                 time.sleep(POLL)
-        self._drain_until(time.time_ns(), LONGEST_DRAIN)
+        self._receive_until(time.time_ns(), LONGEST_DRAIN)
         self._finish()
 
     @property
     def _live(self) -> OnlineIdentification:
-        """The identification, once there are topics."""
+        """The identification, once topics have been found."""
         if self._identification is None:
-            raise ParameterError(
-                "no sensor topics yet, nothing is known; start the robot's drivers first"
-            )
+            raise EstimateError("no sensor topics yet; start the robot's drivers first", "E812")
         return self._identification
 
-    def _drain(self, until: int = FOREVER) -> int:
-        """Take messages, a batch of each topic; return how many arrived up to a time, ns."""
+    def _receive(self, until: int = FOREVER) -> int:
+        """Take a batch of messages per topic; return how many arrived up to a time, ns."""
         count = 0
         for topic, subscription in self._subscriptions:
             for message in subscription.take():
@@ -232,83 +229,84 @@ class OnlineIdentifier:
                 count += message.received <= until
         return count
 
-    def _drain_until(self, until: int, longest: float = float("inf")) -> None:
-        """Take what had arrived at a time, ns, while publishers go on; for so many s at most."""
-        deadline = time.monotonic() + longest
-        while self._drain(until) and time.monotonic() < deadline:
+    def _receive_until(self, until: int, timeout: float = float("inf")) -> None:
+        """Take all messages that had arrived at a time, ns, for at most ``timeout`` seconds."""
+        deadline = time.monotonic() + timeout
+        while self._receive(until) and time.monotonic() < deadline:
             pass
 
     def _solve(self, *, exactly: bool = False) -> OnlineEstimate | None:
         began = time.monotonic()
         try:
-            outcome = self._live.solve(exactly=exactly)
+            estimate = self._live.solve(exactly=exactly)
         except SymbidError as error:
-            self._health.refused(str(error))
+            self._diagnostics.set_error(str(error))
             if exactly:
                 raise
             return None
         spent = time.monotonic() - began
-        self._health.solved(self._live, outcome, spent)
-        if outcome is not None:
+        self._diagnostics.set_estimate(self._live, estimate, spent)
+        if estimate is not None:
             self._solves += 1
-            self._newest = outcome
+            self._newest = estimate
             if not exactly:
                 self._solve_time = spent
-            self._publish(outcome, describe=exactly)
-        return outcome
+            self._publish(estimate, describe=exactly)
+        return estimate
 
-    def _publish(self, outcome: OnlineEstimate, *, describe: bool) -> None:
-        estimate = outcome.found.estimate
-        self._topics.publish(estimate, Time(nanoseconds=outcome.until).to_msg())
+    def _solve_exactly(self) -> OnlineEstimate:
+        """Return the estimate from all data that have arrived."""
+        self._receive_until(time.time_ns())
+        estimate = self._solve(exactly=True)
+        if estimate is None:
+            raise EstimateError("too few data for an estimate; wait, or move the robot", "E813")
+        return estimate
+
+    def _publish(self, newest: OnlineEstimate, *, describe: bool) -> None:
+        estimate = newest.found.estimate
+        self._topics.publish(estimate, Time(nanoseconds=newest.until).to_msg())
         now = time.monotonic()
         if describe or now - self._described >= DESCRIPTION_PERIOD:
             self._topics.describe(export_urdf(estimate, self._parameters))
             self._described = now
 
-    def _solve_exactly(self) -> str:
-        return _told(self._known())
-
-    def _known(self) -> OnlineEstimate:
-        self._drain_until(time.time_ns())
-        outcome = self._solve(exactly=True)
-        if outcome is None:
-            raise ParameterError("too little has come to tell anything; wait, or move the robot")
-        return outcome
+    def _solve_on_request(self) -> str:
+        return _summarize(self._solve_exactly())
 
     def _save(self) -> str:
         if self._out is None:
-            raise ParameterError("parameter out: empty; start the identifier with -p out:=FOLDER")
-        return self._write(self._known(), self._out)
+            raise ParameterError(
+                "parameter out: empty; start the identifier with -p out:=FOLDER", "E801"
+            )
+        return self._write(self._solve_exactly(), self._out)
 
-    def _write(self, outcome: OnlineEstimate, out: Path) -> str:
-        write_identification(outcome.found, self._parameters, out)
-        return f"{_told(outcome)}, written to {out}"
+    def _write(self, estimate: OnlineEstimate, out: Path) -> str:
+        write_identification(estimate.found, self._parameters, out)
+        return f"{_summarize(estimate)}, written to {out}"
 
     def _reset(self) -> str:
         self._live.reset()
         self._newest = None
-        return "all but the prior is forgotten"
+        return "all data are discarded; the prior remains"
 
     def _finish(self) -> None:
+        buffers = self._live.streams.buffers
         summary: dict[str, object] = {
-            "received": {
-                topic.name: buffer.received for topic, buffer in self._live.streams.buffers.items()
-            },
-            "missing": {
-                topic.name: buffer.missing for topic, buffer in self._live.streams.buffers.items()
-            },
+            "received": {topic.name: buffer.received for topic, buffer in buffers.items()},
+            "missing": {topic.name: buffer.missing for topic, buffer in buffers.items()},
             "solves": self._solves,
         }
-        # There may be nothing left to save, as after a reset.
-        if self._out is not None and self._solves and (known := self._last_known()):
-            summary["saved"] = self._write(known, self._out)
+        # There may be no estimate, for example after a reset.
+        if self._out is not None and self._solves and (final := self._final_estimate()):
+            summary["saved"] = self._write(final, self._out)
         print(json.dumps(summary), flush=True)
 
-    def _last_known(self) -> OnlineEstimate | None:
-        """Return the estimate of an offline run, or the newest one if time is too short."""
+    def _final_estimate(self) -> OnlineEstimate | None:
+        """Return the estimate from all data, or the newest one if there is too little time."""
         if self._newest is not None and EXACT_COST * self._solve_time > SHUTDOWN_SOLVE_TIME:
             self._node.get_logger().warning(
-                "the machine is busy: the newest estimate is saved, not one by all data"
+                "solving is too slow for shutdown: saving the newest estimate, which lacks the "
+                "latest data"
             )
             return self._newest
         try:
@@ -316,59 +314,53 @@ class OnlineIdentifier:
         except SymbidError as error:
             if self._newest is None:
                 raise
-            self._node.get_logger().warning(f"{error}; the estimate before that is saved")
+            self._node.get_logger().warning(f"{error}; saving the previous estimate")
             return self._newest
 
-    def _rescue(self) -> None:
-        """Save the newest estimate while an error is on its way to end the node."""
+    def _save_after_error(self) -> None:
+        """Save the newest estimate while an exception is ending the node."""
         if self._out is None or self._newest is None:
             return
         try:
             self._node.get_logger().error(self._write(self._newest, self._out))
         except Exception as error:
-            self._node.get_logger().error(f"{self._out}: nothing could be saved: {error}")
+            self._node.get_logger().error(f"{self._out}: estimate not saved: {error}")
 
-    def _adopt(self, live: dict[str, Any]) -> None:
+    def _change_parameters(self, live: dict[str, Any]) -> None:
         self._period = live["solve_period"]
-        # Blocks may be in work: the thread that identifies makes the change.
-        self._requests.put(_ServiceRequest(lambda: self._remember(live["memory"])))
+        # The identifying thread makes the change, because it may be processing blocks.
+        self._requests.put(_ServiceRequest(lambda: self._set_memory(live["memory"])))
 
-    def _remember(self, memory: float) -> str:
+    def _set_memory(self, memory: float) -> str:
         self._pace = replace(self._pace, memory=memory or float("inf"))
         if self._identification is not None:
             self._identification.set_memory(self._pace.memory)
         return f"memory is {memory:g} s" if memory else "data are never forgotten"
 
-    def _triggered(
+    def _trigger_handler(
         self, work: Callable[[], str]
     ) -> Callable[[Trigger.Request, Trigger.Response], Trigger.Response]:
-        def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        def handle(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             request = _ServiceRequest(work)
             self._requests.put(request)
-            response.success, response.message = request.answer(self._ended)
+            response.success, response.message = request.await_answer(self._ended)
             return response
 
-        return serve
+        return handle
 
-    def _enable(self, wanted: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        self._is_enabled = bool(wanted.data)
-        self._health.enabled(self._is_enabled)
+    def _enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        self._is_enabled = bool(request.data)
+        self._diagnostics.set_enabled(self._is_enabled)
         response.success = True
-        response.message = "identifying" if wanted.data else "messages pass unread"
+        response.message = "identifying" if request.data else "messages are ignored"
         return response
 
-    def _answer_requests(self) -> None:
-        while (request := self._next_request()) is not None:
-            request.perform()
-
-    def _next_request(self) -> _ServiceRequest | None:
-        try:
-            return self._requests.get_nowait()
-        except Empty:
-            return None
+    def _perform_requests(self) -> None:
+        while not self._requests.empty():
+            self._requests.get().perform()
 
 
-def _told(outcome: OnlineEstimate) -> str:
-    estimate = outcome.found.estimate
+def _summarize(newest: OnlineEstimate) -> str:
+    estimate = newest.found.estimate
     count = 0 if estimate.determined is None else int(estimate.determined.sum())
     return f"{count} of {len(estimate.names)} parameters determined by {estimate.samples} rows"

@@ -22,16 +22,16 @@ Graph = Mapping[str, Sequence[str]]
 
 @dataclass(frozen=True)
 class RobotTopics:
-    """Which topics may be the robot's, as the graph names them.
+    """Topics that may belong to the robot, by their fully qualified names.
 
     Attributes
     ----------
     selection : TopicSelection
-        Topics named by parameters or remapping; the joint states always are.
+        Topics named by parameters or remapping rules; always includes the joint states.
     remapped : frozenset of str
-        Targets of remapped sensor names: candidates like those in the namespace.
+        Targets of remapping rules, which are candidates like the topics in the namespace.
     replaced : frozenset of str
-        The names that were remapped: whoever publishes there is another.
+        Sources of remapping rules, which belong to another robot.
     """
 
     selection: TopicSelection
@@ -40,24 +40,24 @@ class RobotTopics:
 
     @property
     def named(self) -> frozenset[str]:
-        """Topics that must turn up."""
+        """Topics that identification waits for."""
         chosen = self.selection
         return frozenset([*(chosen.joints or ()), *(chosen.imus or ()), *(chosen.wrenches or ())])
 
 
 @dataclass
 class CandidateTopic:
-    """A topic that may be a sensor's of the robot.
+    """A topic that may carry data of one of the robot's sensors.
 
     Attributes
     ----------
     topic : Topic
     subscription : RawSubscription or None
-        None once it is known that the topic is not used.
+        None once it is certain that the topic is not used.
     frame : str
-        ``header.frame_id`` of the newest message looked at; empty before one came.
+        ``header.frame_id`` of the newest message examined; empty before the first.
     is_placed : bool
-        Whether the model knows that frame. Joint states need none.
+        Whether the model has that frame; joint states need no frame.
     """
 
     topic: Topic
@@ -65,15 +65,15 @@ class CandidateTopic:
     frame: str = ""
     is_placed: bool = False
 
-    def look(self, frames: frozenset[str], prefix: str) -> None:
-        """Look at messages until one is of a frame that the model knows; leave that one.
+    def examine(self, frames: frozenset[str], prefix: str) -> None:
+        """Read messages until one has a frame of the model, and put that one back.
 
         Parameters
         ----------
         frames : frozenset of str
-            The model's.
+            Frames of the model.
         prefix : str
-            What the sensors' frames begin with and the model's do not.
+            Prefix of the sensors' frames that the model's frames lack.
         """
         if self.topic.msgtype == JOINT_STATE:
             self.is_placed = True
@@ -94,23 +94,25 @@ class CandidateTopic:
 
 @dataclass
 class SensorTopics:
-    """Waits until the graph shows all topics that are wanted, and no more turn up.
+    """Finds the robot's sensor topics on the graph.
 
-    Each is subscribed to at first sight, so that nothing is lost meanwhile. An IMU or a wrench
-    counts once a message shows that its frame is the model's; of several topics with one frame,
-    the node's own name wins, then the shortest path.
+    The search is complete when all named topics have been found and no new topic has appeared for
+    a while. Each topic is subscribed to as soon as it appears, so that no message is lost. A topic
+    of an IMU or wrench sensor is accepted when a message has a frame of the model. Of several
+    topics with the same frame, those that are named or remapped come first, then the shortest
+    path.
 
     Attributes
     ----------
     node : Node
     own : RobotTopics
-        Which topics are wanted.
+        Topics that may belong to the robot.
     model : RobotModel
-        Whose frames the sensors have; a floating base needs an IMU.
+        Model whose frames the sensors have; a floating base needs an IMU.
     settle : float
-        For how long nothing more must turn up, s.
+        Time without a new topic after which the search is complete, s.
     depth : int
-        Messages that each may keep waiting.
+        Length of each queue, messages.
     """
 
     node: Node
@@ -124,8 +126,8 @@ class SensorTopics:
     _used: frozenset[Topic] = frozenset()
     _since: float = field(default_factory=time.monotonic)
 
-    def look(self) -> SelectedTopics | None:
-        """Look at the graph once; return the topics when they are complete."""
+    def find(self) -> SelectedTopics | None:
+        """Update the search; return the topics if it is complete."""
         topics = [
             Topic(name, msgtype)
             for name, types in self.node.get_topic_names_and_types()
@@ -134,18 +136,18 @@ class SensorTopics:
         self._subscribe(self._wanted(topics))
         frames = known_frames(self.model)
         for candidate in self._candidates.values():
-            candidate.look(frames, self.own.selection.frame_prefix)
+            candidate.examine(frames, self.own.selection.frame_prefix)
         chosen = self._choice()
         now = time.monotonic()
         if frozenset(chosen) != self._chosen:
             self._chosen, self._since = frozenset(chosen), now
-        if now - self._since < self.settle or self._lacking(chosen):
+        if now - self._since < self.settle or self._is_incomplete(chosen):
             return None
         by_type = {
             kind: tuple(topic for topic in chosen if topic.msgtype == kind)
             for kind in (JOINT_STATE, IMU, WRENCH)
         }
-        # A joint that several topics name is taken from the first of them, in the user's order.
+        # A joint that several topics contain is read from the first of them, in the user's order.
         order = self.own.selection.joints or ()
         return SelectedTopics(
             tuple(sorted(by_type[JOINT_STATE], key=lambda topic: order.index(topic.name))),
@@ -156,7 +158,7 @@ class SensorTopics:
         )
 
     def subscriptions(self, selected: SelectedTopics) -> tuple[tuple[Topic, RawSubscription], ...]:
-        """Return the selected topics with their subscriptions, and let go of all others."""
+        """Return the selected topics with their subscriptions, and close all others."""
         self._used = frozenset(selected.all)
         self.release()
         found = []
@@ -171,7 +173,7 @@ class SensorTopics:
         return tuple(found)
 
     def release(self) -> None:
-        """Unsubscribe from topics that are not used, so that their queues do not fill."""
+        """Unsubscribe from unused topics, so that their queues do not fill."""
         for candidate in self._candidates.values():
             is_idle = candidate.topic not in self._used and candidate.frame
             if is_idle and candidate.subscription is not None:
@@ -180,11 +182,11 @@ class SensorTopics:
 
     @property
     def found(self) -> tuple[Topic, ...]:
-        """The robot's topics as far as they have turned up."""
+        """Topics of the robot found so far."""
         return tuple(self._chosen)
 
     def missing(self) -> dict[str, str]:
-        """Return what is still waited for, and why, by topic or kind of sensor."""
+        """Return a message for each missing topic or kind of sensor."""
         own = f"{self.node.get_fully_qualified_name()}/"
         graph = {
             name: types
@@ -199,11 +201,11 @@ class SensorTopics:
                 name, frame = candidate.topic.name, candidate.frame
                 prefix = suggested_prefix(frame, self.model)
                 hint = f"; give -p frame_prefix:={prefix} if it is this robot's" if prefix else ""
-                missing[name] = f"{name} is not used: the model has no frame {frame!r}{hint}"
+                missing[name] = f"{name} is ignored: the model has no frame {frame!r}{hint}"
         return missing
 
     def _wanted(self, topics: Iterable[Topic]) -> list[Topic]:
-        """Return the topics that may be the robot's: named, remapped, or in its namespace."""
+        """Return the topics that may belong to the robot: named, remapped or in its namespace."""
         space = self.node.get_namespace().rstrip("/")
         selector = TopicSelector("live topics", self.own.selection)
         states = {
@@ -211,15 +213,15 @@ class SensorTopics:
             for topic in topics
             if topic.msgtype == JOINT_STATE and topic.name.rsplit("/", 1)[-1] == JOINTS
         }
-        # Another robot's sensors lie beside its joint states, if not right where ours do.
-        own_joints = self.own.selection.joints or ()
-        places = (name.removesuffix(JOINTS) for name in sorted(states - set(own_joints)))
+        # The sensors of another robot share the namespace of its joint states.
+        joints = self.own.selection.joints or ()
+        places = (name.removesuffix(JOINTS) for name in sorted(states - set(joints)))
         foreign = tuple(
             place
             for place in places
             if place.startswith(f"{space}/")
             and place != f"{space}/"
-            and not any(name.startswith(place) for name in own_joints)
+            and not any(name.startswith(place) for name in joints)
         )
 
         def is_near(topic: Topic) -> bool:
@@ -229,13 +231,13 @@ class SensorTopics:
             return is_inside and topic.name not in self.own.replaced
 
         def is_wanted(topic: Topic) -> bool:
-            is_remapped = topic.name in self.own.remapped and self._is_open(topic.msgtype)
+            is_remapped = topic.name in self.own.remapped and self._is_discovered(topic.msgtype)
             return selector.wants(topic) or is_remapped
 
         return [topic for topic in topics if is_wanted(topic) and is_near(topic)]
 
-    def _is_open(self, msgtype: str) -> bool:
-        """Tell whether topics of a type are to be found, none having been named."""
+    def _is_discovered(self, msgtype: str) -> bool:
+        """Return whether topics of a type are discovered, because none is named."""
         chosen = self.own.selection
         return (msgtype == IMU and chosen.imus is None) or (
             msgtype == WRENCH and chosen.wrenches is None
@@ -247,14 +249,14 @@ class SensorTopics:
             subscription = subscribe(self.node, topic.name, self.depth, self._group, topic.msgtype)
             if subscription is not None:
                 self._candidates[topic] = CandidateTopic(topic, subscription)
-        # Taken for the robot's until its owner turned up; what is in use stays.
+        # A topic may turn out to belong to another robot; topics in use are kept.
         for topic in self._candidates.keys() - wanted - self._used:
             candidate = self._candidates.pop(topic)
             if candidate.subscription is not None:
                 candidate.subscription.close()
 
     def _choice(self) -> list[Topic]:
-        """Return the topics to use, the best of each frame, in the order of their names."""
+        """Return the topics to use, one for each frame, sorted by name."""
         own_imu = self.node.resolve_topic_name(IMU_DATA)
         preferred = self.own.named | self.own.remapped | {own_imu}
 
@@ -265,27 +267,27 @@ class SensorTopics:
         best: dict[tuple[str, str], Topic] = {}
         for candidate in sorted(self._candidates.values(), key=rank):
             if candidate.is_placed:
-                # Several topics of joint states may each hold some of the joints.
+                # Each of several joint state topics may contain some of the joints.
                 place = candidate.frame or candidate.topic.name
                 best.setdefault((candidate.topic.msgtype, place), candidate.topic)
         return sorted(best.values(), key=lambda topic: topic.name)
 
-    def _lacking(self, chosen: Iterable[Topic]) -> bool:
+    def _is_incomplete(self, chosen: Iterable[Topic]) -> bool:
         names = {topic.name for topic in chosen}
         has_imu = any(topic.msgtype == IMU for topic in chosen)
         return not self.own.named <= names or not (has_imu or not self.model.floating)
 
 
 def resolve_topics(node: Node, selection: TopicSelection, arguments: Sequence[str]) -> RobotTopics:
-    """Return the names of a selection as the graph has them, remappings included.
+    """Return the fully qualified names of a selection, with remapping rules applied.
 
     Parameters
     ----------
     node : Node
     selection : TopicSelection
-        As the parameters ask.
+        Topics as the parameters name them.
     arguments : sequence of str
-        Of the process: rcl applies the remappings in them, but does not list them.
+        Arguments of the process; rcl applies the remapping rules in them but does not list them.
     """
 
     def all_of(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
@@ -312,53 +314,53 @@ def remapped_names(arguments: Sequence[str]) -> list[str]:
     """Return the topic names on the left of ``-r old:=new`` among a process's arguments."""
     rules = [rule for flag, rule in pairwise(arguments) if flag in ("-r", "--remap")]
     names = [rule.partition(":=")[0] for rule in rules]
-    # A rule may begin with the name of the node that it is for.
+    # A rule may begin with the name of the node to which it applies.
     return [name for name in (each.split(":")[-1] for each in names) if not name.startswith("__")]
 
 
 def missing_topics(
     selection: TopicSelection, found: Collection[Topic], graph: Graph, *, floating: bool
 ) -> dict[str, str]:
-    """Return a message for each topic that is missing, by topic or by kind.
+    """Return a message for each missing topic or kind of sensor, naming the parameter to correct.
 
     Parameters
     ----------
     selection : TopicSelection
-        Which topics are wanted, with names as the graph has them.
+        Wanted topics, by fully qualified names.
     found : collection of Topic
-        Topics subscribed to.
+        Topics found so far.
     graph : mapping of str to sequence of str
         Types of each topic that has a publisher.
     floating : bool
-        Whether the robot's base floats, so that it needs an IMU.
+        Whether the robot's base floats and therefore needs an IMU.
     """
     missing: dict[str, str] = {}
     names = {topic.name for topic in found}
     for parameter, msgtype, wanted in (
         ("joint_topic", JOINT_STATE, selection.joints),
-        ("imu_topics", IMU, selection.imus),
-        ("wrench_topics", WRENCH, selection.wrenches),
+        ("imu_topic", IMU, selection.imus),
+        ("wrench_topic", WRENCH, selection.wrenches),
     ):
         for name in wanted or ():
             if f"/{name.lstrip('/')}" not in names:
-                missing[name] = _named(name, msgtype, parameter, graph)
+                missing[name] = _describe_missing(name, msgtype, parameter, graph)
     kinds = {topic.msgtype for topic in found}
     if selection.joints is None and JOINT_STATE not in kinds:
         missing["joint states"] = (
             f"waiting for a topic joint_states of type {JOINT_STATE} in this node's namespace; "
-            f"{_others(JOINT_STATE, graph)}; start the robot's driver, or name its topic in the "
-            "parameter joint_topic"
+            f"{_others(JOINT_STATE, graph)}; start the robot's driver, or set the parameter "
+            "joint_topic"
         )
     if floating and selection.imus is None and IMU not in kinds:
         missing["IMU"] = (
             f"waiting for a topic of type {IMU} in this node's namespace, which a floating base "
-            f"needs; {_others(IMU, graph)}; start the IMU's driver, name its topic in the "
-            "parameter imu_topics, or give base:=fixed"
+            f"needs; {_others(IMU, graph)}; start the IMU's driver, set the parameter imu_topic, "
+            "or give base:=fixed"
         )
     return missing
 
 
-def _named(name: str, msgtype: str, parameter: str, graph: Graph) -> str:
+def _describe_missing(name: str, msgtype: str, parameter: str, graph: Graph) -> str:
     types = graph.get(name, ())
     if types and msgtype not in types:
         return (
@@ -371,7 +373,7 @@ def _named(name: str, msgtype: str, parameter: str, graph: Graph) -> str:
             "driver"
         )
     return (
-        f"waiting for topic {name} (parameter {parameter}), which nobody publishes; "
+        f"waiting for topic {name} (parameter {parameter}), which has no publisher; "
         f"{_others(msgtype, graph)}; start its driver or correct the parameter"
     )
 

@@ -23,7 +23,7 @@ from symbid_ros.ros.parameters import ParameterError, declare
 
 ROOT = Path(__file__).parents[2]
 NODES = ("mujoco_bridge", "balance_controller", "recorder", "player", "identifier", "monitor")
-# Parameters that mean the same to whoever has them.
+# Parameters with the same meaning in several nodes.
 SHARED = {
     "bag": {"player", "identifier"},  # what is read
     "clock_rate": {"mujoco_bridge", "player"},
@@ -107,6 +107,8 @@ def test_arguments_that_are_not_given_leave_every_default(context, node: str) ->
                 "rank": "7",
                 "friction": "true",
                 "sensor_errors": "gain: [x]",
+                "prior_percent": "25",
+                "sensor_std": "[0.1, 1, 0.1]",
                 "use_sim_time": "True",
             },
             {
@@ -116,7 +118,9 @@ def test_arguments_that_are_not_given_leave_every_default(context, node: str) ->
                 "memory": 5.0,
                 "rank": 7,
                 "friction": True,
-                "sensor_errors": "gain: [x]",
+                "sensor_errors": ["gain: [x]"],
+                "prior_percent": 25.0,
+                "sensor_std": [0.1, 1.0, 0.1],
                 "use_sim_time": True,
             },
         ),
@@ -129,7 +133,7 @@ def test_arguments_that_are_not_given_leave_every_default(context, node: str) ->
         ),
     ],
 )
-def test_a_node_reads_arguments_as_they_were_meant(context, node, texts, values) -> None:
+def test_a_node_reads_arguments_in_the_types_of_its_parameters(context, node, texts, values) -> None:
     found = read(context, node, node_arguments(node, texts))
     assert {name: found[name] for name in values} == values
 

@@ -264,7 +264,7 @@ def test_parameters_are_described_and_checked(graph) -> None:
     live.send(signal.SIGINT)  # before any topic has turned up
     ended = live.ended()
     assert ended.status == 2
-    assert "it ends without an estimate: no sensor topics yet; waiting for" in ended.err
+    assert "stopped without an estimate: no sensor topics yet; waiting for" in ended.err
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,7 @@ def learnt(domain: int, simulated, tmp_path: Path) -> Iterator[OnlineIdentifier]
     node = Node("identifier", context=context, parameter_overrides=overrides)
     identifier = OnlineIdentifier(node, declare(node, PARAMETERS))
     feed = feed_of(simulated("smooth", moves=3, motion_seed=51, noise_seed=52)).between(0.0, 2.0)
-    live = OnlineIdentification(identifier._beginning, feed.selected, identifier._pace)
+    live = OnlineIdentification(identifier._initial_state, feed.selected, identifier._pace)
     identifier._identification, identifier._selected = live, feed.selected
     feed.into(live)
     assert identifier._solve() is not None
@@ -49,7 +49,7 @@ def test_an_error_that_ends_it_leaves_the_newest_estimate(
     def fail(_: SensorTopics) -> None:
         raise MemoryError("the graph is too large")
 
-    monkeypatch.setattr(SensorTopics, "look", fail)
+    monkeypatch.setattr(SensorTopics, "find", fail)
     with pytest.raises(MemoryError):
         learnt.run(Event())
     assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
@@ -66,6 +66,6 @@ def test_an_end_without_an_estimate_is_a_failure_and_says_why(graph, tmp_path, n
     assert ended.status != 0
     if ended.status == 2:  # interrupted in its work, not while it read its files
         assert (
-            "it ends without an estimate: no sensor topics yet; waiting for topic /jo" in ended.err
+            "stopped without an estimate: no sensor topics yet; waiting for topic /jo" in ended.err
         )
     assert not (tmp_path / "out").exists()

@@ -62,7 +62,7 @@ class Talk:
 
     def chosen(self, sensors: SensorTopics) -> set[str]:
         """Return the names chosen once the topics are complete."""
-        while (selected := sensors.look()) is None:
+        while (selected := sensors.find()) is None:
             self.say()
         return {topic.name for topic in selected.all}
 
@@ -105,13 +105,13 @@ def test_only_its_own_topics_are_taken_whoever_comes_first(talk: Talk, model) ->
     found = sensors(talk, model)
     while "/robot2/joint_states" not in found.missing()["/joint_states"]:
         talk.say()
-        assert found.look() is None
+        assert found.find() is None
     while "/camera/imu" not in found.missing():
         talk.say()
-        assert found.look() is None
+        assert found.find() is None
     assert "no frame 'camera_imu_optical_frame'" in found.missing()["/camera/imu"]
     talk.publish(OWN)
-    while found.look() is None or len(found.look().all) < len(OWN):
+    while found.find() is None or len(found.find().all) < len(OWN):
         talk.say()
     assert talk.chosen(found) == set(OWN)
 
@@ -119,7 +119,7 @@ def test_only_its_own_topics_are_taken_whoever_comes_first(talk: Talk, model) ->
 def test_in_a_namespace_its_topics_are_taken(talk: Talk, model) -> None:
     talk.publish(OWN | FOREIGN)
     found = sensors(talk, model, namespace="/robot2")
-    while (selected := found.look()) is None or len(selected.all) < len(OWN):
+    while (selected := found.find()) is None or len(selected.all) < len(OWN):
         talk.say()
     assert talk.chosen(found) == {f"/robot2{name}" for name in OWN}
 
@@ -127,7 +127,7 @@ def test_in_a_namespace_its_topics_are_taken(talk: Talk, model) -> None:
 def test_a_remapped_wrench_is_taken_and_not_what_bears_its_name(talk: Talk, model) -> None:
     talk.publish(OWN | {"/ft/left": (WrenchStamped, "left_sole")})
     found = sensors(talk, model, arguments=["-r", "left_foot/wrench:=/ft/left"])
-    while (selected := found.look()) is None or len(selected.all) < len(OWN):
+    while (selected := found.find()) is None or len(selected.all) < len(OWN):
         talk.say()
     assert talk.chosen(found) == set(OWN) - {"/left_foot/wrench"} | {"/ft/left"}
 
@@ -138,10 +138,10 @@ def test_frames_with_a_prefix_are_taken_once_it_is_given(talk: Talk, model) -> N
     lost = sensors(talk, model)
     while "/imu/data" not in lost.missing():
         talk.say()
-        assert lost.look() is None
-    assert "`frame_prefix` robot1/" in lost.missing()["/imu/data"]
+        assert lost.find() is None
+    assert "frame_prefix:=robot1/" in lost.missing()["/imu/data"]
     found = sensors(talk, model, selection=TopicSelection(frame_prefix="robot1/"))
-    while (selected := found.look()) is None or len(selected.all) < len(OWN):
+    while (selected := found.find()) is None or len(selected.all) < len(OWN):
         talk.say()
     assert talk.chosen(found) == set(OWN)
     assert selected.frame_prefix == "robot1/"
@@ -152,7 +152,7 @@ def test_joint_states_in_several_topics_are_all_taken_in_the_order_given(talk: T
     others = {name: what for name, what in OWN.items() if name != "/joint_states"}
     talk.publish(others | dict.fromkeys(parts, (JointState, "")))
     found = sensors(talk, model, selection=TopicSelection(joints=parts))
-    while (selected := found.look()) is None or len(selected.all) < len(others) + len(parts):
+    while (selected := found.find()) is None or len(selected.all) < len(others) + len(parts):
         talk.say()
     assert tuple(topic.name for topic in selected.joints) == parts
 
@@ -161,7 +161,7 @@ def test_a_publisher_of_another_type_is_passed_over(talk: Talk, model, stranger:
     stranger.publish({"/joint_states": (String, "")})
     talk.publish(OWN)
     found = sensors(talk, model)
-    while (selected := found.look()) is None or len(selected.all) < len(OWN):
+    while (selected := found.find()) is None or len(selected.all) < len(OWN):
         talk.say()
     assert (
         dict(found.subscriptions(selected))[selected.clock].msgtype == "sensor_msgs/msg/JointState"

@@ -1,4 +1,4 @@
-"""An identifier whose topics are missing, mistyped or unstamped says so and goes on waiting."""
+"""An identifier reports missing, mistyped or unstamped topics and keeps waiting for them."""
 
 import re
 import threading
@@ -103,7 +103,7 @@ def arm(domain: int, tmp_path: Path) -> Iterator[Robot]:
     robot.close()
 
 
-def test_faults_are_named_and_their_cures_noticed_while_the_node_lives(arm: Robot) -> None:
+def test_faults_and_their_end_are_reported_while_the_node_runs(arm: Robot) -> None:
     mistyped = arm.node.create_publisher(JointState, "/arm/joint_state", 100)
     arm.wait_for("waiting for topic /arm/joint_states (parameter joint_topic)", "/arm/joint_state;")
     cured = arm.node.create_publisher(JointState, "/arm/joint_states", 100)
@@ -146,7 +146,7 @@ GRAPH = {
             TopicSelection(joints=("/joints",)),
             [],
             False,
-            {"/joints": "parameter joint_topic., which nobody publishes; .* /robot/joint_states;"},
+            {"/joints": "parameter joint_topic., which has no publisher; .* /robot/joint_states;"},
         ),
         (
             TopicSelection(joints=("/chatter",), wrenches=("/foot",)),
@@ -154,7 +154,7 @@ GRAPH = {
             False,
             {
                 "/chatter": "/chatter is of type std_msgs/msg/String, not sensor_msgs/msg/JointSt",
-                "/foot": "parameter wrench_topics.* topics of that type: none",
+                "/foot": "parameter wrench_topic.* topics of that type: none",
             },
         ),
         (
@@ -163,13 +163,13 @@ GRAPH = {
             True,
             {
                 "joint states": "/robot/joint_states; start .* parameter joint_topic",
-                "IMU": "/imu/data; start .* imu_topics, or give base:=fixed",
+                "IMU": "/imu/data; start .* imu_topic, or give base:=fixed",
             },
         ),
         (TopicSelection(), ["/robot/joint_states"], False, {}),
     ],
 )
-def test_what_is_missing_is_named_with_the_parameter(selection, found, floating, says) -> None:
+def test_messages_about_missing_topics_name_the_parameter(selection, found, floating, says) -> None:
     topics = [Topic(name, GRAPH[name][0]) for name in found]
     missing = missing_topics(selection, topics, GRAPH, floating=floating)
     assert set(missing) == set(says)
@@ -177,19 +177,21 @@ def test_what_is_missing_is_named_with_the_parameter(selection, found, floating,
         assert re.search(pattern, missing[key]), missing[key]
 
 
-def test_stamps_of_another_clock_or_none_at_all_are_told_from_what_a_jump_leaves_behind() -> None:
+def test_stamps_of_another_clock_differ_from_leftovers_of_a_jump() -> None:
     joints, imu = Topic("/joint_states", JOINT_STATE), Topic("/imu", IMU)
     streams, faults = LiveStreams(SelectedTopics((joints,), (imu,), ()), "live"), StreamMonitor()
 
-    def looked(joint_stamp: float, imu_stamp: float) -> dict[str, str]:
+    def faults_after(joint_stamp: float, imu_stamp: float) -> dict[str, str]:
         for topic, stamp in ((joints, joint_stamp), (imu, imu_stamp)):
             streams.add(topic, round(stamp * 1e9), b"")
-        return faults.look(streams)
+        return faults.check(streams)
 
-    assert looked(100.0, 5.0) == {}  # once may be left over from before a jump
-    (fault,) = looked(100.1, 5.1).values()
-    assert fault.startswith("/imu: stamped at 5.100 s while other topics are at 100.100 s; synchr")
-    assert looked(100.2, 100.2) == {}
-    assert set(looked(100.3, 100.2)) == {"/imu"}  # stands still
-    assert "header.stamp is zero" in looked(100.4, 0.0)["/imu"]
-    assert looked(100.5, 100.5) == {}
+    assert faults_after(100.0, 5.0) == {}  # once may be left over from before a jump
+    (fault,) = faults_after(100.1, 5.1).values()
+    assert fault.startswith(
+        "/imu: stamps are at 5.100 s, other topics at 100.100 s, and these mess"
+    )
+    assert faults_after(100.2, 100.2) == {}
+    assert set(faults_after(100.3, 100.2)) == {"/imu"}  # stands still
+    assert "header.stamp is zero" in faults_after(100.4, 0.0)["/imu"]
+    assert faults_after(100.5, 100.5) == {}
