@@ -106,16 +106,16 @@ class Command:
 
 
 def blocks(page: Path) -> list[Block]:
-    found, lines, fence = [], [], None
+    found, lines, fence, marker_indent = [], [], None, 0
     for line in [*page.read_text(encoding="utf-8").splitlines(), ""]:
-        marker = re.match(r"\s*(`{3,}|:{3,})(.*)", line)
+        marker = re.match(r" *(`{3,}|:{3,})(.*)", line)
         if fence is not None and marker and marker[1] == fence[0] and not marker[2]:
             found.append(Block(page, fence[1], tuple(lines)))
             lines, fence = [], None
         elif fence is not None:
-            lines.append(line)
+            lines.append(line[marker_indent:])
         elif marker:
-            fence = (marker[1], marker[2].strip())
+            fence, marker_indent = (marker[1], marker[2].strip()), marker.start(1)
         elif line.startswith("    "):
             lines.append(line[4:])
         elif lines:
