@@ -11,6 +11,10 @@ from hypothesis import HealthCheck, settings
 
 from symbid_ros.cli.processes import unused_domain
 
+# NumPy reads these when it is loaded, which is later: threads of BLAS slow small matrices down.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # A busy machine is slow, which is no fault of what is tested; equal runs test equal examples.
 settings.register_profile(
     "tests",
@@ -41,6 +45,8 @@ LONGEST = (
     "test_cli_identify.py",
     "test_identification_rates.py",
     "test_cli_faults.py",
+    "test_cli_documentation.py",
+    "test_packaging.py",
     "test_cli_demo.py",
     "test_cli_evaluate.py",
     "test_simulation_scenario.py",
