@@ -72,6 +72,8 @@ class Parameter:
             dynamic_typing=self._is_texts or self.default is None,
         )
         low, high = self._bounds()
+        if self.default is None:  # a value that once meant "not given" may lie outside the range
+            return descriptor
         if self._type is int:
             descriptor.integer_range = [
                 IntegerRange(from_value=int(low), to_value=int(high), step=1)
@@ -93,7 +95,7 @@ class Parameter:
         """
         if value is None and self.default is None:
             return
-        if self.default is None and not self._is_of_kind(value):
+        if self.default is None and not self.is_of_kind(value):
             raise ParameterError(
                 f"parameter {self.name}: {value!r} is not valid; give {self.expected}"
             )
@@ -143,15 +145,14 @@ class Parameter:
     def _type(self) -> type:
         return self.kind or type(self.default)
 
-    def _is_of_kind(self, value: Any) -> bool:
-        """Tell whether a value is a number as it should be; whole numbers stand for any."""
+    def is_of_kind(self, value: Any) -> bool:
+        """Tell whether a value is a number of the right type; whole numbers are of both."""
         if self.length:
             single = replace(self, length=0)
             values = value if isinstance(value, list) else []
-            return len(values) == self.length and all(map(single._is_of_kind, values))
+            return len(values) == self.length and all(map(single.is_of_kind, values))
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        low, high = self._bounds()
-        return is_number and (self._type is float or value == int(value)) and low <= value <= high
+        return is_number and (self._type is float or value == int(value))
 
     @property
     def _is_vector(self) -> bool:
@@ -169,6 +170,8 @@ class Parameter:
         )
 
     def _constraints(self) -> str:
+        if self.default is None:
+            return f"{self.expected}, or not set"
         return self.expected if self.choices or self._is_vector else ""
 
 

@@ -95,29 +95,29 @@ def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"prior_percent": -3}, "give a positive half-width"),
-        ({"prior_absolute": "nan"}, "give a positive half-width"),
-        ({"prior_percent": 5, "prior_absolute": 0.1}, "give one of --prior, --prior-percent"),
-        ({"total_mass": -41}, "a total mass of -41 ± 0.05 kg is not valid"),
+        ({"prior_percent": -3}, "--prior-percent"),
+        ({"prior_absolute": "nan"}, "--prior-absolute"),
+        ({"prior_percent": 5, "prior_absolute": 0.1}, "give only one of --prior, --prior-percent"),
+        ({"total_mass": -41}, "--total-mass"),
         ({"total_mass": 41, "total_mass_std": 0}, "a total mass of 41 ± 0 kg is not valid"),
         ({"total_mass": 60, "prior_percent": 5}, "60 kg contradicts the prior, whose links weigh"),
         ({"mirror": 0}, "left/right tying of 0 prior deviations"),
-        ({"sensor_errors": "plate_offse"}, "no sensor error 'plate_offse'; give typical or any of"),
+        ({"sensor_errors": "plate_offse"}, "--sensor-errors: 'plate_offse' is not known; give typical or any of"),
         ({"sensor_errors": "typical", "filter": "butterworth"}, "leave --filter out"),
         ({"rank": 5, "validate": "log"}, "--rank and --validate both choose"),
         ({"rank": 0}, "--rank"),
-        ({"rank": 5}, "map_lmi cuts off no singular values"),
-        ({"method": "map", "sensor_std": (0.1, 1, 0.1)}, "map cuts off no singular values"),
-        ({"method": "ols", "total_mass": 41}, "ols takes neither sensor errors, a tare nor"),
-        ({"total_mass_std": 0.1}, "of no use without --total-mass"),
-        ({"sensor_errors": ","}, "no sensor error is named"),
-        ({"cutoff": 20}, "weak has neither cutoff nor channels; give --filter butterworth"),
+        ({"rank": 5}, "map_lmi truncates no singular values"),
+        ({"method": "map", "sensor_std": (0.1, 1, 0.1)}, "map truncates no singular values"),
+        ({"method": "ols", "total_mass": 41}, "ols supports neither --sensor-errors, --tare, --total-mass"),
+        ({"total_mass_std": 0.1}, "has no effect without --total-mass"),
+        ({"sensor_errors": ","}, "--sensor-errors names none"),
+        ({"cutoff": 20}, "weak has neither --cutoff nor --channels; leave them out, or use --filter butterworth"),
         ({"method": "wls_rc", "cutoff": 0.05}, "too short for this filter"),
         ({"base": "fixed"}, "has a free joint, so it is not fixed; remove that joint, or drop"),
-        ({"filter": "savitzky_golay", "channels": "thesis"}, "has neither cutoff nor channels"),
-        ({"filter": "butterworth", "window": 0.1}, "butterworth has no window"),
-        ({"window": 0}, "give a positive length"),
-        ({"window": "nan"}, "give a positive length"),
+        ({"filter": "savitzky_golay", "channels": "thesis"}, "has neither --cutoff nor --channels"),
+        ({"filter": "butterworth", "window": 0.1}, "butterworth has no --window"),
+        ({"window": 0}, "--window must be positive"),
+        ({"window": "nan"}, "--window"),
         ({"window": 60}, "log is too short, not even a window of 60000 ms"),
         ({"filter": "savitzky_golay", "window": 60}, "shorten it or record longer"),
         ({"filter": "butterworth", "cutoff": 500}, "not below half the rate of 1000 Hz"),
@@ -172,7 +172,7 @@ def test_a_log_without_wrenches_that_is_to_be_tared(fails, good, copied_without,
 
 
 def test_a_weighing_that_truncated_methods_cannot_use(fails, good) -> None:
-    fails("use map or map_lmi", **good | {"method": "wls_rc", "total_mass": 41})
+    fails("use --method map or map_lmi", **good | {"method": "wls_rc", "total_mass": 41})
 
 
 def test_a_rank_beyond_what_the_log_has(fails, good) -> None:

@@ -19,6 +19,7 @@ from symbid_ros.ros.launch_arguments import (
     node_arguments,
     node_parameters,
 )
+from symbid_ros.ros.parameter_files import FILES, parameter_file
 from symbid_ros.ros.parameters import ParameterError, declare
 
 ROOT = Path(__file__).parents[2]
@@ -167,9 +168,9 @@ def test_an_argument_that_is_not_of_its_type_is_refused_by_name(node, name, text
 
 @pytest.mark.parametrize("node", [node for node in NODES if node != "monitor"])
 def test_the_parameter_file_states_the_nodes_own_defaults(node: str) -> None:
-    file = ROOT / "config" / ("bridge.yaml" if node == "mujoco_bridge" else f"{node}.yaml")
-    stated = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
+    text = (ROOT / "config" / FILES[node]).read_text()
+    assert text == parameter_file(node), "run python -m symbid_ros.ros.parameter_files"
+    stated = yaml.safe_load(text)["/**"]["ros__parameters"]
     own = {parameter.name: parameter.default for parameter in node_parameters(node)}
-    assert stated == {name: own[name] for name in stated}
-    # What has no default, such as a path, is to be added by the user.
-    assert set(stated) >= {name for name, value in own.items() if value not in ("", [""])}
+    # A parameter without a default, such as a path, is left to the user.
+    assert stated == {name: value for name, value in own.items() if value not in (None, "", [""])}

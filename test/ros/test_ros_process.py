@@ -121,7 +121,11 @@ def test_every_parameter_describes_its_purpose_and_range(parameter: Parameter) -
         assert not shown.floating_point_range
         assert all(choice in shown.additional_constraints for choice in parameter.choices)
         return
+    if default is None:
+        assert shown.additional_constraints.endswith(", or not set")
+        assert shown.dynamic_typing
+        return
     (bounds,) = shown.integer_range if kind is int else shown.floating_point_range
-    assert default is None or all(bounds.from_value <= one <= bounds.to_value for one in values)
+    assert all(bounds.from_value <= one <= bounds.to_value for one in values)
     assert math.isfinite(bounds.from_value)
     assert math.isfinite(bounds.to_value)
