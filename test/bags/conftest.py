@@ -20,7 +20,7 @@ class Plate:
 
 @dataclass
 class RandomRobot:
-    """Reports other numbers at every step; none of them needs to be possible."""
+    """Reports different numbers at each step, which need not be physically possible."""
 
     steps: int = 300
     seed: int = 0

@@ -23,7 +23,7 @@ DEADLINE = 300.0  # s; only a hang takes as long
 
 
 class SlowDisk(BagWriter):
-    """A bag whose disk answers when it is told to."""
+    """A bag whose disk responds when told to."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(path)
@@ -54,7 +54,7 @@ def wait_until(condition: Callable[[], bool]) -> None:
         time.sleep(0.001)
 
 
-def test_slow_disk_loses_nothing_and_holds_nobody_up(tmp_path: Path) -> None:
+def test_slow_disk_loses_nothing_and_does_not_block(tmp_path: Path) -> None:
     bag = SlowDisk(tmp_path / "log")
     writer = in_background(bag)
     imu = writer.add_topic("/imu", IMU, [OfferedQos()])
@@ -70,7 +70,7 @@ def test_slow_disk_loses_nothing_and_holds_nobody_up(tmp_path: Path) -> None:
     assert (writer.lost, writer.state.dropped, writer.state.queued) == ({}, {}, 0)
 
 
-def test_slow_sync_does_not_hold_the_writing_up(tmp_path: Path) -> None:
+def test_slow_sync_does_not_block_writing(tmp_path: Path) -> None:
     bag = SlowDisk(tmp_path / "log")
     bag.writes.set()
     writer = in_background(bag)
@@ -112,7 +112,7 @@ def test_message_larger_than_the_queue_passes_alone(tmp_path: Path) -> None:
     assert whole_messages(tmp_path / "log") == [("/imu", 0, PAYLOAD)]
 
 
-def test_failed_write_ends_it_and_all_that_is_missing_is_counted(tmp_path: Path) -> None:
+def test_failed_write_ends_the_bag_and_lost_messages_are_counted(tmp_path: Path) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, hard))
     try:
@@ -136,7 +136,7 @@ def test_failed_write_ends_it_and_all_that_is_missing_is_counted(tmp_path: Path)
     assert writer.latest == sent + 6
 
 
-def test_unknown_type_is_refused_before_anything_is_queued(tmp_path: Path) -> None:
+def test_unknown_type_is_rejected_before_queueing(tmp_path: Path) -> None:
     writer = in_background(BagWriter(tmp_path / "log"))
     with pytest.raises(BagError, match="foo_msgs/msg/Bar"):
         writer.add_topic("/x", "foo_msgs/msg/Bar", [OfferedQos()])
@@ -162,7 +162,7 @@ def move(bag: Path) -> None:
     ("remove", "word"),
     [(unlink, "deleted"), (shutil.rmtree, "deleted"), (replace, "deleted"), (move, "moved")],
 )
-def test_file_that_is_gone_ends_the_recording(
+def test_deleted_or_moved_file_ends_the_recording(
     tmp_path: Path, remove: Callable[[Path], None], word: str
 ) -> None:
     writer = in_background(BagWriter(tmp_path / "log"))

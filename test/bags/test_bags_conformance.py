@@ -1,4 +1,4 @@
-"""Every combination of the features of MCAP: what is in a file does not depend on them."""
+"""Each combination of MCAP features gives the same data."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -80,7 +80,7 @@ def told(file: Path) -> tuple[list[Any], list[Attachment], list[Metadata]]:
 
 
 @pytest.mark.parametrize("name", FOREIGN)
-def test_foreign_records_are_counted_and_taken_over(tmp_path: Path, name: str) -> None:
+def test_foreign_records_are_counted_and_copied(tmp_path: Path, name: str) -> None:
     records = FOREIGN[name]
     count = sum(isinstance(record, Message) for record in records)
     file = tmp_path / "log.mcap"
@@ -148,7 +148,7 @@ def sensor_records() -> tuple[list[McapRecord], np.ndarray]:
     return records, values
 
 
-def test_sensor_topics_are_the_same_arrays(
+def test_sensor_arrays_do_not_depend_on_mcap_features(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     records, values = sensor_records()
@@ -167,7 +167,7 @@ def test_sensor_topics_are_the_same_arrays(
     assert not caplog.records
 
 
-def test_sensor_topics_are_replayed_and_recovered_alike(tmp_path: Path) -> None:
+def test_replay_and_recovery_do_not_depend_on_mcap_features(tmp_path: Path) -> None:
     """One combination for each feature that is there alone, and one for each that is missing."""
     records, values = sensor_records()
     file = tmp_path / "log.mcap"
@@ -187,7 +187,7 @@ def played(recording: Recording) -> Sequence[Any]:
     return list(recording.messages(set(recording.topics), recording.start, recording.end + 1))
 
 
-def test_groups_of_a_summary_may_stand_in_any_order(tmp_path: Path) -> None:
+def test_summary_groups_in_any_order_are_read(tmp_path: Path) -> None:
     records, values = sensor_records()
     file = tmp_path / "log.mcap"
     for features in ({SCHEMAS, CHANNELS, STATISTICS}, {SCHEMAS, CHANNELS}, set(ALL)):

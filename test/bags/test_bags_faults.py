@@ -1,4 +1,4 @@
-"""What is said about a bag that cannot be used."""
+"""Error messages for unusable bags."""
 
 import struct
 from collections.abc import Callable
@@ -68,7 +68,9 @@ NAN, INFINITE = float("nan"), float("inf")
         ),
     ],
 )
-def test_bad_values_are_named(tmp_path: Path, messages: Messages, line: str) -> None:
+def test_unusable_messages_raise_an_error_naming_the_value(
+    tmp_path: Path, messages: Messages, line: str
+) -> None:
     with pytest.raises(DataError) as caught:
         read_streams([write_rosbags(tmp_path / "log", messages)])
     assert str(caught.value).startswith(f"{tmp_path / 'log'}: {line}")
@@ -76,7 +78,7 @@ def test_bad_values_are_named(tmp_path: Path, messages: Messages, line: str) -> 
     assert "; " in str(caught.value)
 
 
-def test_a_few_bad_values_are_left_out_and_counted(
+def test_a_few_invalid_messages_are_dropped_and_counted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     bag = write_rosbags(
@@ -97,9 +99,7 @@ def test_a_few_bad_values_are_left_out_and_counted(
     assert "3 of 10 messages have no finite angular_velocity.y, left out" in caplog.text
 
 
-def test_nan_of_a_joint_is_left_to_whoever_knows_the_model(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_nan_of_a_joint_is_kept(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     """ros2_control's joint_state_broadcaster fills the interfaces that a joint lacks with NaN."""
     payloads = [
         joint_state(n, ["hip", "wheel"], [0.1 * n, NAN], [NAN, 1.0], [INFINITE, NAN])
@@ -113,7 +113,7 @@ def test_nan_of_a_joint_is_left_to_whoever_knows_the_model(
     assert caplog.messages == []
 
 
-def test_missing_topics_are_named_with_what_there_is(tmp_path: Path) -> None:
+def test_errors_for_missing_topics_list_the_existing_ones(tmp_path: Path) -> None:
     bag = write_rosbags(
         tmp_path / "log",
         [("/imu/data", IMU, imu(1))],
@@ -156,7 +156,7 @@ def with_flipped_byte(image: bytearray) -> bytes:
     ],
     ids=["cut", "empty", "sqlite", "shifted", "magic-only", "flipped", "hollow"],
 )
-def test_damaged_files_are_refused(
+def test_damaged_files_are_rejected(
     log: Path, change: Callable[[bytearray], bytes], line: str
 ) -> None:
     with pytest.raises(BagError) as caught:
@@ -166,8 +166,8 @@ def test_damaged_files_are_refused(
     assert "\n" not in str(caught.value)
 
 
-def test_index_that_points_elsewhere_is_not_believed(robot, log: Path, tmp_path: Path) -> None:
-    """Offsets are shifted in every message index: the records are walked through instead."""
+def test_wrong_message_index_is_ignored(robot, log: Path, tmp_path: Path) -> None:
+    """Offsets are shifted in each message index, so the records are scanned instead."""
 
     def shift(image: bytearray) -> bytes:
         position = 8
@@ -184,7 +184,7 @@ def test_index_that_points_elsewhere_is_not_believed(robot, log: Path, tmp_path:
     assert np.array_equal(effort, robot.all("joint_effort"))
 
 
-def test_missing_places_are_named(log: Path, tmp_path: Path) -> None:
+def test_missing_paths_are_named(log: Path, tmp_path: Path) -> None:
     with pytest.raises(BagError, match="nowhere: no such bag"):
         read_streams([tmp_path / "nowhere"])
     (tmp_path / "empty").mkdir()
@@ -204,7 +204,7 @@ def test_broken_metadata_file_is_named(log: Path, text: str) -> None:
         read_streams([log])
 
 
-def test_metadata_may_not_lead_out_of_the_bag(log: Path, tmp_path: Path) -> None:
+def test_metadata_cannot_name_files_outside_the_bag(log: Path, tmp_path: Path) -> None:
     (tmp_path / "other.mcap").write_bytes((log / "log_0.mcap").read_bytes())
     content = yaml.safe_load((log / "metadata.yaml").read_text())
     listed = ["../other.mcap", str(tmp_path / "other.mcap")]
@@ -214,7 +214,9 @@ def test_metadata_may_not_lead_out_of_the_bag(log: Path, tmp_path: Path) -> None
         read_streams([log])
 
 
-def test_damaged_sqlite_files_are_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_damaged_sqlite_files_are_rejected(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     with RosbagsWriter(tmp_path / "log", version=9) as writer:
         connection = writer.add_connection("/joint_states", JOINT_STATE, typestore=STORE)
         for n in range(1000):

@@ -1,4 +1,4 @@
-"""Bags as real robots and other tools leave them: read right, or refused in one line."""
+"""Bags of real robots and other tools are read correctly, or rejected with a one-line error."""
 
 import os
 import shutil
@@ -61,13 +61,13 @@ def refusal(bag: Path) -> str:
 
 
 def run_as_told(command: str) -> None:
-    """Run a command that a refusal names."""
+    """Run a command that an error message suggests."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     subprocess.run(["sh", "-c", command], check=True, env={**os.environ, "PATH": path})
 
 
 def plain_file(file: Path, count: int = COUNT, **changes: Any) -> Path:
-    """An MCAP file by the mcap package, of joint states alone."""
+    """Write an MCAP file of joint states with the mcap package."""
     text = STORE.generate_msgdef(JOINT_STATE, ros_version=2)[0].encode()
     schema = {"name": JOINT_STATE, "encoding": "ros2msg", "data": text, **changes}
     encoding = schema.pop("message_encoding", "cdr")
@@ -84,7 +84,7 @@ def plain_file(file: Path, count: int = COUNT, **changes: Any) -> Path:
 
 
 def sqlite_tables(database: sqlite3.Connection, version: int) -> None:
-    """The tables of rosbag2's schema versions, as Dashing (1) to Jazzy (4) make them."""
+    """Create the tables of rosbag2's schema versions, from Dashing (1) to Jazzy (4)."""
     qos = ", offered_qos_profiles TEXT NOT NULL" if version >= 2 else ""
     type_hash = ", type_description_hash TEXT NOT NULL" if version >= 4 else ""
     database.execute(
@@ -136,8 +136,8 @@ def test_sqlite_of_every_version(tmp_path: Path, version: int) -> None:
     )
 
 
-def test_sqlite_definitions_are_looked_at(tmp_path: Path) -> None:
-    """A recorder that does not find a type's definition says so; one that differs is no match."""
+def test_sqlite_definitions_are_checked(tmp_path: Path) -> None:
+    """A recorder may lack a definition; a different one is rejected."""
     unknown = sqlite_file(tmp_path / "unknown.db3", 4, ("unknown", ""))
     assert positions(unknown) == VALUES
     other = sqlite_file(tmp_path / "other.db3", 4, ("ros2msg", "float64 x"))
@@ -145,7 +145,7 @@ def test_sqlite_definitions_are_looked_at(tmp_path: Path) -> None:
 
 
 def test_sqlite_is_replayed_in_order_of_time(tmp_path: Path) -> None:
-    """Rows overtake each other by up to ten, across the ranges of rows that are read together."""
+    """Rows overtake each other by up to ten rows, also between ranges that are read together."""
     file = sqlite_file(tmp_path / "log.db3")
     order = [n ^ 7 for n in range(1000)]
     large = bytes(10_000)
@@ -167,14 +167,14 @@ def test_sqlite_is_replayed_in_order_of_time(tmp_path: Path) -> None:
     )
 
 
-def test_sqlite_and_mcap_are_replayed_as_one(tmp_path: Path) -> None:
+def test_sqlite_and_mcap_files_are_replayed_together(tmp_path: Path) -> None:
     sqlite, mcap = sqlite_file(tmp_path / "log.db3"), plain_file(tmp_path / "log.mcap")
     recording = Recording.of([sqlite, mcap])
     played = recording.messages({"/joint_states"}, 0, COUNT + 1)
     assert [message.payload for message in played] == [state(n) for n in VALUES for _ in range(2)]
 
 
-def test_what_an_interrupted_sqlite_recording_left_in_its_log_is_read(
+def test_journal_of_an_interrupted_sqlite_recording_is_read(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     source = sqlite_file(tmp_path / "log.db3")
@@ -207,7 +207,7 @@ def test_what_an_interrupted_sqlite_recording_left_in_its_log_is_read(
         "DROP TABLE messages; CREATE VIEW messages AS SELECT 1 AS topic_id, 1 AS data",
     ],
 )
-def test_sqlite_files_that_make_no_sense_are_refused(tmp_path: Path, statement: str) -> None:
+def test_invalid_sqlite_tables_are_rejected(tmp_path: Path, statement: str) -> None:
     file = sqlite_file(tmp_path / "log.db3")
     with sqlite3.connect(file) as database:
         database.executescript(statement)
@@ -216,7 +216,7 @@ def test_sqlite_files_that_make_no_sense_are_refused(tmp_path: Path, statement: 
 
 
 @pytest.mark.parametrize("name", ["Läufe 1", "50%20", "a#b", "what?"])
-def test_names_are_taken_as_they_are(tmp_path: Path, name: str) -> None:
+def test_unusual_file_names_work(tmp_path: Path, name: str) -> None:
     folder = tmp_path / name
     sqlite_file(folder / f"{name}.db3")
     assert positions(folder) == VALUES
@@ -235,14 +235,14 @@ def test_names_are_taken_as_they_are(tmp_path: Path, name: str) -> None:
 
 
 def listing(bag: Path, *names: str) -> None:
-    """Let metadata.yaml list other files."""
+    """Change the files listed in metadata.yaml."""
     file = bag / "metadata.yaml"
     content = yaml.safe_load(file.read_text())
     content["rosbag2_bagfile_information"]["relative_file_paths"] = list(names)
     file.write_text(yaml.safe_dump(content))
 
 
-def test_metadata_that_a_move_has_outdated(tmp_path: Path) -> None:
+def test_metadata_outdated_by_renaming(tmp_path: Path) -> None:
     bag = joints_only(tmp_path / "log", *map(state, VALUES))
     (file,) = bag.glob("*.mcap")
     for listed in (f"old_folder/{file.name}", f"/home/robot/bags/{file.name}", "renamed_0.mcap"):
@@ -254,7 +254,7 @@ def test_metadata_that_a_move_has_outdated(tmp_path: Path) -> None:
     assert positions(bag) == VALUES
 
 
-def test_an_empty_last_file_of_a_crash_does_not_hide_the_others(tmp_path: Path) -> None:
+def test_empty_last_file_of_a_crash_does_not_hide_the_others(tmp_path: Path) -> None:
     bag = tmp_path / "log"
     bag.mkdir()
     plain_file(bag / "log_0.mcap")
@@ -272,7 +272,7 @@ def test_an_empty_last_file_of_a_crash_does_not_hide_the_others(tmp_path: Path) 
     assert positions(recovery.out) == VALUES
 
 
-def test_a_folder_of_bags_is_named_as_such(tmp_path: Path) -> None:
+def test_folder_of_bags_is_rejected_with_their_names(tmp_path: Path) -> None:
     for name in ("monday", "tuesday"):
         joints_only(tmp_path / name, state(1))
     assert "a folder of bags, monday, tuesday; give these" in refusal(tmp_path)
@@ -301,7 +301,7 @@ def test_messages_that_were_compressed_one_by_one(tmp_path: Path, storage: Stora
     assert saved == [state(n) for n in VALUES]
 
 
-def test_messages_that_expand_beyond_belief_are_refused(tmp_path: Path) -> None:
+def test_messages_that_decompress_beyond_the_limit_are_rejected(tmp_path: Path) -> None:
     for name, frames in {
         "one": [zstandard.compress(bytes(64 * MIB))],
         "unknown-size": [zstandard.ZstdCompressor(write_content_size=False).compress(bytes(MIB))],
@@ -329,7 +329,7 @@ def test_files_compressed_as_a_whole(tmp_path: Path) -> None:
     assert positions(tmp_path / "log") == VALUES
 
 
-def test_what_a_file_is_instead_is_said(tmp_path: Path) -> None:
+def test_error_names_the_actual_file_format(tmp_path: Path) -> None:
     image = plain_file(tmp_path / "log.mcap").read_bytes()
     for name, content, line in (
         ("log.mcap.zst", zstandard.compress(image), "decompress it with `zstd -d "),
@@ -347,7 +347,7 @@ def test_what_a_file_is_instead_is_said(tmp_path: Path) -> None:
             recover(file)
 
 
-def test_a_bag_of_ros_1_is_read_once_it_is_converted_as_told(tmp_path: Path) -> None:
+def test_ros_1_bag_is_read_after_the_suggested_conversion(tmp_path: Path) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     file = tmp_path / "a run.bag"
     with Rosbag1Writer(file) as writer:
@@ -375,7 +375,9 @@ def test_a_bag_of_ros_1_is_read_once_it_is_converted_as_told(tmp_path: Path) -> 
         ({"profile": "ros1"}, "a ROS 1 recording; convert the .bag that it was made from"),
     ],
 )
-def test_other_encodings_are_named(tmp_path: Path, changes: dict[str, str], line: str) -> None:
+def test_errors_name_unsupported_encodings(
+    tmp_path: Path, changes: dict[str, str], line: str
+) -> None:
     file = plain_file(tmp_path / "log.mcap", **changes)
     assert line in refusal(file)
     assert bag_info(file).count == COUNT
@@ -394,20 +396,18 @@ def test_other_encodings_are_named(tmp_path: Path, changes: dict[str, str], line
     ],
     ids=["short-name", "no-definition", "idl", "windows", "no-profile"],
 )
-def test_other_descriptions_of_the_same_type_are_known(
-    tmp_path: Path, changes: dict[str, Any]
-) -> None:
+def test_equivalent_type_definitions_are_accepted(tmp_path: Path, changes: dict[str, Any]) -> None:
     assert positions(plain_file(tmp_path / "log.mcap", **changes)) == VALUES
 
 
 @pytest.mark.parametrize("header", [b"\0\2", b"\0\3", b"\0\7", b"\0\x09", b"\0\x0b"])
-def test_other_encapsulations_are_refused_by_name(tmp_path: Path, header: bytes) -> None:
+def test_errors_name_unsupported_encapsulations(tmp_path: Path, header: bytes) -> None:
     bag = joints_only(tmp_path / "log", header + state(1)[2:])
     assert f"its encapsulation 0x{header.hex()} is not plain CDR" in refusal(bag)
 
 
-def test_clouds_among_small_chunks_are_unpacked_right(tmp_path: Path) -> None:
-    """Large chunks are unpacked by another thread than small ones, at the same time."""
+def test_large_and_small_chunks_are_decompressed_correctly(tmp_path: Path) -> None:
+    """Large and small chunks are decompressed at the same time by different threads."""
     file = tmp_path / "log.mcap"
     cloud = np.random.default_rng(0).bytes(12 * MIB)
     text = STORE.generate_msgdef(JOINT_STATE, ros_version=2)[0].encode()
@@ -429,10 +429,8 @@ def test_clouds_among_small_chunks_are_unpacked_right(tmp_path: Path) -> None:
     assert topic_counts(file) == {"/joint_states": count, "/points": count // 5000}
 
 
-def test_an_arm_and_its_gripper_on_one_topic(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Two drivers, each of its own joints; the gripper's speaks first, and at the same stamps."""
+def test_arm_and_gripper_on_one_topic(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Two drivers publish different joints with equal stamps, the gripper's first."""
     payloads = [joint_state(1, ["finger"], [0.5], [0.0], [0.0])]
     for n in VALUES:
         payloads.append(joint_state(n, ["hip", "knee"], [n, -n], [0.0] * 2, [0.0] * 2))
@@ -447,8 +445,8 @@ def test_an_arm_and_its_gripper_on_one_topic(
     assert np.isfinite(streams.joints.position).all()
 
 
-def test_vendors_types_do_not_disturb(tmp_path: Path) -> None:
-    """Three hundred topics with definitions that nobody can parse, and a service's events."""
+def test_vendor_types_do_not_affect_reading(tmp_path: Path) -> None:
+    """Three hundred topics with unparsable definitions, and the events of a service."""
     file = tmp_path / "log.mcap"
     text = STORE.generate_msgdef(JOINT_STATE, ros_version=2)[0].encode()
     with file.open("wb") as stream:
@@ -475,8 +473,8 @@ def test_vendors_types_do_not_disturb(tmp_path: Path) -> None:
     assert topic_counts(recovery.out) == topic_counts(file)
 
 
-def test_sensors_on_different_clocks_are_told(tmp_path: Path) -> None:
-    """Joint states in simulated time, the rest by the wall clock: both count, they never meet."""
+def test_sensors_on_different_clocks_are_reported(tmp_path: Path) -> None:
+    """Joint states have simulated time, the other sensors wall time."""
     wall = 1_700_000_000_000_000_000
     messages = []
     for n in VALUES:

@@ -1,4 +1,4 @@
-"""What is left when a disk is full: a whole bag of all that had been written."""
+"""A full disk leaves a complete bag of all messages written before."""
 
 import os
 import resource
@@ -29,7 +29,7 @@ def disk(tmp_path: Path) -> Iterator[Path]:
 
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """Let this process write no larger file: the kernel then cuts a write short, too."""
+    """Limit the size of this process's files; the kernel then also shortens a write."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:
@@ -39,7 +39,7 @@ def largest_file(size: int) -> Iterator[None]:
 
 
 def write_until_full(bag: BagWriter) -> list[tuple[str, int, bytes]]:
-    """Write until it fails; return what was accepted."""
+    """Write until it fails; return the accepted messages."""
     accepted: list[tuple[str, int, bytes]] = []
     with pytest.raises(BagError, match=r"cannot write: (No space left|File too large)"):
         write_into(bag, accepted)
@@ -58,7 +58,7 @@ def write_into(bag: BagWriter, accepted: list[tuple[str, int, bytes]]) -> None:
 
 
 @pytest.mark.parametrize("limits", [{}, {"split_size": 300_000}, {"split_size": 20_000}], ids=str)
-def test_full_disk_leaves_a_whole_bag(disk: Path, limits: dict[str, int]) -> None:
+def test_full_disk_leaves_a_complete_bag(disk: Path, limits: dict[str, int]) -> None:
     bag = BagWriter(disk / "log", **limits)
     accepted = write_until_full(bag)
     bag.salvage()
@@ -71,7 +71,7 @@ def test_full_disk_leaves_a_whole_bag(disk: Path, limits: dict[str, int]) -> Non
 
 
 @pytest.mark.parametrize("size", range(100_000, 300_000, 20_011))
-def test_file_at_its_largest_makes_room_for_its_index(tmp_path: Path, size: int) -> None:
+def test_file_at_the_size_limit_drops_chunks_for_its_index(tmp_path: Path, size: int) -> None:
     with largest_file(size):
         bag = BagWriter(tmp_path / "log", chunk_size=4096)
         accepted = write_until_full(bag)
@@ -82,7 +82,7 @@ def test_file_at_its_largest_makes_room_for_its_index(tmp_path: Path, size: int)
     assert list(bag.counts.values()) == [-(-len(found) // 2), len(found) // 2]
 
 
-def test_nothing_is_accepted_after_a_failed_write(tmp_path: Path) -> None:
+def test_messages_after_a_failed_write_are_rejected(tmp_path: Path) -> None:
     with largest_file(100_000):
         bag = BagWriter(tmp_path / "log")
         write_until_full(bag)
@@ -97,7 +97,7 @@ def test_nothing_is_accepted_after_a_failed_write(tmp_path: Path) -> None:
     assert not (tmp_path / "log" / "metadata.yaml").exists()
 
 
-def test_disk_without_room_for_a_bag_is_left_as_it_was(disk: Path) -> None:
+def test_failed_creation_leaves_a_full_disk_unchanged(disk: Path) -> None:
     room = os.statvfs(disk)
     (disk / "other").write_bytes(bytes(room.f_bavail * room.f_frsize - 20_000))
     with pytest.raises(BagError, match="cannot create the bag: No space left on device"):
@@ -105,7 +105,7 @@ def test_disk_without_room_for_a_bag_is_left_as_it_was(disk: Path) -> None:
     assert [file.name for file in disk.iterdir()] == ["other"]
 
 
-def test_room_for_the_index_is_held_and_given_back(disk: Path) -> None:
+def test_space_for_the_index_is_reserved_and_released(disk: Path) -> None:
     before = os.statvfs(disk).f_bfree
     bag = BagWriter(disk / "log")
     channel = bag.add_topic("/imu", IMU)
@@ -119,13 +119,13 @@ def test_room_for_the_index_is_held_and_given_back(disk: Path) -> None:
 
 
 class Dribble(BytesIO):
-    """A stream that takes 100 bytes at a time, as the kernel may."""
+    """A stream that accepts 100 bytes at a time, as the kernel may."""
 
     def write(self, data: bytes) -> int:
         return super().write(data[:100])
 
 
-def test_writes_cut_short_are_continued() -> None:
+def test_partial_writes_are_continued() -> None:
     stream = Dribble()
     writer = McapWriter(stream, 1000)
     channel = writer.add_channel("/imu", writer.add_schema(IMU, b"text"), {})

@@ -1,4 +1,4 @@
-"""Spoiled bags, a few hundred of the thousands that ``make fuzz`` tries."""
+"""A few hundred of the thousands of damaged bags that ``make fuzz`` tries."""
 
 import subprocess
 import sys
@@ -8,20 +8,20 @@ import numpy as np
 import pytest
 
 
-def test_no_spoiled_bag_is_taken_for_whole() -> None:
-    """In a process of its own: its peak of memory is measured."""
+def test_no_damaged_bag_passes_as_intact() -> None:
+    """Runs in a separate process, because its peak memory is measured."""
     command = [sys.executable, bag_fuzz.__file__, "--cases", "240", "--processes", "1"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
 @pytest.mark.parametrize("kind", bag_fuzz.KINDS, ids=lambda kind: kind.name)
-def test_what_is_spoiled_was_good(kind: bag_fuzz.Kind) -> None:
+def test_bags_are_intact_before_they_are_damaged(kind: bag_fuzz.Kind) -> None:
     _, arrays = bag_fuzz.original(kind)
     assert bag_fuzz.count(arrays) == 4 * bag_fuzz.STEPS
 
 
-def test_a_wrong_number_would_be_noticed() -> None:
+def test_wrong_number_is_detected() -> None:
     _, truth = bag_fuzz.original(bag_fuzz.KINDS[0])
     stamp, values = truth["/imu/data"]
     wrong = values.copy()

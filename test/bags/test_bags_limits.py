@@ -1,4 +1,4 @@
-"""What a bag claims of itself is not believed beyond limits, whoever wrote it."""
+"""Sizes stated by a bag are checked against limits, whichever program wrote it."""
 
 import os
 import struct
@@ -65,7 +65,7 @@ def chunk(data: bytes, size: int, compression: str = "zstd", crc: int = 0) -> by
 
 
 def mcap(file: Path, *data: bytes, profile: str = "ros2") -> Path:
-    """A file of any records, without a summary."""
+    """Write a file of given records without a summary."""
     begin = MAGIC + encoded(Header(profile=profile, library="by hand"))
     end = encoded(DataEnd(data_section_crc=0)) + encoded(Footer(0, 0, 0)) + MAGIC
     file.write_bytes(begin + b"".join(data) + end)
@@ -129,7 +129,7 @@ print(peak() - before)
 """
 
 
-def test_compression_bombs_take_no_memory(tmp_path: Path) -> None:
+def test_compression_bombs_use_little_memory(tmp_path: Path) -> None:
     good = mcap(tmp_path / "good.mcap", announced(), message())
     bombs = []
     for name, bomb in BOMBS.items():
@@ -159,7 +159,7 @@ def test_compression_bombs_take_no_memory(tmp_path: Path) -> None:
     ],
     ids=["zstd-frames", "lz4-frames", "lz4-size", "zstd-no-size", "plain"],
 )
-def test_every_honest_form_is_read(
+def test_valid_compression_formats_are_read(
     tmp_path: Path, data: Callable[[bytes], bytes], compression: str
 ) -> None:
     raw = announced() + message()
@@ -180,7 +180,7 @@ def test_every_honest_form_is_read(
     ],
     ids=["zstd-tail", "lz4-tail", "zstd-cut", "lz4-cut", "plain-tail", "unknown", "nonsense"],
 )
-def test_every_other_form_is_refused(
+def test_invalid_compression_is_rejected(
     tmp_path: Path, data: Callable[[bytes], bytes], compression: str, line: str
 ) -> None:
     raw = announced() + message()
@@ -237,13 +237,11 @@ NESTED = chunk(message(), len(message()), "")
         "cut-channel",
     ],
 )
-def test_records_that_make_no_sense_are_refused(
-    tmp_path: Path, records: list[bytes], line: str
-) -> None:
+def test_invalid_records_are_rejected(tmp_path: Path, records: list[bytes], line: str) -> None:
     assert line in refusal(mcap(tmp_path / "log.mcap", *records))
 
 
-def test_more_channels_than_any_robot_has_are_refused(tmp_path: Path) -> None:
+def test_too_many_channels_are_rejected(tmp_path: Path) -> None:
     channels = [
         encoded(Channel(id=n, topic=f"/{n}", message_encoding="cdr", metadata={}, schema_id=0))
         for n in range(2, 5000)
@@ -260,7 +258,7 @@ def test_more_channels_than_any_robot_has_are_refused(tmp_path: Path) -> None:
     ],
     ids=["json", "definition", "no-text"],
 )
-def test_messages_that_are_not_what_their_type_says_are_not_read(
+def test_messages_of_another_encoding_or_definition_are_rejected(
     tmp_path: Path, change: dict[str, Any], line: str
 ) -> None:
     file = mcap(tmp_path / "log.mcap", announced(**change), message())
@@ -273,7 +271,7 @@ LENGTHS = {"frame": 12, "names": 20, "name": 24, "position": 32, "velocity": 44,
 
 @pytest.mark.parametrize("place", LENGTHS.values(), ids=LENGTHS)
 @pytest.mark.parametrize("length", [2**32 - 1, 2**31, 2**28, 100])
-def test_lengths_beyond_a_message_are_refused(tmp_path: Path, place: int, length: int) -> None:
+def test_lengths_beyond_a_message_are_rejected(tmp_path: Path, place: int, length: int) -> None:
     payload = bytearray(STATE)
     struct.pack_into("<I", payload, place, length)
     assert "message 2 is not a valid" in refusal(
@@ -289,7 +287,7 @@ def test_lengths_beyond_a_message_are_refused(tmp_path: Path, place: int, length
     ],
     ids=["long", "many-names"],
 )
-def test_no_sensor_message_is_so_large(tmp_path: Path, payload: bytes) -> None:
+def test_too_large_sensor_messages_are_rejected(tmp_path: Path, payload: bytes) -> None:
     line = refusal(joints_only(tmp_path / "log", STATE, payload))
     assert "exceeds the limit" in line
 
@@ -309,7 +307,7 @@ def test_summary_is_checked(log: Path) -> None:
         Recording.of([file])
 
 
-def test_data_are_checked_where_the_writer_gave_a_checksum(tmp_path: Path) -> None:
+def test_data_section_is_compared_with_its_checksum(tmp_path: Path) -> None:
     file = tmp_path / "log.mcap"
     with file.open("wb") as stream:
         writer = McapWriter(stream, enable_data_crcs=True)
@@ -334,8 +332,8 @@ def test_chunks_without_checksum_are_counted(log: Path, tmp_path: Path) -> None:
     assert (block.chunks, block.unchecked_chunks) == (3, 3)
 
 
-def test_a_missing_chunk_is_missed(log: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """Its place is filled with a record that readers pass over: all else is as it was."""
+def test_missing_chunk_is_reported(log: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """A private record, which readers skip, replaces the chunk."""
     file = log / "log_0.mcap"
     image = bytearray(file.read_bytes())
     position = 8
@@ -352,7 +350,7 @@ def test_a_missing_chunk_is_missed(log: Path, caplog: pytest.LogCaptureFixture) 
     assert "1 private records skipped" in caplog.text
 
 
-def test_metadata_that_expand_are_refused(log: Path) -> None:
+def test_expanding_metadata_is_rejected(log: Path) -> None:
     bomb = "a: &a [x, x]\n" + "".join(
         f"{name}: &{name} [*{before}, *{before}]\n"
         for before, name in zip("abcdefghijklmnop", "bcdefghijklmnopq", strict=True)
@@ -362,7 +360,7 @@ def test_metadata_that_expand_are_refused(log: Path) -> None:
     assert "not a rosbag2 metadata file" in refusal(log)
 
 
-def test_no_limit_is_met_by_a_bag_of_another_hand(tmp_path: Path) -> None:
+def test_bags_of_other_writers_stay_below_the_limits(tmp_path: Path) -> None:
     bag = write_rosbags(
         tmp_path / "log", [("/joint_states", JOINT_STATE, STATE), ("/imu/data", IMU, imu(1))]
     )
@@ -370,7 +368,7 @@ def test_no_limit_is_met_by_a_bag_of_another_hand(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.mcap", "a.db3", "metadata.yaml"])
-def test_a_pipe_or_device_in_a_bags_folder_is_not_waited_for(name: str, tmp_path: Path) -> None:
+def test_pipe_or_device_in_a_bag_folder_does_not_block(name: str, tmp_path: Path) -> None:
     bag = joints_only(tmp_path / "bag", STATE)
     if name == "metadata.yaml":
         (bag / name).unlink()

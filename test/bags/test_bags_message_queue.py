@@ -1,4 +1,4 @@
-"""A full queue: which messages it drops."""
+"""Which messages a full queue drops."""
 
 from collections import Counter
 
@@ -18,7 +18,7 @@ def numbers(messages: list[QueuedMessage], topic: int) -> list[int]:
     return [each.log_time for each in messages if each.topic == topic]
 
 
-def test_sensor_loses_nothing_to_a_camera() -> None:
+def test_camera_displaces_no_sensor_messages() -> None:
     """33 samples of 300 B for each image of 5 MB, and a writer that takes a third of the bytes."""
     queue = MessageQueue(capacity=50_000_000)
     taken: list[QueuedMessage] = []
@@ -48,7 +48,7 @@ def test_sensor_loses_nothing_to_a_camera() -> None:
         max_size=80,
     )
 )
-def test_queue_equals_a_list_from_which_the_largest_topic_is_cut(
+def test_queue_equals_a_list_that_drops_from_the_largest_topic(
     operations: list[tuple[int, int] | int],
 ) -> None:
     queue = MessageQueue(capacity=100)

@@ -1,4 +1,4 @@
-"""What a disk holds of a bag when the power is cut: only what was forced onto it."""
+"""After a power cut, the disk holds what was synced to it."""
 
 import shutil
 import subprocess
@@ -30,7 +30,7 @@ def mounted(image: Path, folder: Path) -> Iterator[Path]:
 
 @dataclass
 class Disk:
-    """A file system in a file, which at any time holds what its kernel has sent to the device."""
+    """A file system in a file, which holds what the kernel has sent to the device."""
 
     image: Path
     folder: Path
@@ -63,8 +63,8 @@ def write(bag: BagWriter) -> None:
         bag.write(imu, number, payload)
 
 
-def test_what_was_synced_is_on_the_disk(disk: Disk) -> None:
-    """In the second of two files, and in the first, which was ended by a split."""
+def test_synced_data_are_on_the_disk(disk: Disk) -> None:
+    """Both in the current file and in the previous one, which a split has finished."""
     bag = BagWriter(disk.folder / "runs" / "log", split_size=60_000)
     write(bag)
     bag.flush()

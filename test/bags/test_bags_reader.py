@@ -1,4 +1,4 @@
-"""What comes out of a bag."""
+"""Reading bags."""
 
 import logging
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from symbid_ros.simulation.recording import record
 MILLISECOND = 1_000_000
 
 
-def test_arrays_equal_what_was_simulated_bit_for_bit(robot, log: Path) -> None:
+def test_arrays_equal_the_simulation_bit_for_bit(robot, log: Path) -> None:
     streams = read_streams([log])
     stamp = robot.all("stamp")
     assert streams.joints.names == robot.joint_names
@@ -44,7 +44,7 @@ def test_arrays_equal_what_was_simulated_bit_for_bit(robot, log: Path) -> None:
     assert np.array_equal(np.hstack([right.force, right.torque]), robot.all("wrenches")[:, 1])
 
 
-def test_truth_equals_what_was_simulated(robot, log: Path) -> None:
+def test_truth_equals_the_simulation(robot, log: Path) -> None:
     truth = read_truth([log])
     assert truth.joint_names == robot.joint_names
     assert np.array_equal(truth.stamp, robot.all("stamp"))
@@ -56,7 +56,7 @@ def test_truth_equals_what_was_simulated(robot, log: Path) -> None:
         assert np.array_equal(getattr(truth, name), robot.all(name))
 
 
-def test_topic_counts_are_what_was_written(robot, log: Path) -> None:
+def test_topic_counts_equal_the_written_messages(robot, log: Path) -> None:
     counts = topic_counts(log)
     assert set(counts.values()) == {robot.steps}
     assert len(counts) == 7
@@ -154,7 +154,7 @@ def test_bags_in_sequence_are_one_recording(make_robot, tmp_path: Path) -> None:
     )
 
 
-def test_two_runs_are_not_one_recording(make_robot, tmp_path: Path) -> None:
+def test_two_runs_are_rejected_as_one_recording(make_robot, tmp_path: Path) -> None:
     for name in ("a", "b"):
         record(make_robot(steps=1200), tmp_path / name)
     with pytest.raises(DataError, match=r"header stamps jump back by 1.199 s after 1.200 s"):
@@ -190,7 +190,7 @@ def test_absent_values_are_nan(tmp_path: Path) -> None:
     np.testing.assert_array_equal(joints.effort, [[5, 6], [nan, 6], *[[nan, nan]] * 3])
 
 
-def test_messages_outside_every_layout_are_decoded_singly_and_counted(
+def test_messages_without_a_common_layout_are_decoded_one_by_one(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     bag = joints_only(
@@ -202,7 +202,7 @@ def test_messages_outside_every_layout_are_decoded_singly_and_counted(
     assert "10 of 30 messages were decoded one by one" in caplog.text
 
 
-def test_many_layouts_are_still_read(tmp_path: Path) -> None:
+def test_many_layouts_are_read(tmp_path: Path) -> None:
     sizes = [1 + n % 60 for n in range(180)]
     bag = joints_only(
         tmp_path / "log",
@@ -216,7 +216,7 @@ def test_many_layouts_are_still_read(tmp_path: Path) -> None:
     assert joints.position[:, 0].tolist() == list(range(180))
 
 
-def test_padding_and_trailing_bytes_of_fast_cdr_are_no_obstacle(
+def test_padding_and_trailing_bytes_of_fast_cdr_are_accepted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     plain = joint_state(1, ["hip", "k"], [1.0, 2.0], [], [5.0, 6.0])
@@ -229,7 +229,7 @@ def test_padding_and_trailing_bytes_of_fast_cdr_are_no_obstacle(
     assert "one by one" not in caplog.text
 
 
-def test_disorder_is_sorted_and_repeats_are_dropped(
+def test_messages_are_sorted_and_repeated_stamps_dropped(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     stamps = [3, 1, 2, 2, 4]
@@ -287,7 +287,7 @@ def test_ground_truth_is_never_selected(log: Path) -> None:
     assert not any("ground_truth" in stream.topic for stream in read_streams([log]).wrenches)
 
 
-def test_truth_keeps_the_instants_all_topics_have(
+def test_truth_keeps_the_common_instants_of_its_topics(
     robot, log: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with AnyReader([log]) as reader:

@@ -1,4 +1,4 @@
-"""What is saved of interrupted and damaged bags, and what is said of the rest."""
+"""Recovery of interrupted and damaged bags, and its report."""
 
 import json
 import os
@@ -75,12 +75,12 @@ def by_topic(recovery: RecoveryReport) -> dict[str, tuple[int, int]]:
 
 
 def messages(bag: Path) -> list[tuple[str, int, bytes]]:
-    """All messages of a bag as another library reads them."""
+    """Read all messages of a bag with another library."""
     with AnyReader([bag]) as reader:
         return [(link.topic, time, bytes(raw)) for link, time, raw in reader.messages()]
 
 
-def test_a_whole_bag_is_copied_with_everything(bag: Path) -> None:
+def test_intact_bag_is_copied_completely(bag: Path) -> None:
     recovery = recover(bag)
     assert recovery.out == bag.with_name("log_recovered")
     assert recovery.is_whole
@@ -94,8 +94,8 @@ def test_a_whole_bag_is_copied_with_everything(bag: Path) -> None:
                 assert getattr(after, name) == getattr(before, name)
 
 
-def test_every_whole_chunk_of_an_interrupted_recording_is_saved(file: Path, bag: Path) -> None:
-    """Cut at every kind of place: each whole chunk before the cut is kept, and nothing else."""
+def test_complete_chunks_of_an_interrupted_recording_are_recovered(file: Path, bag: Path) -> None:
+    """Truncated at different positions, the file keeps each complete chunk before the cut."""
     image = file.read_bytes()
     whole = messages(bag)
     places = chunks(image)
@@ -129,8 +129,8 @@ def starts(image: bytes) -> list[int]:
     return [start for _, start, _ in records(image)]
 
 
-def test_what_a_damaged_chunk_held_is_counted(file: Path) -> None:
-    """By its message index alone: summary and metadata are gone."""
+def test_messages_of_a_damaged_chunk_are_counted(file: Path) -> None:
+    """Only the message index counts them: summary and metadata are missing."""
     image = bytearray(file.read_bytes())
     places = chunks(image)
     start, end = places[7]
@@ -153,8 +153,8 @@ def test_what_a_damaged_chunk_held_is_counted(file: Path) -> None:
     assert recovery.out == file.with_name("log_0_recovered")
 
 
-def test_the_summary_tells_what_is_missing(file: Path) -> None:
-    """Three chunks and their indexes are overwritten, so that nothing near them tells."""
+def test_summary_counts_lost_messages(file: Path) -> None:
+    """Three chunks and their indexes are overwritten, so that only the summary counts them."""
     image = bytearray(file.read_bytes())
     places = chunks(image)
     first, last = places[4][0], places[7][0]
@@ -171,7 +171,7 @@ def test_the_summary_tells_what_is_missing(file: Path) -> None:
     assert max(lost) * 1_000_000 <= hole.before
 
 
-def test_metadata_of_a_finished_recording_tell_what_a_cut_copy_lacks(file: Path, bag: Path) -> None:
+def test_metadata_counts_the_lost_messages_of_a_truncated_copy(file: Path, bag: Path) -> None:
     image = file.read_bytes()
     file.write_bytes(image[: len(image) // 2])
     recovery = recover(bag)
@@ -184,8 +184,8 @@ def test_metadata_of_a_finished_recording_tell_what_a_cut_copy_lacks(file: Path,
 
 
 @pytest.mark.parametrize("stated", [3, STEPS, STEPS + 50])
-def test_lost_messages_are_counted_by_what_states_most(file: Path, bag: Path, stated: int) -> None:
-    """A chunk is damaged; metadata.yaml counts less than the file's summary, as much, or more."""
+def test_lost_messages_follow_the_largest_stated_count(file: Path, bag: Path, stated: int) -> None:
+    """A chunk is damaged; metadata.yaml counts fewer, equal or more messages than the summary."""
     image = bytearray(file.read_bytes())
     start, end = chunks(image)[7]
     image[(start + end) // 2] ^= 4
@@ -201,7 +201,7 @@ def test_lost_messages_are_counted_by_what_states_most(file: Path, bag: Path, st
     assert by_topic(recovery)["/joint_states"] == (kept, max(stated, STEPS) - kept)
 
 
-def test_bytes_that_went_missing_or_came_in_cost_their_chunk_alone(file: Path) -> None:
+def test_removed_or_inserted_bytes_cost_only_their_chunk(file: Path) -> None:
     image = file.read_bytes()
     places = chunks(image)
     place = places[5][0] + 200
@@ -216,7 +216,7 @@ def test_bytes_that_went_missing_or_came_in_cost_their_chunk_alone(file: Path) -
         shutil.rmtree(recovery.out)
 
 
-def test_a_chunk_that_is_there_twice_is_taken_once(file: Path) -> None:
+def test_repeated_chunk_is_copied_once(file: Path) -> None:
     image = file.read_bytes()
     start, end = chunks(image)[3]
     file.write_bytes(image[:end] + image[start:end] + image[end:])
@@ -225,8 +225,8 @@ def test_a_chunk_that_is_there_twice_is_taken_once(file: Path) -> None:
     assert recovery.kept == 2 * STEPS
 
 
-def test_all_files_of_a_bag_become_one(tmp_path: Path) -> None:
-    """One is whole, one is cut, one has no end: their channels have other numbers, too."""
+def test_all_files_of_a_bag_are_recovered(tmp_path: Path) -> None:
+    """One is intact, one truncated, one without footer; their channels have different numbers."""
     parts = [write(tmp_path / name, first=n * STEPS) for n, name in enumerate("abc")]
     bag = tmp_path / "log"
     bag.mkdir()
@@ -288,8 +288,8 @@ def test_foreign_types_keep_their_definition(tmp_path: Path) -> None:
     assert "toy_msgs/msg/Toy" in names["rosbag2"]["serialized_metadata"]
 
 
-def test_a_damaged_attachment_is_lost_and_the_others_are_kept(tmp_path: Path) -> None:
-    """One larger than what is read at a time, one whose bytes do not match its checksum."""
+def test_damaged_attachment_is_lost_and_others_are_kept(tmp_path: Path) -> None:
+    """One is larger than the parts it is read in, one does not match its checksum."""
     file = tmp_path / "log.mcap"
     large = np.random.default_rng(0).bytes(3_000_000)
     with file.open("wb") as stream:
@@ -317,7 +317,7 @@ def test_a_damaged_attachment_is_lost_and_the_others_are_kept(tmp_path: Path) ->
         assert video.data == large
 
 
-def test_records_of_applications_own_kinds_are_taken_over(bag: Path, file: Path) -> None:
+def test_private_records_are_copied(bag: Path, file: Path) -> None:
     image = file.read_bytes()
     place = chunks(image)[3][0]
     own = struct.pack("<BQ", 0x91, 2_000_000) + np.random.default_rng(0).bytes(2_000_000)
@@ -329,7 +329,7 @@ def test_records_of_applications_own_kinds_are_taken_over(bag: Path, file: Path)
     assert len(read_streams([recovery.out]).joints.stamp) == STEPS
 
 
-def test_topics_without_messages_are_topics_all_the_same(tmp_path: Path) -> None:
+def test_topics_without_messages_are_kept(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "log") as writer:
         joints = writer.add_topic("/joint_states", JOINT_STATE)
         writer.add_topic("/silent", "std_msgs/msg/String")
@@ -343,7 +343,7 @@ def test_topics_without_messages_are_topics_all_the_same(tmp_path: Path) -> None
         }
 
 
-def test_messages_outside_of_chunks_are_found_again(tmp_path: Path) -> None:
+def test_messages_outside_of_chunks_are_recovered(tmp_path: Path) -> None:
     file = tmp_path / "flat.mcap"
     with file.open("wb") as stream:
         writer = McapWriter(stream, use_chunking=False)
@@ -365,7 +365,7 @@ def test_messages_outside_of_chunks_are_found_again(tmp_path: Path) -> None:
     assert by_topic(recovery) == {"/joint_states": (97, 3)}
 
 
-def test_nothing_is_overwritten_and_nothing_is_left_behind(bag: Path, tmp_path: Path) -> None:
+def test_recovery_overwrites_nothing_and_leaves_nothing_behind(bag: Path, tmp_path: Path) -> None:
     (tmp_path / "there").mkdir()
     with pytest.raises(BagError, match="there: exists already"):
         recover(bag, tmp_path / "there")
@@ -395,7 +395,7 @@ def stopped(bag: Path, number: signal.Signals) -> subprocess.Popen[bytes]:
     return process
 
 
-def test_recovery_that_is_stopped_leaves_nothing_in_its_place(file: Path, bag: Path) -> None:
+def test_interrupted_recovery_leaves_no_bag(file: Path, bag: Path) -> None:
     size = file.stat().st_size
     os.truncate(file, 1 << 36)  # zeros without blocks on the disk, which take a minute to search
     for number, status in ((signal.SIGINT, 130), (signal.SIGTERM, 143)):

@@ -1,4 +1,4 @@
-"""What is saved of SQLite bags, whole, interrupted and damaged."""
+"""Recovery of intact, interrupted and damaged SQLite bags."""
 
 import shutil
 import sqlite3
@@ -52,7 +52,7 @@ def message_pages(image: bytes) -> list[int]:
 
 
 @pytest.mark.parametrize("version", [3, 4])
-def test_whole_file_becomes_an_mcap_bag(tmp_path: Path, version: int) -> None:
+def test_intact_file_becomes_an_mcap_bag(tmp_path: Path, version: int) -> None:
     file = write(tmp_path / "log.db3", version)
     before = file.read_bytes()
     recovery = recover(file)
@@ -79,7 +79,7 @@ def test_whole_file_becomes_an_mcap_bag(tmp_path: Path, version: int) -> None:
         assert reader.deserialize(raw, JOINT_STATE).name == ["hip"]
 
 
-def test_interrupted_recording_is_recovered_with_its_log(tmp_path: Path) -> None:
+def test_interrupted_recording_is_recovered_with_its_journal(tmp_path: Path) -> None:
     source = write(tmp_path / "log.db3")
     killed = tmp_path / "killed"
     killed.mkdir()
@@ -96,7 +96,7 @@ def test_interrupted_recording_is_recovered_with_its_log(tmp_path: Path) -> None
     assert read_streams([recovery.out]).joints.stamp[-1] == 9999
 
 
-def test_damaged_pages_cost_their_rows_alone(tmp_path: Path) -> None:
+def test_damaged_pages_cost_only_their_rows(tmp_path: Path) -> None:
     file = write(tmp_path / "log.db3")
     image = bytearray(file.read_bytes())
     pages = message_pages(image)
@@ -123,7 +123,7 @@ def test_damaged_pages_cost_their_rows_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("share", [0.6, 0.9])
-def test_file_cut_off_keeps_its_first_rows(tmp_path: Path, share: float) -> None:
+def test_truncated_file_keeps_its_first_rows(tmp_path: Path, share: float) -> None:
     file = write(tmp_path / "log.db3")
     image = file.read_bytes()
     file.write_bytes(image[: int(share * len(image))])
@@ -134,7 +134,7 @@ def test_file_cut_off_keeps_its_first_rows(tmp_path: Path, share: float) -> None
     assert len(joints) > 0.5 * share * COUNT
 
 
-def test_rows_that_make_no_sense_are_left_out(tmp_path: Path) -> None:
+def test_invalid_rows_are_dropped(tmp_path: Path) -> None:
     file = write(tmp_path / "log.db3")
     with sqlite3.connect(file) as database:
         database.execute("UPDATE messages SET data = 'text' WHERE id = 9")
@@ -151,7 +151,7 @@ def test_rows_that_make_no_sense_are_left_out(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("size", [0, 90, PAGE])
-def test_file_without_readable_tables_is_refused(tmp_path: Path, size: int) -> None:
+def test_file_without_readable_tables_is_rejected(tmp_path: Path, size: int) -> None:
     file = write(tmp_path / "log.db3")
     image = bytearray(file.read_bytes())
     image[:size] = bytes(size)
@@ -162,7 +162,7 @@ def test_file_without_readable_tables_is_refused(tmp_path: Path, size: int) -> N
     assert [path.name for path in tmp_path.iterdir()] == ["log.db3"]
 
 
-def test_random_damage_never_does_more_than_cost_messages(tmp_path: Path) -> None:
+def test_random_damage_costs_only_messages(tmp_path: Path) -> None:
     image = write(tmp_path / "log.db3").read_bytes()
     good = {payload(n) for n in range(1, COUNT + 1)}
     draw = np.random.default_rng(0)

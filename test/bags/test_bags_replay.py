@@ -1,4 +1,4 @@
-"""Messages as they were recorded, in order of log time, whoever wrote the bag."""
+"""Replay yields recorded messages in order of log time, whichever program wrote the bag."""
 
 import tracemalloc
 import zlib
@@ -55,7 +55,7 @@ WRITERS = {
 
 
 def random_messages(count: int, seed: int = 0) -> list[RecordedMessage]:
-    """Messages that overtake each other by up to 40 periods, far beyond a chunk; no two times."""
+    """Messages with distinct times that overtake each other by up to 40 periods, beyond a chunk."""
     draw = np.random.default_rng(seed)
     times = np.argsort(np.argsort(np.arange(count) + draw.uniform(0, 40, count)))
     return [
@@ -94,7 +94,7 @@ def everything(recording: Recording) -> list[RecordedMessage]:
 
 @dataclass(frozen=True)
 class Oddity:
-    """How a file departs from what most writers produce.
+    """Differences of a file from the output of most writers.
 
     ``outside`` and ``unindexed`` are the numbers of the chunks that are written as plain messages
     and without message index; ``times`` replaces those of the chunks; ``stated`` is added to the
@@ -209,7 +209,7 @@ def test_no_message_is_skipped_silently(
     assert not caplog.records
 
 
-def test_wrong_message_counts_are_warned_of_once(
+def test_wrong_message_counts_cause_one_warning(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     good = write_odd_mcap(tmp_path / "good.mcap", random_messages(300, 1), Oddity())
@@ -225,7 +225,7 @@ def test_wrong_message_counts_are_warned_of_once(
 
 
 @pytest.mark.parametrize("options", WRITERS.values(), ids=WRITERS)
-def test_messages_come_in_order_and_unchanged(tmp_path: Path, options: dict[str, Any]) -> None:
+def test_messages_are_sorted_and_unchanged(tmp_path: Path, options: dict[str, Any]) -> None:
     messages = random_messages(600)
     recording = Recording.of([write_mcap(tmp_path / "log.mcap", messages, **options)])
     assert {name: topic.msgtype for name, topic in recording.topics.items()} == TYPES
@@ -249,7 +249,7 @@ def test_files_are_merged(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("options", [{}, {"use_chunking": False}], ids=["indexed", "unindexed"])
-def test_part_of_the_time_and_of_the_topics(tmp_path: Path, options: dict[str, Any]) -> None:
+def test_time_range_and_topics_are_selected(tmp_path: Path, options: dict[str, Any]) -> None:
     messages = random_messages(600)
     recording = Recording.of([write_mcap(tmp_path / "log.mcap", messages, **options)])
     start, stop = 1_100_000, 1_333_000
@@ -274,7 +274,7 @@ def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
     assert peak < read / 10
 
 
-def test_quality_of_service_is_what_publishers_offered(tmp_path: Path) -> None:
+def test_quality_of_service_of_publishers_is_kept(tmp_path: Path) -> None:
     offers = (OfferedQos(1, "keep_last", "reliable", "transient_local"), OfferedQos(7))
     with BagWriter(tmp_path / "bag") as bag:
         bag.write(bag.add_topic("/c", STRING, offers), 1, b"\0\1\0\0")
@@ -290,7 +290,7 @@ def test_topics_are_named_with_or_without_slash(tmp_path: Path) -> None:
         recording.find(["/d"])
 
 
-def test_foreign_encoding_is_refused_when_wanted(tmp_path: Path) -> None:
+def test_foreign_encoding_is_rejected_when_requested(tmp_path: Path) -> None:
     recording = Recording.of(
         [write_mcap(tmp_path / "log.mcap", random_messages(9), encoding="json")]
     )
@@ -298,7 +298,7 @@ def test_foreign_encoding_is_refused_when_wanted(tmp_path: Path) -> None:
         recording.require_cdr(recording.topics["/a"])
 
 
-def test_a_topic_of_two_types_is_refused(tmp_path: Path) -> None:
+def test_topic_of_two_types_is_rejected(tmp_path: Path) -> None:
     bags = [
         write_rosbags(tmp_path / kind[:3], [("/a", kind, b"\0\1\0\0")]) for kind in (IMU, STRING)
     ]
@@ -316,7 +316,9 @@ def test_a_topic_of_two_types_is_refused(tmp_path: Path) -> None:
     ],
     ids=["missing", "empty", "other", "cut"],
 )
-def test_what_is_no_bag_is_refused(tmp_path: Path, content: bytes | None, line: str) -> None:
+def test_files_that_are_not_bags_are_rejected(
+    tmp_path: Path, content: bytes | None, line: str
+) -> None:
     file = tmp_path / "log.mcap"
     if content is not None:
         file.write_bytes(content)
@@ -324,15 +326,15 @@ def test_what_is_no_bag_is_refused(tmp_path: Path, content: bytes | None, line: 
         Recording.of([file])
 
 
-def test_a_bag_without_messages_is_refused(tmp_path: Path) -> None:
+def test_bag_without_messages_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="no message in it; record it again"):
         Recording.of([write_mcap(tmp_path / "log.mcap", [])])
     with pytest.raises(BagError, match="no bag given"):
         Recording.of([])
 
 
-def test_flipped_bytes_are_found_or_do_no_harm(tmp_path: Path) -> None:
-    """Payloads behind a checksum are right or refused, and nothing raises but our own error."""
+def test_flipped_bytes_are_detected_or_harmless(tmp_path: Path) -> None:
+    """Payloads with a checksum are correct or rejected, and only BagError is raised."""
     messages = random_messages(60)
     good = write_mcap(tmp_path / "good.mcap", messages, enable_crcs=True).read_bytes()
     draw, refusals = np.random.default_rng(1), []

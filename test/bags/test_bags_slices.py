@@ -1,4 +1,4 @@
-"""A recording slice by slice: nothing twice, nothing lost, what is late is counted."""
+"""Slices of a recording repeat and lose no message; late messages are counted."""
 
 from pathlib import Path
 
@@ -38,7 +38,9 @@ def test_every_message_is_in_one_slice_and_margins_overlap(tmp_path: Path) -> No
     assert stamps[1][-1] == round(8.95 * SECOND)
 
 
-def test_what_is_mended_is_counted_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_repaired_defects_are_counted_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     near_the_cut = (2.0, 3.95, 3.95, 4.05, 4.0, 5.0)
     bag = write_rosbags(tmp_path / "log", joints(*near_the_cut) + gyro(*near_the_cut))
     first, second = iterate_slices([bag], span=SPAN)
@@ -48,7 +50,7 @@ def test_what_is_mended_is_counted_once(tmp_path: Path, caplog: pytest.LogCaptur
         assert f"{topic}: 1 of 6 messages are out of order, sorted" in caplog.text
 
 
-def test_topics_recorded_one_after_the_other_are_brought_together(tmp_path: Path) -> None:
+def test_topics_recorded_one_after_the_other_are_merged(tmp_path: Path) -> None:
     ticks = np.arange(2.0, 9.0, 0.5)
     one = write_rosbags(tmp_path / "a", joints(*ticks))
     other = write_rosbags(tmp_path / "b", gyro(*ticks))
@@ -56,7 +58,7 @@ def test_topics_recorded_one_after_the_other_are_brought_together(tmp_path: Path
         np.testing.assert_array_equal(found.streams.joints.stamp, found.streams.imus[0].stamp)
 
 
-def test_what_comes_too_late_is_counted(
+def test_late_messages_are_counted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(slices, "MAX_BUFFERED", 0)
@@ -70,7 +72,7 @@ def test_what_comes_too_late_is_counted(
     assert "/imu/data: 2 of 3 messages came after their time had been worked on" in caplog.text
 
 
-def test_reading_ends_with_the_part_asked_for(tmp_path: Path) -> None:
+def test_reading_ends_after_the_requested_part(tmp_path: Path) -> None:
     ticks = np.arange(2.0, 9.0, 0.5)
     bag = write_rosbags(tmp_path / "log", joints(*ticks) + gyro(*ticks))
     (found,) = iterate_slices([bag], part=TimeRange(1.0, 3.0))

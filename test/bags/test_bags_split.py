@@ -34,7 +34,7 @@ def write_noise(bag: BagWriter, count: int) -> list[tuple[str, int, bytes]]:
 @pytest.mark.parametrize(
     "limits", [{"split_size": 100_000}, {"split_duration": 77 * MILLISECOND}], ids=str
 )
-def test_no_message_is_lost_at_a_cut(tmp_path: Path, limits: dict[str, int]) -> None:
+def test_no_message_is_lost_at_a_split(tmp_path: Path, limits: dict[str, int]) -> None:
     with BagWriter(tmp_path / "log", chunk_size=4096, **limits) as bag:
         written = write_noise(bag, 2000)
     assert whole_messages(tmp_path / "log") == written
@@ -42,7 +42,7 @@ def test_no_message_is_lost_at_a_cut(tmp_path: Path, limits: dict[str, int]) -> 
     assert len(bag.files) > 5
 
 
-def test_no_file_is_much_larger_than_asked(tmp_path: Path) -> None:
+def test_files_stay_near_the_requested_size(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "log", chunk_size=4096, split_size=100_000) as bag:
         write_noise(bag, 2000)
     *full, last = [(tmp_path / "log" / name).stat().st_size for name in bag.files]
@@ -52,7 +52,7 @@ def test_no_file_is_much_larger_than_asked(tmp_path: Path) -> None:
     assert bag.size == sum([*full, last])
 
 
-def test_no_file_lasts_longer_than_asked(tmp_path: Path) -> None:
+def test_files_stay_within_the_requested_duration(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "log", split_duration=77 * MILLISECOND) as bag:
         write_noise(bag, 1000)
     content = yaml.safe_load((tmp_path / "log" / "metadata.yaml").read_text())
@@ -62,7 +62,7 @@ def test_no_file_lasts_longer_than_asked(tmp_path: Path) -> None:
     assert {file["duration"]["nanoseconds"] for file in files[:-1]} == {76 * MILLISECOND}
 
 
-def test_every_file_can_be_read_alone(tmp_path: Path) -> None:
+def test_each_file_can_be_read_alone(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "log", split_size=100_000) as bag:
         written = write_noise(bag, 1000)
     last = tmp_path / "log" / bag.files[-1]
@@ -75,7 +75,7 @@ def test_every_file_can_be_read_alone(tmp_path: Path) -> None:
     assert alone == written[-len(alone) :]
 
 
-def test_opening_record_of_a_file_tells_of_the_files_before(tmp_path: Path) -> None:
+def test_first_record_of_a_file_describes_the_previous_files(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "log", split_size=100_000) as bag:
         write_noise(bag, 1000)
     with (tmp_path / "log" / bag.files[1]).open("rb") as stream:

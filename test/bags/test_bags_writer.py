@@ -1,4 +1,4 @@
-"""Bags as other readers see them."""
+"""Bags read by other libraries."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -112,7 +112,7 @@ def test_metadata_file_is_rosbag2_version_9(robot, tmp_path: Path) -> None:
         assert topic["type_description_hash"] == STORE.hash_rihs01(topic["type"])
 
 
-def test_offered_qos_survives_in_rosbags(tmp_path: Path) -> None:
+def test_rosbags_reads_the_offered_qos(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "log") as bag:
         topic = bag.add_topic(
             "/w", WRENCH, [OfferedQos(7, reliability="best_effort", durability="transient_local")]
@@ -138,7 +138,7 @@ def test_same_seed_writes_the_same_bytes(make_robot, tmp_path: Path) -> None:
     assert payloads[0] == payloads[1]
 
 
-def test_existing_target_is_refused_and_kept(robot, tmp_path: Path) -> None:
+def test_existing_target_is_rejected_and_kept(robot, tmp_path: Path) -> None:
     (tmp_path / "log").mkdir()
     (tmp_path / "log" / "notes.txt").write_text("mine")
     with pytest.raises(BagError, match=r"log: exists already; .*"):
@@ -194,7 +194,7 @@ def test_topic_errors_name_the_topic(tmp_path: Path) -> None:
             bag.add_topic("/x", "foo_msgs/msg/Bar")
 
 
-def test_unwritable_place_is_one_clear_error(tmp_path: Path) -> None:
+def test_unwritable_path_raises_one_clear_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(BagError, match="cannot create the bag: Not a directory"):
         BagWriter(tmp_path / "file" / "log")

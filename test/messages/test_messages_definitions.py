@@ -1,4 +1,4 @@
-"""Message types beyond those that rosbags knows of ROS 2 Jazzy."""
+"""Message types that are not part of ROS 2 Jazzy."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def store_with(msgtype: str, text: str):
     return store
 
 
-def test_installed_type_carries_all_it_consists_of() -> None:
+def test_definition_of_an_installed_type_includes_its_parts() -> None:
     assert GOALS not in get_typestore(Stores.ROS2_JAZZY).fielddefs
     definition = find_definition(GOALS)
     parts = [line[5:] for line in definition.text.splitlines() if line.startswith("MSG: ")]
@@ -75,13 +75,13 @@ def test_types_of_a_sourced_workspace_are_found(workspace: Path) -> None:
     assert [name for name, _ in store.fielddefs["toy_msgs/msg/Half"][1]] == ["point"]
 
 
-def test_types_that_contain_one_another_end(workspace: Path) -> None:
+def test_types_that_contain_each_other_terminate(workspace: Path) -> None:
     (workspace / "Egg.msg").write_text("Hen[] hens\n")
     (workspace / "Hen.msg").write_text("Egg[] eggs\n")
     assert "MSG: toy_msgs/Hen" in find_definition("toy_msgs/msg/Egg").text
 
 
-def test_what_cannot_be_defined_is_named(workspace: Path) -> None:
+def test_errors_name_types_without_definition(workspace: Path) -> None:
     (workspace / "Odd.msg").write_text("Missing part\n")
     (workspace / "Bad.msg").write_text("int32[ broken\n")
     for msgtype, words in (

@@ -207,7 +207,7 @@ def test_type_hashes_are_those_of_the_installed_ros(msgtype: str) -> None:
     assert STORE.hash_rihs01(msgtype) == hashes[msgtype]
 
 
-def test_rclpy_decodes_what_was_patched_in_place() -> None:
+def test_rclpy_decodes_a_record_filled_in_place() -> None:
     serialization = pytest.importorskip("rclpy.serialization")
     sensor_msgs = pytest.importorskip("sensor_msgs.msg")
     payload = encoded(
@@ -225,7 +225,7 @@ def test_rclpy_decodes_what_was_patched_in_place() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "a", "ab", "abc", "abcd", "a longer one"])
-def test_a_layout_is_left_with_any_byte_of_text_or_length_and_with_no_other(text) -> None:
+def test_layout_mismatches_for_each_byte_of_text_or_length_only(text) -> None:
     string = typestore().types["std_msgs/msg/String"](data=text)  # of no whole words, mostly
     for layout in (Layout.of(string, "std_msgs/msg/String"), messages.imu_layout(text)):
         size = len(layout.template)

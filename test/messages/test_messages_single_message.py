@@ -1,4 +1,4 @@
-"""Gaps counted while recording equal those of the whole."""
+"""Gaps counted in blocks equal those of all stamps."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from symbid_ros.signals.stamps import Gaps, find_gaps
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, BLOCK, BLOCK + 1, 3 * BLOCK + 17])
-def test_blocks_tell_what_the_whole_tells(count: int) -> None:
+def test_gaps_in_blocks_equal_gaps_of_all_stamps(count: int) -> None:
     draw = np.random.default_rng(count)
     stamps = np.arange(count) * 1_000_000 + draw.integers(-50_000, 50_000, count)
     stamps = stamps[draw.random(count) > 0.01]

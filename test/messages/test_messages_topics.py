@@ -1,4 +1,4 @@
-"""Which topics may be a robot's sensors: by type and name, and by what the user names."""
+"""Selection of topics by type, name and user choice."""
 
 import pytest
 
@@ -51,13 +51,13 @@ BY_DEFAULT = {
         ),
     ],
 )
-def test_what_is_wanted_follows_from_type_and_name(selection, gone, come) -> None:
+def test_topics_are_selected_by_type_and_name(selection, gone, come) -> None:
     selector = TopicSelector("log", selection)
     wanted = {name for name, msgtype in TOPICS.items() if selector.wants(Topic(name, msgtype))}
     assert wanted == BY_DEFAULT - gone | come
 
 
-def test_what_is_selected_is_what_is_wanted() -> None:
+def test_selected_topics_are_those_that_may_be_selected() -> None:
     selector = TopicSelector("log", TopicSelection(joints=("/joint_states",)))
     counts = {Topic(name, msgtype): 1 for name, msgtype in TOPICS.items()}
     selector.counts.update(counts)

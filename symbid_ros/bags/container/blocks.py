@@ -86,7 +86,7 @@ class ChunkBatch:
 
     def decompress(self) -> Buffer:
         """Return all records; each chunk is checked against its size and checksum."""
-        parts = [part if isinstance(part, bytes) else part.records() for part in self._parts]
+        parts = [part if isinstance(part, bytes) else part.decompress() for part in self._parts]
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
     def starts(self) -> IntArray:
@@ -187,7 +187,7 @@ class _FileReader:
             if opcode == Opcode.MESSAGE_INDEX:
                 batch.add_index(body)
             elif opcode in (Opcode.CHUNK, Opcode.MESSAGE):
-                chunk = ChunkRecord.of(body) if opcode == Opcode.CHUNK else None
+                chunk = ChunkRecord.parse(body) if opcode == Opcode.CHUNK else None
                 size = RECORD.size + len(body) if chunk is None else chunk.size
                 if batch.size and batch.size + size > BLOCK_SIZE:
                     yield batch

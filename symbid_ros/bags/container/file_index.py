@@ -1,7 +1,7 @@
 """The index of a bag's file: where its messages are, so that they can be read in order of time.
 
 The index of an MCAP file comes from its summary if that covers each message, else from its data.
-mcap's ``SeekingReader`` trusts any index, and stops at messages outside of chunks.
+mcap's ``SeekingReader`` trusts any index, and misses messages outside of chunks.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -263,8 +263,8 @@ def _records(data: Buffer, *, inside: bool = False) -> Iterator[tuple[int, int, 
         elif inside:
             raise ValueError(f"a record of kind {opcode} is in a chunk")
         else:
-            chunk = ChunkRecord.of(memoryview(data)[start:position])
-            yield from _records(chunk.records(), inside=True)
+            chunk = ChunkRecord.parse(memoryview(data)[start:position])
+            yield from _records(chunk.decompress(), inside=True)
 
 
 def _message(data: Buffer, start: int, stop: int) -> StoredMessage:

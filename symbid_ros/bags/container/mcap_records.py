@@ -185,7 +185,7 @@ class ChunkRecord(NamedTuple):
     data: memoryview
 
     @classmethod
-    def of(cls, body: Buffer) -> "ChunkRecord":
+    def parse(cls, body: Buffer) -> "ChunkRecord":
         """Parse the body of a chunk record without copying it."""
         view = memoryview(body)
         start, end, size, crc, length = CHUNK_HEAD.unpack_from(view)
@@ -198,19 +198,19 @@ class ChunkRecord(NamedTuple):
             raise ValueError("a chunk's size is not what its record says")
         return cls(start, end, size, crc, str(view[CHUNK_HEAD.size : name], "utf-8"), data)
 
-    def records(self) -> Buffer:
+    def decompress(self) -> Buffer:
         """Decompress the records and check them against the stated size and checksum."""
         check_limit("a chunk", self.size, MAX_CHUNK)
         if self.size > ANY_RATIO_SIZE:
             check_limit("a compression ratio", self.size // max(len(self.data), 1), MAX_EXPANSION)
-        data = self._decompress()
+        data = self._decompress_data()
         if len(data) != self.size:
             raise ValueError("a chunk's size is not what its record says")
         if self.crc and zlib.crc32(data) != self.crc:
             raise ValueError("a chunk does not match its checksum")
         return data
 
-    def _decompress(self) -> Buffer:
+    def _decompress_data(self) -> Buffer:
         """Decompress, and stop one byte after the stated size."""
         if self.compression == "":
             return self.data
@@ -263,7 +263,7 @@ class Attachment:
     data_size: int
 
     @classmethod
-    def at(cls, stream: BinaryIO, offset: int, length: int) -> "Attachment":
+    def read(cls, stream: BinaryIO, offset: int, length: int) -> "Attachment":
         """Read and check the attachment whose record has ``length`` bytes from ``offset`` on.
 
         Raises
@@ -279,7 +279,7 @@ class Attachment:
         if stop + UINT32.size > offset + length:
             raise ValueError("an attachment's size is not what its record says")
         crc = 0
-        for part in record_parts(stream, start, stop - start):
+        for part in read_parts(stream, start, stop - start):
             crc = zlib.crc32(part, crc)
         (stated,) = UINT32.unpack(stream.read(UINT32.size))
         if stated not in (0, crc):
@@ -288,7 +288,7 @@ class Attachment:
 
     def record(self, stream: BinaryIO) -> Iterator[bytes]:
         """Yield the bytes of its record in parts."""
-        return record_parts(stream, self.offset, self.length)
+        return read_parts(stream, self.offset, self.length)
 
     def index(self, offset: int) -> AttachmentIndex:
         """Return the index record of a copy at ``offset``."""
@@ -308,7 +308,7 @@ def _text(stream: BinaryIO) -> str:
     return stream.read(check_limit("a name", length, MAX_RECORD)).decode()
 
 
-def record_parts(stream: BinaryIO, offset: int, length: int) -> Iterator[bytes]:
+def read_parts(stream: BinaryIO, offset: int, length: int) -> Iterator[bytes]:
     """Yield part of a file that may be larger than memory, some bytes at a time.
 
     Raises

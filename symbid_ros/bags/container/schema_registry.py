@@ -30,7 +30,7 @@ from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, ODOMETRY, TRAJECT
 from symbid_ros.safe_yaml import parse_yaml
 
 ROS2_TEXT = "ros2msg"
-READ = frozenset({JOINT_STATE, IMU, WRENCH, TRAJECTORY, ODOMETRY, ACCEL})
+DECODED_TYPES = frozenset({JOINT_STATE, IMU, WRENCH, TRAJECTORY, ODOMETRY, ACCEL})
 
 R = TypeVar("R")
 
@@ -105,7 +105,7 @@ class SchemaRegistry:
         name = "" if schema is None else full_type_name(schema.name)
         if encoding != CDR:
             name = f"{name or 'something'}{ENCODED}{encoding or 'nothing known'}"
-        elif schema is not None and name in READ and not _is_jazzy(name, schema):
+        elif schema is not None and name in DECODED_TYPES and not _is_jazzy(name, schema):
             name = f"{name} of another definition"
         return Topic(channel.topic, name)
 

@@ -1,7 +1,7 @@
 """Read SQLite files, the older storage of rosbag2, in all its versions.
 
 rosbags' reader is not used: it ignores the journal of an interrupted recording, cannot read
-damaged files, and allocates whatever size a message states.
+damaged files, and does not limit the sizes of messages.
 """
 
 import logging

@@ -277,15 +277,15 @@ class DamagedMcapReader:
             metadata: Metadata = parse_record(Metadata.read, read_at(stream, start, length))
             return metadata
         elif opcode == Opcode.ATTACHMENT:
-            return Attachment.at(stream, position, RECORD.size + length)
+            return Attachment.read(stream, position, RECORD.size + length)
         elif opcode >= PRIVATE:
             return PrivateRecord(position, RECORD.size + length)
         return None
 
     def _chunk(self, body: bytes) -> MessageRun | None:
         self._allowance -= len(body)
-        chunk = ChunkRecord.of(body)
-        data = chunk.records()
+        chunk = ChunkRecord.parse(body)
+        data = chunk.decompress()
         starts = find_messages(data, self.registry.add)
         self._has_chunks = True
         key = chunk.start, chunk.end, chunk.size, chunk.crc
@@ -317,9 +317,9 @@ class DamagedMcapReader:
                 break
             self._allowance -= length
             try:
-                chunk = ChunkRecord.of(read_at(stream, start + RECORD.size, length))
+                chunk = ChunkRecord.parse(read_at(stream, start + RECORD.size, length))
                 # Its schemas and channels are added once it is read.
-                find_messages(chunk.records(), lambda *_: None)
+                find_messages(chunk.decompress(), lambda *_: None)
             except FAULTS:
                 continue
             return start

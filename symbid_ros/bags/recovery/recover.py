@@ -15,7 +15,7 @@ from symbid_ros.bags.container.mcap_records import (
     RECORD,
     Attachment,
     identify_other_format,
-    record_parts,
+    read_parts,
     report_damage,
 )
 from symbid_ros.bags.container.mcap_summary import read_summary
@@ -142,7 +142,7 @@ class McapRecovery:
                 self._copy_record(part)
             elif isinstance(part, PrivateRecord):
                 with self.file.open("rb") as stream:
-                    self.new.add_private(record_parts(stream, *part))
+                    self.new.add_private(read_parts(stream, *part))
             elif len(part.starts):
                 first, latest = self._copy(part)
                 self.holes = [h if h.before else replace(h, before=first) for h in self.holes]
