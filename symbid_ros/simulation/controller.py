@@ -134,9 +134,9 @@ class BalanceController:
     wrenches: ``m a = Σ f + m g``, ``dL/dt = Σ n + r × f`` about the centre of mass.
 
     Constraints are the torque limits and, for each sole, the friction pyramid and a centre of
-    pressure within its contact points; the feet stand flat with their toes along world x. Weighted
-    tasks are the acceleration of the centre of mass, damping of the angular momentum, soles at
-    rest, and a trunk that follows its turns with low stiffness.
+    pressure within its contact points. The feet stand flat with their toes along world x. The
+    weighted tasks accelerate the centre of mass, damp the angular momentum, keep the soles at rest
+    and let the trunk follow its turns.
 
     Parameters
     ----------
@@ -256,8 +256,8 @@ class BalanceController:
 def _feedback(gains: BalanceGains, com: float, momentum: float, trunk: float) -> FloatArray:
     """Return the (9, 24) matrix from feedback signals to residuals of CoM, momentum and trunk.
 
-    The signals are the reference's position, velocity and acceleration, the position and velocity
-    of the centre of mass, the angular momentum, the trunk's lean and its angular velocity.
+    The signals are position, velocity and acceleration of the reference, position and velocity of
+    the centre of mass, angular momentum, and lean and angular velocity of the trunk.
     """
     blocks = np.zeros((3, 8))
     stiffness, damping = com * gains.com_stiffness, com * gains.com_damping

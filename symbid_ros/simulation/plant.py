@@ -131,10 +131,9 @@ def driven_dofs(model: mujoco.MjModel) -> IntArray:
 class Plant:
     """A floating-base robot in MuJoCo, advanced in two half steps.
 
-    `observe` updates everything that depends on the state. The caller then chooses torques, and
-    optionally an external wrench, from that state, and `advance` takes the step. In this order
-    state, acceleration, torques and forces belong to one instant and satisfy the equation of
-    motion.
+    `observe` updates everything that depends on the state. From that state the caller chooses
+    torques, and optionally an external wrench; `advance` then takes the step. State, acceleration,
+    torques and forces thus belong to one instant and satisfy the equation of motion.
 
     Parameters
     ----------

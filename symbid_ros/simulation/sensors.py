@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.simulation.plant import SCALAR_LAST, Truth
-from symbid_ros.simulation.settings import SensorNoise
+from symbid_ros.simulation.settings import NoiseSettings
 from symbid_ros.simulation.systematic_errors import Resolution, SystematicErrors
 
 
@@ -93,7 +93,7 @@ class Sensors:
     wrench_count : int
         Number of wrench sensors, force plates first. Sensors after the plates have noise but no
         systematic errors.
-    noise : SensorNoise or None
+    noise : NoiseSettings or None
         Standard deviations; None for sensors without noise.
     seed : int
         Seed of the noise.
@@ -105,7 +105,7 @@ class Sensors:
         self,
         driven: BoolArray,
         wrench_count: int,
-        noise: SensorNoise | None,
+        noise: NoiseSettings | None,
         seed: int,
         errors: SystematicErrors,
     ) -> None:

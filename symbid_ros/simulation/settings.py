@@ -62,7 +62,7 @@ def _number(value: object, name: str, where: str) -> float:
 
 
 @dataclass(frozen=True)
-class SensorNoise:
+class NoiseSettings:
     """Standard deviations of the sensors' white Gaussian noise, per channel and sample.
 
     Attributes
@@ -85,7 +85,7 @@ class SensorNoise:
     force: float
     moment: float
 
-    def scaled(self, factor: float) -> "SensorNoise":
+    def scaled(self, factor: float) -> "NoiseSettings":
         """Return the noise with every standard deviation multiplied by ``factor``.
 
         Raises
@@ -97,16 +97,16 @@ class SensorNoise:
             raise SimulationError(
                 f"noise factor {factor:g}; give a finite number, 0 or more", "E605"
             )
-        return SensorNoise(**{name: factor * value for name, value in asdict(self).items()})
+        return NoiseSettings(**{name: factor * value for name, value in asdict(self).items()})
 
 
-def load_noise(path: Path) -> SensorNoise:
+def load_noise(path: Path) -> NoiseSettings:
     """Read and check a noise file.
 
     Parameters
     ----------
     path : Path
-        YAML mapping of every field of `SensorNoise` to a number, and nothing else.
+        YAML mapping of every field of `NoiseSettings` to a number, and nothing else.
 
     Raises
     ------
@@ -114,8 +114,8 @@ def load_noise(path: Path) -> SensorNoise:
         When the file cannot be read or is not such a mapping, or when a value is negative or not
         finite.
     """
-    names = [field.name for field in fields(SensorNoise)]
-    return SensorNoise(**require_numbers(read_mapping(path), names, str(path)))
+    names = [field.name for field in fields(NoiseSettings)]
+    return NoiseSettings(**require_numbers(read_mapping(path), names, str(path)))
 
 
 @dataclass(frozen=True)

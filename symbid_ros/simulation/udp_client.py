@@ -59,8 +59,8 @@ class UdpClient:
 
     The client sends hellos until measurements arrive, and again after `HELLO_PERIOD` without any.
     The next measurement may then have any sequence number, as the server may have restarted. If a
-    measurement arrives again, because it or its command was lost, the client sends the same
-    command again without a new call of the controller.
+    measurement arrives again, its command was lost: the client sends the same command again
+    without calling the controller.
 
     Parameters
     ----------
