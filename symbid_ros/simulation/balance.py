@@ -11,7 +11,13 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.controller import BalanceController, BalanceGains
 from symbid_ros.simulation.controller_model import replace_inertias
 from symbid_ros.simulation.plant import Plant, RobotFailureError
-from symbid_ros.simulation.scenario import SOLES, Scenario, ScenarioRun, require_seed, standing_task
+from symbid_ros.simulation.scenario import (
+    SOLES,
+    Scenario,
+    ScenarioRun,
+    draw_standing_task,
+    require_seed,
+)
 
 # Periods between two samples of the torques without feedback: each sample solves one more QP.
 FEED_FORWARD_EVERY = 10
@@ -78,7 +84,7 @@ def balance(
     """
     require_seed("motion seed", motion_seed)
     plant = Plant(model_path or config_file("symbitron.xml"), SOLES)
-    task = standing_task(plant, moves, motion_seed)
+    task = draw_standing_task(plant, moves, motion_seed)
     model = plant.model if inertias is None else replace_inertias(plant.model, inertias)
     gains = BalanceGains()
     controller = BalanceController(model, task, SOLES, gains)

@@ -97,6 +97,10 @@ VIBRATING_GAINS = BalanceGains(sole_damping=115.0)
 VIBRATING_GAINS_WITH_FRICTION = BalanceGains(sole_damping=130.0)
 FEEDBACK_NOISE = 0.05  # rad/s
 FEEDBACK_DELAY = 3  # periods
+# Time for feet and support to take the load before the motion starts; not part of the log.
+SETTLING_TIME = 1.0  # s
+# The robot has fallen when its base is below this fraction of its initial height.
+FALL_HEIGHT = 0.7
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ def require_seed(name: str, seed: int) -> None:
         raise SimulationError(f"{name} {seed} is negative; give 0 or more", "E605")
 
 
-def standing_task(
+def draw_standing_task(
     plant: Plant,
     moves: int,
     seed: int,
@@ -160,18 +164,18 @@ def _standing(plant: Plant, task: BalanceTask, gains: BalanceGains) -> Scenario:
 
 
 def _smooth(plant: Plant, moves: int, seed: int) -> Scenario:
-    return _standing(plant, standing_task(plant, moves, seed), BalanceGains())
+    return _standing(plant, draw_standing_task(plant, moves, seed), BalanceGains())
 
 
 def _squat(plant: Plant, moves: int, seed: int) -> Scenario:
-    task = standing_task(plant, moves, seed, *STANDING["squat"])
+    task = draw_standing_task(plant, moves, seed, *STANDING["squat"])
     return _standing(plant, task, BalanceGains())
 
 
 def _vibrating(plant: Plant, moves: int, seed: int) -> Scenario:
     has_friction = np.any(plant.model.dof_damping) or np.any(plant.model.dof_frictionloss)
     gains = VIBRATING_GAINS_WITH_FRICTION if has_friction else VIBRATING_GAINS
-    standing = _standing(plant, standing_task(plant, moves, seed), gains)
+    standing = _standing(plant, draw_standing_task(plant, moves, seed), gains)
     controller = DegradedFeedback(
         standing.controller,
         FEEDBACK_DELAY,
@@ -221,12 +225,6 @@ SCENARIOS: dict[str, Callable[[Plant, int, int], Scenario]] = {
     "suspended": _suspended,
     "tare": _tare,
 }
-
-
-# Time for feet and support to take the load before the motion starts; not part of the log.
-SETTLING_TIME = 1.0  # s
-# The robot has fallen when its base is below this fraction of its initial height.
-FALL_HEIGHT = 0.7
 
 
 class ScenarioRun:

@@ -25,6 +25,10 @@ from symbid_ros.simulation.sensors import Instant, Sensors
 from symbid_ros.simulation.settings import JointFriction, load_friction, load_noise
 from symbid_ros.simulation.systematic_errors import draw_errors, parse_errors
 
+# The shortest time constant that MuJoCo allows at a period of 1 ms. Coulomb friction then has its
+# full value or stops the joint within one period; by default joints creep at up to 0.1 rad/s.
+FRICTION_TIME_CONSTANT = 2e-3  # s
+
 
 @dataclass(frozen=True)
 class WrenchSensor:
@@ -251,11 +255,6 @@ def _modified_plant(
     plant = Plant(original.path, SOLES, modify_mjcf(original.path, friction, lengths))
     plant.data.qpos[:] = level_soles(plant.model, original.model, original.data.qpos, SOLES)
     return plant
-
-
-# The shortest time constant that MuJoCo allows at a period of 1 ms. Coulomb friction then has its
-# full value or stops the joint within one period; by default joints creep at up to 0.1 rad/s.
-FRICTION_TIME_CONSTANT = 2e-3  # s
 
 
 def modify_mjcf(

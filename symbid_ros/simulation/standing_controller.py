@@ -12,7 +12,7 @@ from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.controller import BalanceController, BalanceGains
 from symbid_ros.simulation.plant import Plant, State, site_ids
-from symbid_ros.simulation.scenario import SOLES, STANDING, require_seed, standing_task
+from symbid_ros.simulation.scenario import SOLES, STANDING, draw_standing_task, require_seed
 from symbid_ros.simulation.sensors import SCALAR_FIRST
 
 # Standard deviations of the velocities in least squares: the difference of two encoder readings,
@@ -183,7 +183,7 @@ class StandingController:
         self._period = robot.period
         self._limits = robot.torque_limits
         self._robot, self._stamp = robot, 0
-        self._task = standing_task(robot, moves, motion_seed, *STANDING[scenario])
+        self._task = draw_standing_task(robot, moves, motion_seed, *STANDING[scenario])
         self.duration = self._task.duration
         self._restart()
 

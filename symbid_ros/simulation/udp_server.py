@@ -25,6 +25,9 @@ from symbid_ros.simulation.sensors import Instant
 
 Address = tuple[str, int]
 LATE = frozenset({Rejection.OLD, Rejection.DUPLICATE})
+RETRY_PERIOD = 0.002  # s; a few times the response time of a controller on the same machine
+COMMAND_TIMEOUT = 0.1  # s
+STOP_CHECK_PERIOD = 0.05  # s
 
 
 class CommandValidator:
@@ -116,11 +119,6 @@ class CommandValidator:
 
     def _reject(self, reason: Rejection) -> None:
         self.counts.rejected[reason] += 1
-
-
-RETRY_PERIOD = 0.002  # s; a few times the response time of a controller on the same machine
-COMMAND_TIMEOUT = 0.1  # s
-STOP_CHECK_PERIOD = 0.05  # s
 
 
 class UdpServer:
