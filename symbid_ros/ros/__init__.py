@@ -1,1 +1,1 @@
-"""The nodes; rclpy lives here alone."""
+"""ROS 2 nodes; the only subpackage that imports rclpy."""

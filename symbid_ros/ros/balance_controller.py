@@ -39,7 +39,7 @@ PARAMETERS = (
     Parameter("moves", 20, "Number of moves of the centre of mass.", minimum=1, maximum=100_000),
     Parameter("motion_seed", 0, "Random seed of the moves.", minimum=0),
     Parameter(
-        "model", "", "The controller's MJCF model of the robot; empty for the package's Symbitron."
+        "model", "", "The controller's MJCF model of the robot; empty: the package's Symbitron."
     ),
 )
 

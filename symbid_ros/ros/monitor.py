@@ -36,56 +36,57 @@ from symbid_ros.ros.monitor_messages import (
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import run_node
 
-QUIET = 3.0  # s without a word after which it is said so; the identifier speaks every second
-LEGEND = "known: by the data; σ ÷: shrunk since first seen"
-ERROR_LEGEND = "; error: rms of the ten"
+SILENCE = 3.0  # s without a status until it is reported; the identifier publishes every second
+LEGEND = "known: from the data; σ ÷: reduction since the first estimate"
+ERROR_LEGEND = "; error: RMS of the ten"
 IMPOSSIBLE = "physically impossible"
 POLL = 0.1  # s
-REFRESH = 1.0  # s; how long the silence has lasted counts on without a message
+REFRESH = 1.0  # s; the duration of a silence grows without messages
 PARAMETERS = (
     Parameter("identifier", "identifier", "Name of the node to watch."),
-    Parameter("truth", "", "True model, URDF or MJCF, to show the errors; empty for none."),
-    Parameter("estimates", 0, "End after so many estimates; 0: when stopped.", minimum=0),
+    Parameter("truth", "", "True model, URDF or MJCF, to show errors; empty: none."),
+    Parameter("estimates", 0, "Number of estimates after which to end; 0: no limit.", minimum=0),
     Parameter(
-        "timeout", 0.0, "Fail after so many seconds without an estimate; 0: never.", minimum=0.0
+        "timeout", 0.0, "Time without an estimate after which to fail, s; 0: none.", minimum=0.0
     ),
 )
 
 
 @dataclass(frozen=True)
 class MonitorView:
-    """What there is to show at one moment.
+    """State of an identifier at one moment.
 
     Attributes
     ----------
     identifier : str
-        Fully qualified name of the node watched.
+        Fully qualified name of the node.
     estimate : RobotEstimate or None
-        The newest; None before the first.
+        Newest estimate; None before the first.
     first : mapping of str to LinkEstimate
-        Each link as it was seen first.
-    health : IdentifierStatus
+        First estimate of each link.
+    status : IdentifierStatus
     silence : float
-        Seconds since the identifier's last word, or since somebody listens.
+        Time since the identifier's last status, or since the start of the monitor, s.
     truth : mapping of str to (10,) float64
-        True parameters by link; empty where they are not known.
+        True parameters by link; empty if unknown.
     """
 
     identifier: str
     estimate: RobotEstimate | None
     first: Mapping[str, LinkEstimate]
-    health: IdentifierStatus
+    status: IdentifierStatus
     silence: float
     truth: Mapping[str, FloatArray]
 
 
 class Screen:
-    """Shows views in place on a terminal; elsewhere a line for each estimate, a table at the end.
+    """Displays views: a live table on a terminal; elsewhere a log line for each estimate.
+
+    Without a terminal, the table is printed once at the end.
 
     Parameters
     ----------
     console : Console
-        Where to.
     """
 
     def __init__(self, console: Console) -> None:
@@ -110,7 +111,7 @@ class Screen:
             self._console.print(page(self._last, self._console))
 
     def show(self, view: MonitorView) -> None:
-        """Show a view; the estimate of the one before is not repeated in a log."""
+        """Show a view; a log gets each estimate only once."""
         is_new = self._last is None or view.estimate is not self._last.estimate
         self._last = view
         if self._live is not None:
@@ -126,49 +127,49 @@ class Screen:
 
 
 def page(view: MonitorView, console: Console) -> RenderableType:
-    """Return head, table of the links and verdicts, as wide as the console."""
+    """Return heading, table of links and warnings, as wide as the console."""
     if view.estimate is None:
         waiting = Text(f"waiting for {view.identifier}/estimate", style="dim")
-        return Group(waiting, *(Text(warning) for warning in view.health.warnings))
+        return Group(waiting, *(Text(warning) for warning in view.status.warnings))
     return Group(
         _head(view, view.estimate),
         _links(view, view.estimate, console),
-        *_verdicts(view, view.estimate),
+        *_warnings(view, view.estimate),
     )
 
 
 def line(view: MonitorView, estimate: RobotEstimate) -> str:
     """Return an estimate in one line."""
-    said = [
+    parts = [
         _count(estimate),
         f"σ ÷ {_factor(_overall_shrinkage(view, estimate))}",
-        f"{fixed(sum(link.phi[0] for link in estimate.links), 3)} kg in all",
+        f"{fixed(sum(link.phi[0] for link in estimate.links), 3)} kg in total",
     ]
     if view.truth:
-        said.append(f"error {fixed(_overall_error(view, estimate), 2)} σ")
-    said += _age(view.health)
-    warnings = "; ".join(view.health.warnings) or "no warning"
-    return f"data to {_clock(estimate.stamp)}: {', '.join(said)}; {warnings}"
+        parts.append(f"error {fixed(_overall_error(view, estimate), 2)} σ")
+    parts += _age(view.status)
+    warnings = "; ".join(view.status.warnings) or "no warning"
+    return f"data to {_clock(estimate.stamp)}: {', '.join(parts)}; {warnings}"
 
 
 def _head(view: MonitorView, estimate: RobotEstimate) -> Text:
-    health = view.health
-    said = [health.facts["method"]] if "method" in health.facts else []
-    said.append(f"data to {_clock(estimate.stamp)}")
-    said += _age(health)
-    if math.isfinite(samples := health.number("samples")):
-        said.append(f"{samples:.0f} rows")
-    if (window := health.number("window")) > 0:
-        said.append(f"windows of {1e3 * window:.0f} ms")
-    return Text.assemble((estimate.model, "bold"), " ", ", ".join(said))
+    status = view.status
+    parts = [status.values["method"]] if "method" in status.values else []
+    parts.append(f"data to {_clock(estimate.stamp)}")
+    parts += _age(status)
+    if math.isfinite(samples := status.number("samples")):
+        parts.append(f"{samples:.0f} rows")
+    if (window := status.number("window")) > 0:
+        parts.append(f"windows of {1e3 * window:.0f} ms")
+    return Text.assemble((estimate.model, "bold"), " ", ", ".join(parts))
 
 
 def _links(view: MonitorView, estimate: RobotEstimate, console: Console) -> Table:
-    """Return the fullest table that the console has room for."""
-    boundless = console.options.update(max_width=1000)  # or rich would say that all of them fit
+    """Return the most detailed table that fits the console."""
+    unlimited = console.options.update(max_width=1000)  # else rich measures every table as fitting
     for has_com, gap in ((True, " "), (True, ""), (False, " "), (False, "")):
         table = _table(view, estimate, has_com=has_com, gap=gap)
-        if console.measure(table, options=boundless).maximum <= console.width:
+        if console.measure(table, options=unlimited).maximum <= console.width:
             break
     return table
 
@@ -200,17 +201,17 @@ def _table(view: MonitorView, estimate: RobotEstimate, *, has_com: bool, gap: st
     return table
 
 
-def _verdicts(view: MonitorView, estimate: RobotEstimate) -> list[RenderableType]:
-    health = view.health
+def _warnings(view: MonitorView, estimate: RobotEstimate) -> list[RenderableType]:
+    status = view.status
     lines = [Text(_count(estimate))]
-    if health.streams:
-        lines.append(Text(", ".join(map(_stream, health.streams))))
-    warnings = list(health.warnings)
+    if status.streams:
+        lines.append(Text(", ".join(map(_stream, status.streams))))
+    warnings = list(status.warnings)
     impossible = [link.name for link in estimate.links if not link.is_possible]
-    # The diagnostics say it too, a second later.
+    # The diagnostics report this as well, up to a second later.
     if impossible and not any(IMPOSSIBLE in warning for warning in warnings):
         warnings.append(f"warning: {IMPOSSIBLE}: {', '.join(impossible)}")
-    if view.silence > QUIET:
+    if view.silence > SILENCE:
         warnings.append(f"error: no diagnostics of {view.identifier} for {view.silence:.0f} s")
     if not warnings:
         return [*lines, Text("no warning", style="green")]
@@ -219,7 +220,7 @@ def _verdicts(view: MonitorView, estimate: RobotEstimate) -> list[RenderableType
 
 def _clock(stamp: int) -> str:
     seconds = stamp * 1e-9
-    # Simulations count from their start, robots from 1970.
+    # Simulated time starts at 0, robots use Unix time.
     if seconds < 1e9:
         return f"{seconds:.1f} s"
     return datetime.fromtimestamp(seconds, UTC).strftime("%H:%M:%S UTC")
@@ -236,22 +237,22 @@ def _stream(stream: StreamCounts) -> str:
     return f"{stream.topic}{rate}{faults}"
 
 
-def _age(health: IdentifierStatus) -> list[str]:
-    age = health.number("age")
+def _age(status: IdentifierStatus) -> list[str]:
+    age = status.number("age")
     return [f"{age:.1f} s old"] if math.isfinite(age) else []
 
 
 def _overall_shrinkage(view: MonitorView, estimate: RobotEstimate) -> float:
     factors = [link.shrinkage(view.first[link.name]) for link in estimate.links]
-    told = [math.log(factor) for factor in factors if 0 < factor < math.inf]
-    return math.exp(sum(told) / len(told)) if told else math.nan
+    finite = [math.log(factor) for factor in factors if 0 < factor < math.inf]
+    return math.exp(sum(finite) / len(finite)) if finite else math.nan
 
 
 def _overall_error(view: MonitorView, estimate: RobotEstimate) -> float:
     known = (link for link in estimate.links if link.name in view.truth)
     errors = [link.error(view.truth[link.name]) for link in known]
-    told = [error**2 for error in errors if math.isfinite(error)]
-    return math.sqrt(sum(told) / len(told)) if told else math.nan
+    finite = [error**2 for error in errors if math.isfinite(error)]
+    return math.sqrt(sum(finite) / len(finite)) if finite else math.nan
 
 
 def _measured(value: float, std: float) -> str:
@@ -263,7 +264,7 @@ def _factor(value: float) -> str:
 
 
 class Monitor:
-    """Listens to one identifier and shows what it says."""
+    """Subscribes to one identifier and displays its estimates and statuses."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._identifier: str = node.resolve_topic_name(values["identifier"])
@@ -276,16 +277,16 @@ class Monitor:
         self._first: dict[str, LinkEstimate] = {}
         self._count = 0
         self._statuses: dict[str, DiagnosticStatus] = {}
-        self._estimated = self._heard = time.monotonic()
+        self._newest_estimate = self._newest_status = time.monotonic()
         node.create_subscription(
-            DiagnosticArray, f"{self._identifier}/estimate", self._take_estimate, latched_qos()
+            DiagnosticArray, f"{self._identifier}/estimate", self._on_estimate, latched_qos()
         )
         node.create_subscription(
-            DiagnosticArray, "/diagnostics", self._take_diagnostics, reliable_qos(100)
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, reliable_qos(100)
         )
 
     def run(self, stop: Event) -> None:
-        """Show until stopped or until all estimates that were wanted have come."""
+        """Display until stopped or until the wanted number of estimates has arrived."""
         shown = 0.0
         with Screen(Console(highlight=False)) as screen:
             while not stop.wait(POLL) and not self._is_done():
@@ -298,11 +299,12 @@ class Monitor:
 
     def _is_done(self) -> bool:
         with self._lock:
-            silence = time.monotonic() - self._estimated
+            silence = time.monotonic() - self._newest_estimate
             if self._timeout and silence > self._timeout:
                 raise SymbidError(
-                    f"{self._identifier}/estimate: nothing for {silence:.0f} s; check that the "
-                    "node runs, its name and ROS_DOMAIN_ID"
+                    f"{self._identifier}/estimate: no estimate for {silence:.0f} s; check that the "
+                    "node runs, its name and ROS_DOMAIN_ID",
+                    "E810",
                 )
             return 0 < self._wanted <= self._count
 
@@ -312,22 +314,22 @@ class Monitor:
                 identifier=self._identifier,
                 estimate=self._estimate,
                 first=dict(self._first),
-                health=read_status(self._statuses),
-                silence=now - self._heard,
+                status=read_status(self._statuses),
+                silence=now - self._newest_status,
                 truth=self._truth,
             )
 
-    def _take_estimate(self, message: DiagnosticArray) -> None:
+    def _on_estimate(self, message: DiagnosticArray) -> None:
         estimate = read_estimate(message)
         with self._lock:
             self._estimate = estimate
-            self._estimated = time.monotonic()
+            self._newest_estimate = time.monotonic()
             self._count += 1
             for link in estimate.links:
                 self._first.setdefault(link.name, link)
         self._changed.set()
 
-    def _take_diagnostics(self, message: DiagnosticArray) -> None:
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
         prefix = f"{self._identifier}: "
         own = {
             status.name.removeprefix(prefix): status
@@ -337,7 +339,7 @@ class Monitor:
         if own:
             with self._lock:
                 self._statuses |= own
-                self._heard = time.monotonic()
+                self._newest_status = time.monotonic()
             self._changed.set()
 
 
@@ -356,7 +358,7 @@ def main(args: Sequence[str] | None = None) -> None:
             "monitor",
             lambda node, values, stop: Monitor(node, values).run(stop),
             args,
-            purpose="Show in the terminal what an identifier knows now.",
+            purpose="Show an identifier's current estimate in the terminal.",
             parameters=PARAMETERS,
         )
     )

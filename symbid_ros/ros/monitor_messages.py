@@ -1,7 +1,7 @@
-"""The identifier's messages, read back: what a monitor shows of them.
+"""The identifier's messages, parsed for display.
 
-Keys that are missing or hold no number are taken as not known: an identifier of another
-version says less or more.
+Missing keys and values that are not numbers count as unknown, because another version of the
+identifier may publish other keys.
 """
 
 import math
@@ -14,24 +14,24 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from symbid_ros.arrays import FloatArray
 from symbid_ros.model.inertia import PARAMETERS
 
-# What a stream counts that should not happen.
+# Counts of a stream that should be zero.
 FAULTS = "missing", "late", "dropped"
 LEVELS = {1: "warning", 2: "error"}
 
 
 @dataclass(frozen=True)
 class LinkEstimate:
-    """One link as ``~/estimate`` tells it.
+    """Estimate of one link from ``~/estimate``.
 
     Attributes
     ----------
     name : str
     phi, std : (10,) float64
-        Parameters and their standard deviations, SI units; NaN where not told.
+        Parameters and their standard deviations, SI units; NaN if unknown.
     determined : int or None
-        How many of the ten the data decide; None where not told.
+        Number of parameters determined by the data; None if unknown.
     is_possible : bool
-        Whether some mass density can realise the parameters.
+        Whether some mass density has these parameters.
     """
 
     name: str
@@ -51,43 +51,44 @@ class LinkEstimate:
     def com_std(self) -> FloatArray:
         """Standard deviation of the centre of mass (3,), m.
 
-        First order in m·c and m, whose correlations a message does not carry.
+        A first-order approximation without the correlation of m·c and m, which messages lack.
         """
         with np.errstate(all="ignore"):
             std: FloatArray = np.hypot(self.std[1:4], self.com * self.std[0]) / abs(self.phi[0])
         return std
 
     def shrinkage(self, first: "LinkEstimate") -> float:
-        """Return how many times smaller the ten deviations are than at ``first``.
+        """Return the factor by which the standard deviations have shrunk since ``first``.
 
-        Their geometric mean: 10 means one decimal gained on average. NaN where not told.
+        It is the geometric mean over the ten parameters: 10 is one decimal on average. NaN if
+        unknown.
         """
         with np.errstate(all="ignore"):
             ratios = np.log(first.std) - np.log(self.std)
-            told = np.isfinite(ratios)
-            return float(np.exp(ratios[told].mean())) if told.any() else math.nan
+            known = np.isfinite(ratios)
+            return float(np.exp(ratios[known].mean())) if known.any() else math.nan
 
     def error(self, truth: FloatArray) -> float:
-        """Return the root mean square of the ten errors against ``truth`` (10,), each in its σ."""
+        """Return the RMS of the ten errors against ``truth`` (10,), each divided by its σ."""
         with np.errstate(all="ignore"):
             scaled = (self.phi - truth) / self.std
-            told = np.isfinite(scaled)
-            return float(np.sqrt(np.mean(scaled[told] ** 2))) if told.any() else math.nan
+            known = np.isfinite(scaled)
+            return float(np.sqrt(np.mean(scaled[known] ** 2))) if known.any() else math.nan
 
 
 @dataclass(frozen=True)
 class RobotEstimate:
-    """One ``~/estimate``.
+    """Estimate of a robot from ``~/estimate``.
 
     Attributes
     ----------
     stamp : int
-        Time of its newest data, ns.
+        Time of the newest data, ns.
     model : str
         Name of the robot.
     links : tuple of LinkEstimate
     joint_terms, joint_determined : int
-        How many friction, armature and offset terms there are, and how many the data decide.
+        Number of friction, armature and offset terms, and how many the data determine.
     """
 
     stamp: int
@@ -98,19 +99,19 @@ class RobotEstimate:
 
     @property
     def parameters(self) -> int:
-        """How many parameters there are in all."""
+        """Number of all parameters."""
         return len(PARAMETERS) * len(self.links) + self.joint_terms
 
     @property
     def determined(self) -> int | None:
-        """How many of all parameters the data decide; None where not told."""
+        """Number of all parameters determined by the data; None if unknown."""
         counts = [link.determined for link in self.links if link.determined is not None]
         return sum(counts) + self.joint_determined if counts else None
 
 
 @dataclass(frozen=True)
 class StreamCounts:
-    """One input topic: rate in Hz (NaN where not told) and whatever was counted wrong with it."""
+    """Rate of an input topic in Hz (NaN if unknown), and counts of its faults."""
 
     topic: str
     rate: float
@@ -119,38 +120,38 @@ class StreamCounts:
 
 @dataclass(frozen=True)
 class IdentifierStatus:
-    """What the identifier says of itself on ``/diagnostics``.
+    """Statuses of the identifier on ``/diagnostics``.
 
     Attributes
     ----------
-    facts : mapping of str to str
-        Values of its status ``estimate``.
+    values : mapping of str to str
+        Values of the status ``estimate``.
     warnings : tuple of str
-        Messages of every status that is not OK, with the word for its level.
+        Level and message of every status that is not OK.
     streams : tuple of StreamCounts
     """
 
-    facts: Mapping[str, str]
+    values: Mapping[str, str]
     warnings: tuple[str, ...]
     streams: tuple[StreamCounts, ...]
 
     def number(self, key: str) -> float:
-        """Return a fact that is a number, NaN where it is none."""
-        return _number(self.facts.get(key, ""))
+        """Return a value as a number; NaN if it is missing or not a number."""
+        return _number(self.values.get(key, ""))
 
 
 def read_estimate(message: DiagnosticArray) -> RobotEstimate:
-    """Read ``~/estimate``."""
+    """Parse a message of ``~/estimate``."""
     links: list[LinkEstimate] = []
     joint_terms = joint_determined = 0
     for status in message.status:
         values = _values(status)
-        verdicts = [value for key, value in values.items() if key.endswith("/determined")]
+        determined = [value for key, value in values.items() if key.endswith("/determined")]
         if PARAMETERS[0] in values:
-            links.append(_link(status, values, verdicts))
+            links.append(_link(status, values, determined))
         else:
             joint_terms += sum("/" not in key for key in values)
-            joint_determined += verdicts.count("true")
+            joint_determined += determined.count("true")
     stamp = message.header.stamp
     return RobotEstimate(
         stamp=stamp.sec * 1_000_000_000 + stamp.nanosec,
@@ -162,7 +163,7 @@ def read_estimate(message: DiagnosticArray) -> RobotEstimate:
 
 
 def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
-    """Read the newest statuses of one identifier, by the part of the name behind its own."""
+    """Parse the newest statuses of one identifier, by part."""
     estimate, streams = statuses.get("estimate"), statuses.get("streams")
     warnings = [
         f"{LEVELS.get(_level(status), 'stale')}: {status.message}"
@@ -170,26 +171,26 @@ def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
         if _level(status) > 0
     ]
     return IdentifierStatus(
-        facts={} if estimate is None else _values(estimate),
+        values={} if estimate is None else _values(estimate),
         warnings=tuple(warnings),
         streams=() if streams is None else _streams(_values(streams)),
     )
 
 
 def _link(
-    status: DiagnosticStatus, values: Mapping[str, str], verdicts: Sequence[str]
+    status: DiagnosticStatus, values: Mapping[str, str], determined: Sequence[str]
 ) -> LinkEstimate:
     return LinkEstimate(
         name=status.name,
         phi=np.array([_number(values.get(name, "")) for name in PARAMETERS]),
         std=np.array([_number(values.get(f"{name}/std", "")) for name in PARAMETERS]),
-        determined=verdicts.count("true") if verdicts else None,
+        determined=determined.count("true") if determined else None,
         is_possible=_level(status) == 0,
     )
 
 
 def _streams(values: Mapping[str, str]) -> tuple[StreamCounts, ...]:
-    """Gather ``<topic>/<what>`` by topic, in the order told."""
+    """Group the keys ``<topic>/<count>`` by topic, in the order of the message."""
     topics: dict[str, dict[str, float]] = {}
     for key, value in values.items():
         topic, _, what = key.rpartition("/")
@@ -218,7 +219,7 @@ def _level(status: DiagnosticStatus) -> int:
 
 
 def _number(text: str) -> float:
-    # "1000.2 Hz" says a number too.
+    # A value may have a unit, such as "1000.2 Hz".
     try:
         return float(text.split(maxsplit=1)[0])
     except (ValueError, IndexError):

@@ -134,7 +134,9 @@ def test_arguments_that_are_not_given_leave_every_default(context, node: str) ->
         ),
     ],
 )
-def test_a_node_reads_arguments_in_the_types_of_its_parameters(context, node, texts, values) -> None:
+def test_a_node_reads_arguments_in_the_types_of_its_parameters(
+    context, node, texts, values
+) -> None:
     found = read(context, node, node_arguments(node, texts))
     assert {name: found[name] for name in values} == values
 

@@ -55,15 +55,15 @@ def estimate(*links: DiagnosticStatus, seconds: int = 3) -> DiagnosticArray:
     return message
 
 
-def view(message: DiagnosticArray, *, first: DiagnosticArray | None = None, **facts) -> MonitorView:
+def view(message: DiagnosticArray, *, first: DiagnosticArray | None = None, **state) -> MonitorView:
     seen = read_estimate(first or message)
     return MonitorView(
         identifier="/identifier",
         estimate=read_estimate(message),
         first={each.name: each for each in seen.links},
-        health=facts.get("health", IdentifierStatus({}, (), ())),
-        silence=facts.get("silence", 0.0),
-        truth=facts.get("truth", {}),
+        status=state.get("status", IdentifierStatus({}, (), ())),
+        silence=state.get("silence", 0.0),
+        truth=state.get("truth", {}),
     )
 
 
@@ -181,7 +181,7 @@ class TestPage:
     def test_warnings_stand_below_the_table(self) -> None:
         health = IdentifierStatus({}, ("warning: leg: changed",), ())
         leg = link("leg", LEG, STD, level=DiagnosticStatus.WARN)
-        lines = rendered(view(estimate(leg), health=health, silence=9.0), 80)
+        lines = rendered(view(estimate(leg), status=health, silence=9.0), 80)
         assert lines[-3:] == [
             "warning: leg: changed",
             "warning: physically impossible: leg",
@@ -245,7 +245,7 @@ class TestProcess:
         assert told
         assert len(told) == len(set(told))
         assert all("20 of 20 parameters determined by the data" in line for line in told)
-        assert all("14.000 kg in all" in line for line in told)
+        assert all("14.000 kg in total" in line for line in told)
         assert cells(lines, "base_link")[1].startswith("12.0")
         # The truth knows no link named leg.
         assert cells(lines, "leg")[-1] == "—"
@@ -260,7 +260,7 @@ class TestProcess:
         ended = graph.start("monitor", timeout=0.2).ended()
         assert ended.status == 2
         (line,) = ended.err.splitlines()
-        assert line.startswith("monitor: /identifier/estimate: nothing for")
+        assert line.startswith("monitor: /identifier/estimate: no estimate for")
 
     def test_a_truth_that_is_no_model_is_refused_in_one_line(self, graph, tmp_path: Path) -> None:
         ended = graph.start("monitor", truth=tmp_path / "none.xml").ended()
@@ -331,7 +331,7 @@ def test_a_foreign_publisher_of_absurd_values_is_shown_as_far_as_possible(seed: 
     message = estimate(*(absurd(name) for name in ("base", "[/bold]", "base")))
     message.header.stamp.sec = draw.choice([-(2**31), 2**31 - 1])
     health = read_status({part: absurd(part) for part in ("estimate", "streams", "change")})
-    shown = view(message, health=health, truth={"base": TRUNK})
+    shown = view(message, status=health, truth={"base": TRUNK})
     assert any("base" in line for line in rendered(shown, 200)), rendered(shown, 200)
     console = Console(file=StringIO(), width=200)
     with Screen(console) as screen:
