@@ -1,4 +1,4 @@
-"""Real node processes on a graph of their own."""
+"""Starts real node processes on a ROS graph of the test's own."""
 
 import os
 import signal

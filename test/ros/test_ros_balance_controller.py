@@ -1,4 +1,4 @@
-"""Plant and controller as two processes that share nothing but topics."""
+"""Plant and controller as two processes that communicate only over topics."""
 
 import json
 import signal
@@ -42,7 +42,7 @@ class Clocked:
         return int(np.count_nonzero(np.diff(self.stamps) < 0))
 
 
-def test_it_moves_the_robot_as_the_scenario_does(graph) -> None:
+def test_the_robot_moves_as_with_the_internal_controller(graph) -> None:
     clock, places = Clocked(graph), {}
     graph.node.create_subscription(
         Odometry,
@@ -86,7 +86,7 @@ def test_it_moves_the_robot_as_the_scenario_does(graph) -> None:
     assert max(away) < 0.01
 
 
-def test_each_picks_up_the_other_after_a_kill(graph) -> None:
+def test_each_node_resumes_after_the_other_is_killed(graph) -> None:
     clock, health = Clocked(graph), StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT | {"command_timeout": 1.0})
     graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
@@ -141,7 +141,7 @@ def test_reset_and_pause(graph) -> None:
     assert clock.jumps == 1
 
 
-def test_bad_commands_are_reported_and_move_nothing(graph) -> None:
+def test_bad_commands_are_reported_and_ignored(graph) -> None:
     states, health = [], StatusProbe(graph)
     graph.node.create_subscription(JointState, "joint_states", states.append, RELIABLE)
     commands = graph.node.create_publisher(JointState, "joint_command", RELIABLE)
@@ -190,7 +190,7 @@ def test_signals_end_a_bridge_that_waits(graph, source: str, number: signal.Sign
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signals_end_a_controller_that_hears_nothing(graph, number: signal.Signals) -> None:
+def test_signals_end_a_controller_without_measurements(graph, number: signal.Signals) -> None:
     health = StatusProbe(graph)
     controller = graph.start("balance_controller")
     graph.wait_until(lambda: health.message(CONTROL).startswith("no measurements"))

@@ -1,4 +1,4 @@
-"""Joints and IMU of one instant, found by stamp and name among what the topics carry."""
+"""Joint states and IMU data are paired by stamp and read by name."""
 
 import time
 from collections.abc import Iterator
@@ -77,7 +77,7 @@ def robot(domain: int) -> Iterator[Robot]:
     context.try_shutdown()
 
 
-def test_joints_are_read_by_name_beside_the_imu_of_their_instant(robot: Robot) -> None:
+def test_joints_are_read_by_name_and_paired_with_the_imu(robot: Robot) -> None:
     robot.joints(5)
     robot.imu(5)
     readings = robot.read(5)
@@ -91,7 +91,7 @@ def test_joints_are_read_by_name_beside_the_imu_of_their_instant(robot: Robot) -
     np.testing.assert_array_equal(robot.read(6).joint_position, [1.0, 3.0])
 
 
-def test_an_imu_at_half_the_rate_decides_which_instants_are_whole(robot: Robot) -> None:
+def test_an_imu_at_half_the_rate_limits_the_complete_instants(robot: Robot) -> None:
     robot.joints(1, 2, 3, 4)
     robot.imu(1)
     robot.read(1)
@@ -103,7 +103,7 @@ def test_an_imu_at_half_the_rate_decides_which_instants_are_whole(robot: Robot) 
     assert robot.subscriber.skipped == 2
 
 
-def test_of_joints_that_wait_for_a_silent_imu_the_newest_are_kept(robot: Robot) -> None:
+def test_the_newest_joint_states_are_kept_while_the_imu_is_silent(robot: Robot) -> None:
     waiting = 5 * KEPT
     robot.joints(*range(1, waiting + 1))
     robot.imu(waiting)
@@ -112,7 +112,7 @@ def test_of_joints_that_wait_for_a_silent_imu_the_newest_are_kept(robot: Robot) 
     assert robot.subscriber.skipped <= KEPT  # the others were dropped long before
 
 
-def test_a_clock_that_jumps_back_begins_anew(robot: Robot) -> None:
+def test_a_backward_clock_jump_clears_earlier_messages(robot: Robot) -> None:
     robot.joints(7000, 7001)
     robot.imu(7000)
     robot.read(7000)
@@ -133,7 +133,7 @@ def test_a_clock_that_jumps_back_begins_anew(robot: Robot) -> None:
         ({"velocity": [0.0, 1e4, 0.0]}, "rates above 1000 rad/s at 0.003 s"),
     ],
 )
-def test_what_cannot_be_used_says_why_and_is_done_with(robot: Robot, changes, says) -> None:
+def test_an_invalid_message_raises_once_with_the_reason(robot: Robot, changes, says) -> None:
     robot.joints(3, **changes)
     robot.imu(3)
     with pytest.raises(DataError, match=says):

@@ -1,4 +1,4 @@
-"""The simulated robot as its topics show it, between real processes."""
+"""The simulated robot on its topics, between real processes."""
 
 import json
 import re
@@ -64,7 +64,7 @@ def supporting_force(robot: RobotModel, streams: Streams, part: slice) -> np.nda
     return total
 
 
-def test_recorder_gets_what_the_bridge_says_it_published(
+def test_the_recorder_gets_all_messages_that_the_bridge_counts(
     recorded: tuple[Path, dict, dict], tmp_path: Path
 ) -> None:
     bag, told, heard = recorded
@@ -157,7 +157,7 @@ def test_rates_of_zero_publish_nothing(graph) -> None:
     assert not any(name == "/clock" or "ground_truth" in name for name in topics)
 
 
-def test_parameters_are_described_and_fixed_but_for_the_payload(graph) -> None:
+def test_parameters_are_described_and_only_the_payload_can_change(graph) -> None:
     bridge = graph.start("mujoco_bridge", wait_for_subscribers=True)
     health = StatusProbe(graph)
     graph.wait_until(lambda: health.received)
@@ -193,7 +193,7 @@ def test_parameters_are_described_and_fixed_but_for_the_payload(graph) -> None:
     assert (ended.status, ended.err) == (0, "")
 
 
-def test_a_payload_set_while_it_moves_weighs_on_the_feet(graph, tmp_path: Path) -> None:
+def test_a_payload_set_while_moving_loads_the_feet(graph, tmp_path: Path) -> None:
     """At rest at the end, the feet bear the payload's weight more than without it."""
     clock: list[int] = []
     graph.node.create_subscription(Clock, "/clock", lambda m: clock.append(m.clock.sec), RELIABLE)
@@ -223,7 +223,7 @@ def test_a_payload_set_while_it_moves_weighs_on_the_feet(graph, tmp_path: Path) 
     np.testing.assert_allclose(more, [0, 0, 2.0 * 9.81], atol=0.02 * 2.0 * 9.81)
 
 
-def test_a_payload_given_at_the_start_comes_at_its_time(graph, tmp_path: Path) -> None:
+def test_a_payload_given_at_the_start_is_attached_at_its_time(graph, tmp_path: Path) -> None:
     topics = "[joint_states, imu/data, left_foot/wrench, right_foot/wrench, suspension/wrench]"
     recorder = graph.start("recorder", bag=tmp_path / "live", topics=topics)
     bridge = graph.start(

@@ -1,4 +1,4 @@
-"""Deadlines of a schedule, on a clock that the test moves."""
+"""Deadlines at a fixed rate, on a clock that the test sets."""
 
 import pytest
 
@@ -39,26 +39,26 @@ def periods_taken(schedule: FixedRate, clock: ManualClock, work: list[int]) -> l
     return taken
 
 
-def test_the_first_deadline_is_now_and_work_does_not_add_up(clock: ManualClock) -> None:
+def test_the_first_deadline_is_now_and_work_does_not_delay_later_ones(clock: ManualClock) -> None:
     schedule = FixedRate(2.0 * MILLISECOND)
     assert periods_taken(schedule, clock, [0, 1, 0, 1.5, 1]) == [0, 2, 2, 2, 2]
     assert (schedule.late, schedule.elapsed_ns) == (0, 8 * MILLISECOND)
 
 
-def test_a_little_delay_is_made_up_for(clock: ManualClock) -> None:
+def test_a_short_delay_is_caught_up(clock: ManualClock) -> None:
     schedule = FixedRate(2.0 * MILLISECOND)
     assert periods_taken(schedule, clock, [0, 7, 1, 1, 1, 1, 1, 1]) == [0, 7, 1, 1, 1, 1, 1, 2]
     assert schedule.late == 4
     assert schedule.elapsed_ns == 14 * MILLISECOND
 
 
-def test_a_long_delay_is_not_raced_after(clock: ManualClock) -> None:
+def test_a_long_delay_is_not_caught_up(clock: ManualClock) -> None:
     schedule = FixedRate(2.0 * MILLISECOND)
     assert periods_taken(schedule, clock, [0, 500, 0, 0]) == [0, 500, 2, 2]
     assert schedule.late == 1
 
 
-def test_a_pause_is_no_delay_and_no_elapsed_time(clock: ManualClock) -> None:
+def test_a_pause_counts_neither_as_delay_nor_as_elapsed_time(clock: ManualClock) -> None:
     schedule = FixedRate(2.0 * MILLISECOND)
     assert periods_taken(schedule, clock, [0, 1]) == [0, 2]
     clock.now += 3600 * 10**9

@@ -1,4 +1,4 @@
-"""Which commands on the topic move the robot, and which do not."""
+"""Which commands on the topic the robot obeys."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -104,7 +104,7 @@ def test_efforts_are_read_by_name(bench) -> None:
     assert (loop.commands.counts.accepted, loop.rejected) == (3, {})
 
 
-def test_bytes_of_any_serialiser_are_read(bench) -> None:
+def test_bytes_of_any_serializer_are_read(bench) -> None:
     """Fast CDR may pad behind the last field, and others write big-endian."""
     loop = bench()
     loop.publisher.publish(serialize_message(command(1, hip=2.0, knee=-3.0)))
@@ -119,7 +119,7 @@ def test_bytes_of_any_serialiser_are_read(bench) -> None:
     assert loop.answer(2) == [5.0, 4.0]
 
 
-def test_what_our_publisher_sends_is_understood(bench) -> None:
+def test_commands_of_the_own_publisher_are_accepted(bench) -> None:
     loop = bench()
     heard: list[JointState] = []
     loop.node.create_subscription(JointState, "joint_command", heard.append, 10)
@@ -153,7 +153,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("reason", BAD)
-def test_what_is_wrong_is_counted_and_not_obeyed(bench, reason: str) -> None:
+def test_invalid_commands_are_counted_and_ignored(bench, reason: str) -> None:
     loop = bench()
     loop.send(*BAD[reason], command(5, knee=0.25, hip=0.5))
     assert loop.answer(5) == [0.25, 0.5]
@@ -170,7 +170,7 @@ def test_an_instant_is_answered_once(bench) -> None:
     assert loop.rejected == {"old": 2}
 
 
-def test_silence_is_safe_and_a_late_word_ends_it(bench) -> None:
+def test_a_timeout_gives_safe_torques_until_a_late_command(bench) -> None:
     loop = bench(timeout=0.2)
     loop.send(command(4, knee=1.0, hip=1.0))
     assert loop.answer(4) == [1.0, 1.0]
@@ -188,7 +188,7 @@ def test_silence_is_safe_and_a_late_word_ends_it(bench) -> None:
     assert loop.answer(8) == [3.0, 3.0]
 
 
-def test_words_to_a_run_before_do_not_count(bench) -> None:
+def test_commands_for_an_earlier_run_are_discarded(bench) -> None:
     loop = bench()
     loop.send(command(5000, knee=1.0, hip=1.0))
     assert loop.answer(5000) == [1.0, 1.0]
@@ -200,7 +200,7 @@ def test_words_to_a_run_before_do_not_count(bench) -> None:
     assert loop.rejected == {}
 
 
-def test_whoever_turns_up_before_the_first_command_is_asked_as_well(bench) -> None:
+def test_a_node_that_joins_before_the_first_command_also_gets_the_instant(bench) -> None:
     loop = bench(timeout=1000.0)
     late = loop.node.create_publisher(JointState, "joint_command", 100)
     assert loop.answer(1) is None
@@ -211,7 +211,7 @@ def test_whoever_turns_up_before_the_first_command_is_asked_as_well(bench) -> No
     assert loop.repeated == [1 * MILLISECOND]
 
 
-def test_a_stop_ends_the_waiting(bench) -> None:
+def test_a_stop_ends_the_wait(bench) -> None:
     loop = bench(timeout=1000.0)
     stopper = threading.Timer(0.1, loop.stop.set)
     stopper.start()

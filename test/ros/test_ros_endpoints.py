@@ -1,4 +1,4 @@
-"""Publishers that wait for their subscribers, but not for ever."""
+"""Publishers wait for their subscribers for a limited time."""
 
 from collections.abc import Iterator
 from contextlib import suppress

@@ -1,4 +1,4 @@
-"""Messages of an estimate against closed forms, every axis with a number of its own."""
+"""Messages of an estimate against closed forms, with a different number for every axis."""
 
 import json
 from dataclasses import replace
@@ -69,7 +69,7 @@ def test_an_inertia_is_about_the_centre_of_mass(estimate) -> None:
     assert (message.header.frame_id, message.header.stamp) == (LINK, STAMP)
 
 
-def test_deviations_of_an_inertia_are_those_of_its_parameters_carried_over(estimate) -> None:
+def test_standard_deviations_of_an_inertia_follow_from_its_parameters(estimate) -> None:
     m, mx, my, mz, *_ = of_link(estimate, estimate.value)
     std = of_link(estimate, estimate.std)
     # Derivatives of mass, centre of mass and central inertia by m, mc_x, mc_y and mc_z.
@@ -93,7 +93,7 @@ def test_deviations_of_an_inertia_are_those_of_its_parameters_carried_over(estim
     assert (message.header.frame_id, message.header.stamp) == (LINK, STAMP)
 
 
-def test_what_the_data_do_not_determine_has_no_deviation(estimate) -> None:
+def test_undetermined_parameters_have_no_standard_deviation(estimate) -> None:
     first = estimate.names.index(f"{LINK}/m")
     determined = estimate.determined.copy()
     determined[[first + 2, first + 6]] = False
@@ -106,7 +106,7 @@ def test_what_the_data_do_not_determine_has_no_deviation(estimate) -> None:
         assert np.isnan(numbers(none)).all()
 
 
-def test_residuals_are_told_joint_by_joint_and_axis_by_axis(estimate, parameters) -> None:
+def test_residuals_are_published_for_each_joint_and_axis(estimate, parameters) -> None:
     residual = estimate.residual_rmse
     effort = estimate_topics.effort_residual_message(estimate, STAMP)
     assert tuple(effort.name) == parameters.model.joint_names
@@ -122,7 +122,7 @@ def test_residuals_are_told_joint_by_joint_and_axis_by_axis(estimate, parameters
     assert wrench.header.frame_id == "link_0"
 
 
-def test_every_number_stands_under_its_name(estimate, parameters) -> None:
+def test_every_number_has_its_name(estimate, parameters) -> None:
     determined = np.arange(len(parameters)) % 3 > 0
     message = estimate_topics.estimate_message(replace(estimate, determined=determined), STAMP)
     assert message.header.stamp == STAMP

@@ -1,4 +1,4 @@
-"""The loop over real topics: bridge → recorder → identifier, and the command on the same bag."""
+"""Bridge, recorder and identifier over real topics, against the command on the same bag."""
 
 import json
 import signal
@@ -68,7 +68,7 @@ def same_files(one: Path, other: Path) -> bool:
     return arrays and all((one / f).read_text() == (other / f).read_text() for f in texts)
 
 
-def test_the_loop_over_topics_gives_what_the_command_gives(graph, tmp_path: Path) -> None:
+def test_live_identification_equals_that_of_the_command(graph, tmp_path: Path) -> None:
     bag = recorded(graph, tmp_path / "bag")
     model = config_file("symbitron.xml")
     parameters = ParameterSet(load_model(model))
@@ -154,7 +154,7 @@ def node_and_command(graph, tmp_path: Path, bag: Path, **given: object) -> dict[
     return document
 
 
-def test_every_fact_reaches_the_job_from_both(graph, tmp_path: Path) -> None:
+def test_every_option_gives_the_same_result_as_the_command(graph, tmp_path: Path) -> None:
     errors = {"errors": "typical", "error_seed": 3}
     record(Simulator("smooth", moves=1, motion_seed=7, **errors), tmp_path / "bag")
     tare = Simulator("tare", **errors)
@@ -209,7 +209,7 @@ def test_a_truncated_method_on_filtered_rows_is_the_same_from_both(
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
 )
-def test_a_parameter_that_makes_no_sense(graph, tmp_path: Path, parameters, says) -> None:
+def test_an_invalid_parameter_is_refused(graph, tmp_path: Path, parameters, says) -> None:
     identifier = graph.start(
         "identifier",
         bag=f"['{tmp_path / 'bag'}']",

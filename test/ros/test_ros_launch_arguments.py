@@ -1,4 +1,4 @@
-"""Arguments of the launch files: complete, unambiguous, and read by nodes as they were meant."""
+"""Arguments of the launch files are complete, unambiguous and read correctly by the nodes."""
 
 import ast
 from collections import defaultdict
@@ -141,7 +141,7 @@ def test_a_node_reads_arguments_in_the_types_of_its_parameters(
     assert {name: found[name] for name in values} == values
 
 
-def test_arguments_override_the_parameter_file_and_this_what_is_preset(context, tmp_path) -> None:
+def test_arguments_override_the_parameter_file_which_overrides_presets(context, tmp_path) -> None:
     file = tmp_path / "params.yaml"
     file.write_text(
         yaml.safe_dump({"/**": {"ros__parameters": {"wait_for_subscribers": False, "rate": 3.0}}})

@@ -1,4 +1,4 @@
-"""The monitor shows what an identifier's messages say, in a terminal of any width and in a log."""
+"""The monitor displays an identifier's messages on terminals of any width and in logs."""
 
 import fcntl
 import math
@@ -94,7 +94,7 @@ class TestMessages:
         assert last.shrinkage(first) == pytest.approx(10.0)
         assert first.shrinkage(first) == pytest.approx(1.0)
 
-    def test_errors_are_counted_in_deviations(self) -> None:
+    def test_errors_are_in_standard_deviations(self) -> None:
         (trunk,) = read_estimate(estimate(link("trunk", TRUNK, STD))).links
         signs = np.array([1, -1] * 5)
         assert trunk.error(TRUNK + 2 * signs * STD) == pytest.approx(2.0)
@@ -113,7 +113,7 @@ class TestMessages:
         assert (read.determined, read.parameters) == (7 + 2 + 1, 10 + 10 + 2)
         assert (read.stamp, read.model) == (3_000_000_000, "biped")
 
-    def test_what_is_missing_is_not_known(self) -> None:
+    def test_missing_values_are_unknown(self) -> None:
         read = read_estimate(estimate(status("trunk", m="12.0", mc_x="none"), status("leg")))
         (trunk,) = read.links
         assert trunk.phi[0] == 12.0
@@ -122,7 +122,7 @@ class TestMessages:
         assert (trunk.determined, read.determined) == (None, None)
         assert not read_estimate(DiagnosticArray()).links
 
-    def test_health_gathers_warnings_and_streams(self) -> None:
+    def test_status_combines_warnings_and_streams(self) -> None:
         told = {
             "estimate": status("", age="0.8", samples="120", method="map"),
             "change": status("", DiagnosticStatus.WARN, "leg: changed"),
@@ -141,7 +141,7 @@ class TestMessages:
 
 
 class TestPage:
-    def test_a_row_shows_what_the_message_says(self) -> None:
+    def test_a_row_shows_the_values_of_the_message(self) -> None:
         first = estimate(link("trunk", TRUNK, 2 * STD), link("leg", LEG, 2 * STD))
         last = estimate(link("trunk", TRUNK, STD, known=7), link("leg", LEG, STD, known=0))
         truth = {"trunk": TRUNK + 3 * STD}
@@ -154,13 +154,13 @@ class TestPage:
         assert cells(lines, "leg")[5:] == ["0", "2.0", "—"]
         assert "7 of 20 parameters determined by the data" in lines
 
-    def test_the_time_is_told_as_the_robot_counts_it(self) -> None:
+    def test_time_is_shown_in_the_robots_clock(self) -> None:
         leg = link("leg", LEG, STD)
         simulated, real = estimate(leg, seconds=62), estimate(leg, seconds=1_700_000_000)
         assert "data to 62.0 s" in rendered(view(simulated), 80)[0]
         assert "data to 22:13:20 UTC" in rendered(view(real), 80)[0]
 
-    def test_why_there_is_no_estimate_is_told(self) -> None:
+    def test_the_reason_for_a_missing_estimate_is_reported(self) -> None:
         told = {"estimate": status("", DiagnosticStatus.ERROR, "the data do not fit the model")}
         shown = MonitorView("/identifier", None, {}, read_status(told), 0.0, {})
         assert rendered(shown, 80) == [
@@ -169,7 +169,7 @@ class TestPage:
         ]
 
     @pytest.mark.parametrize("width", [48, 60, 80, 100, 200])
-    def test_no_number_is_cut_at_any_width(self, width: int) -> None:
+    def test_no_number_is_truncated_at_any_width(self, width: int) -> None:
         names = ("base_link", "right_hip", "right_ankle")
         message = estimate(*(link(name, TRUNK, STD) for name in names))
         lines = rendered(view(message, truth=dict.fromkeys(names, TRUNK)), width)
@@ -178,7 +178,7 @@ class TestPage:
         has_com = any("CoM" in line for line in lines)
         assert has_com == (width >= 80)
 
-    def test_warnings_stand_below_the_table(self) -> None:
+    def test_warnings_are_below_the_table(self) -> None:
         health = IdentifierStatus({}, ("warning: leg: changed",), ())
         leg = link("leg", LEG, STD, level=DiagnosticStatus.WARN)
         lines = rendered(view(estimate(leg), status=health, silence=9.0), 80)
@@ -224,7 +224,7 @@ def heard(graph, process, identifier: Identifier):
 
 
 class TestProcess:
-    def test_help_tells_every_parameter(self) -> None:
+    def test_help_lists_every_parameter(self) -> None:
         told = subprocess.run(
             [Path(sys.executable).parent / "monitor", "--help"],
             capture_output=True,
@@ -256,20 +256,20 @@ class TestProcess:
         assert ended.status == 0
         assert any(line.startswith("base_link") for line in ended.out.splitlines())
 
-    def test_it_gives_up_in_one_line(self, graph) -> None:
+    def test_a_timeout_is_a_one_line_error(self, graph) -> None:
         ended = graph.start("monitor", timeout=0.2).ended()
         assert ended.status == 2
         (line,) = ended.err.splitlines()
         assert line.startswith("monitor: /identifier/estimate: no estimate for")
 
-    def test_a_truth_that_is_no_model_is_refused_in_one_line(self, graph, tmp_path: Path) -> None:
+    def test_an_invalid_truth_model_is_a_one_line_error(self, graph, tmp_path: Path) -> None:
         ended = graph.start("monitor", truth=tmp_path / "none.xml").ended()
         assert ended.status == 2
         assert ended.err.splitlines() == [ended.err.strip()]
         assert "none.xml" in ended.err
 
     @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-    def test_a_terminal_is_left_as_it_was(self, graph, number: signal.Signals) -> None:
+    def test_a_terminal_is_restored_at_the_end(self, graph, number: signal.Signals) -> None:
         leader, follower = pty.openpty()
         fcntl.ioctl(follower, termios.TIOCSWINSZ, struct.pack("HHHH", 30, 80, 0, 0))
         monitor = subprocess.Popen(
@@ -318,7 +318,7 @@ class TestProcess:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_foreign_publisher_of_absurd_values_is_shown_as_far_as_possible(seed: int) -> None:
+def test_absurd_values_are_displayed_as_far_as_possible(seed: int) -> None:
     draw = random.Random(seed)
     words = ["", "nan", "-inf", "1e308", "5e-324", "-1", "true", "[/red]", "\x1b[31m", "9" * 40]
     keys = [*NAMES, *(f"{name}/std" for name in NAMES), "samples", "window", "age"]

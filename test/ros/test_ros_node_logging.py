@@ -1,4 +1,4 @@
-"""Messages of Python's loggers on a node's console and on /rosout."""
+"""Python's loggers on a node's console and on /rosout."""
 
 import logging
 import time
@@ -45,7 +45,7 @@ def logged(domain: int) -> Iterator[tuple[Node, Callable[[], list[Log]]]]:
     context.try_shutdown()
 
 
-def test_messages_of_any_python_logger_carry_the_nodes_name_and_their_severity(logged) -> None:
+def test_python_loggers_log_under_the_nodes_name_with_their_severity(logged) -> None:
     node, messages = logged
     with forward_python_logs(node):
         logging.getLogger("symbid_ros.bags").warning("%d messages are out of order", 3)
@@ -63,7 +63,7 @@ def test_messages_of_any_python_logger_carry_the_nodes_name_and_their_severity(l
     ]
 
 
-def test_the_nodes_level_decides_while_it_runs(logged) -> None:
+def test_the_nodes_level_filters_at_run_time(logged) -> None:
     node, messages = logged
     logger = logging.getLogger("symbid_ros.model")
     with forward_python_logs(node):
@@ -75,7 +75,7 @@ def test_the_nodes_level_decides_while_it_runs(logged) -> None:
     assert [one.msg for one in messages()] == ["in detail"]
 
 
-def test_repetitions_within_a_minute_are_left_out_whatever_their_figures(logged) -> None:
+def test_repeated_messages_are_suppressed_for_a_minute_despite_other_numbers(logged) -> None:
     node, messages = logged
     child, other = (logging.getLogger(f"symbid_ros.{name}") for name in ("bags.child", "online"))
     with forward_python_logs(node):

@@ -1,4 +1,4 @@
-"""The online identifier as a process among others: what it hears, answers and survives."""
+"""The online identifier as a process: its topics, services and errors."""
 
 import json
 import signal
@@ -93,7 +93,7 @@ def assert_same(live: Path, bag: Path) -> None:
         assert abs(found["parameters"][name]["value"] - entry["value"]) <= 1e-6 * entry["std"]
 
 
-def test_topics_tell_what_a_bag_of_them_tells(graph, tmp_path: Path) -> None:
+def test_topics_give_the_same_estimate_as_their_bag(graph, tmp_path: Path) -> None:
     ears = Ears(graph)
     recorder = graph.start("recorder", bag=tmp_path / "bag", topics=SENSORS)
     live = identifier(graph, out=tmp_path / "live")
@@ -167,7 +167,7 @@ def test_services(graph) -> None:
     assert live.ended().status == 0
 
 
-def test_killed_nodes_are_taken_up_again_by_those_that_live(graph) -> None:
+def test_running_nodes_reconnect_to_restarted_ones(graph) -> None:
     ears = Ears(graph)
     live = identifier(graph, solve_period=0.5)
     robot = bridge(graph, moves=40)
@@ -189,7 +189,7 @@ def test_killed_nodes_are_taken_up_again_by_those_that_live(graph) -> None:
     assert "Traceback" not in ended.err
 
 
-def test_a_wrench_that_turns_up_late_is_taken_up(graph, simulated) -> None:
+def test_a_late_wrench_topic_restarts_identification(graph, simulated) -> None:
     bag = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
     ears = Ears(graph)
     identifier(graph, solve_period=0.3)
@@ -207,7 +207,7 @@ def test_a_wrench_that_turns_up_late_is_taken_up(graph, simulated) -> None:
     graph.wait_until(lambda: ears.estimates)
 
 
-def test_a_payload_on_the_robot_is_laid_at_its_link(graph) -> None:
+def test_a_change_caused_by_a_payload_names_its_link(graph) -> None:
     ears = Ears(graph)
     identifier(graph, memory=5.0)
     bridge(graph, moves=60, motion_seed=3)

@@ -1,4 +1,4 @@
-"""However an online identifier ends, what it has learnt is on the disk, or it says why not."""
+"""An online identifier that ends saves its estimate or reports why there is none."""
 
 import signal
 from collections.abc import Iterator
@@ -43,7 +43,7 @@ def learnt(domain: int, simulated, tmp_path: Path) -> Iterator[OnlineIdentifier]
     context.try_shutdown()
 
 
-def test_an_error_that_ends_it_leaves_the_newest_estimate(
+def test_the_newest_estimate_is_saved_when_an_error_ends_the_node(
     learnt: OnlineIdentifier, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(_: SensorTopics) -> None:
@@ -57,7 +57,7 @@ def test_an_error_that_ends_it_leaves_the_newest_estimate(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_end_without_an_estimate_is_a_failure_and_says_why(graph, tmp_path, number) -> None:
+def test_stopping_without_an_estimate_is_an_error_that_states_why(graph, tmp_path, number) -> None:
     process = graph.start("identifier", model=MODEL, out=tmp_path / "out")
     graph.wait_for_node("identifier")
     graph.wait_until(lambda: graph.node.count_publishers("/identifier/estimate"))

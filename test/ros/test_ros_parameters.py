@@ -1,4 +1,4 @@
-"""Parameters that may be set while a node runs, and what refuses a value."""
+"""Parameters that can be set while a node runs, and values that are refused."""
 
 from collections.abc import Iterator
 
@@ -33,7 +33,7 @@ def node(domain: int) -> Iterator[Node]:
     context.try_shutdown()
 
 
-def test_an_accepted_set_is_told_once_with_all_live_values(node: Node) -> None:
+def test_an_accepted_change_is_reported_once_with_all_live_values(node: Node) -> None:
     told: list[dict] = []
     values = declare(node, PARAMETERS)
     watch(node, PARAMETERS, told.append)
@@ -101,7 +101,7 @@ def test_a_single_text_stands_for_a_list_of_one(domain: int) -> None:
     context.try_shutdown()
 
 
-def test_nothing_is_set_before_somebody_watches(node: Node) -> None:
+def test_no_parameter_can_be_set_before_it_is_watched(node: Node) -> None:
     declare(node, PARAMETERS)
     early = node.set_parameters([Given("mass", value=2.5)])[0]
     assert not early.successful
@@ -110,7 +110,7 @@ def test_nothing_is_set_before_somebody_watches(node: Node) -> None:
     assert node.set_parameters([Given("mass", value=2.5)])[0].successful
 
 
-def test_values_that_do_not_go_together_are_refused(node: Node) -> None:
+def test_values_that_contradict_each_other_are_refused(node: Node) -> None:
     def check(values: dict) -> None:
         if values["count"] > 3 and values["mode"] == "fast":
             raise DataError("four are never fast; give count 3 or mode slow")

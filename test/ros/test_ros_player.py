@@ -1,4 +1,4 @@
-"""Bags onto topics again, between real processes."""
+"""Replay of bags between real processes."""
 
 import json
 import signal

@@ -51,7 +51,7 @@ def run(executable: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_help_tells_every_parameter(name: str) -> None:
+def test_help_lists_every_parameter(name: str) -> None:
     ended = run(name, "--help")
     assert (ended.returncode, ended.stderr) == (0, "")
     for parameter in NODES[name]:

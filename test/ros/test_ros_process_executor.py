@@ -1,4 +1,4 @@
-"""No message ends an executor: neither malformed bytes nor values that a callback cannot take."""
+"""No message ends an executor, neither malformed bytes nor values that a callback rejects."""
 
 from collections.abc import Iterator
 
@@ -29,7 +29,7 @@ def spun(domain: int) -> Iterator[tuple[Node, MessageExecutor]]:
     context.try_shutdown()
 
 
-def test_a_time_that_rclpy_cannot_hold_is_dropped(spun) -> None:
+def test_a_time_out_of_range_is_dropped(spun) -> None:
     node, executor = spun
     node.set_parameters([Parameter("use_sim_time", value=True)])
     publisher = node.create_publisher(Clock, "/clock", reliable_qos(10))

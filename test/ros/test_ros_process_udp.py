@@ -1,4 +1,4 @@
-"""Over what a node sends: which sockets it binds, and whether it shares memory."""
+"""Network of the nodes: which sockets they bind, and that they share no memory."""
 
 import os
 import subprocess
@@ -94,20 +94,20 @@ LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 DEFAULT_TRANSPORTS = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
 
 
-def test_with_the_profile_all_nodes_meet_on_the_loopback_alone(meeting):
+def test_with_the_profile_nodes_communicate_only_over_the_loopback(meeting):
     for process in meeting(**PROFILE):
         assert udp_addresses(process) == {LOOPBACK}
         assert not shares_memory(process)
 
 
-def test_in_the_range_of_this_machine_our_nodes_bind_the_loopback_alone(meeting):
+def test_with_range_localhost_nodes_bind_only_the_loopback(meeting):
     bridge, observer = meeting(**LOCAL)
     assert udp_addresses(bridge) == {LOOPBACK}
     assert not shares_memory(bridge)
     assert ANY in udp_addresses(observer)  # why other programs need the profile
 
 
-def test_by_default_other_machines_are_reached_and_no_memory_is_shared(meeting):
+def test_by_default_nodes_use_the_network_and_no_shared_memory(meeting):
     bridge, _ = meeting()
     assert ANY in udp_addresses(bridge)
     assert not shares_memory(bridge)
@@ -123,7 +123,7 @@ def test_by_default_other_machines_are_reached_and_no_memory_is_shared(meeting):
     ],
     ids=["transports", "transports and range", "profile and range"],
 )
-def test_what_the_user_has_chosen_stays(variables, meeting):
+def test_the_users_choices_are_kept(variables, meeting):
     bridge, _ = meeting(**variables)
     assert ANY in udp_addresses(bridge)
     assert shares_memory(bridge)

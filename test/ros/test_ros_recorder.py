@@ -1,4 +1,4 @@
-"""The recorder among publishers of every kind."""
+"""The recorder with publishers of every quality of service."""
 
 import json
 import random

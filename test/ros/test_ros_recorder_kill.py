@@ -1,4 +1,4 @@
-"""A recorder killed at random times: what its unfinished bag still holds."""
+"""Contents of the unfinished bag of a recorder that was killed at a random time."""
 
 import random
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Models that come as text: from the parameter or the topic robot_description."""
+"""Models given as text, by the parameter or on the topic robot_description."""
 
 import threading
 from collections.abc import Iterator
@@ -64,12 +64,12 @@ def values(**given) -> dict:
     return {"model": "", "robot_description": "", "base": "auto", "memory": 1.0} | given
 
 
-def test_a_file_is_taken_as_it_is(graph: Graph) -> None:
+def test_a_given_model_file_is_used_directly(graph: Graph) -> None:
     with model_file(graph.node, given := values(model="robot.urdf"), graph.stop) as found:
         assert found == given
 
 
-def test_the_parameter_is_written_to_a_file_for_as_long_as_the_node_needs_it(graph: Graph) -> None:
+def test_the_parameters_text_is_kept_in_a_temporary_file(graph: Graph) -> None:
     text = URDF.read_text()
     with model_file(graph.node, values(robot_description=text), graph.stop) as found:
         file = Path(found["model"])
@@ -81,7 +81,7 @@ def test_the_parameter_is_written_to_a_file_for_as_long_as_the_node_needs_it(gra
     assert not file.exists()
 
 
-def test_a_latched_message_is_awaited_and_an_unusable_one_reported(graph: Graph) -> None:
+def test_waits_for_a_latched_model_and_reports_an_invalid_one(graph: Graph) -> None:
     found: list[str] = []
 
     def wait() -> None:

@@ -1,4 +1,4 @@
-"""Which topics of a full graph are taken for the robot's."""
+"""Which topics of a full graph are used as the robot's."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -100,7 +100,7 @@ def sensors(
     return SensorTopics(node, own, model, settle, 100)
 
 
-def test_only_its_own_topics_are_taken_whoever_comes_first(talk: Talk, model) -> None:
+def test_only_the_robots_own_topics_are_used_in_any_order_of_appearance(talk: Talk, model) -> None:
     talk.publish(FOREIGN)
     found = sensors(talk, model)
     while "/robot2/joint_states" not in found.missing()["/joint_states"]:
@@ -116,7 +116,7 @@ def test_only_its_own_topics_are_taken_whoever_comes_first(talk: Talk, model) ->
     assert talk.chosen(found) == set(OWN)
 
 
-def test_in_a_namespace_its_topics_are_taken(talk: Talk, model) -> None:
+def test_topics_of_the_nodes_namespace_are_used(talk: Talk, model) -> None:
     talk.publish(OWN | FOREIGN)
     found = sensors(talk, model, namespace="/robot2")
     while (selected := found.find()) is None or len(selected.all) < len(OWN):
@@ -124,7 +124,7 @@ def test_in_a_namespace_its_topics_are_taken(talk: Talk, model) -> None:
     assert talk.chosen(found) == {f"/robot2{name}" for name in OWN}
 
 
-def test_a_remapped_wrench_is_taken_and_not_what_bears_its_name(talk: Talk, model) -> None:
+def test_a_remapped_wrench_replaces_the_topic_of_its_old_name(talk: Talk, model) -> None:
     talk.publish(OWN | {"/ft/left": (WrenchStamped, "left_sole")})
     found = sensors(talk, model, arguments=["-r", "left_foot/wrench:=/ft/left"])
     while (selected := found.find()) is None or len(selected.all) < len(OWN):
@@ -132,7 +132,7 @@ def test_a_remapped_wrench_is_taken_and_not_what_bears_its_name(talk: Talk, mode
     assert talk.chosen(found) == set(OWN) - {"/left_foot/wrench"} | {"/ft/left"}
 
 
-def test_frames_with_a_prefix_are_taken_once_it_is_given(talk: Talk, model) -> None:
+def test_prefixed_frames_are_accepted_with_frame_prefix(talk: Talk, model) -> None:
     prefixed = {name: (kind, frame and f"robot1/{frame}") for name, (kind, frame) in OWN.items()}
     talk.publish(prefixed)
     lost = sensors(talk, model)
@@ -147,7 +147,7 @@ def test_frames_with_a_prefix_are_taken_once_it_is_given(talk: Talk, model) -> N
     assert selected.frame_prefix == "robot1/"
 
 
-def test_joint_states_in_several_topics_are_all_taken_in_the_order_given(talk: Talk, model) -> None:
+def test_several_joint_state_topics_are_used_in_the_given_order(talk: Talk, model) -> None:
     parts = ("/legs/joint_states", "/arms/joint_states")
     others = {name: what for name, what in OWN.items() if name != "/joint_states"}
     talk.publish(others | dict.fromkeys(parts, (JointState, "")))
@@ -157,7 +157,7 @@ def test_joint_states_in_several_topics_are_all_taken_in_the_order_given(talk: T
     assert tuple(topic.name for topic in selected.joints) == parts
 
 
-def test_a_publisher_of_another_type_is_passed_over(talk: Talk, model, stranger: Talk) -> None:
+def test_a_publisher_of_another_type_is_ignored(talk: Talk, model, stranger: Talk) -> None:
     stranger.publish({"/joint_states": (String, "")})
     talk.publish(OWN)
     found = sensors(talk, model)
@@ -168,7 +168,7 @@ def test_a_publisher_of_another_type_is_passed_over(talk: Talk, model, stranger:
     )
 
 
-def test_a_publisher_that_offers_less_is_heard_as_well_and_nothing_twice(talk: Talk) -> None:
+def test_a_weaker_qos_offer_is_also_received_without_duplicates(talk: Talk) -> None:
     robot, listener = talk.node("other"), talk.node("listener")
     first = robot.create_publisher(Imu, "imu/data", 10)
     subscription = None

@@ -5,6 +5,6 @@ from pathlib import Path
 from soak import soak
 
 
-def test_foreign_traffic_changes_no_result_and_ends_no_node(tmp_path: Path) -> None:
+def test_foreign_traffic_neither_changes_results_nor_ends_nodes(tmp_path: Path) -> None:
     found = soak(20.0, tmp_path)
     assert found.largest_difference < 1e-6, found

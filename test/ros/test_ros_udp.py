@@ -61,7 +61,9 @@ def listening(graph, health: StatusProbe) -> int:
     return int(health.value(COMMANDS, "source").rpartition(":")[2])
 
 
-def test_it_stands_on_a_network_that_loses_doubles_and_swaps(graph, client: Client) -> None:
+def test_balance_survives_a_network_that_loses_duplicates_and_reorders(
+    graph, client: Client
+) -> None:
     heights: list[float] = []
     health = StatusProbe(graph)
     graph.node.create_subscription(
@@ -109,7 +111,7 @@ def test_another_client_takes_over_after_a_kill(graph, client: Client) -> None:
     assert bridge.ended().status == 0
 
 
-def test_bad_datagrams_are_reported_and_move_nothing(graph) -> None:
+def test_bad_datagrams_are_reported_and_ignored(graph) -> None:
     health = StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT)
     to = ("127.0.0.1", listening(graph, health))

@@ -1,4 +1,4 @@
-"""What a test asks of nodes on its graph: services, parameters, health."""
+"""Services, parameters and statuses of nodes on a test's graph."""
 
 from typing import Any
 
