@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=500)
     parser.add_argument("--only", nargs="*", default=NAMES, help="errors to try")
     arguments = parser.parse_args()
-    logging.disable(logging.WARNING)  # the hoist's load cell is loaded in a tare, as it must be
+    logging.disable(logging.WARNING)  # a tare loads the overhead support's load cell, as intended
     print(f"{'error':16} {'as it is':>28} {'cured':>28}  alarms as it is, cured")
     print(f"{'':16} " + f"{'gen. force  torque  CoM mm':>28} " * 2)
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):

@@ -174,13 +174,15 @@ def test_page_is_written_atomically(tmp_path: Path) -> None:
 
 class TestContentIsChecked:
     def test_chosen_method_must_have_an_estimate(self) -> None:
-        with pytest.raises(EstimateError, match="'prior'"):
+        with pytest.raises(EstimateError, match="'prior'") as caught:
             replace(content(2), chosen="prior")
+        assert caught.value.code == "E752"
 
     def test_labels_are_unique(self) -> None:
         base = content(2)
-        with pytest.raises(EstimateError, match="repeat"):
+        with pytest.raises(EstimateError, match="labels") as caught:
             replace(base, methods=(*base.methods, base.methods[0]))
+        assert caught.value.code == "E752"
 
     def test_torques_match_the_joints(self) -> None:
         with pytest.raises(EstimateError, match="2 torque columns for 1 joint names"):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import re
 import xml.etree.ElementTree as ET
 
 import mujoco
@@ -145,19 +146,20 @@ def test_payload_can_be_replaced_and_detached_while_running():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"link": "tail"}, "no link 'tail' for a payload; name one of base_link, R_haa"),
-        ({"link": "world"}, "no link 'world'"),
-        ({"mass": 0.0}, "payload on base_link: mass 0 kg"),
-        ({"mass": float("nan")}, "mass nan kg"),
-        ({"position": (0.0, 0.0)}, "three finite numbers"),
-        ({"position": (0.0, float("inf"), 0.0)}, "three finite numbers"),
-        ({"radius": -1.0}, "radius -1 m"),
+        ({"link": "tail"}, "E609: .*'tail'.* base_link, R_haa"),
+        ({"link": "world"}, "E609: .*'world'"),
+        ({"mass": 0.0}, "E608: .*base_link.* mass 0 kg"),
+        ({"mass": float("nan")}, "E608: .* mass nan kg"),
+        ({"position": (0.0, 0.0)}, "E608: .* position"),
+        ({"position": (0.0, float("inf"), 0.0)}, "E608: .* position"),
+        ({"radius": -1.0}, "E608: .* radius -1 m"),
     ],
 )
 def test_invalid_payloads_raise_an_error(values, message):
     simulator = Simulator(moves=1)
-    with pytest.raises(SimulationError, match=message) as caught:
+    with pytest.raises(SimulationError) as caught:
         simulator.attach(Payload(**{"link": "base_link", "mass": 1.0} | values))
+    assert re.match(message, f"{caught.value.code}: {caught.value}")
     assert "\n" not in str(caught.value)
 
 

@@ -206,18 +206,19 @@ def test_a_failure_is_reported_with_its_time(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "code", "value"),
     [
-        ({"scenario": "dancing"}, "choose one of smooth, squat, suspended, tare, vibrating"),
-        ({"motion_seed": -1}, "motion seed -1"),
-        ({"noise_seed": -1}, "noise seed -1"),
-        ({"error_seed": -1}, "error seed -1"),
-        ({"moves": 0}, "0 moves"),
+        ({"scenario": "dancing"}, "E606", "smooth, squat, suspended, tare, vibrating"),
+        ({"motion_seed": -1}, "E605", "motion seed -1"),
+        ({"noise_seed": -1}, "E605", "noise seed -1"),
+        ({"error_seed": -1}, "E605", "error seed -1"),
+        ({"moves": 0}, "E605", "0 moves"),
     ],
 )
-def test_invalid_options_raise_an_error(options, message):
-    with pytest.raises(SimulationError, match=message):
+def test_invalid_options_raise_an_error(options, code, value):
+    with pytest.raises(SimulationError, match=value) as caught:
         Simulator(**options)
+    assert caught.value.code == code
 
 
 def test_quadratic_programs_are_solved_without_avx_in_every_process():

@@ -74,5 +74,6 @@ def test_robot_stands_with_delays_and_lost_commands(seed):
 
 
 def test_suspended_scenarios_raise_an_error():
-    with pytest.raises(SimulationError, match="choose one of smooth, squat"):
+    with pytest.raises(SimulationError, match="smooth, squat") as caught:
         StandingController("suspended")
+    assert caught.value.code == "E606"

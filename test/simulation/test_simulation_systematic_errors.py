@@ -318,6 +318,7 @@ def test_typical_means_the_six_calibration_errors():
 def test_unknown_error_is_named_with_the_choices(text):
     with pytest.raises(SimulationError) as caught:
         parse_errors(text)
+    assert caught.value.code == "E607"
     assert repr(text.split(",")[-1]) in str(caught.value)
     assert all(name in str(caught.value) for name in ("typical", *ERRORS))
     assert "\n" not in str(caught.value)
