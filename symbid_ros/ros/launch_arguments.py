@@ -123,8 +123,6 @@ def _value(parameter: Parameter, name: str, text: str) -> Any:
         value = yaml.safe_load(text)
     except yaml.YAMLError:
         value = text
-    if default is None and parameter.is_of_kind(value):
-        return value
     if isinstance(default, list) and isinstance(default[0], str):
         texts = value if isinstance(value, list) else [text]
         return [str(each) for each in texts]
