@@ -1,11 +1,14 @@
-"""Whether new rows still are of the robot that earlier ones were of, and which link is not.
+"""Parameters that change: detection of a changed link, and discounting of the prior.
 
-With A and b the whitened new rows and φ ~ N(φ̂, P) what earlier rows tell, the innovation
-e = b - A φ̂ has covariance C = 1 + A P Aᵀ as long as nothing changes. A link l whose parameters
-have changed by δ adds A E_l δ. With δ ~ N(0, S) the logarithm of the ratio of both likelihoods,
-the evidence for that change, is ½ gᵀ H⁻¹ g - ½ log det H, where M = C^(-1/2) A E_l S^(1/2),
-H = 1 + Mᵀ M and g = Mᵀ C^(-1/2) e (Willsky and Jones 1976, IEEE Trans. Automatic Control 21(1),
-with the change's size integrated out).
+Let A and b be whitened new rows and φ ~ N(φ̂, P) the posterior of earlier rows. Without a change
+the innovation e = b - A φ̂ has covariance C = 1 + A P Aᵀ. A change δ of link l adds A E_l δ.
+With δ ~ N(0, S) the log-likelihood ratio, the evidence for the change, is
+½ gᵀ H⁻¹ g - ½ log det H, where M = C^(-1/2) A E_l S^(1/2), H = 1 + Mᵀ M and g = Mᵀ C^(-1/2) e
+(Willsky and Jones 1976, IEEE Trans. Automatic Control 21(1), with the size integrated out).
+
+When old rows are discounted, the prior must be discounted too. With its full weight it would in
+the end determine every parameter that has changed. Its weight has a lower bound, so that
+directions without data stay at the prior. The prior of a changed link is relaxed.
 """
 
 from collections.abc import Sequence
@@ -22,30 +25,31 @@ from symbid_ros.estimation.prior_std import payload_std
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import WindowedRows
 
-# Log-likelihood, nat, by which one link must fit new rows better than another to be named alone.
-# A mass on a hinge's axis moves alike with either of its links: their evidence then differs only by
-# how likely a payload of that size and place was thought to be.
-TOLD_APART = 10.0
+# Difference in log-likelihood, nat, above which a change is attributed to one of two links. A mass
+# on a hinge's axis moves alike with both of its links. Their evidence then differs only by the
+# assumed distribution of payloads.
+DISTINGUISHABLE = 10.0
 
-# What is left at last of the prior's weight: two of its standard deviations become one.
+# Lower bound on the prior's weight: its standard deviations at most double.
 LEAST_WEIGHT = 0.25
 
 
 @dataclass(frozen=True)
 class LinkChange:
-    """One link's change, as the new rows would have it.
+    """Estimated change of one link, under the hypothesis that only this link has changed.
 
     Attributes
     ----------
     link : str
+        Name of the link.
     evidence : float
-        That this link has changed and no other, against no change at all, nat.
+        Log-likelihood ratio of this hypothesis to no change, nat.
     fit : float
-        Log-likelihood that the change adds at its most probable size, nat: what the rows alone say.
+        Log-likelihood gain at the change's most probable size, nat, without its distribution.
     phi : (10,) float64
-        What was added to its parameters, about its origin.
+        Change of the link's parameters, about its origin.
     std : (10,) float64
-        Standard deviations of these.
+        Standard deviations of the change.
     """
 
     link: str
@@ -57,14 +61,14 @@ class LinkChange:
 
 @dataclass(frozen=True)
 class Innovation:
-    """New rows against what earlier ones led to expect.
+    """Innovation of new rows relative to the posterior of earlier ones.
 
     Attributes
     ----------
     misfit : float
-        Mean square of what was not expected over its variance: 1 where nothing has changed.
+        Mean square of the normalised innovation, 1 without a change.
     links : tuple of LinkChange
-        Most evident first.
+        One hypothesis per link, largest evidence first.
     """
 
     misfit: float
@@ -76,26 +80,26 @@ class Innovation:
         Parameters
         ----------
         usual : float
-            Misfit of rows without a change: log-likelihoods are too large by this factor.
+            Misfit of rows without a change, by which log-likelihoods are too large.
         """
-        least = self.links[0].fit - TOLD_APART * usual
+        least = self.links[0].fit - DISTINGUISHABLE * usual
         return tuple(link for link in self.links if link.fit >= least)
 
 
 def innovation(
     earlier: Posterior, recent: Sequence[WindowedRows], parameters: ParameterSet
 ) -> Innovation:
-    """Compare new rows with what earlier rows predict.
+    """Compare new rows with the prediction from earlier rows.
 
     Parameters
     ----------
     earlier : Posterior
-        By rows that came before, over windows of the same length. Its residual covariance
+        Posterior of the earlier rows, over windows of the same length. Its residual covariance
         includes the factor for overlapping windows, and so does the misfit.
     recent : sequence of WindowedRows
-        The new rows, one of them at least.
+        New rows, at least one.
     parameters : ParameterSet
-        The robot's columns, the posterior's.
+        Columns of the rows and the posterior.
     """
     count = len(earlier.mean)
     root = cholesky(earlier.covariance, lower=True)
@@ -135,7 +139,7 @@ def _whitened_factor(recent: Sequence[WindowedRows], whitening: FloatArray) -> F
 
 
 def prior_weight(kept: float) -> float:
-    """Return the prior's weight where ``kept`` of the first rows' is left, both from 0 to 1."""
+    """Return the prior's weight when the first rows' weight is ``kept``, both from 0 to 1."""
     return max(kept, LEAST_WEIGHT)
 
 
@@ -146,9 +150,9 @@ def discounted_prior(prior: Prior, kept: float) -> Prior:
 
 
 def relaxed_prior(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
-    """Return the prior of a robot that something of unknown mass and place was added to at a link.
+    """Return the prior after a payload of unknown mass and place was added to a link.
 
-    What is added has zero mean and the deviations of :func:`payload_std`.
+    The payload's parameters have zero mean and the deviations of :func:`payload_std`.
     """
     start = 10 * parameters.link_names.index(link)
     added = np.zeros(len(prior.mean))
@@ -163,10 +167,10 @@ def relaxed_prior(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
 
 
 def discounted_pseudo_measurements(
-    known: PseudoMeasurements | None, kept: float
+    measurements: PseudoMeasurements | None, kept: float
 ) -> PseudoMeasurements | None:
-    """Return other knowledge with the same weight: a robot that was weighed may carry more now."""
-    if known is None:
+    """Return pseudo-measurements with the prior's weight, as a weighed robot may carry more now."""
+    if measurements is None:
         return None
     root = np.sqrt(prior_weight(kept))
-    return PseudoMeasurements(root * known.rows, root * known.targets)
+    return PseudoMeasurements(root * measurements.rows, root * measurements.targets)

@@ -1,15 +1,15 @@
-"""The least-squares minimum among physically possible links: a quadratic under cones.
+"""Least squares with physically consistent links: a quadratic program with semidefinite cones.
 
-Minimise ½‖W φ - w‖² subject to J(φ_l) ⪰ ε for each link l, where J is the pseudo-inertia
-(Wensing, Kim and Slotine 2018, IEEE RA-L 3(1), Eq. 11) in units of the link's own scale,
-and to linear bounds, such as the sign of friction. The problem is convex, and Clarabel
-(Goulart and Chen 2024, arXiv:2405.12762) solves it.
+Minimise ½‖W φ - w‖² subject to J(φ_l) ⪰ ε for each link l and to linear bounds, such as the sign
+of friction. J is the pseudo-inertia (Wensing, Kim and Slotine 2018, IEEE RA-L 3(1), Eq. 11) in
+units of the link's own scale. The problem is convex, and Clarabel (Goulart and Chen 2024,
+arXiv:2405.12762) solves it.
 
-Clarabel is given u = R (x - x₀), with x = φ / scale and R the triangular factor of the
-scaled problem about its free minimum x₀: the objective is then ½‖u‖², whose Hessian is the
-identity whatever the data's condition, and u counts posterior standard deviations. It also
-makes the duality gap bound the distance to the optimum, ½‖u - u*‖² ≤ gap, so that an
-answer is judged by what it is and not by the status it came with.
+The variable is u = R (x - x₀), where x = φ / scale and R is the triangular factor of the scaled
+problem about its unconstrained minimum x₀. Then u is in posterior standard deviations, and the
+objective ½‖u‖² has the identity as Hessian for data of any condition number. The duality gap
+bounds the distance to the optimum, ½‖u - u*‖² ≤ gap, so the solution's accuracy is certified
+regardless of the solver's status.
 """
 
 from dataclasses import dataclass, replace
@@ -24,23 +24,23 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.constraints import Bounds
 from symbid_ros.model.inertia import pseudo_inertia
 
-# Least eigenvalue of a link's pseudo-inertia in units of the link's own size. It keeps links
-# strictly inside, where the rounding of a written model cannot make them impossible and
-# MuJoCo accepts them, yet lies far below what any data can tell.
+# Smallest eigenvalue of a link's pseudo-inertia in units of the link's own size. It keeps links
+# strictly consistent despite rounding in a written model, so that MuJoCo accepts them. It is far
+# below the resolution of any data.
 MARGIN = 1e-7
 
-# A symmetric 4 by 4 matrix as Clarabel's vector: the upper triangle column by column, with
-# off-diagonal elements times √2 so that scalar products are kept.
+# Clarabel's vector of a symmetric 4 by 4 matrix: the upper triangle column by column, with
+# off-diagonal elements times √2 to preserve scalar products.
 _COLUMN, _ROW = np.tril_indices(4)
 _SVEC = np.where(_COLUMN == _ROW, 1.0, np.sqrt(2.0))
 
-# Largest certified distance from the optimum: in posterior standard deviations, or relative
-# to the way from the free minimum where the constraints move the answer by more than one.
+# Largest certified distance from the optimum, in posterior standard deviations. It is relative if
+# the constraints move the solution by more than one.
 ACCURACY = 1e-3
 
 _TOLERANCE = 1e-10
 _ATTEMPTS: tuple[dict[str, object], ...] = (
-    # The problem comes scaled; a second scaling costs two digits of the gap.
+    # The problem is scaled already; a second scaling costs two digits of the gap.
     {"equilibrate_enable": False},
     {"equilibrate_enable": True},
     {"equilibrate_enable": False, "max_step_fraction": 0.9, "iterative_refinement_max_iter": 50},
@@ -55,11 +55,11 @@ class Quadratic:
     Attributes
     ----------
     scale : (p,) float64
-        The parameters' units.
+        Units of the parameters.
     triangle : (p, p) float64
-        R, upper triangular.
+        Upper triangular R.
     minimum : (p,) float64
-        x₀.
+        Unconstrained minimum x₀.
     """
 
     scale: FloatArray
@@ -77,11 +77,11 @@ class Quadratic:
         """
         if not (np.all(np.isfinite(factor)) and np.all(np.isfinite(target))):
             raise EstimateError(
-                "a row of data or prior is not finite; mask the sample it came from"
+                "a row of data or prior is not finite; mask the sample it came from", "E413"
             )
         if not np.all((scale > 0) & np.isfinite(scale)):
             raise EstimateError(
-                "a prior standard deviation is not a positive number; mend the prior"
+                "a prior standard deviation is not a positive number; correct the prior", "E404"
             )
         count = len(scale)
         rows = np.column_stack([factor * scale, target])
@@ -91,12 +91,13 @@ class Quadratic:
         if len(R) < count or pivots.min() <= count * np.finfo(float).eps * pivots.max():
             raise EstimateError(
                 "data and prior together do not determine all parameters; give each a prior "
-                "standard deviation in proportion to the others"
+                "standard deviation in proportion to the others",
+                "E418",
             )
         return cls(scale, R, np.asarray(solve_triangular(R, projected)))
 
     def in_deviations(self, matrix: FloatArray) -> FloatArray:
-        """Return matrix R⁻¹ (m, p): rows on x as rows on u, in posterior deviations."""
+        """Return matrix R⁻¹ (m, p), which converts rows on x to rows on u."""
         return np.asarray(solve_triangular(self.triangle, matrix.T, trans="T").T)
 
     def point(self, u: FloatArray) -> FloatArray:
@@ -109,11 +110,11 @@ class Quadratic:
 
 
 @dataclass(frozen=True)
-class Constraints:
-    """The cone program's rows: matrix x - offset in {0}ᵉ × ℝ₊ᵏ × (4 by 4 semidefinite)ᴸ.
+class ConicConstraints:
+    """Cone constraints: matrix x - offset in {0}ᵉ × ℝ₊ᵏ × (4 by 4 semidefinite)ᴸ.
 
-    Pseudo-inertias are scaled from both sides by the link's extent and mass, and every
-    bound and link by its own size about the free minimum.
+    Pseudo-inertias are scaled from both sides by the link's extent and mass. Every bound and link
+    is scaled by its own size at the unconstrained minimum.
     """
 
     matrix: FloatArray
@@ -123,8 +124,8 @@ class Constraints:
     links: int
 
     @classmethod
-    def about(cls, quadratic: Quadratic, links: int, bounds: Bounds | None) -> "Constraints":
-        """Return the constraints on L ``links`` and the bounds, in sizes of the free minimum."""
+    def about(cls, quadratic: Quadratic, links: int, bounds: Bounds | None) -> "ConicConstraints":
+        """Return the constraints on L ``links`` and the bounds, scaled at the free minimum."""
         scale = quadratic.scale
         count = len(scale)
         cones = np.zeros((10 * links, count))
@@ -136,8 +137,8 @@ class Constraints:
         linear = len(matrix)
         matrix = np.concatenate([matrix * scale, cones])
         offset = np.concatenate([offset, np.zeros(10 * links)])
-        # A tight or loose prior must neither swamp the solver's tolerances, which are those
-        # of the largest row, nor make the margin large beside the link itself.
+        # The solver's tolerances are relative to the largest row, and the margin to the link.
+        # Neither may depend on how wide the prior is.
         deviation = np.linalg.norm(quadratic.in_deviations(matrix), axis=1)
         size = np.maximum(np.abs(matrix @ quadratic.minimum - offset), deviation)
         per_link = size[linear:].reshape(-1, 10).max(axis=1)
@@ -148,7 +149,7 @@ class Constraints:
 
     @property
     def cones(self) -> list[object]:
-        """The same as Clarabel calls them."""
+        """The cones as Clarabel objects."""
         return [
             clarabel.ZeroConeT(self.equations),
             clarabel.NonnegativeConeT(self.linear - self.equations),
@@ -156,21 +157,21 @@ class Constraints:
         ]
 
     def slack(self, x: FloatArray) -> FloatArray:
-        """Return the vector (m,) that should lie in the cone."""
+        """Return the vector (m,) that must lie in the cone."""
         return np.asarray(self.matrix @ x - self.offset)
 
     def outside(self, x: FloatArray) -> FloatArray:
-        """Return per bound and link (linear + L,) how far x is outside; inside it is ≤ 0."""
+        """Return per bound and link (linear + L,) how far x is outside; ≤ 0 means inside."""
         slack = self.slack(x)
         equations, inequalities = np.split(slack[: self.linear], [self.equations])
         smallest = np.linalg.eigvalsh(_smat(slack[self.linear :]))[:, 0]
         return np.concatenate([np.abs(equations), -inequalities, -smallest])
 
     def restored(self, x: FloatArray) -> FloatArray:
-        """Return x moved just so far that links and one-sided bounds on a parameter hold.
+        """Return x moved just enough to satisfy links and one-sided bounds on a parameter.
 
-        A link moves along the isotropic body of its scale, the direction that raises all
-        eigenvalues of its pseudo-inertia alike.
+        A link moves along the isotropic body of its scale, which raises all eigenvalues of its
+        pseudo-inertia equally.
         """
         x = x.copy()
         for row, offset in zip(
@@ -189,7 +190,7 @@ class Constraints:
         return x
 
     def multipliers(self, z: FloatArray) -> FloatArray:
-        """Return the multipliers (m,) of the right sign nearest to z (m,)."""
+        """Return the dual feasible multipliers (m,) nearest to z (m,)."""
         values, vectors = np.linalg.eigh(_smat(z[self.linear :]))
         nearest = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
         equations, inequalities = np.split(z[: self.linear], [self.equations])
@@ -199,8 +200,8 @@ class Constraints:
 def _scaled_pseudo_inertia(std: FloatArray) -> FloatArray:
     """Return the (10, 10) map from a link's φ / std to its scaled pseudo-inertia's vector.
 
-    The scale is the deviation of the mass, and that of a second moment: half the root of
-    the sum of the three moments of inertia's variances, which is the same for each axis.
+    The scale is the deviation of the mass and that of a second moment. The latter is the same for
+    each axis: half the root of the sum of the three moments of inertia's variances.
     """
     moment = 0.5 * np.sqrt(np.sum(std[[4, 7, 9]] ** 2))
     size = 1.0 / np.sqrt([moment, moment, moment, std[0]])
@@ -221,26 +222,26 @@ def _smat(vector: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class ConsistentSolution:
-    """The minimum among physically possible links.
+    """The least-squares minimum among physically consistent parameters.
 
     Attributes
     ----------
     value : (p,) float64
         Parameters, in SI units.
     smallest : (L,) float64
-        Per link the least eigenvalue of its pseudo-inertia in units of its own size (of
-        the free minimum or of its posterior deviation, whichever is larger); at least
-        :data:`MARGIN`, but for rounding.
+        Per link the smallest eigenvalue of its pseudo-inertia, in units of the link's size at the
+        free minimum or of its posterior deviation, whichever is larger. It is at least
+        :data:`MARGIN`, except for rounding.
     active : (L,) bool
-        Whether the link lies on the border of what is possible.
+        Whether the link's constraint is active.
     moved : float
-        Distance from the free minimum in posterior standard deviations.
+        Distance from the unconstrained minimum in posterior standard deviations.
     accuracy : float
         Upper bound on the distance from the exact minimum, in the same units.
     status : str
-        ``Free`` when no constraint matters, else the solver's own word.
+        ``Free`` if no constraint is active, else the solver's status.
     iterations : int
-        Interior-point iterations, of all attempts.
+        Interior-point iterations of all attempts.
     """
 
     value: FloatArray
@@ -259,18 +260,18 @@ def consistent_minimum(
     links: int,
     bounds: Bounds | None = None,
 ) -> ConsistentSolution:
-    """Minimise ‖factor φ - target‖² among physically possible links.
+    """Minimise ‖factor φ - target‖² subject to physically consistent links and bounds.
 
     Parameters
     ----------
     factor : (r, p) float64
-        Whitened rows of data and prior, of full column rank.
+        Whitened rows of data and prior, with full column rank.
     target : (r,) float64
-        Their right-hand sides.
+        Right-hand sides of the rows.
     scale : (p,) float64
-        The prior's standard deviations, in SI units.
+        Standard deviations of the prior, in SI units.
     links : int
-        Number of links, whose ten parameters each come first.
+        Number of links. Their ten parameters each are the first columns.
     bounds : Bounds, optional
         Linear bounds on the parameters.
 
@@ -282,11 +283,11 @@ def consistent_minimum(
     Raises
     ------
     EstimateError
-        When the rows do not determine the parameters, no possible links meet the
-        bounds, or the solver does not come within :data:`ACCURACY` of the optimum.
+        When the rows do not determine the parameters, no consistent links satisfy the bounds, or
+        the solver does not reach :data:`ACCURACY`.
     """
     quadratic = Quadratic.of(factor, target, scale)
-    constraints = Constraints.about(quadratic, links, bounds)
+    constraints = ConicConstraints.about(quadratic, links, bounds)
     if np.all(constraints.outside(quadratic.minimum) <= 0.0):
         return _solution(quadratic, constraints, quadratic.minimum, 0.0)
     statuses: list[str] = []
@@ -300,25 +301,27 @@ def consistent_minimum(
     if bounds is not None and _INFEASIBLE & set(statuses):
         shown = ", ".join(bounds.names[:4]) + (" ..." if len(bounds.names) > 4 else "")
         raise EstimateError(
-            f"no physically possible links meet the bounds on {shown}; loosen one of them"
+            f"no physically consistent links satisfy the bounds on {shown}; loosen one of them",
+            "E416",
         )
     raise EstimateError(
-        f"the physically possible minimum was not found to {ACCURACY:g} standard deviations "
-        f"(solver: {', '.join(dict.fromkeys(statuses))}); look for a prior deviation out of all "
-        "proportion to the others"
+        f"the physically consistent minimum was not found to {ACCURACY:g} standard deviations "
+        f"(solver: {', '.join(dict.fromkeys(statuses))}); correct the prior deviation that is out "
+        "of proportion to the others",
+        "E417",
     )
 
 
 def _attempt(
-    quadratic: Quadratic, constraints: Constraints, options: dict[str, object]
+    quadratic: Quadratic, constraints: ConicConstraints, options: dict[str, object]
 ) -> ConsistentSolution:
-    """Run Clarabel, put its answer inside the constraints and bound its error."""
+    """Run Clarabel, move its solution inside the constraints and bound its error."""
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = _TOLERANCE
     for option, value in options.items():
         setattr(settings, option, value)
-    # A u + s = b with s in the cone, and lengths in units of the least way to the cone.
+    # A u + s = b with s in the cone, in units of the smallest distance to the cone.
     A = -quadratic.in_deviations(constraints.matrix)
     count, linear = len(quadratic.minimum), constraints.linear
     per_link = A[linear:].reshape(constraints.links, 10 * count)
@@ -347,7 +350,7 @@ def _attempt(
 
 def _solution(
     quadratic: Quadratic,
-    constraints: Constraints,
+    constraints: ConicConstraints,
     x: FloatArray,
     accuracy: float,
     *,

@@ -1,8 +1,8 @@
-"""The thesis's four methods: one least-squares problem, scaled four ways, truncated.
+"""Truncated least squares: the thesis's four methods, their row weights and choice of rank.
 
-All of them solve W̃ φ̃ = ỹ with W̃ = G W H, ỹ = G (y - W γ), φ = H φ̃ + γ by truncated
-SVD (Eq. 15-27), where γ = φ̄ is the prior mean. For H = I that is Eq. 21 with
-the nullspace of Eq. 23, since V_e α̂_e + V_n V_nᵀ φ̄ = φ̄ + V_e (α̂_e - V_eᵀ φ̄).
+All methods solve W̃ φ̃ = ỹ with W̃ = G W H, ỹ = G (y - W γ) and φ = H φ̃ + γ by truncated SVD
+(Eq. 15-27), where γ = φ̄ is the prior mean. They differ in the scalings G and H. For H = I this
+is Eq. 21 with the null space of Eq. 23, since V_e α̂_e + V_n V_nᵀ φ̄ = φ̄ + V_e (α̂_e - V_eᵀ φ̄).
 """
 
 from dataclasses import dataclass, replace
@@ -25,32 +25,33 @@ from symbid_ros.model.tree import RobotModel
 Method = Literal["ols", "wls_r", "wls_c", "wls_rc"]
 METHODS: tuple[Method, ...] = get_args(Method)
 
-
 GRAVITY = 9.81
 
-# The error is flat over many z while noise in the regressor carries the parameters ever further
-# off: among z that predict about equally well, the one that leaves most to the prior is the safest.
+# The prediction error is flat over many z, while noise in the regressor makes the parameters worse
+# with each. Among z with similar errors the smallest one is the safest.
 TOLERANCE = 1.5
+
+_NO_EXCITATION = "the log excites no parameter; record a log with motion"
 
 
 @dataclass(frozen=True)
 class ScaledProblem:
-    """G W H φ̃ = G (y - W φ̄), decomposed.
+    """Singular value decomposition of the problem G W H φ̃ = G (y - W φ̄).
 
     Attributes
     ----------
     scale : (p,) float64
         Diagonal of H.
     prior : (p,) float64
-        φ̄.
+        Prior mean φ̄.
     left : (p,) float64
-        Uᵀ ỹ, the data in the singular directions.
+        Data in the singular directions, Uᵀ ỹ.
     singular_values : (p,) float64
-        Descending.
+        Singular values, descending.
     directions : (p, p) float64
-        V, one singular direction of φ̃ per column.
+        Singular directions V of φ̃, one per column.
     unexplained : float
-        ‖ỹ‖² that no parameters can explain.
+        Part of ‖ỹ‖² that no parameters explain.
     samples : float
         Number of samples N.
     """
@@ -85,9 +86,8 @@ class ScaledProblem:
     def std(self, z: int, prior_std: FloatArray) -> FloatArray:
         """Return the standard deviation (p,) of φ̂: Eq. 33-34 plus the prior's where truncated.
 
-        The data's part assumes white residuals of equal size, as Eq. 33 does, and the
-        prior's part independent parameters; filtering and noise in the regressor
-        make the first optimistic.
+        Like Eq. 33 the first part assumes white residuals of equal variance. Filtering and noise
+        in the regressor make it optimistic. The second part assumes independent parameters.
         """
         squares = self.unexplained + np.sum(self.left[z:] ** 2)
         variance = squares / max(self.samples - z, 1)
@@ -100,12 +100,12 @@ class ScaledProblem:
 
 @dataclass(frozen=True)
 class ScaledRows:
-    """The rows G [W y] of one record, ready for any prior and any scaling of columns.
+    """The rows G [W y] of one log, for any prior and any scaling of columns.
 
     Attributes
     ----------
     factor : (p + 1, p + 1) float64
-        Their triangular factor.
+        Triangular factor of the rows.
     samples : float
         Number of samples N.
     """
@@ -115,13 +115,13 @@ class ScaledRows:
 
     @classmethod
     def of(cls, information: Information, deviation: FloatArray | None = None) -> "ScaledRows":
-        """Return rows divided by a deviation (n,) of each coordinate, or as they are."""
+        """Return the rows, divided by a standard deviation (n,) per coordinate if given."""
         n = len(information.layout.coordinates)
         G = np.eye(n) if deviation is None else np.diag(1.0 / deviation)
         return cls(information.whitened(G), information.samples)
 
     def problem(self, prior: FloatArray, scale: FloatArray | None = None) -> ScaledProblem:
-        """Decompose the problem about a prior φ̄ (p,), columns times ``scale`` (p,) or as are."""
+        """Return the problem about a prior φ̄ (p,), with columns times ``scale`` (p,) if given."""
         A, b = self.factor[:, :-1], self.factor[:, -1]
         if scale is None:
             U, values, Vt = self._plain
@@ -140,17 +140,17 @@ class ScaledRows:
 
 
 class LeastSquares:
-    """One record's least-squares problem; what does not depend on the prior is worked out once.
+    """Least-squares problem of one log; computations independent of the prior are cached.
 
     Parameters
     ----------
     information : Information
-        The data.
+        Information of the log.
     row_deviation : (n,) float64, optional
-        σ per coordinate for the row-scaled methods, such as the sensors' (Eq. 28).
-        By default that of the OLS residual (Eq. 29-30).
+        Standard deviation σ per coordinate for the row-scaled methods, such as the sensors'
+        (Eq. 28). That of the OLS residual by default (Eq. 29-30).
     counts : (n,) float64, optional
-        In how many samples each coordinate is used; all of them by default.
+        Number of samples in which each coordinate is used; all by default.
     """
 
     def __init__(
@@ -165,32 +165,32 @@ class LeastSquares:
 
     @cached_property
     def plain(self) -> ScaledRows:
-        """The rows as they are."""
+        """Rows without weights."""
         return ScaledRows.of(self._information)
 
     @cached_property
     def row_deviation(self) -> FloatArray:
-        """σ (n,) by which the row-scaled methods divide."""
+        """Standard deviations σ (n,) by which the row-scaled methods divide."""
         if self._given is not None:
             return self._given
         return residual_deviation(self._information, self.plain, self._counts)
 
     @cached_property
-    def weighed(self) -> ScaledRows:
-        """The rows over their deviations."""
+    def weighted(self) -> ScaledRows:
+        """Rows divided by their standard deviations."""
         return ScaledRows.of(self._information, self.row_deviation)
 
     def scaled(self, prior: Prior, method: Method) -> ScaledProblem:
-        """Return the problem as one method scales it; φ̄ is γ, and H where columns are scaled."""
-        rows = self.weighed if method in ("wls_r", "wls_rc") else self.plain
+        """Return the problem with a method's scaling; φ̄ is γ, and H if columns are scaled."""
+        rows = self.weighted if method in ("wls_r", "wls_rc") else self.plain
         scale = column_scale(prior) if method in ("wls_c", "wls_rc") else None
         return rows.problem(prior.mean, scale)
 
 
 def column_scale(prior: Prior) -> FloatArray:
-    """Return H's diagonal: |φ̄|, and the prior's deviation where φ̄ is zero.
+    """Return the diagonal of H: |φ̄|, or the prior's deviation where φ̄ is zero.
 
-    A zero would forbid the parameter ever to move.
+    A zero would fix the parameter.
     """
     return np.where(prior.mean != 0, np.abs(prior.mean), prior.std)
 
@@ -198,11 +198,11 @@ def column_scale(prior: Prior) -> FloatArray:
 def residual_deviation(
     information: Information, rows: ScaledRows, counts: FloatArray
 ) -> FloatArray:
-    """Return the deviation (n,) of the OLS residual in each coordinate (Eq. 29-30).
+    """Return the standard deviation (n,) of the OLS residual per coordinate (Eq. 29-30).
 
-    Each coordinate's degrees of freedom are its samples less its share of the rank, the
-    trace of its block of the hat matrix, instead of Eq. 30's N - p. The residual
-    is that of full rank, which no prior changes.
+    A coordinate's degrees of freedom are its samples minus its share of the rank, the trace of
+    its block of the hat matrix, instead of N - p in Eq. 30. The residual is that of full rank,
+    which does not depend on a prior.
     """
     problem = rows.problem(np.zeros(len(information.layout.parameters)))
     m = problem.rank
@@ -217,31 +217,33 @@ def residual_deviation(
     freedom = counts - share
     if np.any((freedom < 1) & (counts > 0)):
         raise EstimateError(
-            f"{int(counts[counts > 0].min())} samples are too few for {m} parameters; record longer"
+            f"{int(counts[counts > 0].min())} samples are too few for {m} parameters; record a "
+            "longer log",
+            "E420",
         )
     deviation = np.sqrt(squares / np.maximum(freedom, 1))
-    # A coordinate that nothing moves or loads has no residual; its weight must stay finite.
+    # A coordinate without motion and load has no residual; its weight must stay finite.
     largest = float(deviation.max())
     floored: FloatArray = np.maximum(deviation, 1e-9 * (largest if largest > 1e-150 else 1.0))
     return floored
 
 
 def informative_rank(posterior: Posterior, rank: int) -> int:
-    """Return the z for which no validation data are needed, at most ``rank``.
+    """Return the rank z chosen without validation data, at most ``rank``.
 
-    It is the number of directions of which the data say more than the prior: singular values
+    It is the number of directions about which the data say more than the prior: singular values
     above one of rows whitened by their residuals and columns scaled by the prior's deviations.
 
     Raises
     ------
     EstimateError
-        When the training data excite nothing.
+        When the training data excite no parameter.
     """
     if rank == 0:
-        raise EstimateError("the log excites no parameter at all; record a motion")
+        raise EstimateError(_NO_EXCITATION, "E420")
     scaled = posterior.factor @ posterior.prior.covariance_factor()
-    told = np.linalg.svd(scaled, compute_uv=False) ** 2 - 1
-    return int(np.clip(np.sum(told > 1), 1, rank))
+    information = np.linalg.svd(scaled, compute_uv=False) ** 2 - 1
+    return int(np.clip(np.sum(information > 1), 1, rank))
 
 
 def select_rank(
@@ -254,21 +256,21 @@ def select_rank(
     Parameters
     ----------
     problem : ScaledProblem
-        The method's problem on the training data.
+        Problem of the method on the training data.
     validation : Information
-        Rows of another record, ideally noise-free.
+        Rows of another log, ideally noise-free.
     criterion : {"gen_force", "torque", "com"}
-        Root mean square of the prediction error of all coordinates, of the joints,
-        or of the base's moment over the robot's weight: the distance by which the
-        centre of mass would have to be wrong to explain it.
+        Root mean square of the prediction error of all coordinates ("gen_force"), of the joints
+        ("torque") or of the base's moment divided by the robot's weight ("com"). The last is the
+        error of the centre of mass that would explain the moment.
 
     Raises
     ------
     EstimateError
-        When the training data excite nothing, or "com" is asked of a fixed base.
+        When the training data excite no parameter, or "com" is requested for a fixed base.
     """
     if problem.rank == 0:
-        raise EstimateError("the log excites no parameter at all; record a motion")
+        raise EstimateError(_NO_EXCITATION, "E420")
     errors = prediction_errors(validation, problem.solutions(), criterion)
     return int(np.argmax(errors <= TOLERANCE * errors.min())) + 1
 
@@ -294,7 +296,9 @@ def prediction_errors(
         used = squares[6 * floating :]
     else:
         if not floating:
-            raise EstimateError("z by centre of mass needs a floating base; select by torque")
+            raise EstimateError(
+                "select_by com needs a floating base; select by torque or gen_force", "E421"
+            )
         masses = [i for i, name in enumerate(validation.layout.parameters) if name.endswith("/m")]
         weight = GRAVITY * np.abs(solutions[masses].sum(axis=0))
         used = squares[:3] / np.maximum(weight, 1e-9) ** 2
@@ -319,18 +323,20 @@ class SensorNoise:
     moment: float
 
     def __post_init__(self) -> None:
-        """Refuse a deviation that would give a row infinite weight."""
+        """Reject a deviation that would give a row infinite weight."""
         if not min(self.effort, self.force, self.moment) > 0:
             raise EstimateError(
-                f"sensor deviations {self.effort}, {self.force}, {self.moment} must all be positive"
+                f"sensor deviations {self.effort}, {self.force}, {self.moment} must all be "
+                "positive; correct `sensor_std`",
+                "E422",
             )
 
 
 def sensor_row_std(model: RobotModel, samples: Samples, sensors: SensorNoise) -> FloatArray:
-    """Return σ (n,) of the generalised force, root mean square over the samples.
+    """Return σ (n,) of the generalised force from sensor noise, Eq. 28.
 
-    y is linear in efforts and wrenches, so its variance is the sum of the responses
-    to each component alone.
+    It is a root mean square over the samples. y is linear in efforts and wrenches, so its variance
+    is the sum of the contributions of each component.
     """
     probe = samples[:: max(1, len(samples) // 500)]
     poses = link_poses(model, probe.position)
@@ -346,8 +352,9 @@ def sensor_row_std(model: RobotModel, samples: Samples, sensors: SensorNoise) ->
             variance += np.mean(generalised_force(model, unit, poses, axes) ** 2, axis=0)
     if np.any(variance == 0):
         raise EstimateError(
-            "the base has no wrench sensor, so sensor deviations give its rows no weight; weigh by "
-            "residuals instead"
+            "the base has no wrench sensor, so sensor deviations cannot weight its rows; weight "
+            "them by residuals",
+            "E422",
         )
     deviation: FloatArray = np.sqrt(variance)
     return deviation
