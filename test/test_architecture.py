@@ -1,6 +1,7 @@
 """Subpackages import each other in one direction; libraries stay where they belong."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -212,3 +213,9 @@ def lazy():
         "symbid_ros.ros",
         "rclpy.node",
     }
+
+
+def test_the_documentation_lists_the_subpackages_in_order() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    table = page.partition("| subpackage |")[2].partition("\n\n")[0]
+    assert tuple(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == SUBPACKAGES
