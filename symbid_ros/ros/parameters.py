@@ -1,4 +1,4 @@
-"""Node parameters: declared with description and range, checked before anything changes."""
+"""Node parameters with description, type and range, which are checked before they take effect."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,19 +37,19 @@ class Parameter:
     ----------
     name, description : str
     default : bool, int, float, str, list of str, list of float or None
-        Also fixes the type; a list of numbers its length as well. Where it is a list of texts, a
-        single text may be given in place of a list of one.
+        Default value. It also sets the type and, for a list of numbers, the length. A parameter
+        with a list of texts also accepts a single text.
     kind : type or None
         Type of the values; that of the default if None.
     length : int
         Length of a list of numbers that has no default; 0 for other values.
     minimum, maximum : float or None
-        Inclusive range of a number, or of each of a list; None for ±10⁹ (numbers) or
-        ±(2³¹ - 1) (integers): NaN and infinity lie outside any.
+        Inclusive range of a number, or of each number in a list. None stands for ±10⁹, or
+        ±(2³¹ - 1) for integers; NaN and infinity are always out of range.
     choices : tuple of str
-        What a string may be; anything when empty.
+        Allowed values of a text; empty: any.
     live : bool
-        Whether it may be set while the node runs.
+        Whether it can be set while the node runs.
     """
 
     name: str
@@ -63,7 +63,7 @@ class Parameter:
     length: int = 0
 
     def descriptor(self) -> ParameterDescriptor:
-        """Return what ``ros2 param describe`` shows."""
+        """Return the descriptor that ``ros2 param describe`` shows."""
         descriptor = ParameterDescriptor(
             name=self.name,
             description=self.description,
@@ -85,39 +85,34 @@ class Parameter:
         return descriptor
 
     def require(self, value: Any) -> None:
-        """Refuse a value of the right type for what a descriptor cannot say.
+        """Check what a descriptor cannot express.
 
         Raises
         ------
         ParameterError
-            When it is none of the choices, or a list of the wrong length or with numbers out of
-            range.
+            When a value is not one of the choices, has the wrong type, or is a list of the wrong
+            length or with numbers out of range.
         """
         if value is None and self.default is None:
             return
-        if self.default is None and not self.is_of_kind(value):
-            raise ParameterError(
-                f"parameter {self.name}: {value!r} is not valid; give {self.expected}"
-            )
-        if self._is_texts and not all(isinstance(each, str) for each in self.plain(value)):
-            raise ParameterError(
-                f"parameter {self.name}: {value!r} is not valid; give {self.expected}"
-            )
-        if self.choices and value not in self.choices:
-            raise ParameterError(
-                f"parameter {self.name}: {value!r} is not known; give {self.expected}"
-            )
-        if self._is_vector:
+        is_valid = not self.choices or value in self.choices
+        if self.default is None:
+            is_valid = is_valid and self.is_of_kind(value)
+        elif self._is_texts:
+            is_valid = all(isinstance(each, str) for each in self.plain(value))
+        elif self._is_vector:
             low, high = self._bounds()
-            # Written so that NaN is refused.
-            if len(value) != len(self.default) or not all(low <= each <= high for each in value):
-                raise ParameterError(
-                    f"parameter {self.name}: {list(value)} is no valid value; give {self.expected}"
-                )
+            value = list(value)
+            # NaN fails this comparison.
+            is_valid = len(value) == len(self.default) and all(low <= one <= high for one in value)
+        if not is_valid:
+            raise ParameterError(
+                f"parameter {self.name}: {value!r} is not valid; give {self.expected}", "E801"
+            )
 
     @property
     def expected(self) -> str:
-        """What may be given, in words."""
+        """Description of the valid values."""
         if self.choices:
             return f"one of {', '.join(filter(None, self.choices))}"
         kinds = {bool: "true or false", int: "an integer", float: "a number with a decimal point"}
@@ -136,7 +131,7 @@ class Parameter:
         return " ".join([kind, " and ".join(bounds)]).strip()
 
     def plain(self, value: Any) -> Any:
-        """Return a value in Python's types: rclpy gives an array.array for a list."""
+        """Return a value in Python's types; rclpy returns an array.array for a list."""
         if not isinstance(value, bool | int | float | str | None):
             return list(value)
         return [value] if self._is_texts else value
@@ -146,7 +141,7 @@ class Parameter:
         return self.kind or type(self.default)
 
     def is_of_kind(self, value: Any) -> bool:
-        """Tell whether a value is a number of the right type; whole numbers are of both."""
+        """Return whether a value is a number of the right type; integers also count as floats."""
         if self.length:
             single = replace(self, length=0)
             values = value if isinstance(value, list) else []
@@ -181,7 +176,7 @@ def parameters_of(kind: type) -> tuple[Parameter, ...]:
 
 
 def require_spelled(make: Callable[[], T]) -> T:
-    """Return what a function makes of options; its errors name parameters instead.
+    """Call a function that creates options, and make its errors name parameters.
 
     Raises
     ------
@@ -242,22 +237,22 @@ def _parameter(option: Option) -> Parameter:
 def declare(node: Node, parameters: Sequence[Parameter]) -> dict[str, Any]:
     """Declare parameters and return their values by name.
 
-    Live ones are refused to whoever sets them until they are watched.
+    Live parameters cannot be set before they are watched.
 
     Raises
     ------
     ParameterError
-        When one was given a value that it cannot take.
+        When a given value is not valid.
     """
-    # rclpy declares it in every node, and leaves it undescribed.
+    # rclpy declares this parameter in every node without a description.
     clock = ParameterDescriptor(
         type=ParameterType.PARAMETER_BOOL,
-        description="Take the time from /clock, not from the system.",
+        description="Use the time on /clock instead of the system time.",
     )
     node.set_descriptor("use_sim_time", clock)
-    values = {parameter.name: _declared(node, parameter) for parameter in parameters}
+    values = {parameter.name: _declare_one(node, parameter) for parameter in parameters}
     if any(parameter.live for parameter in parameters):
-        node.add_on_set_parameters_callback(_not_yet)
+        node.add_on_set_parameters_callback(_refuse_change)
     return values
 
 
@@ -267,22 +262,22 @@ def watch(
     on_change: Callable[[dict[str, Any]], None],
     check: Callable[[dict[str, Any]], None] = lambda values: None,
 ) -> None:
-    """Let the live ones among declared parameters be set while the node runs.
+    """Allow declared live parameters to be set while the node runs.
 
-    Both callables get all live values by name as they are after the set, and run in the thread
-    that executes the node's services.
+    Both callables get the new values of all live parameters by name. They run in the thread that
+    executes the node's services.
 
     Parameters
     ----------
     node : Node
-        On which they are declared.
+        Node that declares the parameters.
     parameters : sequence of Parameter
-        The live ones are watched.
+        Parameters of the node; the live ones are watched.
     on_change : callable
-        Told of values that were accepted and differ from those before.
+        Called after values have changed.
     check : callable, optional
-        Raises SymbidError, whose message the setter is told, when values do not do; it must
-        change nothing, as another parameter of the same set may still be refused.
+        Raises SymbidError for invalid values; the message is the reason of the refusal. It must
+        have no effect, because another parameter of the same request may still be refused.
     """
     live = {parameter.name: parameter for parameter in parameters if parameter.live}
     current = {name: one.plain(node.get_parameter(name).value) for name, one in live.items()}
@@ -309,28 +304,28 @@ def watch(
         if current != before:
             on_change(dict(current))
 
-    node.remove_on_set_parameters_callback(_not_yet)
+    node.remove_on_set_parameters_callback(_refuse_change)
     node.add_on_set_parameters_callback(accept)
     node.add_post_set_parameters_callback(follow)
 
 
-def _not_yet(given: Sequence[Any]) -> SetParametersResult:
+def _refuse_change(given: Sequence[Any]) -> SetParametersResult:
     if all(entry.name == "use_sim_time" for entry in given):
         return SetParametersResult(successful=True)
     return SetParametersResult(
         successful=False,
-        reason="not followed now: the node is still starting, or its mode has no use for it",
+        reason="cannot be set: the node is still starting, or its mode does not use the parameter",
     )
 
 
-def _declared(node: Node, parameter: Parameter) -> Any:
+def _declare_one(node: Node, parameter: Parameter) -> Any:
     try:
         declared = node.declare_parameter(
             parameter.name, parameter.default, parameter.descriptor()
         ).value
     except ParameterException as error:
         raise ParameterError(
-            f"parameter {parameter.name}: not a valid value; give {parameter.expected}"
+            f"parameter {parameter.name}: not a valid value; give {parameter.expected}", "E801"
         ) from error
     value = parameter.plain(declared)
     parameter.require(value)

@@ -334,7 +334,7 @@ def test_sqlite_replay_skips_excluded_topics_and_types_not_installed(graph, tmp_
         ),
         ({"start": 9.0}, "parameter start: 9 s is beyond the end of LOG; give less than 0.009"),
         ({"rate": -1.0}, "parameter rate: not a valid value; give a number with a decimal point "),
-        ({"clock_source": "sun"}, "parameter clock_source: 'sun' is not known; give one of header"),
+        ({"clock_source": "sun"}, "parameter clock_source: 'sun' is not valid; give one of header"),
         (
             {"topics": "[clock]", "publish_clock": True},
             "parameter topics: publish_clock also publishes /clock; remove /clock from topics or ",
