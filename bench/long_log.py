@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 from reading import peak_memory
 
+from symbid_ros.bags import BagWriter
 from symbid_ros.bags.container.files import read_blocks
-from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.types import fill_stamp, read_stamp

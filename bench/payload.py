@@ -24,7 +24,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.bags.replay import Recording
+from symbid_ros.bags import Recording
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from rosbags.rosbag2 import Reader
 
-from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.bags.writing.writer import CHUNK_SIZE, BagWriter
+from symbid_ros.bags import BagWriter, read_streams
+from symbid_ros.bags.writing.writer import CHUNK_SIZE
 from symbid_ros.messages import types as messages
 from symbid_ros.messages.layout import typestore
 from symbid_ros.signals.streams import Streams

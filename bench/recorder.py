@@ -40,7 +40,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "test" / "support"))
 
 from paced_feed import SENSORS, Feed, await_subscribers, feed, kill_recorder
 
-from symbid_ros.bags.recovery.recover import recover
+from symbid_ros.bags import recover
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.messages.types import read_leading_stamp
 from symbid_ros.ros.endpoints import reliable_qos

@@ -44,7 +44,6 @@ BAG_PARTS: dict[str, set[str]] = {
     "container": set(),
     "writing": {"container"},
     "recovery": {"container", "writing"},
-    "streams": {"container"},
 }
 FREE = {
     "arrays",

@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from symbid_ros.bags.container.file_index import RecordedTopic
     from symbid_ros.bags.container.files import count_messages
     from symbid_ros.bags.info import BagInfo, FileInfo, bag_info
+    from symbid_ros.bags.reader import bag_log, read_streams, read_truth
     from symbid_ros.bags.recovery.recover import recover
     from symbid_ros.bags.recovery.report import LostRange, RecoveryReport
     from symbid_ros.bags.replay import RecordedMessage, Recording
-    from symbid_ros.bags.streams.reader import bag_log, read_streams, read_truth
     from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage, WriterState
-    from symbid_ros.bags.writing.disk import new_folder
+    from symbid_ros.bags.writing.bag_file import new_folder
     from symbid_ros.bags.writing.writer import BagWriter
 
 __all__ = [
@@ -47,9 +47,9 @@ MODULES = {
     "recovery.recover": ("recover",),
     "recovery.report": ("LostRange", "RecoveryReport"),
     "replay": ("RecordedMessage", "Recording"),
-    "streams.reader": ("bag_log", "read_streams", "read_truth"),
+    "reader": ("bag_log", "read_streams", "read_truth"),
     "writing.background": ("BackgroundWriter", "QueuedMessage", "WriterState"),
-    "writing.disk": ("new_folder",),
+    "writing.bag_file": ("new_folder",),
     "writing.writer": ("BagWriter",),
 }
 

@@ -244,7 +244,7 @@ def _stamps(time: ArrayLike, name: str) -> IntArray:
 def _slices(
     streams: Streams, span: int | None, part: TimeRange, tallies: tuple[DefectCounts, ...]
 ) -> Iterator[Slice]:
-    """Cut streams as `bags.streams.slices` cuts a bag."""
+    """Cut streams as `bags.slices` cuts a bag."""
     stamp = streams.joints.stamp
     every = _each(streams)
     begin = int(stamp[0]) + round(1e9 * part.start)

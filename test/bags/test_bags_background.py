@@ -12,8 +12,7 @@ import pytest
 from mcap.reader import make_reader
 from whole_bags import whole_messages
 
-from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BackgroundWriter, BagWriter, QueuedMessage
 from symbid_ros.errors import BagError
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.messages.types import IMU, WRENCH

@@ -23,10 +23,7 @@ from mcap_features import (
     mcap_image,
 )
 
-from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.recovery.recover import recover
-from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.streams.reader import read_streams
+from symbid_ros.bags import Recording, bag_info, read_streams, recover
 from symbid_ros.errors import BagError
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 

@@ -10,7 +10,7 @@ import yaml
 from foreign_bags import STORE, Messages, imu, joint_state, joints_only, wrench, write_rosbags
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from symbid_ros.bags.streams.reader import read_streams, read_truth
+from symbid_ros.bags import read_streams, read_truth
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH

@@ -22,11 +22,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from rosbags.typesys import Stores, get_typestore
 
-from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.recovery.recover import recover
-from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.bags.streams.slices import iterate_slices
+from symbid_ros.bags import Recording, bag_info, read_streams, recover
+from symbid_ros.bags.slices import iterate_slices
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.limits import MIB
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH

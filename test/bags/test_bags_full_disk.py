@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 from small_disks import small_disk
 from whole_bags import whole_messages
 
+from symbid_ros.bags import BagWriter
 from symbid_ros.bags.writing.mcap_writer import McapWriter
-from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import BagError
 from symbid_ros.messages.types import IMU
 

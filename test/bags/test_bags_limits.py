@@ -18,11 +18,8 @@ from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Me
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
+from symbid_ros.bags import Recording, bag_info, read_streams, recover
 from symbid_ros.bags.container.blocks import read_mcap_blocks
-from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.recovery.recover import recover
-from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.streams.reader import read_streams
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.limits import MAX_CHUNK, MAX_MESSAGE, MAX_NAMES, MIB
 from symbid_ros.messages.types import IMU, JOINT_STATE
@@ -107,9 +104,9 @@ BOMBS: dict[str, Callable[[], tuple[bytes, int, str]]] = {
 READ_ALL = """
 import sys
 from pathlib import Path
-from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.bags.recovery.recover import recover
-from symbid_ros.bags.replay import Recording
+from symbid_ros.bags import read_streams
+from symbid_ros.bags import recover
+from symbid_ros.bags import Recording
 from symbid_ros.errors import SymbidError
 good, *bombs = map(Path, sys.argv[1:])
 def peak():  # of this process; what getrusage tells begins with its parent's

@@ -5,7 +5,8 @@ from collections import Counter
 from hypothesis import given
 from hypothesis import strategies as st
 
-from symbid_ros.bags.writing.background import MessageQueue, QueuedMessage
+from symbid_ros.bags import QueuedMessage
+from symbid_ros.bags.writing.background import MessageQueue
 
 SENSOR, CAMERA = 0, 1
 

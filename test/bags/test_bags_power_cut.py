@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from whole_bags import whole_messages
 
-from symbid_ros.bags.recovery.recover import recover
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter, recover
 from symbid_ros.messages.types import IMU
 
 PAYLOADS = [np.random.default_rng(n).bytes(320) for n in range(300)]

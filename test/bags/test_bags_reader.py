@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from symbid_ros.bags.streams.reader import read_streams, read_truth
+from symbid_ros.bags import read_streams, read_truth
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, WRENCH

@@ -21,11 +21,8 @@ from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader as RosbagsReader
 
-from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.recovery.recover import recover
-from symbid_ros.bags.recovery.report import RecordCount, RecoveryReport
-from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter, RecoveryReport, bag_info, read_streams, recover
+from symbid_ros.bags.recovery.report import RecordCount
 from symbid_ros.errors import BagError
 from symbid_ros.messages.types import JOINT_STATE
 

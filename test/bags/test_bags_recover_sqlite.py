@@ -11,8 +11,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from test_bags_foreign import NUMERIC_QOS, sqlite_tables
 
-from symbid_ros.bags.recovery.recover import recover
-from symbid_ros.bags.streams.reader import read_streams
+from symbid_ros.bags import read_streams, recover
 from symbid_ros.errors import BagError
 from symbid_ros.messages.types import JOINT_STATE
 

@@ -27,8 +27,7 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mcap_features import MAGIC, encoded
 
-from symbid_ros.bags.replay import RecordedMessage, Recording
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter, RecordedMessage, Recording
 from symbid_ros.errors import BagError
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.messages.types import IMU, JOINT_STATE

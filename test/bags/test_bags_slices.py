@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from foreign_bags import IMU, JOINT_STATE, imu, joint_state, write_rosbags
 
-from symbid_ros.bags.streams import slices
-from symbid_ros.bags.streams.slices import iterate_slices
+from symbid_ros.bags import slices
+from symbid_ros.bags.slices import iterate_slices
 from symbid_ros.signals.streams import TimeRange
 
 SECOND = 10**9

@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from whole_bags import whole_messages
 
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter
 from symbid_ros.messages.types import IMU, WRENCH
 
 MILLISECOND = 10**6

@@ -15,7 +15,7 @@ from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter
 from symbid_ros.errors import BagError
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.messages.types import IMU, WRENCH, fill_wrench, wrench_layout

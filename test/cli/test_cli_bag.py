@@ -8,7 +8,7 @@ from bag_surgery import topic_counts
 from foreign_bags import STORE, imu, joint_state
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.messages.types import IMU, JOINT_STATE
 

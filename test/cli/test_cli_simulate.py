@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from symbid_ros.bags.streams.reader import read_streams
+from symbid_ros.bags import read_streams
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.systematic_errors import ERRORS
 

@@ -4,7 +4,7 @@ import pytest
 from random_robots import CONFIG, random_robot
 from tree_simulation import TreeSimulation
 
-from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Kind, Severity
 from symbid_ros.estimation.prior import draw_prior

@@ -10,7 +10,7 @@ from bag_surgery import Messages, Surgery, operate
 from random_robots import CONFIG
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.bags import bag_log
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
 from symbid_ros.estimation.prior import draw_prior

@@ -9,7 +9,7 @@ import pytest
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.bags.streams.reader import bag_log, read_streams
+from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments, fit_gyro

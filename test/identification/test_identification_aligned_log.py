@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from bag_surgery import Messages, operate
 
-from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.bags import bag_log
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection

@@ -9,7 +9,7 @@ from analytic_log import analytic_segment, noisy, spoilt
 from foreign_bags import imu, joint_state, wrench, write_rosbags
 from random_robots import CONFIG, random_robot
 
-from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.bags import bag_log
 from symbid_ros.errors import DataError, OptionError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior

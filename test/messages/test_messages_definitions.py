@@ -6,7 +6,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter
 from symbid_ros.errors import BagError
 from symbid_ros.messages.definitions import find_definition
 

@@ -8,7 +8,7 @@ from bag_surgery import Messages, operate
 from live_feed import feed_of
 from scipy.interpolate import CubicSpline
 
-from symbid_ros.bags.streams.reader import bag_log, read_streams
+from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.model.load import load_model
 from symbid_ros.online.block_scheduler import BlockScheduler

@@ -9,7 +9,7 @@ from foreign_bags import STORE
 from live_feed import feed_of
 from split_joints import JOINTS, Part, left, right, split_joints, stamped
 
-from symbid_ros.bags.streams.reader import bag_log, read_streams
+from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.errors import DataError
 from symbid_ros.identification.aligned_log import AlignedLog
 from symbid_ros.messages.topics import TopicSelection

@@ -13,7 +13,7 @@ from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
-from symbid_ros.bags.streams.reader import read_streams
+from symbid_ros.bags import read_streams
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet

@@ -17,8 +17,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
-from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter, Recording
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.messages.types import (
     CLOCK,

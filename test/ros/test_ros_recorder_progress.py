@@ -6,7 +6,7 @@ from io import StringIO
 import pytest
 from rich.console import Console
 
-from symbid_ros.bags.writing.background import WriterState
+from symbid_ros.bags import WriterState
 from symbid_ros.errors import BagError
 from symbid_ros.ros.diagnostics import ERROR, OK, WARN
 from symbid_ros.ros.recorder import LATE_SYNC, REFRESH, RecordingProgress

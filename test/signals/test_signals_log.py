@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from symbid_ros.bags.streams.reader import bag_log, read_streams
+from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.bags.streams.reader import read_streams
+from symbid_ros.bags import read_streams
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record

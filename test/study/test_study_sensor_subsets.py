@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
-from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.bags import bag_log
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from small_study import PLAN, SmallStudy, symbid
 
-from symbid_ros.bags.streams.reader import bag_log
+from symbid_ros.bags import bag_log
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.dataset import Processing, read_dataset
 from symbid_ros.identification.evaluation import evaluate

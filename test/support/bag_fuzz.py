@@ -26,13 +26,9 @@ from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mutations import mutated
 
+from symbid_ros.bags import BagWriter, Recording, bag_info, read_streams, recover
 from symbid_ros.bags.container.mcap_records import report_damage
 from symbid_ros.bags.container.mcap_summary import read_summary
-from symbid_ros.bags.info import bag_info
-from symbid_ros.bags.recovery.recover import recover
-from symbid_ros.bags.replay import Recording
-from symbid_ros.bags.streams.reader import read_streams
-from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.layout import typestore
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH

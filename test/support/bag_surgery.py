@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from symbid_ros.bags import BagWriter
 from symbid_ros.bags.container.files import read_blocks
-from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.types import (

@@ -7,7 +7,7 @@ from analytic_log import imu_motion, waves
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion

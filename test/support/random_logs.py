@@ -8,7 +8,7 @@ import numpy as np
 from analytic_log import analytic_samples, imu_motion
 from random_robots import random_robot
 
-from symbid_ros.bags.writing.writer import BagWriter
+from symbid_ros.bags import BagWriter
 from symbid_ros.messages.layout import Layout, typestore
 from symbid_ros.messages.types import (
     IMU,

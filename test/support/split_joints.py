@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from symbid_ros.bags import BagWriter
 from symbid_ros.bags.container.files import read_blocks
-from symbid_ros.bags.writing.writer import BagWriter
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.types import JOINT_STATE, fill_message, joint_state_layout, read_stamp
 

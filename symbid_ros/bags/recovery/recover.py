@@ -30,7 +30,7 @@ from symbid_ros.bags.recovery.damaged_mcap import (
 from symbid_ros.bags.recovery.report import LostRange, RecoveryCounts, RecoveryReport
 from symbid_ros.bags.recovery.rewriter import ROSBAG2, BagRewriter
 from symbid_ros.bags.recovery.sqlite_recovery import SqliteRecovery
-from symbid_ros.bags.writing.disk import new_folder
+from symbid_ros.bags.writing.bag_file import new_folder
 from symbid_ros.errors import BagError
 from symbid_ros.messages.topics import Topic
 

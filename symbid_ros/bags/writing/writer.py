@@ -13,8 +13,7 @@ from symbid_ros.bags.metadata import (
     describe_bag,
     write_metadata,
 )
-from symbid_ros.bags.writing.bag_file import BagFile
-from symbid_ros.bags.writing.disk import Reserve, sync_folder
+from symbid_ros.bags.writing.bag_file import BagFile, Reserve, sync_folder
 from symbid_ros.errors import BagError
 from symbid_ros.messages.definitions import find_definition
 from symbid_ros.messages.topics import OfferedQos

@@ -10,7 +10,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
-from symbid_ros.bags.streams.slices import DEFAULT_SELECTION, iterate_slices
+from symbid_ros.bags.slices import DEFAULT_SELECTION, iterate_slices
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.sensor_streams import column, stamps

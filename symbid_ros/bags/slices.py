@@ -8,7 +8,7 @@ import numpy as np
 from symbid_ros.arrays import IntArray
 from symbid_ros.bags.container.blocks import MessageBlock
 from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
-from symbid_ros.bags.streams.reorder_buffer import ReorderBuffer
+from symbid_ros.bags.reorder_buffer import ReorderBuffer
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.sensor_streams import group_joints, sensor_streams, stamps
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
