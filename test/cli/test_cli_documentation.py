@@ -354,7 +354,7 @@ def test_files_named_in_running_text_exist() -> None:
     named = [
         (page.name, span)
         for page, span in INLINE
-        if re.fullmatch(r"[\w/]+[\w.]+\.(py|yaml|xml)", span)
+        if re.fullmatch(r"[\w/]+\.py|[\w/]+/[\w.]+\.(yaml|xml)", span)
     ]
     folders = ROOT, ROOT / "symbid_ros"
     assert not [each for each in named if not any((one / each[1]).is_file() for one in folders)]
