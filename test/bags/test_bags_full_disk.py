@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from expected_errors import raises_code
 from mcap.reader import make_reader
 from small_disks import small_disk
 from whole_bags import whole_messages
 
 from symbid_ros.bags import BagWriter
 from symbid_ros.bags.writing.mcap_writer import McapWriter
-from symbid_ros.errors import BagError
 from symbid_ros.messages.types import IMU
 
 PAYLOADS = [np.random.default_rng(0).bytes(320) for _ in range(64)]
@@ -41,7 +41,7 @@ def largest_file(size: int) -> Iterator[None]:
 def write_until_full(bag: BagWriter) -> list[tuple[str, int, bytes]]:
     """Write until it fails; return the accepted messages."""
     accepted: list[tuple[str, int, bytes]] = []
-    with pytest.raises(BagError, match=r"cannot write: (No space left|File too large)"):
+    with raises_code("E219", r"(No space left|File too large)"):
         write_into(bag, accepted)
     return accepted
 
@@ -92,7 +92,7 @@ def test_messages_after_a_failed_write_are_rejected(tmp_path: Path) -> None:
         bag.close,
         lambda: bag.add_topic("/late", IMU),
     ):
-        with pytest.raises(BagError, match="an earlier write failed"):
+        with raises_code("E219", "an earlier write failed"):
             refused()
     assert not (tmp_path / "log" / "metadata.yaml").exists()
 
@@ -100,7 +100,7 @@ def test_messages_after_a_failed_write_are_rejected(tmp_path: Path) -> None:
 def test_failed_creation_leaves_a_full_disk_unchanged(disk: Path) -> None:
     room = os.statvfs(disk)
     (disk / "other").write_bytes(bytes(room.f_bavail * room.f_frsize - 20_000))
-    with pytest.raises(BagError, match="cannot create the bag: No space left on device"):
+    with raises_code("E219", "No space left on device"):
         BagWriter(disk / "log")
     assert [file.name for file in disk.iterdir()] == ["other"]
 

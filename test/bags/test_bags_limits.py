@@ -12,6 +12,7 @@ import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from expected_errors import raises_code
 from foreign_bags import STORE, imu, joint_state, joints_only, write_rosbags
 from mcap.data_stream import RecordBuilder
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Message, Schema
@@ -298,9 +299,9 @@ def spoiled(file: Path, place: int) -> None:
 def test_summary_is_checked(log: Path) -> None:
     file = log / "log_0.mcap"
     spoiled(file, file.read_bytes().rindex(b"sensor_msgs/msg/Imu"))
-    with pytest.raises(BagError, match="its summary does not match its checksum"):
+    with raises_code("E206", "its summary does not match its checksum"):
         read_streams([file])
-    with pytest.raises(BagError, match="its summary does not match its checksum"):
+    with raises_code("E206", "its summary does not match its checksum"):
         Recording.of([file])
 
 
@@ -377,7 +378,7 @@ def test_pipe_or_device_in_a_bag_folder_does_not_block(name: str, tmp_path: Path
     for make in (os.mkfifo, lambda path: path.symlink_to("/dev/zero")):
         make(bag / name)
         for read in (bag_info, recover):
-            with pytest.raises(BagError, match=rf"{name}: not a regular file; move it out"):
+            with raises_code("E201", rf"{name}: "):
                 read(bag)
         (bag / name).unlink()
     assert list(tmp_path.iterdir()) == [bag]

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from expected_errors import raises_code
 from foreign_bags import joint_state
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
@@ -103,7 +104,7 @@ def test_damaged_pages_cost_only_their_rows(tmp_path: Path) -> None:
     for page in (pages[2], pages[3], pages[6]):
         image[page : page + PAGE] = bytes(PAGE)
     file.write_bytes(image)
-    with pytest.raises(BagError, match=r"damaged SQLite file.*run `symbid bag recover"):
+    with raises_code("E206", "`symbid bag recover"):
         read_streams([file])
     recovery = recover(file)
     assert not recovery.is_whole

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from expected_errors import raises_code
 from foreign_bags import write_rosbags
 from mcap.records import (
     Channel,
@@ -285,7 +286,7 @@ def test_quality_of_service_of_publishers_is_kept(tmp_path: Path) -> None:
 def test_topics_are_named_with_or_without_slash(tmp_path: Path) -> None:
     recording = Recording.of([write_mcap(tmp_path / "log.mcap", random_messages(9))])
     assert [topic.name for topic in recording.find(["b", "/a", "/b"])] == ["/b", "/a"]
-    with pytest.raises(BagError, match=r"no topic /d, it holds /a \(sensor_msgs.*; name one"):
+    with raises_code("E210", r"/d, .* /a \(sensor_msgs"):
         recording.find(["/d"])
 
 
@@ -293,7 +294,7 @@ def test_foreign_encoding_is_rejected_when_requested(tmp_path: Path) -> None:
     recording = Recording.of(
         [write_mcap(tmp_path / "log.mcap", random_messages(9), encoding="json")]
     )
-    with pytest.raises(BagError, match="messages on /a are encoded as json, not cdr; leave"):
+    with raises_code("E217", r"/a .* json"):
         recording.require_cdr(recording.topics["/a"])
 
 
@@ -301,7 +302,7 @@ def test_topic_of_two_types_is_rejected(tmp_path: Path) -> None:
     bags = [
         write_rosbags(tmp_path / kind[:3], [("/a", kind, b"\0\1\0\0")]) for kind in (IMU, STRING)
     ]
-    with pytest.raises(BagError, match="topic /a is both sensor_msgs/msg/Imu and std_msgs/msg/Str"):
+    with raises_code("E211", r"/a .* sensor_msgs/msg/Imu .* std_msgs/msg/Str"):
         Recording.of(bags)
 
 
@@ -326,9 +327,9 @@ def test_files_that_are_not_bags_are_rejected(
 
 
 def test_bag_without_messages_is_rejected(tmp_path: Path) -> None:
-    with pytest.raises(BagError, match="no message in it; record it again"):
+    with raises_code("E213"):
         Recording.of([write_mcap(tmp_path / "log.mcap", [])])
-    with pytest.raises(BagError, match="no bag given"):
+    with raises_code("E202"):
         Recording.of([])
 
 
