@@ -21,6 +21,7 @@ html_math_renderer = "mathml"
 html_theme = "furo"
 html_title = f"symbid_ros {version}"
 html_copy_source = False
+html_show_copyright = False
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 exclude_patterns = ["_build"]
