@@ -15,7 +15,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-DEADLINE = 300.0  # s; only a hang takes as long, on a machine that others use as well
+DEADLINE = 300.0  # s; long enough for a busy machine; only a hang takes longer
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,11 @@ class NodeProcess:
         return Ended(self._process.returncode, out, err)
 
     def aborted(self) -> str:
-        """End the process and return how it was and what it said last."""
+        """End the process and return its status and the end of its stderr."""
         status = self._process.poll()
         if status is None:
-            self._process.send_signal(signal.SIGABRT)  # tells where each thread was
-        # Who has waited for its end has read its pipes.
+            self._process.send_signal(signal.SIGABRT)  # prints the stack of each thread
+        # Waiting for the end has read the pipes already.
         err = "" if self._process.stderr.closed else self._process.communicate()[1]
         return f"{Path(self._process.args[0]).name} (status {status}): {err[-5000:]}"
 
@@ -75,12 +75,12 @@ class NodeProcess:
 
 
 class Graph:
-    """A test's own domain: starts node processes and looks at them from a node."""
+    """Starts node processes in the test's own domain and observes them from a node."""
 
     def __init__(self, env: dict[str, str]):
         self._env = env
         self._processes: list[NodeProcess] = []
-        self.witness: Callable[[], object] = tuple  # what it knows is told when a wait fails
+        self.witness: Callable[[], object] = tuple  # its result is printed when a wait fails
         self._context = Context()
         rclpy.init(context=self._context, domain_id=int(env["ROS_DOMAIN_ID"]))
         self.node = Node("observer", context=self._context)
@@ -101,9 +101,9 @@ class Graph:
         self.wait_until(lambda: name in self.node.get_node_names())
 
     def _post_mortem(self) -> str:
-        """What the nodes said until now; ends them."""
+        """End the nodes and return what they have printed."""
         told = [process.aborted() for process in self._processes]
-        return "\n".join(["the condition did not come about", str(self.witness()), *told])
+        return "\n".join(["the condition was not met in time", str(self.witness()), *told])
 
     def close(self) -> None:
         for process in self._processes:

@@ -15,7 +15,7 @@ from symbid_ros.simulation.simulator import Simulator
 
 COMMANDS, SIMULATION = "/mujoco_bridge: commands", "/mujoco_bridge: simulation"
 CONTROL = "/balance_controller: control"
-# A busy machine may well let a process wait for longer than the usual time-out.
+# On a busy machine a process may wait longer than the default timeout.
 PATIENT = {"command_source": "topic", "command_timeout": 60.0, "real_time_factor": 100.0}
 
 
@@ -24,7 +24,7 @@ def nanoseconds(stamp) -> int:
 
 
 class Clocked:
-    """The stamps of /clock as they came."""
+    """The received stamps of /clock."""
 
     def __init__(self, graph) -> None:
         self.stamps: list[int] = []
@@ -54,11 +54,11 @@ def test_the_robot_moves_as_with_the_internal_controller(graph) -> None:
     )
     robot = Simulator("smooth", moves=1, motion_seed=3)
     end = robot.steps * robot.period_ns
-    # The controller comes first and waits for a robot; the robot waits for the controller.
+    # The controller starts first and waits for a robot, which waits for the controller.
     controller = graph.start("balance_controller", moves=1, motion_seed=3)
     graph.wait_for_node("balance_controller")
     bridge = graph.start("mujoco_bridge", moves=1, motion_seed=3, **PATIENT)
-    for second in range(1 + end // 10**9):  # however slow, it goes on
+    for second in range(1 + end // 10**9):  # on a slow machine each second has its own deadline
         graph.wait_until(lambda s=second: clock.now > s)
     graph.wait_until(lambda: clock.stamps[-1] >= end)
     graph.wait_until(lambda: places and max(places) > end - 10 * robot.period_ns)
@@ -78,11 +78,11 @@ def test_the_robot_moves_as_with_the_internal_controller(graph) -> None:
         for stamp, place in places.items()
         if stamp <= end
     ]
-    # The robot waits for no onlooker, but from the first message on it misses none.
+    # The robot does not wait for this subscriber, which gets every message after its first.
     heard = np.array(sorted(stamp for stamp in places if stamp <= end))
     assert set(np.diff(heard)) == {10 * robot.period_ns}
     assert heard[0] < end / 2
-    # The moves go 8 cm far; sensor noise and the period of delay cost millimetres of them.
+    # The moves are 8 cm long; sensor noise and a delay of one period cost millimetres.
     assert max(away) < 0.01
 
 
@@ -205,7 +205,7 @@ def test_signals_end_a_controller_without_measurements(graph, number: signal.Sig
 @pytest.mark.parametrize(
     ("executable", "parameters", "line"),
     [
-        ("balance_controller", {"scenario": "dance"}, "parameter scenario: 'dance' is not known"),
+        ("balance_controller", {"scenario": "dance"}, "parameter scenario: 'dance' is not valid"),
         ("balance_controller", {"model": "/nowhere.xml"}, "/nowhere.xml"),
         (
             "mujoco_bridge",

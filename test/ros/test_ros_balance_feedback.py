@@ -17,11 +17,11 @@ from symbid_ros.ros.balance_controller import KEPT, BalanceFeedback, FeedbackSub
 
 JOINTS = ("hip", "knee")
 MILLISECOND = 1_000_000
-DEADLINE = 100.0  # s; only a pair that never comes takes as long
+DEADLINE = 100.0  # s; only a missing pair takes longer
 
 
 class Robot:
-    """Publishes as a robot would and reads as a controller would, in one process."""
+    """A robot's publishers and a controller's subscriber in one process."""
 
     def __init__(self, node: Node) -> None:
         self.joint_publisher = node.create_publisher(JointState, "joint_states", 1000)
@@ -58,7 +58,7 @@ class Robot:
         publisher.publish(message)
 
     def read(self, milliseconds: int) -> BalanceFeedback:
-        """Read until the instant of a stamp comes, which must be the first that is whole."""
+        """Read until feedback arrives; its stamp must be the given one."""
         deadline = time.monotonic() + DEADLINE
         while (readings := self.subscriber.newest()) is None:
             assert time.monotonic() < deadline, "no instant has both joints and IMU"
@@ -109,7 +109,7 @@ def test_the_newest_joint_states_are_kept_while_the_imu_is_silent(robot: Robot) 
     robot.imu(waiting)
     readings = robot.read(waiting)
     np.testing.assert_allclose(readings.joint_position, [waiting + 0.1, waiting + 0.2])
-    assert robot.subscriber.skipped <= KEPT  # the others were dropped long before
+    assert robot.subscriber.skipped <= KEPT  # the others had been dropped
 
 
 def test_a_backward_clock_jump_clears_earlier_messages(robot: Robot) -> None:

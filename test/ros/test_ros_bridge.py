@@ -34,7 +34,7 @@ ALL_TOPICS = (
 
 @pytest.fixture
 def recorded(graph, tmp_path: Path) -> tuple[Path, dict, dict]:
-    """A bag of the bridge's topics, what the bridge and what the recorder said."""
+    """A bag of the bridge's topics with the output of bridge and recorder."""
     recorder = graph.start("recorder", bag=tmp_path / "live", topics=ALL_TOPICS)
     bridge = graph.start("mujoco_bridge", moves=MOVES, wait_for_subscribers=True, motion_seed=3)
     told = bridge.ended()
@@ -46,9 +46,10 @@ def recorded(graph, tmp_path: Path) -> tuple[Path, dict, dict]:
 
 
 def supporting_force(robot: RobotModel, streams: Streams, part: slice) -> np.ndarray:
-    """Return the feet's mean force in the world as a consumer of the topics finds it.
+    """Return the mean force of the feet in the world frame, computed from the topics.
 
-    Each is in its sole's axes; joints turn it to the base, the IMU's orientation to the world.
+    Each force is in the axes of its sole; the joint positions rotate it to the base and the IMU's
+    orientation to the world.
     """
     (imu,) = streams.imus
     mount = robot.frame(imu.frame_id)
@@ -92,7 +93,9 @@ def test_the_recorder_gets_all_messages_that_the_bridge_counts(
     robot = load_model(config_file("symbitron.xml"))
     parameters = ParameterSet(robot)
     weight = parameters.link_phi(parameters.values)[:, 0].sum() * np.linalg.norm(robot.gravity)
-    force = supporting_force(robot, live, slice(0, 400))  # half a second of rest comes first
+    force = supporting_force(
+        robot, live, slice(0, 400)
+    )  # the motion starts with half a second of rest
     np.testing.assert_allclose(force, [0, 0, weight], atol=1e-3 * weight)
 
 
@@ -194,7 +197,7 @@ def test_parameters_are_described_and_only_the_payload_can_change(graph) -> None
 
 
 def test_a_payload_set_while_moving_loads_the_feet(graph, tmp_path: Path) -> None:
-    """At rest at the end, the feet bear the payload's weight more than without it."""
+    """At rest at the end, the feet also carry the weight of the payload."""
     clock: list[int] = []
     graph.node.create_subscription(Clock, "/clock", lambda m: clock.append(m.clock.sec), RELIABLE)
     health = StatusProbe(graph)

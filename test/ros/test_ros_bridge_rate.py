@@ -9,7 +9,7 @@ MILLISECOND = 1_000_000
 
 
 class ManualClock:
-    """Time passes by sleeping and by what a test says that work takes."""
+    """A clock that advances by sleeping and by the test's simulated work."""
 
     def __init__(self) -> None:
         self.now = 5_000_000_000

@@ -39,7 +39,7 @@ def command(milliseconds: int, **efforts: float) -> JointState:
 
 
 class Bench:
-    """A robot's end and a controller's end of the topic, in one process."""
+    """The robot's and the controller's end of the topic in one process."""
 
     def __init__(self, node: Node, timeout: float) -> None:
         self.node = node
@@ -63,13 +63,13 @@ class Bench:
     def answer(self, milliseconds: int) -> list[float] | None:
         found = self.commands.exchange(instant(milliseconds), self.stop)
         if found.is_safe:
-            # Damping against the rates of knee and hip, nothing else.
+            # Damping opposite to the rates of knee and hip only.
             np.testing.assert_array_equal(found.torques, [4.0, -2.0])
             return None
         return found.torques.tolist()
 
     def wait(self) -> None:
-        """Wait until what was sent lies in the queue."""
+        """Wait until the sent messages are in the queue."""
         wait_for_any(self.node, [self.commands._subscription], 300.0)
 
     @property
@@ -180,7 +180,7 @@ def test_a_timeout_gives_safe_torques_until_a_late_command(bench) -> None:
     assert loop.commands.counts.timeouts == 1, "nobody is waited for any more"
     loop.send(command(5, knee=1.0, hip=1.0))
     loop.wait()
-    # Late, but worth waiting for again: the answer may be on its way.
+    # A late command makes the robot wait again: the next answer may be on its way.
     assert loop.answer(7) is None
     assert (loop.commands.counts.timeouts, loop.rejected) == (2, {"old": 1})
     loop.send(command(7, knee=2.0, hip=2.0), command(8, knee=3.0, hip=3.0))

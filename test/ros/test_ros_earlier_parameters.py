@@ -40,6 +40,6 @@ def test_each_parameter_is_declared_and_keeps_its_value(name: str, domain: int) 
         node.destroy_node()
         context.try_shutdown()
     for key, value in stored.items():
-        # A single text stands for a list of one.
+        # A single text is read as a list of one.
         expected = [value] if isinstance(values[key], list) and isinstance(value, str) else value
         assert values[key] == expected, key

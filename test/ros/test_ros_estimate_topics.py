@@ -87,7 +87,7 @@ def test_standard_deviations_of_an_inertia_follow_from_its_parameters(estimate) 
     ]
     slopes[4:, 4:] = np.eye(6)
     expected = np.sqrt(np.sum((slopes * std) ** 2, axis=1))
-    assert len(set(np.round(expected, 6))) == 10  # no two alike: a wrong axis shows
+    assert len(set(np.round(expected, 6))) == 10  # all differ, so that a swapped axis is detected
     message = estimate_topics.inertia_stddev_message(estimate, LINK, STAMP)
     np.testing.assert_allclose(numbers(message), expected, rtol=1e-4)
     assert (message.header.frame_id, message.header.stamp) == (LINK, STAMP)

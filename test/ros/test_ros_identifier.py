@@ -33,7 +33,7 @@ LATCHED = QoSProfile(
 
 
 def recorded(graph, bag: Path) -> Path:
-    """Let bridge and recorder make a bag of the sensor topics alone."""
+    """Record a bag of the sensor topics only, with bridge and recorder."""
     recorder = graph.start("recorder", bag=bag, topics=SENSORS)
     bridge = graph.start("mujoco_bridge", moves=1, motion_seed=7, wait_for_subscribers=True)
     played = json.loads(bridge.ended().out)
@@ -46,7 +46,7 @@ def recorded(graph, bag: Path) -> Path:
 
 
 def command(bag: Path, out: Path, *options: object) -> dict[str, Any]:
-    """Identify with the command, return estimate.json."""
+    """Identify with the command and return estimate.json."""
     subprocess.run(
         [
             Path(sys.executable).parent / "symbid",
@@ -60,7 +60,7 @@ def command(bag: Path, out: Path, *options: object) -> dict[str, Any]:
 
 
 def same_files(one: Path, other: Path) -> bool:
-    """Compare all that an identification writes, the arrays bit by bit."""
+    """Compare all files of two identifications, arrays bit by bit."""
     assert {file.name for file in one.iterdir()} == FILES == {f.name for f in other.iterdir()}
     with np.load(one / "information.npz") as a, np.load(other / "information.npz") as b:
         arrays = set(a) == set(b) and all(np.array_equal(a[key], b[key]) for key in a)
@@ -119,7 +119,7 @@ def test_live_identification_equals_that_of_the_command(graph, tmp_path: Path) -
         moment = [values[f"{link}/mc_{axis}"] for axis in "xyz"]
         com = np.array([inertia.com.x, inertia.com.y, inertia.com.z])
         np.testing.assert_allclose(com * inertia.m, moment, rtol=1e-12)
-        # Steiner: about the link's origin again.
+        # Parallel axis theorem: back to the link's origin.
         at_origin = inertia.izz + inertia.m * (com[0] ** 2 + com[1] ** 2)
         assert at_origin == pytest.approx(values[f"{link}/Izz"], rel=1e-9, abs=1e-12)
     residual = document["residual_rmse"]
@@ -129,7 +129,9 @@ def test_live_identification_equals_that_of_the_command(graph, tmp_path: Path) -
 
 
 def node_and_command(graph, tmp_path: Path, bag: Path, **given: object) -> dict[str, Any]:
-    """Identify with both, whose answers must not differ; a flag is true, a list repeats."""
+    """Identify with node and command, whose results must be equal.
+
+    True stands for a flag, a list for a repeated option."""
     model = config_file("symbitron.xml")
     parameters = {
         name: f"[{', '.join(map(repr, map(str, value)))}]" if isinstance(value, list) else value
@@ -138,7 +140,7 @@ def node_and_command(graph, tmp_path: Path, bag: Path, **given: object) -> dict[
     identifier = graph.start(
         "identifier", bag=f"['{bag}']", model=model, out=tmp_path / "node", **parameters
     )
-    # Files come before topics, estimate.json last.
+    # The files are written before the topics; estimate.json is the last.
     heard: list[DiagnosticArray] = []
     graph.node.create_subscription(DiagnosticArray, "/identifier/estimate", heard.append, LATCHED)
     graph.wait_until(lambda: heard)

@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[2]
 NODES = ("mujoco_bridge", "balance_controller", "recorder", "player", "identifier", "monitor")
 # Parameters with the same meaning in several nodes.
 SHARED = {
-    "bag": {"player", "identifier"},  # what is read
+    "bag": {"player", "identifier"},  # the input
     "clock_rate": {"mujoco_bridge", "player"},
     "model": {"mujoco_bridge", "identifier"},
     "motion_seed": {"mujoco_bridge", "balance_controller"},

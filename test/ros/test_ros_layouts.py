@@ -93,7 +93,7 @@ class TestPlotJuggler:
         assert made <= curves
         for series in (curves | sources) - made:
             if series.startswith("/diagnostics/"):
-                # <topic>/<status>/<key>, the status having no hardware.
+                # <topic>/<status>/<key>; the statuses have no hardware_id.
                 status, _, _ = series.removeprefix("/diagnostics/").rpartition("/")
                 assert status == AGE[0]
                 continue

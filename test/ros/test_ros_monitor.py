@@ -146,7 +146,7 @@ class TestPage:
         last = estimate(link("trunk", TRUNK, STD, known=7), link("leg", LEG, STD, known=0))
         truth = {"trunk": TRUNK + 3 * STD}
         lines = rendered(view(last, first=first, truth=truth), 120)
-        # σ of the centre: x is .006/12 and .05·.12/12 combined, in mm.
+        # σ of the centre of mass along x combines .006/12 and .05·.12/12, in mm.
         x = f"50.00 ± {1e3 * math.hypot(0.006, 0.05 * 0.12) / 12:.2f}"
         trunk = cells(lines, "trunk")
         assert trunk[1:3] == ["12.00 ± 0.12", x]
@@ -191,7 +191,7 @@ class TestPage:
 
 
 class Identifier:
-    """Speaks as an identifier does, again and again, its deviations shrinking."""
+    """Publishes as an identifier does, with standard deviations that shrink."""
 
     def __init__(self, graph, namespace: str = "") -> None:
         self._node = f"{namespace}/identifier"
@@ -211,7 +211,7 @@ class Identifier:
 
 
 def heard(graph, process, identifier: Identifier):
-    """Speak until the monitor ends by itself."""
+    """Publish until the monitor ends by itself."""
     with ThreadPoolExecutor(1) as pool:
         ended = pool.submit(process.ended)
 
@@ -247,7 +247,7 @@ class TestProcess:
         assert all("20 of 20 parameters determined by the data" in line for line in told)
         assert all("14.000 kg in total" in line for line in told)
         assert cells(lines, "base_link")[1].startswith("12.0")
-        # The truth knows no link named leg.
+        # The true model has no link named leg.
         assert cells(lines, "leg")[-1] == "—"
 
     def test_another_identifier_can_be_watched(self, graph) -> None:
@@ -287,7 +287,7 @@ class TestProcess:
             try:
                 while data := os.read(leader, 65536):
                     shown.extend(data)
-            except OSError:  # nothing to read now, or nobody writes any more
+            except OSError:  # nothing to read, or the other end is closed
                 pass
 
         def is_shown() -> bool:
@@ -312,7 +312,7 @@ class TestProcess:
         assert monitor.returncode == 0
         text = shown.decode()
         assert "Traceback" not in text
-        assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")  # the cursor is back
+        assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")  # the cursor is visible again
         plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
         assert max(map(len, re.split(r"[\r\n]", plain))) <= 80
 

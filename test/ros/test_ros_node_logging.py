@@ -16,12 +16,12 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from symbid_ros.ros.node_logging import forward_python_logs
 
 MARK = "the last of these messages"
-DEADLINE = 120.0  # s; only a hang takes as long
+DEADLINE = 120.0  # s; only a hang takes longer
 
 
 @pytest.fixture
 def logged(domain: int) -> Iterator[tuple[Node, Callable[[], list[Log]]]]:
-    """Return a node, and what of it is on /rosout before a final message."""
+    """Return a node and a function that returns its messages on /rosout before a final one."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = Node("subject", context=context, namespace="/robot1")

@@ -25,7 +25,7 @@ LATCHED = QoSProfile(depth=10, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
 class Ears:
-    """What the identifier says: its newest estimate, and its diagnostics by part."""
+    """The identifier's newest estimate, and its statuses by part."""
 
     def __init__(self, graph: Any) -> None:
         self.estimates: list[DiagnosticArray] = []
@@ -81,7 +81,7 @@ def offline(bag: Path, out: Path) -> dict[str, Any]:
 
 
 def assert_same(live: Path, bag: Path) -> None:
-    """Compare what two runs know (1e-9 of its size) and found (1e-6 of a deviation)."""
+    """Compare information (to 1e-9 of its size) and estimates (to 1e-6 of a standard deviation)."""
     pairs = zip(*(load_archive(out / "information.npz") for out in (live, bag)), strict=True)
     for one, other in pairs:
         assert (one.window, one.rows.samples) == (other.window, other.rows.samples)
@@ -108,7 +108,7 @@ def test_topics_give_the_same_estimate_as_their_bag(graph, tmp_path: Path) -> No
     recorder.send(signal.SIGINT)
     recorded = json.loads(recorder.ended().out)["recorded"]
     graph.wait_until(lambda: ears.until() == played["steps"] * 1e-3 and inertias)
-    # Several on the way, each with all the robot; the last one is what was saved.
+    # Several estimates of the whole robot were published; the last one was saved.
     assert len(ears.estimates) > 3
     offline(tmp_path / "bag", tmp_path / "offline")
     assert_same(tmp_path / "live", tmp_path / "offline")
@@ -126,7 +126,7 @@ def test_topics_give_the_same_estimate_as_their_bag(graph, tmp_path: Path) -> No
 
 def test_a_player_serves_as_well_as_a_robot(graph, simulated, tmp_path: Path) -> None:
     bag = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
-    # Replayed as fast as can be, topics may be seconds of their stamps apart.
+    # At full speed, the stamps of topics may differ by seconds.
     live = identifier(graph, out=tmp_path / "live", solve_period=0.2, lag=30.0)
     player = graph.start(
         "player", bag=f"['{bag}']", rate=0.0, topics=SENSORS, wait_for_subscribers=True
@@ -212,7 +212,9 @@ def test_a_change_caused_by_a_payload_names_its_link(graph) -> None:
     identifier(graph, memory=5.0)
     bridge(graph, moves=60, motion_seed=3)
     graph.wait_until(lambda: "change" in ears.health)
-    graph.wait_until(lambda: ears.health["change"].message == "no change")  # it can tell by now
+    graph.wait_until(
+        lambda: ears.health["change"].message == "no change"
+    )  # there are enough data by now
     graph.wait_until(lambda: ears.until() > 15.0)
     request = SetParameters.Request(
         parameters=[
@@ -229,14 +231,16 @@ def test_a_change_caused_by_a_payload_names_its_link(graph) -> None:
     begun = ears.until()
     graph.wait_until(lambda: "changed" in ears.health["change"].message)
     assert ears.figures("change")["link"] == "L_thigh"
-    assert float(ears.figures("change")["since"]) > begun - 2.0  # rows of two looks, a second each
+    assert (
+        float(ears.figures("change")["since"]) > begun - 2.0
+    )  # at least two updates, a second each
     graph.wait_until(lambda: abs(float(ears.figures("change")["mass"]) - 2.0) < 0.2)
 
 
 def test_parameters_are_described_and_checked(graph) -> None:
     ears = Ears(graph)
     live = identifier(graph)
-    graph.wait_until(lambda: ears.health)  # only then are live ones followed
+    graph.wait_until(lambda: ears.health)  # live parameters can be set from then on
     listed = call(graph, ListParameters, "/identifier/list_parameters").result.names
     described = call(
         graph,
@@ -261,7 +265,7 @@ def test_parameters_are_described_and_checked(graph) -> None:
         for one in (period, memory, fixed, wrong)
     ]
     assert [result.successful for result in results] == [True, True, False, False]
-    live.send(signal.SIGINT)  # before any topic has turned up
+    live.send(signal.SIGINT)  # before any topic has appeared
     ended = live.ended()
     assert ended.status == 2
     assert "stopped without an estimate: no sensor topics yet; waiting for" in ended.err

@@ -26,7 +26,7 @@ FILES = {"estimate.json", "information.npz", "model.urdf", "model.xml"}
 
 @pytest.fixture
 def learnt(domain: int, simulated, tmp_path: Path) -> Iterator[OnlineIdentifier]:
-    """An identifier that has made an estimate of two seconds of a log."""
+    """An identifier with an estimate from two seconds of a log."""
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     given = {"model": str(MODEL), "prior_percent": 25.0, "out": str(tmp_path / "out")}
@@ -64,7 +64,7 @@ def test_stopping_without_an_estimate_is_an_error_that_states_why(graph, tmp_pat
     process.send(number)
     ended = process.ended()
     assert ended.status != 0
-    if ended.status == 2:  # interrupted in its work, not while it read its files
+    if ended.status == 2:  # stopped after it had read its files
         assert (
             "stopped without an estimate: no sensor topics yet; waiting for topic /jo" in ended.err
         )

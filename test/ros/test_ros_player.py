@@ -32,7 +32,7 @@ from symbid_ros.messages.types import (
 from symbid_ros.ros.raw_subscription import PolledGroup
 
 MILLISECOND = 1_000_000
-RECORDED = 1_700_000_000 * 10**9  # when the recording was made; its robot's clock began at 0
+RECORDED = 1_700_000_000 * 10**9  # time of the recording; the robot's clock started at 0
 DEEP = QoSProfile(depth=10_000)
 LATCHED = OfferedQos(1, "keep_last", "reliable", "transient_local")
 STRING = "std_msgs/msg/String"
@@ -41,7 +41,7 @@ STRING = "std_msgs/msg/String"
 def write_log(
     path: Path, milliseconds: int, *, period: int = 1, extra: Sequence[tuple[str, str]] = ()
 ) -> Path:
-    """Joint states every period, an IMU every other, a clock, and a note latched at the start."""
+    """Write joint states every period, an IMU every other, a clock, and a latched note first."""
     text = TYPES[STRING](data="first of all")
     stamps = MILLISECOND * np.arange(0, milliseconds, period)
     draw = np.random.default_rng(0)
@@ -73,7 +73,7 @@ def write_log(
 
 
 def payloads(bag: Path, topic: str) -> list[bytes]:
-    """A topic's messages, filled up to whole words as they travel (RTPS 2.5, 10.2)."""
+    """Return a topic's messages, padded to whole words as on the network (RTPS 2.5, 10.2)."""
     recording = Recording.of([bag])
     messages = recording.messages({topic}, recording.start, recording.end + 1)
     return [m.payload + bytes(-len(m.payload) % 4) for m in messages]
@@ -84,7 +84,7 @@ def stamp_of(message: JointState) -> int:
 
 
 class Reports:
-    """What the player says of itself."""
+    """The statuses of the player."""
 
     def __init__(self, graph: Any) -> None:
         self._received: list[tuple[str, dict[str, str]]] = []
@@ -98,14 +98,14 @@ class Reports:
         self._received.append((status.message, facts))
 
     def next(self, count: int) -> list[tuple[str, dict[str, str]]]:
-        """The next reports, state and facts."""
+        """Return the next statuses: message and values."""
         known = len(self._received)
         self._graph.wait_until(lambda: len(self._received) >= known + count)
         return self._received[known:]
 
 
 def heard_stamps(graph: Any) -> list[int]:
-    """The growing list of joint stamps that an observer hears, milliseconds."""
+    """Return the growing list of joint state stamps that an observer receives, ms."""
     stamps: list[int] = []
     graph.node.create_subscription(
         JointState, "joint_states", lambda m: stamps.append(stamp_of(m) // MILLISECOND), DEEP
@@ -143,7 +143,7 @@ def test_recorder_gets_the_recorded_bytes(graph, tmp_path: Path, rate: float) ->
 
 
 def test_rate_0_waits_for_a_subscriber_that_keeps_all(graph, tmp_path: Path) -> None:
-    """More messages than all queues hold, and nobody takes one before the player has to wait."""
+    """The bag exceeds all queues, and no message is taken before the player has to wait."""
     count = 20_000
     log = write_log(tmp_path / "bag", count)
     reports = Reports(graph)
@@ -268,7 +268,7 @@ def test_clock_shows_stamps_or_the_time_of_recording(graph, tmp_path: Path, sour
     )
     assert player.ended().status == 0
     graph.wait_until(lambda: len(stamps) == 1000)
-    # A tick comes before the message of its own time: the newest stamp is the one before.
+    # /clock is published before the message of the same time, so it shows the stamp before.
     expected = {
         "header": [(step - 1) * MILLISECOND for step in range(20, 1000, 20)],
         "log": [RECORDED + step * MILLISECOND for step in range(0, 1000, 20)],

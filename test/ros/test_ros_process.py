@@ -36,7 +36,7 @@ EVERY_PARAMETER = [
 
 
 def kind_of(parameter: Parameter) -> type:
-    """Return the type of a parameter's values, which some parameters without a default state."""
+    """Return the type of a parameter's values."""
     return type(parameter.default) if parameter.kind is None else parameter.kind
 
 
@@ -104,7 +104,7 @@ def test_shipped_parameter_file_names_only_real_parameters(name: str) -> None:
     values = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
     declared = {parameter.name: kind_of(parameter) for parameter in NODES[name]}
     for key, value in values.items():
-        # One text may stand for a list of texts.
+        # A list of texts may be given as a single text.
         assert type(value) is declared[key] or (declared[key], type(value)) == (list, str)
 
 

@@ -39,7 +39,7 @@ def test_a_time_out_of_range_is_dropped(spun) -> None:
         message.clock.sec = seconds
         publisher.publish(message)
 
-    # One at a time: only the newest waits to be taken.
+    # One at a time, because the queue holds only the newest.
     while publisher.get_subscription_count() == 0:
         executor.spin_once(timeout_sec=0.1)
     send(-5)
@@ -66,11 +66,11 @@ def test_malformed_messages_are_counted_and_the_others_arrive(spun) -> None:
     junk = some_malformed(valid, 50)
     for payload in junk:
         publisher.publish(payload)
-    publisher.publish(DiagnosticArray())  # valid, but not what the callback expects
+    publisher.publish(DiagnosticArray())  # valid, but rejected by the callback
     publisher.publish(DiagnosticArray(status=[DiagnosticStatus(name="last")]))
     while "last" not in heard:
         executor.spin_once(timeout_sec=1.0)
     assert heard[0] == "first"
-    # What trails behind a message is no fault to the decoder of the middleware.
+    # The decoder of the middleware accepts extra bytes after a message.
     assert executor.dropped["/health"] + len(heard) == len(junk) + 3
     assert executor.dropped["/health"] > len(junk) // 2

@@ -13,9 +13,9 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.ros.process import use_udp
 
 ANY = "00000000"
-LOOPBACK = "0100007F"  # 127.0.0.1, as /proc/net/udp writes it
+LOOPBACK = "0100007F"  # 127.0.0.1 in the notation of /proc/net/udp
 
-# Says that it has heard the bridge, and stays until its input ends.
+# Prints a line when it has received a message, and runs until its input ends.
 OBSERVER = """
 import sys
 import rclpy
@@ -33,11 +33,11 @@ sys.stdin.read()
 
 
 def udp_addresses(process: int) -> set[str]:
-    """The local addresses of a process's UDP sockets, of IPv4 and IPv6, in hexadecimal."""
+    """Return the local addresses of a process's UDP sockets, IPv4 and IPv6, in hexadecimal."""
     proc = Path("/proc") / str(process)
     links = []
     for entry in (proc / "fd").iterdir():
-        with suppress(FileNotFoundError):  # closed meanwhile
+        with suppress(FileNotFoundError):  # just closed
             links.append(os.readlink(entry))
     inodes = {link[8:-1] for link in links if link.startswith("socket:[")}
     rows = [
@@ -49,13 +49,13 @@ def udp_addresses(process: int) -> set[str]:
 
 
 def shares_memory(process: int) -> bool:
-    """Whether a process has mapped memory of Fast DDS."""
+    """Return whether a process has mapped shared memory of Fast DDS."""
     return "/dev/shm/fastrtps" in (Path("/proc") / str(process) / "maps").read_text()
 
 
 @pytest.fixture
 def meeting(domain: int) -> Iterator[Callable[..., tuple[int, int]]]:
-    """Start a bridge and an observer of rclpy alone; return their numbers once they have met."""
+    """Start a bridge and a plain rclpy observer; return their process ids once connected."""
     processes: list[subprocess.Popen[str]] = []
 
     def start(arguments: list[str], environment: dict[str, str]) -> subprocess.Popen[str]:
@@ -104,7 +104,7 @@ def test_with_range_localhost_nodes_bind_only_the_loopback(meeting):
     bridge, observer = meeting(**LOCAL)
     assert udp_addresses(bridge) == {LOOPBACK}
     assert not shares_memory(bridge)
-    assert ANY in udp_addresses(observer)  # why other programs need the profile
+    assert ANY in udp_addresses(observer)  # the reason why other programs need the profile
 
 
 def test_by_default_nodes_use_the_network_and_no_shared_memory(meeting):
@@ -163,6 +163,6 @@ def test_the_range_chooses_the_profile(variables, profile):
     environment = dict(variables)
     use_udp(environment, "rmw_fastrtps_cpp")
     assert environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE") == str(config_file(profile))
-    # Beside a profile the range of this machine would bring shared memory back.
+    # The range LOCALHOST would add shared memory to the profile.
     assert "LOCALHOST" not in environment.values()
     assert "ROS_LOCALHOST_ONLY" not in environment

@@ -218,7 +218,7 @@ def test_full_disk_ends_the_recording_with_a_valid_bag(graph, disk: Path) -> Non
         message = joint_state(sent)
         message.effort = [draw.random() for _ in range(1000)]
         publisher.publish(message)
-        time.sleep(0.001)  # as fast as a robot, not as fast as can be
+        time.sleep(0.001)  # at the rate of a robot, not at full speed
         sent += 1
     ended = recorder.ended()
     assert ended.status == 2

@@ -9,7 +9,9 @@ from paced_feed import kill_recorder
 KILLS = 5
 ATTEMPTS = 5
 BOUND = 0.1  # s
-STANDSTILL = 0.02  # s; a machine that halts the publisher for so long may halt the recorder, too
+STANDSTILL = (
+    0.02  # s; a machine that delays the publisher for this long may delay the recorder as well
+)
 
 
 @pytest.mark.parametrize("seed", range(KILLS))

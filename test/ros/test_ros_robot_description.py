@@ -19,7 +19,7 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.ros.endpoints import latched_qos
 from symbid_ros.ros.identifier import model_file
 
-DEADLINE = 120.0  # s; only a hang takes as long
+DEADLINE = 120.0  # s; only a hang takes longer
 URDF = config_file("symbitron.urdf")
 
 
@@ -75,7 +75,7 @@ def test_the_parameters_text_is_kept_in_a_temporary_file(graph: Graph) -> None:
         file = Path(found["model"])
         assert file.read_text() == text
         model = load_model(file)
-        # The description comes back with its own comments and meshes.
+        # The published description keeps its comments and meshes.
         assert urdf_text(model, file).count("<visual") == text.count("<visual")
         assert found["memory"] == 1.0
     assert not file.exists()

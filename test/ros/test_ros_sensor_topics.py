@@ -27,7 +27,7 @@ OWN = {
 FOREIGN = {
     "/dummy/joint_states": (JointState, ""),
     "/camera/imu": (Imu, "camera_imu_optical_frame"),
-    "/imu/data_raw": (Imu, "imu_link"),  # the same sensor's once more
+    "/imu/data_raw": (Imu, "imu_link"),  # the same sensor on a second topic
     "/hand/wrench": (WrenchStamped, "hand"),
     "/ground_truth/joint_states": (JointState, ""),
     **{f"/robot2{name}": kind for name, kind in OWN.items()},
@@ -40,7 +40,7 @@ def model():
 
 
 class Talk:
-    """Publishers of one process and the topics that a robot's identifier chooses in it."""
+    """Publishers, and the topics that a robot's identifier selects among them."""
 
     def __init__(self, domain: int) -> None:
         self.context = Context()
@@ -61,7 +61,7 @@ class Talk:
             self._publishers.append((self._robot.create_publisher(kind, name, 10), message))
 
     def chosen(self, sensors: SensorTopics) -> set[str]:
-        """Return the names chosen once the topics are complete."""
+        """Return the names of the selected topics once the search is complete."""
         while (selected := sensors.find()) is None:
             self.say()
         return {topic.name for topic in selected.all}
@@ -85,7 +85,7 @@ def talk(domain: int) -> Iterator[Talk]:
 
 @pytest.fixture
 def stranger(domain: int) -> Iterator[Talk]:
-    """Another participant: in one, a topic has one type."""
+    """A second participant, because a topic has one type in each participant."""
     stranger = Talk(domain)
     yield stranger
     stranger.close()

@@ -27,7 +27,7 @@ from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.parameters import declare
 from symbid_ros.ros.sensor_topics import missing_topics
 
-DEADLINE = 240.0  # s; only a hang takes as long
+DEADLINE = 240.0  # s; only a hang takes longer
 ARM = """<robot name="arm"><link name="world"/><link name="base"/><link name="rod"><inertial>
 <origin xyz="0 0 0.3"/><mass value="1.5"/>
 <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -37,7 +37,7 @@ ARM = """<robot name="arm"><link name="world"/><link name="base"/><link name="ro
 
 
 class Robot:
-    """An identifier in a thread, what it logs, and publishers in its place."""
+    """An identifier in a thread, with its log messages."""
 
     def __init__(self, domain: int, model: Path, **given: Any) -> None:
         self._context = Context()
@@ -61,7 +61,7 @@ class Robot:
             thread.start()
 
     def _identify(self, values: dict[str, Any]) -> None:
-        # Ended without an estimate, it may say so by an error.
+        # Stopping without an estimate may raise an error.
         with forward_python_logs(self.node), suppress(SymbidError):
             OnlineIdentifier(self.node, values).run(self._stop)
 
@@ -71,7 +71,7 @@ class Robot:
             self._said.notify()
 
     def wait_for(self, *words: str, meanwhile: Callable[[], None] = lambda: None) -> None:
-        """Wait until a message has all of these words, doing something every few milliseconds."""
+        """Wait until one log message contains all words; call ``meanwhile`` repeatedly."""
         with self._said:
             for _ in range(int(DEADLINE / 0.02)):
                 if any(all(word in one for word in words) for one in self.log):
@@ -117,7 +117,7 @@ def test_faults_and_their_end_are_reported_while_the_node_runs(arm: Robot) -> No
     wrong = JointState(name=["wrist"], position=[0.1], velocity=[0.0], effort=[1.0])
 
     def publish(message: JointState, clock: list[int]) -> None:
-        for _ in range(50):  # 10 ms apart, so that blocks of 4 s are soon whole
+        for _ in range(50):  # 10 ms apart, so that blocks of 4 s are soon complete
             clock[0] += 10_000_000
             message.header.stamp.sec, message.header.stamp.nanosec = divmod(clock[0], 10**9)
             cured.publish(message)
@@ -186,12 +186,12 @@ def test_stamps_of_another_clock_differ_from_leftovers_of_a_jump() -> None:
             streams.add(topic, round(stamp * 1e9), b"")
         return faults.check(streams)
 
-    assert faults_after(100.0, 5.0) == {}  # once may be left over from before a jump
+    assert faults_after(100.0, 5.0) == {}  # one stale check may be left from before a jump
     (fault,) = faults_after(100.1, 5.1).values()
     assert fault.startswith(
         "/imu: stamps are at 5.100 s, other topics at 100.100 s, and these mess"
     )
     assert faults_after(100.2, 100.2) == {}
-    assert set(faults_after(100.3, 100.2)) == {"/imu"}  # stands still
+    assert set(faults_after(100.3, 100.2)) == {"/imu"}  # the stamp does not advance
     assert "header.stamp is zero" in faults_after(100.4, 0.0)["/imu"]
     assert faults_after(100.5, 100.5) == {}

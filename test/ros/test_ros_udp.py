@@ -19,8 +19,8 @@ from udp_packets import DRIVES, command, hello, measurement, sequence_and_stamp
 
 COMMANDS, SIMULATION = "/mujoco_bridge: commands", "/mujoco_bridge: simulation"
 SECONDS = 20
-DEADLINE = 300.0  # s; only a hang takes as long
-# A busy machine may well let a process wait for longer than the usual time-out.
+DEADLINE = 300.0  # s; only a hang takes longer
+# On a busy machine a process may wait longer than the default timeout.
 PATIENT = {
     "command_source": "udp",
     "udp_port": 0,
@@ -33,7 +33,7 @@ Client = Callable[[int], "subprocess.Popen[str]"]
 
 @pytest.fixture
 def client() -> Iterator[Client]:
-    """Start ``symbid udp-client`` on a port; none outlives the test."""
+    """Start ``symbid udp-client`` on a port and end it with the test."""
     started: list[subprocess.Popen[str]] = []
 
     def start(port: int) -> "subprocess.Popen[str]":
@@ -75,7 +75,7 @@ def test_balance_survives_a_network_that_loses_duplicates_and_reorders(
     bridge = graph.start("mujoco_bridge", clock_rate=0.0, ground_truth_rate=5.0, **PATIENT)
     with LossyRelay(("127.0.0.1", listening(graph, health)), share=0.05, seed=1) as relay:
         balancer = client(relay.port)
-        for second in range(1, SECONDS + 1):  # however slow, it goes on
+        for second in range(1, SECONDS + 1):  # on a slow machine each second has its own deadline
             graph.wait_until(lambda s=second: float(health.value(SIMULATION, "time")) > s)
         balancer.send_signal(signal.SIGINT)
         assert balancer.wait(DEADLINE) == 0
@@ -159,7 +159,7 @@ def test_bad_datagrams_are_reported_and_ignored(graph) -> None:
         while sequence_and_stamp(datagram)[1] == stamp:
             datagram = controller.recv(65507)
         assert sequence_and_stamp(datagram) == (sequence + 1, stamp + 1_000_000)
-        # Let go, the joints feel nothing but the sensors' noise.
+        # With zero torque, the measured efforts are sensor noise.
         assert max(map(abs, measurement(datagram)["joint_effort"])) < 1.0
     bridge.send(signal.SIGINT)
     assert bridge.ended().status == 0

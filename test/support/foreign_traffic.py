@@ -1,4 +1,4 @@
-"""A process that publishes what a full graph carries beside a robot, as fast as a robot does.
+"""Publishes the traffic of a full graph beside a robot, at a robot's rates.
 
 Junk on every topic that the named nodes subscribe to, a camera's IMU, a second robot with frames of
 the same names, and a lone publisher of joint states. Runs until SIGINT or SIGTERM.
@@ -27,7 +27,7 @@ from symbid_ros.ros.endpoints import message_class, reliable_qos
 
 RATE = 100.0  # Hz, of each foreign topic
 JUNK_RATE = 20.0  # Hz, of each topic of the robot
-LOOK_PERIOD = 1.0  # s between two looks at what the nodes subscribe to
+LOOK_PERIOD = 1.0  # s between two updates of the topics that the nodes subscribe to
 JOINTS = [f"{side}_{joint}" for side in "LR" for joint in ("haa", "hfe", "kfe")]
 ROBOT = {
     "joint_states": (JointState, ""),
@@ -43,7 +43,7 @@ FOREIGN = {
 
 
 class Traffic:
-    """Publishers of everything foreign."""
+    """Publishers of foreign topics."""
 
     def __init__(self, node: Node, victims: Sequence[str]) -> None:
         self._node, self._victims = node, frozenset(victims)
@@ -64,7 +64,7 @@ class Traffic:
         return message
 
     def look(self) -> None:
-        """Take up every topic that one of the nodes subscribes to."""
+        """Create a publisher for every topic that a node subscribes to."""
         for name, kinds in self._node.get_topic_names_and_types():
             readers = self._node.get_subscriptions_info_by_topic(name)
             if name in self._junk or not any(each.node_name in self._victims for each in readers):
@@ -87,7 +87,7 @@ class Traffic:
     def publish_junk(self) -> None:
         """Publish one payload on each topic of the nodes."""
         for name, (publisher, junk) in self._junk.items():
-            # The middleware itself refuses what exceeds the size of a type without sequences.
+            # The middleware itself rejects messages larger than a type without sequences.
             with suppress(RuntimeError):
                 publisher.publish(next(junk))
                 self.sent[name] += 1

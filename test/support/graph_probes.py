@@ -36,7 +36,7 @@ def descriptors(graph, node: str, names: list[str]) -> list[Any]:
 
 
 class StatusProbe:
-    """The last status of each name, its values by key, and how often one came."""
+    """The newest status of each name with its values, and the number of statuses."""
 
     def __init__(self, graph) -> None:
         self._statuses: dict[str, Any] = {}

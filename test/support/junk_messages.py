@@ -5,17 +5,17 @@ from collections.abc import Iterator
 from itertools import islice
 from random import Random
 
-HEAD = 4  # bytes of the encapsulation, the least that the middleware sends
+HEAD = 4  # bytes of the encapsulation, the smallest message that the middleware sends
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
 def malformed(valid: bytes, draw: Random) -> Iterator[bytes]:
-    """Yield payloads, without end, that are not messages of the type of a valid one.
+    """Yield an endless sequence of payloads that are invalid for the type of a valid message.
 
     Parameters
     ----------
     valid : bytes
-        A serialised message that ends with a number or with a string.
+        A serialized message that ends with a number or with a string.
     draw : Random
     """
     while True:
@@ -23,11 +23,11 @@ def malformed(valid: bytes, draw: Random) -> Iterator[bytes]:
         yield valid + draw.randbytes(draw.randrange(100, 100_000))
         yield LITTLE_ENDIAN + draw.randbytes(draw.randrange(60))
         yield draw.randbytes(HEAD + draw.randrange(200))
-        # A sequence or string that claims to be of nearly 4 GB, in place of the first of them.
+        # The first sequence or string claims a length of nearly 4 GB.
         yield valid[:12] + struct.pack("<I", 2**32 - draw.randrange(1, 9)) + valid[16:]
 
 
 def some_malformed(valid: bytes, count: int) -> list[bytes]:
-    """Return the same number of each kind, the shortest possible and the empty message first."""
+    """Return the same number of each kind, starting with the shortest and the empty message."""
     extremes = (LITTLE_ENDIAN, LITTLE_ENDIAN + b"\x00\x00\x00")
     return [*extremes, *islice(malformed(valid, Random(count)), count - len(extremes))]

@@ -1,4 +1,4 @@
-"""A bag's sensor messages as they would arrive live."""
+"""The sensor messages of a bag in the order of live arrival."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from symbid_ros.messages.types import read_leading_stamp
 
 @dataclass(frozen=True)
 class Feed:
-    """Messages in order of their stamps: stamp in ns, topic, bytes."""
+    """Messages in the order of their stamps, as stamp (ns), topic and bytes."""
 
     selected: SelectedTopics
     messages: tuple[tuple[int, Topic, bytes], ...]
@@ -27,7 +27,7 @@ class Feed:
         return Feed(self.selected, tuple(left))
 
     def into(self, live, *, solving=0.0):
-        """Hand the messages over, solving every so many seconds if asked; return the outcomes."""
+        """Feed the messages, solve every ``solving`` seconds unless 0, and return the estimates."""
         outcomes = []
         due = self.messages[0][0] + round(solving * 1e9)
         for stamp, topic, payload in self.messages:

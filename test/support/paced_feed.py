@@ -41,13 +41,13 @@ SENSORS = {
 
 
 RATES = {"joint_states": 1000.0, "imu/data": 5.0}  # Hz; of a recorder to be killed
-DEADLINE = 300.0  # s; only a hang takes as long
+DEADLINE = 300.0  # s; only a hang takes longer
 LOOK = 0.002  # s
-VARIETY = 64  # messages of other numbers, published in turn: equal ones would compress to nothing
+VARIETY = 64  # different messages in rotation, because equal ones would compress too well
 
 
 class Feed:
-    """One topic: noise serialised beforehand, the stamp patched in place."""
+    """Publishes one topic with pre-serialized noise; the stamp is patched in place."""
 
     def __init__(self, node: Node, topic: str, layout: Layout, rate: float) -> None:
         self.topic, self.rate = topic, rate
@@ -75,7 +75,7 @@ def _noise(layout: Layout) -> list[bytearray]:
 
 
 def feed(feeds: Sequence[Feed], stop: Event, seconds: float = float("inf")) -> float:
-    """Publish until stopped or over; return by how much a message was late at most, s."""
+    """Publish until stopped or finished; return the longest delay of a message, s."""
     begin = time.monotonic()
     counts = [0] * len(feeds)
     latest = 0.0
@@ -98,11 +98,11 @@ def feed(feeds: Sequence[Feed], stop: Event, seconds: float = float("inf")) -> f
 
 @dataclass(frozen=True)
 class Kill:
-    """What a kill cost.
+    """Losses caused by a kill.
 
-    ``lost`` is the age of the oldest message that is missing, s, ``kept`` the number of those in
-    the bag, by topic; ``standstill`` is by how much the publisher, a process like the recorder,
-    or a thread that does nothing but look at the clock of a processor, was late at most, s.
+    ``lost`` is the age of the oldest missing message, s, and ``kept`` the number of messages in
+    the bag, by topic. ``standstill`` is the longest delay, s, of the publisher or of a thread on
+    each processor that only reads the clock.
     """
 
     lost: dict[str, float]
@@ -111,10 +111,9 @@ class Kill:
 
 
 def kill_recorder(seconds: float, folder: Path) -> Kill:
-    """Feed a recorder for a while, kill it with -9 and look at its unfinished bag.
+    """Feed a recorder for a while, kill it with SIGKILL and examine its unfinished bag.
 
-    The recorder and what feeds it have a domain of their own: for seconds a killed subscriber
-    still counts as one.
+    Each run has its own domain, because a killed subscriber still counts for seconds.
     """
     context = Context()
     bag = folder / "bag"
@@ -140,7 +139,7 @@ def kill_recorder(seconds: float, folder: Path) -> Kill:
 
 
 def await_subscribers(feeds: Sequence[Feed]) -> None:
-    """Wait until every topic is subscribed to."""
+    """Wait until every topic has a subscriber."""
     deadline = time.monotonic() + DEADLINE
     while not all(each.publisher.get_subscription_count() for each in feeds):
         assert time.monotonic() < deadline, "nobody subscribes"
@@ -168,7 +167,7 @@ def _kill_while_feeding(pid: int, feeds: Sequence[Feed], seconds: float, bag: Pa
 
 
 def _watch(cpu: int, stop: Event) -> float:
-    """Return by how much this thread, on one processor, came back late at most, s."""
+    """Return the longest delay with which this thread woke up on one processor, s."""
     os.sched_setaffinity(0, {cpu})  # of this thread
     latest = 0.0
     while not stop.is_set():
@@ -179,7 +178,7 @@ def _watch(cpu: int, stop: Event) -> float:
 
 
 def stored_stamps(file: Path) -> dict[str, list[int]]:
-    """Return the stamps of all whole messages of a file, finished or not, by topic."""
+    """Return the stamps of all complete messages of a file, finished or not, by topic."""
     topics: dict[int, str] = {}
     stamps: dict[str, list[int]] = {}
     with file.open("rb") as stream, suppress(EndOfFile):

@@ -38,8 +38,8 @@ from symbid_ros.simulation.standing_controller import StandingController
 
 BIN = Path(sys.executable).parent
 SUPPORT = Path(__file__).parent
-DEADLINE = 300.0  # s; only a hang takes as long
-LAUNCH_PATIENCE = 4.0  # s that a node may take after Ctrl-C
+DEADLINE = 300.0  # s; only a hang takes longer
+LAUNCH_PATIENCE = 4.0  # s; longest time to stop after Ctrl-C
 FILES = {"estimate.json", "information.npz", "model.urdf", "model.xml"}
 SENSORS = ("joint_states", "imu/data", "left_foot/wrench", "right_foot/wrench")
 MOTION = {"scenario": "smooth", "moves": 500, "motion_seed": 3}
@@ -47,7 +47,7 @@ MODEL = config_file("symbitron.xml")
 
 
 class Observer:
-    """A node that asks the others."""
+    """A node that calls the services of the others."""
 
     def __init__(self, domain: int, processes: "Processes") -> None:
         self._context, self._processes = Context(), processes
@@ -57,7 +57,7 @@ class Observer:
         self._executor.add_node(self.node)
 
     def wait_until(self, condition: Callable[[], object], seconds: float = DEADLINE) -> None:
-        """Spin until a condition holds; every node must live meanwhile."""
+        """Spin until a condition holds; every node must keep running."""
         deadline = time.monotonic() + seconds
         while not condition():
             self._processes.require_running()
@@ -65,19 +65,19 @@ class Observer:
             self._executor.spin_once(timeout_sec=0.05)
 
     def spin(self, seconds: float) -> None:
-        """Look on for a while."""
+        """Spin for a while."""
         deadline = time.monotonic() + seconds
         self.wait_until(lambda: time.monotonic() >= deadline, seconds + DEADLINE)
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Destroy the node."""
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
 
 
 class Processes:
-    """The nodes, each with a log of its own."""
+    """The nodes, each with its own log."""
 
     def __init__(self, folder: Path, environment: dict[str, str]) -> None:
         self._folder, self._environment = folder, environment
@@ -105,7 +105,7 @@ class Processes:
         self.start(name, [BIN / name, *words])
 
     def require_running(self) -> None:
-        """Fail with the last words of a node that has ended."""
+        """Fail with the output of a node that has ended."""
         for name, process in self._running.items():
             assert process.poll() is None, f"{name} ended: {self.said(name)[-3000:]}"
 
@@ -136,14 +136,14 @@ class Processes:
         return ended
 
     def close(self) -> None:
-        """Kill what is left."""
+        """Kill the remaining processes."""
         for process in self._running.values():
             process.kill()
             process.wait()
 
 
 class ClosedLoop(Simulator):
-    """The robot and its controller without topics in between."""
+    """The robot and its controller without topics between them."""
 
     def __init__(self, steps: int) -> None:
         super().__init__(**MOTION, is_commanded=True)
@@ -152,7 +152,7 @@ class ClosedLoop(Simulator):
         self._before: Instant | None = None
 
     def step(self, torques: None = None) -> Instant:
-        """Answer the instant before and take a step."""
+        """Answer the previous instant and take a step."""
         before = self._before
         self._before = super().step(None if before is None else self._brain.torques(before))
         return self._before
@@ -160,18 +160,18 @@ class ClosedLoop(Simulator):
 
 @dataclass(frozen=True)
 class Soak:
-    """What a soak showed.
+    """Results of a soak test.
 
     Attributes
     ----------
     steps : int
-        Instants that the robot went through until the result was saved.
+        Simulated instants until the result was saved.
     endings : dict of str to (float, int)
-        Seconds from Ctrl-C to each node's end, and its status.
+        Time from Ctrl-C to the end of each node, s, and its exit status.
     dropped : dict of str to int
         Messages that the identifier dropped, by topic.
     largest_difference : float
-        Between the result and that of the undisturbed run, in standard deviations.
+        Largest difference from the result of an undisturbed run, in standard deviations.
     """
 
     steps: int
@@ -180,7 +180,7 @@ class Soak:
     largest_difference: float
 
     def __str__(self) -> str:
-        """Return the figures, a line each."""
+        """Return one line for each result."""
         ends = ", ".join(f"{name} {seconds:.2f} s" for name, (seconds, _) in self.endings.items())
         return "\n".join(
             [
@@ -196,7 +196,7 @@ NODES = ("identifier", "recorder", "monitor", "balance_controller", "mujoco_brid
 
 
 def soak(duration: float, folder: Path) -> Soak:
-    """Run all nodes for so many seconds among foreign traffic; return what came of it."""
+    """Run all nodes for ``duration`` seconds with foreign traffic and return the results."""
     with unused_domain() as domain:
         environment = os.environ | {
             "ROS_DOMAIN_ID": str(domain),
@@ -262,7 +262,7 @@ def _soaked(duration: float, folder: Path, processes: Processes, observer: Obser
 
 
 def _difference(saved: Path, steps: int, folder: Path) -> float:
-    """Return how far a result is from that of the same motion without a graph."""
+    """Return the largest difference from the result of the same motion without a graph."""
     record(ClosedLoop(steps), folder / "undisturbed")
     expected = folder / "expected"
     command = [
