@@ -164,7 +164,7 @@ class Observations:
         floor[self._scarce] = NO_WEIGHT * floor.max()
         moment[np.diag_indices(len(moment))] = np.maximum(moment.diagonal(), floor) + floor
         coupled = int(np.sum(self._coupled.sum(axis=0) > 1))
-        moment = _definite(moment)
+        moment = definite(moment)
         if coupled == 0:
             return self.inflation * moment
         independent = self.rows.samples / self.inflation
@@ -206,7 +206,7 @@ class Observations:
         return np.asarray(self.counts.diagonal() < needed * self.inflation)
 
 
-def _definite(moment: FloatArray) -> FloatArray:
+def definite(moment: FloatArray) -> FloatArray:
     """Return a moment (n, n) that is positive definite in floating point.
 
     Residuals without noise may be linearly dependent, as those of efforts that are always zero.
@@ -248,7 +248,7 @@ def whiteness(short: Observations, long: Observations, phi: FloatArray) -> float
     if len(used) == 0:
         return 1.0
     some = np.ix_(used, used)
-    kept = float(eigh(after[some], _definite(before[some]), eigvals_only=True)[-1])
+    kept = float(eigh(after[some], definite(before[some]), eigvals_only=True)[-1])
     independent = float(long.counts.diagonal()[used].min()) / long.inflation
     chance = (1 + float(np.sqrt(len(used) / independent))) ** 2
     return kept * long.window / short.window / chance

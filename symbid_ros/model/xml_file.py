@@ -34,7 +34,7 @@ class Element(ET.Element):
     line : int
         Line of the start tag.
     start, close : int
-        Byte offsets of the start tag and the end tag in the file; equal for ``<a/>``.
+        Byte offsets of the start tag and the end tag in the file; for ``<a/>`` of its two ends.
     """
 
     file: Path = Path()
@@ -209,7 +209,7 @@ class XmlEditor:
         head = self._head(parent)
         newline = b"\r\n" if b"\r\n" in self._content else b"\n"
         margin = newline + self._indentation(parent.start)
-        if parent.close == parent.start:
+        if head[2].endswith(b"/>"):
             inside = margin + b"  "
             closing = margin + b"</" + parent.tag.encode() + b">"
             lines = _joined(markup, inside)

@@ -128,6 +128,7 @@ def test_sqlite_of_every_version(tmp_path: Path, version: int) -> None:
     assert positions(file) == VALUES
     info = bag_info(file)
     assert (info.count, info.start, info.end, info.is_finished) == (COUNT, 1, COUNT, True)
+    assert info.duration == pytest.approx(1e-9 * (COUNT - 1))
     (topic,) = info.topics
     assert [(one.depth, one.reliability) for one in topic.qos] == (
         [(7, "best_effort")] if version >= 2 else []

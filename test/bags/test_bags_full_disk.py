@@ -118,6 +118,19 @@ def test_space_for_the_index_is_reserved_and_released(disk: Path) -> None:
     assert held > 60_000 > used
 
 
+def test_the_reserve_covers_the_names_of_many_topics(disk: Path) -> None:
+    """Each name is written three times at the end: in the index, metadata.yaml and its record."""
+    before = os.statvfs(disk)
+    bag = BagWriter(disk / "log")
+    for number in range(100):
+        bag.add_topic(f"/{'long_name' * 100}_{number}", IMU)
+    bag.flush()
+    held = (before.f_bfree - os.statvfs(disk).f_bfree) * before.f_frsize
+    bag.close()
+    used = (before.f_bfree - os.statvfs(disk).f_bfree) * before.f_frsize
+    assert held > used
+
+
 class Dribble(BytesIO):
     """A stream that accepts 100 bytes at a time, as the kernel may."""
 

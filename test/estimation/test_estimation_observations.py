@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from symbid_ros.errors import DataError, EstimateError
-from symbid_ros.estimation.observations import CHANCE, whiteness
+from symbid_ros.estimation.observations import CHANCE, definite, whiteness
 
 
 def masked(log, seed, columns=2):
@@ -167,3 +167,25 @@ def test_residuals_of_rounding_are_no_alarm():
     none = replace(exact, K=0 * exact.K, y=0 * exact.y)
     longer = replace(none[:800], window=0.4)
     assert whiteness(none.observations(), longer.observations(), log.truth) < 1.1
+
+
+@pytest.mark.parametrize("excess", [0.0, 1e-13, 1e-11, 1e-9, 5e-9])
+def test_a_moment_that_rounding_made_indefinite_changes_only_on_its_diagonal(excess):
+    moment = np.array([[1.0, 1.0 + excess], [1.0 + excess, 1.0]])
+    found = definite(moment)
+    np.linalg.cholesky(found)
+    assert found[0, 1] == moment[0, 1], "residuals stay correlated"
+    np.testing.assert_allclose(np.diag(found), 1.0, atol=1e-8)
+
+
+def test_few_rows_in_a_wide_factor_are_all_used():
+    """A row of the factor may have content to the right of an empty column."""
+    log = gaussian_log(5, count=50)
+    full = log.observations().rows
+    factor = np.triu(np.random.default_rng(5).normal(size=full.factor.shape))
+    factor[:, ::3] = 0.0
+    sparse = replace(full, factor=factor)
+    G = np.linalg.inv(noise_root(np.random.default_rng(5), len(full.layout.coordinates)))
+    R = sparse.whitened(G)
+    expected = sparse.whitened_moment(G.T @ G)
+    np.testing.assert_allclose(R.T @ R, expected, atol=1e-9 * np.abs(expected).max())

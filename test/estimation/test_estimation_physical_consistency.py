@@ -419,3 +419,15 @@ def test_margin_is_far_below_a_real_link(symbitron):
     solution = consistent_minimum(np.diag(1 / std), phi / std, std, 1)
     assert solution.status == "Free"
     assert solution.smallest[0] > 50 * MARGIN
+
+
+def test_a_parameter_outside_its_bound_is_restored_to_the_bound():
+    """Bounds come scaled, so neither their rows nor their offsets are one or zero."""
+    link = random_phi(np.random.default_rng(0))
+    value, scale = np.append(link, 0.3), np.append(np.abs(link) + 1.0, 0.5)
+    quadratic = physical.Quadratic.of(np.diag(4 / scale), 4 * value / scale, scale)
+    bounds = Bounds(("friction",), np.eye(11)[-1:], np.array([0.7]), np.array([np.inf]))
+    constraints = physical.ConicConstraints.about(quadratic, 1, bounds)
+    restored = constraints.restored(quadratic.minimum)
+    np.testing.assert_allclose(restored[-1] * scale[-1], 0.7)
+    np.testing.assert_array_equal(restored[:-1], quadratic.minimum[:-1])

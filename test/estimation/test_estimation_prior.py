@@ -425,3 +425,12 @@ def test_whatever_numbers_a_prior_holds_it_is_used_or_refused_in_one_line(data, 
     except SymbidError as error:
         said = str(error)
     assert "\n" not in said
+
+
+def test_deviations_of_joint_terms_are_those_of_the_documentation() -> None:
+    page = " ".join((CONFIG.parent / "docs" / "conventions.md").read_text().split())
+    *others, last = (
+        f"{JOINT_TERMS[term].std:g} {JOINT_TERMS[term].units[0].replace('^2', '²')}"
+        for term in TERMS
+    )
+    assert f"standard deviations of {', '.join(others)} and {last}." in page

@@ -1,7 +1,8 @@
-"""The four methods from the wide factor, against dense solves of the stacked problem."""
+"""Truncated methods against dense solves; sensor row weights against MuJoCo (Eq. 28)."""
 
 from itertools import pairwise
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,7 +15,14 @@ from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.information import Information, RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.estimation.truncated_svd import METHODS, LeastSquares, select_rank
+from symbid_ros.estimation.truncated_svd import (
+    METHODS,
+    LeastSquares,
+    SensorNoise,
+    select_rank,
+    sensor_row_std,
+)
+from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import SampledRows
@@ -229,3 +237,50 @@ def test_a_robot_that_cannot_move_is_refused(tmp_path):
     parameters = ParameterSet(load_model(path))
     with pytest.raises(EstimateError, match=r"vase\.urdf: its base is fixed and no joint moves"):
         RowLayout.of(parameters)
+
+
+SENSORS = SensorNoise(effort=0.3, force=2.0, moment=0.7)
+
+
+def generalised_forces(model, position, frame, rng):
+    """Return what unit moments and forces on a frame do in MuJoCo (6, n), in our rows."""
+    compiled = mujoco.MjModel.from_xml_string(mjcf_text(model))
+    data = mujoco.MjData(compiled)
+    base = np.eye(3)
+    if model.floating:  # noise is the same however the base lies
+        data.qpos[3:7] = rng.normal(size=4)
+        data.qpos[3:7] /= np.linalg.norm(data.qpos[3:7])
+        mujoco.mju_quat2Mat(flat := np.empty(9), data.qpos[3:7])
+        base = flat.reshape(3, 3)
+    data.qpos[data.qpos.size - len(position) :] = position
+    mujoco.mj_kinematics(compiled, data)
+    mujoco.mj_comPos(compiled, data)
+    axes, place = data.site(frame).xmat.reshape(3, 3), data.site(frame).xpos
+    responses = []
+    for component in range(6):
+        moment, force = np.zeros((2, 3))
+        (moment, force)[component // 3][component % 3] = 1.0
+        response = np.zeros(compiled.nv)
+        body = compiled.site(frame).bodyid[0]
+        mujoco.mj_applyFT(compiled, data, axes @ force, axes @ moment, place, body, response)
+        if model.floating:  # MuJoCo: force first, in world axes
+            response[:6] = np.r_[response[3:6], base.T @ response[:3]]
+        responses.append(response)
+    return np.array(responses)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("floating", [True, False])
+def test_deviations_are_what_noise_does_to_the_rows(seed, floating) -> None:
+    rng = np.random.default_rng(seed)
+    model = random_robot(seed, links=3 + seed, floating=floating, wrench_frames=1 + seed)
+    samples = random_samples(model, 5, rng)
+    variance = np.zeros((len(samples), model.dof))
+    variance[:, 6 * floating :] = SENSORS.effort**2
+    components = np.repeat([SENSORS.moment, SENSORS.force], 3)
+    for instant, position in enumerate(samples.position):
+        for frame in samples.wrench_frames:
+            responses = components[:, None] * generalised_forces(model, position, frame, rng)
+            variance[instant] += np.sum(responses**2, axis=0)
+    found = sensor_row_std(model, samples, SENSORS)
+    np.testing.assert_allclose(found, np.sqrt(variance.mean(axis=0)), rtol=1e-9)

@@ -385,3 +385,17 @@ def test_of_an_impossible_link_the_nearest_possible_one_is_written():
     for _ in range(20):
         phi = random_phi(rng)
         np.testing.assert_array_equal(nearest_consistent(phi), phi)
+
+
+def test_a_link_written_as_an_empty_element_gets_its_identified_inertia(tmp_path):
+    path, out = tmp_path / "arm.urdf", tmp_path / "out.urdf"
+    path.write_text(
+        '<robot name="arm"><link name="world"/><link name="arm"/>'
+        '<joint name="hinge" type="revolute"><parent link="world"/><child link="arm"/>'
+        '<limit lower="-1" upper="1"/></joint></robot>'
+    )
+    arm = load_model(path, "fixed")
+    phi = arm.phi.copy()
+    phi[1] = [2.0, 0.1, 0.0, 0.2, 0.3, 0.0, -0.01, 0.3, 0.0, 0.2]
+    out.write_text(urdf_text(arm.with_phi(phi), path))
+    np.testing.assert_allclose(load_model(out, "fixed").phi, phi, atol=1e-15)

@@ -25,6 +25,10 @@ def robot():
     return load_model(config_file("symbitron.urdf"))
 
 
+def test_a_time_range_is_the_whole_recording_by_default() -> None:
+    assert TimeRange() == TimeRange(0.0, np.inf)
+
+
 @pytest.mark.parametrize("part", [TimeRange(), TimeRange(0.75, 3.25)])
 @pytest.mark.parametrize("span", [None, SPAN])
 def test_streams_in_memory_are_cut_as_a_bag_is(bag, part, span) -> None:
