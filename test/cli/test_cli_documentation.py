@@ -66,6 +66,7 @@ NOT_RUN = {
     r"(python3 -m )?colcon (build|test)\b": "test_packaging.py builds and tests",
     r"(export|unset|source)\b": "sets up the user's shell",
     r"(sudo|pip|python3|rosdep)\b": "installs",
+    r"python -m symbid_ros": "writes config/; test_ros_launch_arguments.py compares the files",
 }
 # Of rcl, of rosbag2 and of bench/recorder.py.
 OTHER_OPTIONS = {
