@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from symbid_ros.identification.api import regressor as regressor
     from symbid_ros.identification.evaluation import Metrics as Metrics
     from symbid_ros.identification.options import IdentifyOptions as IdentifyOptions
-    from symbid_ros.identification.result import Information as Information
-    from symbid_ros.identification.result import Link as Link
-    from symbid_ros.identification.result import Parameter as Parameter
-    from symbid_ros.identification.result import Prediction as Prediction
+    from symbid_ros.identification.result import ForcePrediction as ForcePrediction
+    from symbid_ros.identification.result import LinkEstimate as LinkEstimate
+    from symbid_ros.identification.result import LogInformation as LogInformation
+    from symbid_ros.identification.result import ParameterEstimate as ParameterEstimate
     from symbid_ros.identification.result import Result as Result
     from symbid_ros.messages.log_options import LogOptions as LogOptions
     from symbid_ros.model.load import load_model as load_model
@@ -49,17 +49,17 @@ _HOMES = {
     "DataError": "errors",
     "Diagnosis": "diagnosis.findings",
     "EstimateError": "errors",
+    "ForcePrediction": "identification.result",
     "IdentifyOptions": "identification.options",
-    "Information": "identification.result",
-    "Link": "identification.result",
+    "LinkEstimate": "identification.result",
     "Log": "signals.log",
+    "LogInformation": "identification.result",
     "LogOptions": "messages.log_options",
     "METHODS": "choices",
     "Metrics": "identification.evaluation",
     "ModelError": "errors",
     "OptionError": "errors",
-    "Parameter": "identification.result",
-    "Prediction": "identification.result",
+    "ParameterEstimate": "identification.result",
     "PriorError": "errors",
     "Result": "identification.result",
     "RobotModel": "model.tree",

@@ -20,17 +20,17 @@ NAMES = [
     "DataError",
     "Diagnosis",
     "EstimateError",
+    "ForcePrediction",
     "IdentifyOptions",
-    "Information",
-    "Link",
+    "LinkEstimate",
     "Log",
+    "LogInformation",
     "LogOptions",
     "METHODS",
     "Metrics",
     "ModelError",
     "OptionError",
-    "Parameter",
-    "Prediction",
+    "ParameterEstimate",
     "PriorError",
     "Result",
     "RobotModel",
@@ -162,7 +162,7 @@ def test_a_table_needs_pandas(result, monkeypatch) -> None:
 def test_a_result_is_saved_and_its_information_solved_again(robot, result, tmp_path) -> None:
     result.save(tmp_path / "out")
     assert sy.load_model(tmp_path / "out" / "model.xml").dof == robot.dof
-    information = sy.Information.load(tmp_path / "out" / "information.npz")
+    information = sy.LogInformation.load(tmp_path / "out" / "information.npz")
     again = sy.identify(robot, information, prior_percent=25)
     np.testing.assert_allclose(again.estimate.value, result.estimate.value, rtol=1e-9, atol=1e-12)
 

@@ -16,7 +16,7 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_information, load_problem
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.result import Information, Result
+from symbid_ros.identification.result import LogInformation, Result
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
@@ -24,7 +24,7 @@ from symbid_ros.signals.log import Log
 
 def identify(
     robot: RobotModel,
-    log: Log | Information,
+    log: Log | LogInformation,
     options: IdentifyOptions | None = None,
     **fields: Any,
 ) -> Result:
@@ -34,7 +34,7 @@ def identify(
     ----------
     robot : RobotModel
         Kinematics, and prior means of the inertias.
-    log : Log or Information
+    log : Log or LogInformation
         Measurements, or what other logs told (see :func:`merge`).
     options : IdentifyOptions, optional
         How to identify.
@@ -49,7 +49,7 @@ def identify(
     if options is not None and fields:
         raise OptionError("give either options or single fields, not both", "E502")
     options = options or _options(fields)
-    if isinstance(log, Information):
+    if isinstance(log, LogInformation):
         problem: LoadedProblem = load_information(robot, log.observations, options)
     else:
         problem = load_problem(robot, log, options)
@@ -69,7 +69,7 @@ def diagnose(robot: RobotModel | None, log: Log) -> Diagnosis:
     return doctor.diagnose(log, robot)
 
 
-def merge(records: Sequence[Information]) -> Information:
+def merge(records: Sequence[LogInformation]) -> LogInformation:
     """Add up what several logs of one robot told.
 
     Raises
@@ -79,7 +79,7 @@ def merge(records: Sequence[Information]) -> Information:
     """
     if not records:
         raise DataError("no information to merge; give at least one record", "E510")
-    return reduce(Information.merged, records)
+    return reduce(LogInformation.merged, records)
 
 
 def regressor(

@@ -34,7 +34,7 @@ BLOCK = 1024  # samples whose rows are in memory at a time
 
 
 @dataclass(frozen=True)
-class Parameter:
+class ParameterEstimate:
     """One identified parameter.
 
     Attributes
@@ -62,7 +62,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Link:
+class LinkEstimate:
     """Inertia of one identified link.
 
     Attributes
@@ -91,7 +91,7 @@ class Link:
 
 
 @dataclass(frozen=True)
-class Prediction:
+class ForcePrediction:
     """What a model predicts of a log, beside what was measured.
 
     The equation of motion is averaged over the same windows as in the identification (or taken at
@@ -133,11 +133,11 @@ class Prediction:
 
     def __repr__(self) -> str:
         errors = ", ".join(f"{name} {value:.3g}" for name, value in self.rmse.items())
-        return f"<Prediction at {len(self.stamp)} instants; RMSE {errors}>"
+        return f"<ForcePrediction at {len(self.stamp)} instants; RMSE {errors}>"
 
 
 @dataclass(frozen=True)
-class Information:
+class LogInformation:
     """What logs tell of a robot, compressed: it can be saved, merged and solved again.
 
     Attributes
@@ -149,7 +149,7 @@ class Information:
     observations: tuple[Observations, ...] = field(repr=False)
 
     @classmethod
-    def load(cls, path: str | Path) -> "Information":
+    def load(cls, path: str | Path) -> "LogInformation":
         """Read information.npz.
 
         Raises
@@ -163,9 +163,9 @@ class Information:
         """Write information.npz in one step."""
         write_archive(Path(path), self.observations)
 
-    def merged(self, other: "Information") -> "Information":
+    def merged(self, other: "LogInformation") -> "LogInformation":
         """Return what both tell; see :func:`symbid_ros.merge`."""
-        return Information(merged_observations(self.observations, other.observations))
+        return LogInformation(merged_observations(self.observations, other.observations))
 
     @property
     def seconds(self) -> int:
@@ -175,7 +175,7 @@ class Information:
     def __repr__(self) -> str:
         windows = ", ".join(f"{1e3 * one.window:g}" for one in self.observations)
         count = len(self.observations[0].layout.parameters)
-        return f"<Information of {self.seconds} s on {count} parameters, windows {windows} ms>"
+        return f"<LogInformation of {self.seconds} s on {count} parameters, windows {windows} ms>"
 
 
 @dataclass(frozen=True, repr=False)
@@ -196,14 +196,14 @@ class Result:
     _parameters: ParameterSet
 
     @cached_property
-    def parameters(self) -> Mapping[str, Parameter]:
+    def parameters(self) -> Mapping[str, ParameterEstimate]:
         """The identified parameters by name."""
         found = self.estimate
         count = len(found.names)
         std = np.full(count, np.nan) if found.std is None else found.std
         determined = np.zeros(count, bool) if found.determined is None else found.determined
         return {
-            name: Parameter(
+            name: ParameterEstimate(
                 name,
                 found.units[i],
                 float(found.value[i]),
@@ -215,11 +215,11 @@ class Result:
         }
 
     @cached_property
-    def links(self) -> Mapping[str, Link]:
+    def links(self) -> Mapping[str, LinkEstimate]:
         """The inertias of the links by name."""
         inertias = self._parameters.link_phi(self.estimate.value)
         return {
-            name: Link(name, *com_from_phi(phi), self.estimate.consistent[name])
+            name: LinkEstimate(name, *com_from_phi(phi), self.estimate.consistent[name])
             for name, phi in zip(self._parameters.link_names, inertias, strict=True)
         }
 
@@ -251,11 +251,11 @@ class Result:
         return self._parameters.apply(self.estimate.value)
 
     @property
-    def information(self) -> Information:
+    def information(self) -> LogInformation:
         """What the logs told, to be merged with that of other logs."""
-        return Information(self._identification.observations)
+        return LogInformation(self._identification.observations)
 
-    def predict(self, log: Log) -> Prediction:
+    def predict(self, log: Log) -> ForcePrediction:
         """Predict the generalised forces of a log from its motion.
 
         Raises
@@ -267,7 +267,7 @@ class Result:
         if not parts:
             raise EstimateError(f"{log.source}: no row of this log can be predicted", "E508")
         stamp, measured, predicted = (np.concatenate(each) for each in zip(*parts, strict=True))
-        return Prediction(stamp, self._parameters.model.coordinates, measured, predicted)
+        return ForcePrediction(stamp, self._parameters.model.coordinates, measured, predicted)
 
     def _rows(self, log: Log) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
         parameters, found = self._parameters, self._identification
