@@ -2,7 +2,7 @@
 # make test   every check
 # make docs   the documentation as a site: build/docs/index.html
 # make wheel  the wheel in dist/, installed into an environment of its own and tried there
-# make fuzz   ten thousand spoiled bags and 300 random logs; FIRST=n, CASES=n and LOGS=n choose which
+# make fuzz   ten thousand damaged bags and 300 random logs; FIRST=n, CASES=n and LOGS=n choose which
 # make mutants  a hundred random faults put into the code; SEED=n and COUNT=n choose which
 # make soak   all nodes among foreign traffic for DURATION seconds
 # make setup  the environment alone, in .venv

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_surgery import topic_counts
+from bag_editing import topic_counts
 from expected_errors import raises_code
 from foreign_bags import STORE, imu, joint_state, wrench
 from mcap.reader import NonSeekingReader

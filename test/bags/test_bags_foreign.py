@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 import zstandard
-from bag_surgery import topic_counts
+from bag_editing import topic_counts
 from expected_errors import raises_code
 from foreign_bags import STORE, imu, joint_state, joints_only, wrench, write_rosbags
 from mcap.writer import Writer as McapWriter

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from bag_surgery import topic_counts
+from bag_editing import topic_counts
 from foreign_bags import STORE, imu, joint_state
 from rosbags.rosbag2 import Writer as RosbagsWriter
 

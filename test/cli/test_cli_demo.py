@@ -2,7 +2,7 @@
 
 import json
 
-from bag_surgery import topic_counts
+from bag_editing import topic_counts
 from report_pages import Page
 
 from symbid_ros.estimation.truncated_svd import METHODS

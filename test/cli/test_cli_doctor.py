@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from bag_surgery import Messages, operate
+from bag_editing import Messages, edit_bag
 from random_robots import CONFIG
 
 from symbid_ros.cli.bag import print_verdict
@@ -45,7 +45,7 @@ def test_an_unusable_log_is_told_from_a_doubtful_one(symbid_here, tare, tmp_path
     def elsewhere(messages: Messages) -> None:
         messages.reframe("nowhere")
 
-    bag = operate(tare, tmp_path / "bag", {LEFT: elsewhere})
+    bag = edit_bag(tare, tmp_path / "bag", {LEFT: elsewhere})
     result = symbid_here("bag", "doctor", bag, "--model", MODEL)
     assert result.returncode == 2
     assert f"unknown_frame: {LEFT}: " in result.stdout

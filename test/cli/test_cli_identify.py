@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from bag_surgery import Messages, operate
+from bag_editing import Messages, edit_bag
 
 METRICS = {
     "gen_force_rmse",
@@ -203,7 +203,7 @@ def test_a_log_in_degrees_is_refused_with_the_doctors_line(
         for name in ("position", "velocity"):
             messages.records[name] *= 180 / np.pi
 
-    bag = operate(short, tmp_path / "bag", {"/joint_states": degrees})
+    bag = edit_bag(short, tmp_path / "bag", {"/joint_states": degrees})
     judged = symbid_here("bag", "doctor", bag, "--model", model, "--json")
     assert judged.returncode == 2
     (line,) = [
@@ -245,7 +245,7 @@ def test_the_doctors_warnings_are_given_before_the_estimate(
     def spoil(messages: Messages) -> None:
         messages.records["effort"][:, messages.joints.index("L_kfe")] = np.nan
 
-    bag = operate(short, tmp_path / "bag", {"/joint_states": spoil})
+    bag = edit_bag(short, tmp_path / "bag", {"/joint_states": spoil})
     out = tmp_path / "out"
     ended = symbid_here("identify", bag, "--model", model, "--prior-percent", 25, "--out", out)
     assert ended.returncode == 0

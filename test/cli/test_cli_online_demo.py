@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_surgery import topic_counts
+from bag_editing import topic_counts
 from report_pages import Page
 
 from symbid_ros.model.load import load_model

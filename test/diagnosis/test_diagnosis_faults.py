@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_surgery import Messages, Surgery, operate
+from bag_editing import BagEdit, Messages, edit_bag
 from random_robots import CONFIG
 from scipy.spatial.transform import Rotation
 
@@ -46,13 +46,13 @@ def log(simulated, tmp_path_factory) -> Path:
     def halved(messages: Messages) -> None:
         kept(messages, np.arange(len(messages.records)) % 2 == 0)
 
-    return operate(bag, tmp_path_factory.mktemp("log") / "half", dict.fromkeys(TOPICS, halved))
+    return edit_bag(bag, tmp_path_factory.mktemp("log") / "half", dict.fromkeys(TOPICS, halved))
 
 
 @pytest.fixture
 def judged(log, model, tmp_path) -> Callable[..., Diagnosis]:
-    def judge(surgeries: dict[str, Surgery], *, alone: bool = False, bag: Path = log) -> Diagnosis:
-        spoilt = operate(bag, tmp_path / "spoilt", surgeries)
+    def judge(edits: dict[str, BagEdit], *, alone: bool = False, bag: Path = log) -> Diagnosis:
+        spoilt = edit_bag(bag, tmp_path / "spoilt", edits)
         diagnosis = diagnose(bag_log([spoilt], model), None if alone else model)
         assert json.loads(json.dumps(diagnosis.as_dict()))["severity"]
         return diagnosis
@@ -72,7 +72,7 @@ def only(diagnosis: Diagnosis, kind: Kind, stream: str, severity: Severity) -> F
     return found
 
 
-def turned(degrees: float, axis: str, fields: tuple[str, ...]) -> Surgery:
+def turned(degrees: float, axis: str, fields: tuple[str, ...]) -> BagEdit:
     """A sensor whose axes are turned by so much."""
     rotation = Rotation.from_euler(axis, degrees, degrees=True)
 
@@ -83,7 +83,7 @@ def turned(degrees: float, axis: str, fields: tuple[str, ...]) -> Surgery:
     return operation
 
 
-def scaled(factor: float, fields: tuple[str, ...]) -> Surgery:
+def scaled(factor: float, fields: tuple[str, ...]) -> BagEdit:
     def operation(messages: Messages) -> None:
         for name in fields:
             messages.records[name] *= factor
@@ -91,14 +91,14 @@ def scaled(factor: float, fields: tuple[str, ...]) -> Surgery:
     return operation
 
 
-def effort_scaled(joint: str, factor: float) -> Surgery:
+def effort_scaled(joint: str, factor: float) -> BagEdit:
     def operation(messages: Messages) -> None:
         messages.records["effort"][:, messages.joints.index(joint)] *= factor
 
     return operation
 
 
-def late(milliseconds: int) -> Surgery:
+def late(milliseconds: int) -> BagEdit:
     """What a sensor saw is stamped so much later."""
 
     def operation(messages: Messages) -> None:
@@ -374,5 +374,5 @@ def test_excitation(log, model, tmp_path) -> None:
     def beginning(messages: Messages) -> None:
         kept(messages, messages.between(0.0, 1.0))
 
-    bag = operate(log, tmp_path / "still", dict.fromkeys(TOPICS, beginning))
+    bag = edit_bag(log, tmp_path / "still", dict.fromkeys(TOPICS, beginning))
     only(diagnose(bag_log([bag], model), model), Kind.EXCITATION, "", Severity.WARNING)

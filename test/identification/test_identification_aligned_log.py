@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_surgery import Messages, operate
+from bag_editing import Messages, edit_bag
 
 from symbid_ros.bags import bag_log
 from symbid_ros.errors import BagError, DataError
@@ -86,7 +86,7 @@ def test_instants_in_a_gap_are_counted_once(model, bag: Path, tmp_path: Path, ca
         heard = ~messages.between(4.0, 4.4)
         messages.order, messages.log_time = messages.order[heard], messages.log_time[heard]
 
-    gappy = operate(bag, tmp_path / "gappy", {"/imu/data": silenced})
+    gappy = edit_bag(bag, tmp_path / "gappy", {"/imu/data": silenced})
     (whole,) = AlignedLog(bag_log([bag], model), model)
     log = AlignedLog(bag_log([gappy], model), model, span=BLOCK, most_kept=0)
     left = joined(log)["stamp"]

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bag_surgery import Messages, operate
+from bag_editing import Messages, edit_bag
 from random_robots import CONFIG
 
 from symbid_ros.errors import DataError
@@ -42,7 +42,7 @@ def test_a_clean_log_is_believed_without_a_word(log, caplog) -> None:
 def test_a_reversed_wrench_is_refused_and_named_unless_it_is_not_to_be_checked(
     log, tmp_path
 ) -> None:
-    bag = operate(log, tmp_path / "reversed", {RIGHT: reversed_wrench})
+    bag = edit_bag(log, tmp_path / "reversed", {RIGHT: reversed_wrench})
     with pytest.raises(DataError, match=f"reversed: {RIGHT}: has its sign reversed") as refusal:
         load(bag)
     assert "`unchecked`" in str(refusal.value)
@@ -59,7 +59,7 @@ def test_a_contact_left_out_is_refused_although_the_others_are_named(log) -> Non
 
 
 def test_a_doubtful_gain_is_warned_of(log, tmp_path, caplog) -> None:
-    bag = operate(log, tmp_path / "halved", {"/joint_states": halved_effort})
+    bag = edit_bag(log, tmp_path / "halved", {"/joint_states": halved_effort})
     load(bag)
     (message,) = caplog.messages
     assert "/joint_states: effort of R_hfe reads 0." in message

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_surgery import Messages, operate
+from bag_editing import Messages, edit_bag
 from live_feed import feed_of
 from scipy.interpolate import CubicSpline
 
@@ -33,7 +33,7 @@ def bag(simulated, tmp_path_factory) -> Path:
         messages.log_time = messages.log_time[::10] + 370_000
 
     fast = simulated("smooth", moves=3, motion_seed=51, noise_seed=52)
-    return operate(fast, tmp_path_factory.mktemp("slow") / "bag", {SLOW: slowed})
+    return edit_bag(fast, tmp_path_factory.mktemp("slow") / "bag", {SLOW: slowed})
 
 
 def live(bag: Path, model):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_surgery import topic_counts
+from bag_editing import topic_counts
 from graph_probes import RELIABLE, StatusProbe, descriptors, parameter, set_parameters
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock

@@ -1,4 +1,4 @@
-"""Reads and recovers thousands of spoiled bags: no wrong number, no errors but our own.
+"""Read and recover thousands of damaged bags: no wrong number, and no error but SymbidError.
 
     python test/support/bag_fuzz.py [--cases 10000] [--first 0] [--processes 2]
 
@@ -45,7 +45,7 @@ Arrays = dict[str, tuple[np.ndarray, np.ndarray]]  # by topic: stamps (N,) and v
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of bag: how it is written, and what of it is vouched for."""
+    """A kind of bag: how it is written, and which of its content has checksums."""
 
     name: str
     write: Callable[[Path], None]
@@ -146,7 +146,7 @@ def original(kind: Kind) -> tuple[bytes, Arrays]:
 
 
 def differences(read: Arrays, truth: Arrays) -> Iterator[str]:
-    """What was read that is not in the original, sample by sample."""
+    """Return the samples read that are not in the original."""
     for topic, (stamp, values) in read.items():
         if topic not in truth:
             yield f"topic {topic} is not in the original"
@@ -164,7 +164,7 @@ def count(read: Arrays) -> int:
 
 
 class TooSlow(BaseException):
-    """Not an Exception, so that no handler of errors can take it for one."""
+    """Not an Exception, so that no ``except Exception`` catches it."""
 
 
 @contextmanager
@@ -182,7 +182,7 @@ def time_limit(seconds: int = MAX_SECONDS) -> Iterator[None]:
 
 
 class Warnings(logging.Handler):
-    """Remembers what was said."""
+    """Keeps logged warnings."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -193,7 +193,7 @@ class Warnings(logging.Handler):
 
 
 def faults(number: int, folder: Path) -> list[str]:
-    """Everything that went wrong with one case."""
+    """Return everything that went wrong with one case."""
     draw = Random(number)
     kind = draw.choice(KINDS)
     image, truth = original(kind)
@@ -213,7 +213,7 @@ def faults(number: int, folder: Path) -> list[str]:
         found.append(f"took more than {MAX_SECONDS} s")
     except BaseException as error:
         found.append(f"{type(error).__name__}: {error}")
-    # What getrusage tells begins with the parent's.
+    # getrusage starts from the peak of the parent.
     status = Path("/proc/self/status").read_text()
     memory = int(status.split("VmHWM:")[1].split()[0]) << 10
     if memory > MAX_MEMORY:
@@ -261,7 +261,7 @@ def _recover(kind: Kind, file: Path, truth: Arrays) -> list[str]:
     if not kind.has_checksums:
         return []
     found = [f"recovered {text}" for text in differences(recovered, truth)]
-    if not recovery.is_whole:  # where summary and first chunk are lost nothing vouches for names
+    if not recovery.is_whole:  # without summary and first chunk, names have no checksum
         found = [text for text in found if not text.startswith("recovered topic")]
     if recovery.is_whole and count(recovered) < count(truth) and _tells_counts(file):
         found.append("recovered less than there was, as if it were all")
@@ -278,7 +278,7 @@ def _tells_counts(file: Path) -> bool:
 
 
 def run(cases: range) -> list[str]:
-    """Run cases one after the other and return what went wrong."""
+    """Run cases one after the other and return the failures."""
     logging.getLogger("symbid_ros").addHandler(logging.NullHandler())
     found = []
     with tempfile.TemporaryDirectory() as folder:

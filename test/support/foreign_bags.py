@@ -1,4 +1,4 @@
-"""Messages and bags by another hand: rosbags serialises and writes them."""
+"""Messages and bags of another library: rosbags serialises and writes them."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -70,7 +70,7 @@ def wrench(stamp: int, force: Sequence[float]) -> bytes:
 
 
 def write_rosbags(path: Path, messages: Messages, topics: Sequence[tuple[str, str]] = ()) -> Path:
-    """A bag by another hand."""
+    """Write a bag with rosbags."""
     with RosbagsWriter(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         announced = dict.fromkeys([*topics, *((name, kind) for name, kind, _ in messages)])
         connections = {pair: writer.add_connection(*pair, typestore=STORE) for pair in announced}

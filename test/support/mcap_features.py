@@ -1,6 +1,6 @@
-"""MCAP files with every combination of the features that the format leaves to the writer.
+"""MCAP files with each combination of the optional features of the format.
 
-The features, their abbreviations and which go together are those of MCAP's own conformance suite.
+The features, their abbreviations and valid combinations are those of MCAP's conformance suite.
 """
 
 import zlib
@@ -57,7 +57,7 @@ SUMMARY = {STATISTICS, SCHEMAS, CHANNELS, ATTACHMENT_INDEX, METADATA_INDEX, CHUN
 
 
 def feature_sets(records: Sequence[McapRecord]) -> Iterator[frozenset[str]]:
-    """All combinations that make sense for some records."""
+    """Return all valid combinations for some records."""
     kinds = {type(record) for record in records}
     for chosen in chain.from_iterable(combinations(ALL, n) for n in range(len(ALL) + 1)):
         features = frozenset(chosen)
@@ -83,9 +83,9 @@ def encoded(record: McapRecord, *, padded: bool = False) -> bytes:
 def mcap_image(
     records: Sequence[McapRecord], features: frozenset[str], *, backwards: bool = False
 ) -> bytes:
-    """The bytes of a file, with one chunk of all messages if chunks are among the features.
+    """Return the bytes of a file, with all messages in one chunk if chunks are a feature.
 
-    Its summary's groups may stand backwards: the format leaves their order open.
+    ``backwards`` reverses the groups of the summary, whose order the format does not define.
     """
     padded = PADDED in features
 

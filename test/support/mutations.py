@@ -1,4 +1,4 @@
-"""MCAP files spoiled on purpose, the same way for the same seed."""
+"""Damage MCAP files on purpose, reproducibly for a seed."""
 
 import struct
 from collections.abc import Callable
@@ -14,7 +14,7 @@ Mutation = Callable[[bytearray, Random], None]
 
 
 def records(image: bytes | bytearray) -> list[tuple[int, int, int]]:
-    """Opcode, start and end of every record outside of chunks that can be followed."""
+    """Return opcode, start and end of the records outside of chunks, as far as framing is valid."""
     found, position = [], MAGIC
     while position + RECORD.size <= len(image) - MAGIC:
         opcode, length = RECORD.unpack_from(image, position)
@@ -114,7 +114,7 @@ def overwrite_length(image: bytearray, draw: Random) -> None:
 
 
 def overwrite_number(image: bytearray, draw: Random) -> None:
-    """Sizes, counts, string lengths and times stand wherever a number can."""
+    """Overwrite a number: a size, count, string length or time may be anywhere."""
     start, end = _any_record(image, draw)
     form, size = draw.choice((("<Q", 8), ("<I", 4), ("<H", 2)))
     place = draw.randrange(start, max(start + 1, min(end, start + 60) - size))
@@ -168,7 +168,7 @@ MUTATIONS: tuple[Mutation, ...] = (
 
 
 def mutated(image: bytes, draw: Random) -> tuple[bytes, list[str]]:
-    """The image spoiled in one to three ways, and their names."""
+    """Return the image damaged in one to three ways, and their names."""
     spoiled = bytearray(image)
     names = []
     for _ in range(draw.choice((1, 1, 1, 2, 3))):

@@ -1,4 +1,4 @@
-"""A simulated bag whose joint states come in parts, as from drivers of arms and legs."""
+"""Split the joint states of a simulated bag into parts, as drivers of arms and legs do."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ JOINTS = "/joint_states"
 
 @dataclass(frozen=True)
 class Part:
-    """Joints published on a topic of their own or on a shared one; ``delay`` in ns."""
+    """Joints published on a separate or a shared topic; ``delay`` in ns."""
 
     topic: str
     joints: Callable[[str], bool]
@@ -33,7 +33,7 @@ def right(name: str) -> bool:
 
 
 def split_joints(bag: Path, out: Path, parts: Sequence[Part]) -> Path:
-    """Write a bag's sensor topics into a new one, its joint states as parts."""
+    """Copy the sensor topics of a bag into a new one, and split its joint states."""
     written: list[tuple[int, int, bytes]] = []
     with BagWriter(out) as writer:
         channels: dict[str, int] = {}
@@ -83,6 +83,6 @@ def split_joints(bag: Path, out: Path, parts: Sequence[Part]) -> Path:
 
 
 def stamped(payload: bytes, stamp: int) -> bytes:
-    """Return a serialised little-endian message with another header stamp, ns."""
+    """Return a copy of a serialised little-endian message with another header stamp, ns."""
     seconds, rest = divmod(stamp, 10**9)
     return payload[:4] + np.array([seconds, rest], dtype="<u4").tobytes() + payload[12:]

@@ -1,4 +1,4 @@
-"""A bag with its messages changed: decoded, given to a surgeon, and written anew."""
+"""Copy a bag with some of its messages changed."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -38,8 +38,8 @@ def topic_counts(bag: Path) -> dict[str, int]:
 class Messages:
     """All messages of one topic in order of recording.
 
-    Numbers are changed in place in ``records``; ``order`` says which messages are written and in
-    which order, ``log_time`` (ns) when each was recorded.
+    Edits change numbers in place in ``records``. ``order`` selects and sorts the messages to write,
+    ``log_time`` (ns) are the times of their recording.
     """
 
     msgtype: str
@@ -63,21 +63,21 @@ class Messages:
         return self.text["name"]
 
     def between(self, start: float, stop: float) -> np.ndarray:
-        """Tell which messages lie so many seconds after the first."""
+        """Return which messages are from ``start`` to ``stop`` seconds after the first."""
         after = (self.stamp - self.stamp[0]) * 1e-9
         return (after >= start) & (after < stop)
 
     def rename(self, rows: np.ndarray, columns: Sequence[int], names: Sequence[str]) -> None:
-        """Give some messages these of their joints, under these names."""
+        """Keep only some joints of some messages, under new names."""
         self.rewritten.append((rows, joint_state_layout(tuple(names)), list(columns)))
 
     def reframe(self, frame: str) -> None:
-        """Give all messages another frame."""
+        """Change the frame of all messages."""
         layout = imu_layout(frame) if self.msgtype == IMU else wrench_layout(frame)
         self.rewritten.append((np.ones(len(self.records), dtype=bool), layout, []))
 
     def payloads(self) -> list[bytes]:
-        """Return the messages as they are to be written, before they are put in order."""
+        """Return the edited messages, unsorted."""
         payloads = [record.tobytes() for record in self.records]
         for rows, layout, columns in self.rewritten:
             records = layout.records(int(rows.sum()))
@@ -90,18 +90,18 @@ class Messages:
         return payloads
 
 
-Surgery = Callable[[Messages], None]
+BagEdit = Callable[[Messages], None]
 
 
-def operate(bag: Path, out: Path, surgeries: dict[str, Surgery]) -> Path:
-    """Write a simulated bag's sensor topics into a new one, those named changed on the way."""
+def edit_bag(bag: Path, out: Path, edits: dict[str, BagEdit]) -> Path:
+    """Copy the sensor topics of a simulated bag into a new one, and edit the named ones."""
     decoders: dict[str, TopicDecoder] = {}
     for block in read_blocks([bag]):
         for topic, spans in block.spans.items():
             if "ground_truth" not in topic.name:
                 decoder = decoders.setdefault(topic.name, TopicDecoder(str(bag), topic))
                 decoder.add(block.data, spans)
-    assert set(surgeries) <= set(decoders)
+    assert set(edits) <= set(decoders)
     written: list[tuple[int, int, bytes]] = []
     with BagWriter(out) as writer:
         for name, decoder in decoders.items():
@@ -112,14 +112,14 @@ def operate(bag: Path, out: Path, surgeries: dict[str, Surgery]) -> Path:
                 for path in records.dtype.names:
                     records[path][piece.index] = piece.records[path]
             stamp, order = read_stamp(records), np.arange(len(records))
-            patient = Messages(decoder.topic.msgtype, layout.text, records, order, stamp)
-            surgeries.get(name, lambda _: None)(patient)
-            payloads = patient.payloads()
-            times = patient.log_time.tolist()
+            messages = Messages(decoder.topic.msgtype, layout.text, records, order, stamp)
+            edits.get(name, lambda _: None)(messages)
+            payloads = messages.payloads()
+            times = messages.log_time.tolist()
             written += [
-                (times[place], channel, payloads[row]) for place, row in enumerate(patient.order)
+                (times[place], channel, payloads[row]) for place, row in enumerate(messages.order)
             ]
-        # As a recorder would: by time of arrival, each topic in its own order.
+        # As a recorder does: by time of arrival, each topic in its own order.
         for time, channel, payload in sorted(written, key=lambda each: each[0]):
             writer.write(channel, time, payload)
     return out
