@@ -85,7 +85,7 @@ def test_wrenches_are_the_least_squares_solution_of_least_norm(seed, frames, flo
         np.testing.assert_allclose(wrenches.reshape(2, -1), expected, rtol=1e-7, atol=1e-7)
 
 
-def test_what_two_feet_and_the_motors_do_tells_the_feet_apart():
+def test_the_wrenches_of_two_feet_are_recovered():
     rng = np.random.default_rng(6)
     model = load_model(CONFIG / "symbitron.xml")
     samples = random_samples(model, 50, rng, ("left_sole", "right_sole"))
@@ -95,7 +95,7 @@ def test_what_two_feet_and_the_motors_do_tells_the_feet_apart():
     np.testing.assert_allclose(contact_wrenches(jacobian, done), samples.wrenches, atol=1e-6)
 
 
-def test_feet_twisted_against_each_other_are_felt_by_no_joint_of_parallel_legs():
+def test_opposite_moments_of_feet_on_parallel_legs_load_no_joint():
     model = load_model(CONFIG / "symbitron.xml")
     jacobian = jacobian_of(model, ("left_sole", "right_sole"), np.zeros((1, 10)))
     twist = np.zeros((1, 2, 6))

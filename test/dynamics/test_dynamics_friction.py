@@ -92,7 +92,7 @@ def test_slipping_joints_obey_mujocos_dry_friction(robot):
     assert np.abs(error).max() < 1e-9 * np.abs(rows.y).max()
 
 
-def test_the_columns_find_what_mujoco_was_given(robot):
+def test_the_columns_recover_mujocos_friction(robot):
     rng = np.random.default_rng(2)
     parameters = ParameterSet(robot, TERMS)
     samples = moving(robot, 40, rng, 1.0)
@@ -109,7 +109,7 @@ def test_the_columns_find_what_mujoco_was_given(robot):
     np.testing.assert_allclose(found, sought, atol=1e-8)
 
 
-def test_a_sticking_joint_feels_less_than_its_friction(robot):
+def test_a_sticking_joint_has_less_than_its_coulomb_friction(robot):
     rng = np.random.default_rng(3)
     samples = random_samples(robot, 30, rng, ())
     bound = np.full(len(robot.joints), 40.0)
@@ -126,7 +126,7 @@ def test_a_sticking_joint_feels_less_than_its_friction(robot):
     assert not coulomb_column(samples.velocity).any()
 
 
-def test_each_joint_term_stands_in_its_joints_row_alone(robot):
+def test_each_joint_term_is_only_in_its_joints_row(robot):
     parameters = ParameterSet(robot, TERMS)
     structure = RowLayout.of(parameters).structure
     joints = len(robot.joints)

@@ -14,7 +14,7 @@ from symbid_ros.model.parameters import ParameterSet
 
 
 class RandomState:
-    """One random state of a random robot in MuJoCo, with accelerations of its own choosing."""
+    """One random state of a random robot in MuJoCo, with random accelerations."""
 
     def __init__(self, seed, links=7):
         rng = np.random.default_rng(seed)
@@ -55,7 +55,7 @@ class RandomState:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_an_imu_on_any_link_tells_the_bases_motion(seed):
+def test_an_imu_on_any_link_gives_the_bases_motion(seed):
     state = RandomState(seed)
     velocity, acceleration = state.motion(mujoco.mjtObj.mjOBJ_SITE, "imu_link")
     imu = BaseMotion(velocity[None, :3], acceleration[None, :3], acceleration[None, 3:])

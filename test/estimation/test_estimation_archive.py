@@ -1,4 +1,4 @@
-"""information.npz: written and read bit for bit, and refused in one line when it is none."""
+"""information.npz: written and read bit for bit; other files are rejected in one line."""
 
 import io
 import pickle
@@ -35,13 +35,13 @@ def observed(seed=0):
 
 @pytest.fixture(scope="module")
 def stored(tmp_path_factory):
-    """Return where a good archive lies."""
+    """Return the path of a valid archive."""
     path = tmp_path_factory.mktemp("archive") / "information.npz"
     write_archive(path, observed(), np.eye(30))
     return path
 
 
-def test_what_is_written_is_read_bit_for_bit(tmp_path):
+def test_an_archive_is_read_bit_for_bit(tmp_path):
     path = tmp_path / "information.npz"
     written = observed()
     factor = np.random.default_rng(0).normal(size=(30, 32))
@@ -65,7 +65,7 @@ def test_what_is_written_is_read_bit_for_bit(tmp_path):
     assert path.stat().st_size < 2**20
 
 
-def test_what_was_read_can_be_written_and_gone_on_from(tmp_path):
+def test_loaded_observations_can_be_written_and_extended(tmp_path):
     path = tmp_path / "information.npz"
     one, two = observed(0)[0], observed(0)[0]
     write_archive(path, [one])
@@ -78,8 +78,8 @@ def test_what_was_read_can_be_written_and_gone_on_from(tmp_path):
     assert load_deviation_factor(path) is None
 
 
-def test_files_from_before_seconds_were_noted_are_read():
-    """The file is as the program wrote it then, with an array less than today."""
+def test_files_without_seconds_are_read():
+    """The file was written by an earlier version, without the array of seconds."""
     path = Path(__file__).with_name("data") / "information_without_seconds.npz"
     log = gaussian_log(0, links=3, floating=False)
     log = log.with_noisy_regressor(np.random.default_rng(0), 0.1)
@@ -106,7 +106,7 @@ def test_seconds_are_kept_and_joined(tmp_path):
 
 
 def refusal(read, path):
-    """Return what a reader says against a file, None where it reads it."""
+    """Return the error of a reader, or None if it reads the file."""
     try:
         read(path)
     except EstimateError as error:
@@ -116,7 +116,7 @@ def refusal(read, path):
 
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_a_damaged_file_is_refused_in_one_line_or_read(stored, data, tmp_path_factory):
+def test_a_damaged_file_is_read_or_rejected_in_one_line(stored, data, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "damaged.npz"
     content = bytearray(stored.read_bytes())
     for place in data.draw(st.lists(st.integers(0, len(content) - 1), max_size=4)):
@@ -130,7 +130,7 @@ def test_a_damaged_file_is_refused_in_one_line_or_read(stored, data, tmp_path_fa
 
 @settings(max_examples=40, deadline=None)
 @given(place=st.integers(0, 10**6), change=st.integers(1, 255))
-def test_a_single_wrong_byte_never_changes_what_is_read(stored, place, change, tmp_path_factory):
+def test_a_single_wrong_byte_never_changes_the_content(stored, place, change, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "flipped.npz"
     content = bytearray(stored.read_bytes())
     content[place % len(content)] ^= change
@@ -146,7 +146,7 @@ def test_a_single_wrong_byte_never_changes_what_is_read(stored, place, change, t
 
 @settings(max_examples=40, deadline=None)
 @given(content=st.binary(max_size=300))
-def test_anything_else_is_refused(content, tmp_path_factory):
+def test_other_files_are_rejected(content, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "anything.npz"
     path.write_bytes(content)
     with pytest.raises(EstimateError, match=r"anything\.npz"):
@@ -205,7 +205,7 @@ HUGE = (1e200, -1e308, np.inf, np.nan)
 
 
 @pytest.mark.parametrize("name", COMPLEX)
-def test_factors_are_real_and_of_a_size_that_can_be_squared(name, stored, tmp_path):
+def test_factors_are_real_and_bounded(name, stored, tmp_path):
     path = tmp_path / "wrong.npz"
     with np.load(stored) as archive:
         good = archive[name]
@@ -216,7 +216,7 @@ def test_factors_are_real_and_of_a_size_that_can_be_squared(name, stored, tmp_pa
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_wrong_content_is_refused(name, stored, tmp_path):
+def test_invalid_content_is_rejected(name, stored, tmp_path):
     path = tmp_path / "wrong.npz"
     rewritten(stored, path, **WRONG[name])
     with pytest.raises(EstimateError, match=r"wrong\.npz: not an information\.npz") as caught:
@@ -224,7 +224,7 @@ def test_wrong_content_is_refused(name, stored, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_another_format_is_named_with_its_cure(stored, tmp_path):
+def test_another_format_version_is_named_with_its_fix(stored, tmp_path):
     path = tmp_path / "later.npz"
     rewritten(stored, path, format=np.array(FORMAT + 1))
     with pytest.raises(
@@ -253,7 +253,7 @@ def test_no_pickle_is_ever_run(stored, tmp_path):
     assert not Told.ran
 
 
-def test_a_file_that_is_not_there_or_not_a_file(tmp_path):
+def test_a_missing_file_and_a_folder_are_rejected(tmp_path):
     with pytest.raises(EstimateError, match=r"No such file.*check the path"):
         load_archive(tmp_path / "none.npz")
     with pytest.raises(EstimateError, match="check the path"):
@@ -270,7 +270,7 @@ def test_a_file_that_is_not_there_or_not_a_file(tmp_path):
         load_archive(hollow)
 
 
-def test_a_failed_write_leaves_what_was_there(stored, tmp_path, monkeypatch):
+def test_a_failed_write_keeps_the_earlier_file(stored, tmp_path, monkeypatch):
     path = tmp_path / "information.npz"
     path.write_bytes(stored.read_bytes())
 
@@ -285,7 +285,7 @@ def test_a_failed_write_leaves_what_was_there(stored, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_arrays_are_not_made_larger_than_their_bytes(stored, tmp_path):
+def test_memory_is_not_allocated_beyond_an_arrays_bytes(stored, tmp_path):
     path = tmp_path / "lying.npz"
     with zipfile.ZipFile(stored) as good, zipfile.ZipFile(path, "w") as bad:
         for name in good.namelist():
@@ -301,7 +301,7 @@ def test_arrays_are_not_made_larger_than_their_bytes(stored, tmp_path):
         load_archive(path)
 
 
-def test_an_archive_that_unpacks_to_more_than_any_run_writes_is_refused(stored, tmp_path):
+def test_an_archive_beyond_the_unpacked_limit_is_rejected(stored, tmp_path):
     path = tmp_path / "bomb.npz"
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,

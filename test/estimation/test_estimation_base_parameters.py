@@ -161,7 +161,7 @@ def test_a_planar_arm_in_gravity_has_the_textbook_grouping():
     assert silent == set(base.names) - planar - {"link_2/m"}
 
 
-def test_a_planar_arm_out_of_gravity_shows_less():
+def test_a_planar_arm_without_gravity_has_fewer_base_parameters():
     parameters = ParameterSet(arm([(0, 0, 1)] * 2, gravity=(0.0, 0.0, -9.81)))
     assert_grouping(
         parameters,
@@ -174,7 +174,7 @@ def test_a_planar_arm_out_of_gravity_shows_less():
     )
 
 
-def test_a_rotors_inertia_hides_in_its_link_where_the_base_is_fixed():
+def test_a_rotors_inertia_is_grouped_with_its_link_on_a_fixed_base():
     parameters = ParameterSet(arm([(0, 0, 1)] * 2), ("armature",))
     groups = grouped(parameters)
     shared = {"link_1/Izz": 1, "link_2/m": 0.25, "joint_1/armature": 1}
@@ -216,7 +216,7 @@ def test_units_of_length_change_coefficients_only_by_their_powers():
     np.testing.assert_allclose(hundredths.matrix, metres.matrix * scaling, rtol=1e-9, atol=1e-15)
 
 
-def test_a_tilt_of_axes_that_may_or_may_not_be_meant_is_reported():
+def test_nearly_parallel_axes_are_reported():
     def turning_about(tilt):
         axes = [(0.6, 0, 0.8), (0.6 + tilt, 0, 0.8), (0.6, tilt / 2, 0.8)]
         return base_parameters(ParameterSet(arm(axes)))

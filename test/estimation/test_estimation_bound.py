@@ -208,7 +208,7 @@ def test_errors_are_as_large_as_stated_in_the_determined_directions(bound, draws
     assert 0.7 < np.mean(np.concatenate(squares)) < 1.3
 
 
-def test_every_link_is_possible_and_nothing_alarms(bound, draws):
+def test_every_link_is_consistent_and_there_are_no_alarms(bound, draws):
     possible = 0
     for draw in draws:
         estimate = draw.solver.map_lmi().estimate
@@ -221,8 +221,8 @@ def test_every_link_is_possible_and_nothing_alarms(bound, draws):
     assert possible < len(draws) * len(bound.parameters.links)
 
 
-def test_map_lmi_is_map_where_map_is_possible(bound, draws):
-    """A prior that is possible and a log that agrees with it leave no constraint to matter."""
+def test_map_lmi_equals_map_where_map_is_consistent(bound, draws):
+    """With a consistent prior and a log that agrees with it, no constraint is active."""
     problem = draws[0].solver.problem
     parameters = bound.parameters
     prior = draw_prior(parameters, "consistent", 0.1, 0)
@@ -233,7 +233,7 @@ def test_map_lmi_is_map_where_map_is_possible(bound, draws):
     np.testing.assert_array_equal(lmi.std, map_.std)
 
 
-def test_it_beats_the_truncated_methods(bound, draws):
+def test_map_lmi_is_better_than_the_truncated_methods(bound, draws):
     """All methods on the same rows and prior, z chosen without validation data."""
     J = com_jacobian(bound.parameters)
     errors = {method: [] for method in METHODS}

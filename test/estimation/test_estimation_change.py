@@ -62,7 +62,7 @@ def test_evidence_is_the_ratio_of_likelihoods(seed) -> None:
         assert change.evidence == pytest.approx(with_change - without, rel=1e-6, abs=1e-6)
 
 
-def test_nothing_has_changed_where_nothing_has() -> None:
+def test_no_change_is_found_without_a_change() -> None:
     misfits, evidence = [], []
     for seed in range(12):
         earlier, later, prior = logs(seed)
@@ -94,7 +94,7 @@ def test_noise_of_overlapping_windows_is_expected() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("index", [0, 1, 2])
-def test_the_link_that_has_changed_is_named_and_weighed(seed, index) -> None:
+def test_the_changed_link_is_named_with_its_mass(seed, index) -> None:
     plain, _, _ = logs(seed)
     added = payload(plain, index, 0.05 * plain.parameters.link_phi(plain.truth)[:, 0].sum())
     earlier, later, prior = logs(seed, change=added)
@@ -115,7 +115,7 @@ HINGES = [
 
 
 @pytest.mark.parametrize(("seed", "index"), HINGES)
-def test_a_mass_on_a_hinge_is_not_laid_on_one_of_its_two_links(seed, index) -> None:
+def test_a_mass_on_a_hinges_axis_is_not_attributed_to_one_link(seed, index) -> None:
     """A point on a hinge's axis moves alike with parent and child: no motion tells them apart."""
     plain, _, _ = logs(seed)
     parameters = plain.parameters
@@ -140,7 +140,7 @@ def test_a_mass_on_a_hinge_is_not_laid_on_one_of_its_two_links(seed, index) -> N
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("index", [0, 1, 2])
-def test_a_mass_off_every_axis_is_laid_on_its_own_link_alone(seed, index) -> None:
+def test_a_mass_off_every_axis_is_attributed_to_its_link(seed, index) -> None:
     plain, _, _ = logs(seed)
     mass = 0.2 * plain.parameters.link_phi(plain.truth)[:, 0].sum()
     earlier, later, prior = logs(seed, change=payload(plain, index, mass))
@@ -150,7 +150,7 @@ def test_a_mass_off_every_axis_is_laid_on_its_own_link_alone(seed, index) -> Non
 
 
 @pytest.mark.parametrize("related", [False, True])
-def test_a_released_link_has_the_payloads_variance_added(related) -> None:
+def test_a_relaxed_prior_adds_the_payloads_variance(related) -> None:
     log = gaussian_log(3)
     prior = prior_of(log, 3, related=related)
     found = relaxed_prior(prior, log.parameters, log.parameters.link_names[1])
@@ -164,7 +164,7 @@ def test_a_released_link_has_the_payloads_variance_added(related) -> None:
 
 
 @pytest.mark.parametrize("kept", [1.0, 0.5, 1e-3])
-def test_a_prior_fades_as_rows_that_are_worth_less_would(kept) -> None:
+def test_a_discounted_prior_equals_rows_of_less_weight(kept) -> None:
     log = gaussian_log(5)
     prior = prior_of(log, 5, related=True)
     weight = max(kept, LEAST_WEIGHT)
@@ -180,7 +180,7 @@ def test_a_prior_fades_as_rows_that_are_worth_less_would(kept) -> None:
     assert discounted_pseudo_measurements(None, kept) is None
 
 
-def test_faded_observations_are_worth_less_and_nothing_else_changes() -> None:
+def test_discounting_observations_changes_only_their_weight() -> None:
     log = gaussian_log(7, count=400)
     whole, faded = log.observations(), log.observations().discounted(0.25)
     assert faded.rows.samples == 0.25 * whole.rows.samples

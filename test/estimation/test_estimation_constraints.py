@@ -37,7 +37,7 @@ def test_the_symbitron_is_mirrored_in_its_links_z_axes(file):
         np.testing.assert_allclose(pair.transform, np.diag(signs), atol=1e-12)
 
 
-def test_the_true_symbitron_meets_its_own_symmetry_and_weight(symbitron):
+def test_the_true_symbitron_satisfies_its_symmetry_and_weight(symbitron):
     prior = model_prior(symbitron)
     rows, targets = mirror_rows(symbitron, prior.std, 0.1)
     assert rows.shape == (50, len(symbitron))
@@ -47,7 +47,7 @@ def test_the_true_symbitron_meets_its_own_symmetry_and_weight(symbitron):
     assert row @ symbitron.values * 0.02 == pytest.approx(symbitron.model.phi[:, 0].sum())
 
 
-def test_a_row_counts_differences_in_the_stated_share_of_the_priors_deviation(symbitron):
+def test_mirror_rows_have_the_given_share_of_the_priors_deviation(symbitron):
     std = model_prior(symbitron).std
     rows, _ = mirror_rows(symbitron, std, 0.1)
     mass = symbitron.names.index("L_thigh/m")
@@ -95,7 +95,7 @@ def mirrored_robot(rng, *, left="left", right="right"):
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_any_frames_may_be_chosen_for_mirror_images(seed):
+def test_mirror_images_may_have_any_frames(seed):
     parameters = ParameterSet(mirrored_robot(np.random.default_rng(seed)))
     pairs = mirror_pairs(parameters)
     assert [pair.left for pair in pairs] == ["left_thigh", "left_shank"]
@@ -107,7 +107,7 @@ def test_any_frames_may_be_chosen_for_mirror_images(seed):
         np.testing.assert_allclose(pair.transform @ right, left, atol=1e-12)
 
 
-def test_legs_that_are_no_mirror_images_are_left_untied():
+def test_legs_that_are_not_mirror_images_are_not_tied():
     rng = np.random.default_rng(1)
     model = mirrored_robot(rng)
     moved = list(model.joints)
@@ -146,7 +146,7 @@ def test_sides_are_known_by_their_usual_names(left, right):
 @pytest.mark.parametrize(
     "names", [("LThigh", "RThigh"), ("thigh_l", "thigh_r"), ("leftThigh", "rightThigh")]
 )
-def test_a_side_may_stand_at_either_end_of_a_name(names):
+def test_the_side_may_be_at_either_end_of_a_name(names):
     model = mirrored_robot(np.random.default_rng(3))
     renamed = {"left_thigh": names[0], "right_thigh": names[1]}
     links = tuple(replace(link, name=renamed.get(link.name, link.name)) for link in model.links)
@@ -154,7 +154,7 @@ def test_a_side_may_stand_at_either_end_of_a_name(names):
     assert (pairs[0].left, pairs[0].right) == names
 
 
-def test_a_reflection_moves_point_masses_as_it_should():
+def test_a_reflection_maps_point_masses():
     rng = np.random.default_rng(0)
     points, mass = rng.normal(size=(6, 3)), rng.uniform(1, 2, 6)
     reflection, offset = np.diag([1.0, 1.0, -1.0]) @ random_rotation(rng), rng.normal(size=3)

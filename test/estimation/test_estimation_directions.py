@@ -172,7 +172,7 @@ def test_the_text_counts_and_names_the_leading_directions():
     assert lines[4] == "bit gained per link: thigh 9.0, shank 1.3"
 
 
-def test_a_prior_that_is_certain_is_refused():
+def test_a_singular_prior_is_rejected():
     prior = np.diag(SCALE)
     prior[4, 4] = 0
     with pytest.raises(PriorError, match="certain of thigh/Ixx"):
@@ -183,7 +183,7 @@ def test_a_prior_that_is_certain_is_refused():
         compare(prior, prior)
 
 
-def test_a_posterior_of_another_prior_is_refused():
+def test_a_posterior_of_another_prior_is_rejected():
     prior, posterior = problem(4, 5)
     with pytest.raises(EstimateError, match="as wide as the prior"):
         compare(prior, 2 * posterior)

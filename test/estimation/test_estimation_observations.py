@@ -1,4 +1,4 @@
-"""Observations: moments of what is seen together, merging, and whether residuals are noise."""
+"""Observations: residual covariance, merging, and whiteness of residuals."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -19,14 +19,14 @@ def masked(log, seed, columns=2):
     return replace(log, valid=valid)
 
 
-def test_counts_say_how_often_coordinates_are_seen_together():
+def test_counts_are_the_numbers_of_common_samples():
     log = masked(gaussian_log(0), 0)
     n = log.K.shape[1]
     expected = [[np.sum(log.valid[:, i] & log.valid[:, j]) for j in range(n)] for i in range(n)]
     np.testing.assert_array_equal(log.observations().counts, expected)
 
 
-def test_covariance_of_noise_is_found_and_masked_rows_do_not_dilute_it():
+def test_the_noise_covariance_is_found_despite_masked_rows():
     log = gaussian_log(1, count=4000)
     rng = np.random.default_rng(1)
     deviation = rng.uniform(0.1, 5.0, log.K.shape[1])
@@ -38,7 +38,7 @@ def test_covariance_of_noise_is_found_and_masked_rows_do_not_dilute_it():
         assert np.abs(correlation).max() < 0.13
 
 
-def test_what_is_not_always_seen_together_is_independent():
+def test_partly_masked_coordinates_are_independent():
     log = masked(gaussian_log(2, count=200), 2)
     found = log.observations().residual_covariance(log.truth)
     alone = np.ones(found.shape, dtype=bool)
@@ -48,7 +48,7 @@ def test_what_is_not_always_seen_together_is_independent():
     assert np.all(found[:-2, :-2] != 0)
 
 
-def test_a_log_too_short_to_tell_has_no_correlations():
+def test_a_short_log_has_no_correlations():
     log = gaussian_log(3, count=8)
     found = log.observations().residual_covariance(log.truth)
     np.testing.assert_array_equal(found, np.diag(np.diag(found)))
@@ -64,7 +64,7 @@ def test_ideal_rows_keep_a_finite_weight(count):
     assert np.sqrt(np.diag(found)).max() < 1e-5 * np.abs(exact.y).max()
 
 
-def test_overlap_counts_against_the_rows():
+def test_overlap_reduces_the_number_of_rows():
     log = gaussian_log(5, count=6000)
     plain, overlapping = (
         replace(log, inflation=inflation).observations().residual_covariance(log.truth)
@@ -73,7 +73,7 @@ def test_overlap_counts_against_the_rows():
     np.testing.assert_allclose(overlapping / plain, 4 / 3, rtol=5e-3)
 
 
-def test_noise_is_believed_as_far_as_residuals_leave_room():
+def test_noise_is_limited_by_the_residuals():
     log = gaussian_log(6, count=300).with_noisy_regressor(np.random.default_rng(6), 1e-4)
     observations = log.observations()
     covariance = observations.residual_covariance(log.truth)
@@ -106,7 +106,7 @@ def test_merging_is_the_same_as_folding(seed, cuts):
         np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
-def test_merging_leaves_both_parts_as_they_were():
+def test_merging_does_not_modify_its_inputs():
     one, other = gaussian_log(1)[:30].observations(), gaussian_log(1)[30:].observations()
     factors = [part.factor for part in (one.rows, one.noise, other.rows, other.noise)]
     before = [factor.copy() for factor in factors]
@@ -154,12 +154,12 @@ def test_constant_residuals_outlast_noise_by_the_ratio_of_windows():
 
 
 @pytest.mark.parametrize("count", [40, 80, 100, 400])
-def test_noise_of_short_logs_does_not_look_lasting(count):
+def test_noise_of_short_logs_is_white(count):
     """Long windows may be too few for correlations where short ones are not."""
     assert max(whiteness(*windows(seed, 0.0, count)) for seed in range(20)) < 1.2
 
 
-def test_residuals_of_rounding_are_no_alarm():
+def test_residuals_of_rounding_raise_no_alarm():
     log = gaussian_log(9, count=3200)
     exact = replace(log, y=log.K @ log.truth, window=0.1)
     quarter = replace(exact[:800], window=0.4)

@@ -1,4 +1,4 @@
-"""The minimum among possible links: against another method, its own optimality, and bad input."""
+"""Physically consistent minimum: against another method, its optimality, and invalid input."""
 
 import mujoco
 import numpy as np
@@ -111,7 +111,7 @@ def test_agrees_with_a_search_over_cholesky_factors(seed):
 
 @pytest.mark.parametrize("decades", [0, 3, 6])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_answer_is_possible_and_optimal(symbitron, seed, decades):
+def test_the_solution_is_consistent_and_optimal(symbitron, seed, decades):
     factor, target, std = problem(symbitron, seed, decades=decades)
     free = np.linalg.lstsq(factor, target)[0]
     assert not all(map(is_consistent, links_of(symbitron, free)))
@@ -142,7 +142,7 @@ def test_constraints_bring_the_estimate_nearer_to_the_truth(symbitron):
     assert all(closer)
 
 
-def test_a_possible_free_minimum_is_returned_as_it_is(symbitron):
+def test_a_consistent_free_minimum_is_returned_unchanged(symbitron):
     prior = model_prior(symbitron)
     factor = np.diag(1 / prior.std)
     solution = consistent_minimum(factor, prior.mean / prior.std, prior.std, 11)
@@ -151,7 +151,7 @@ def test_a_possible_free_minimum_is_returned_as_it_is(symbitron):
     assert not solution.active.any()
 
 
-def test_twice_projected_is_once_projected(symbitron):
+def test_projection_is_idempotent(symbitron):
     factor, target, std = problem(symbitron, 3)
     once = consistent_minimum(factor, target, std, 11)
     twice = consistent_minimum(factor, factor @ once.value, std, 11)
@@ -167,7 +167,7 @@ def test_twice_projected_is_once_projected(symbitron):
     kilograms=st.sampled_from([1e-3, 1.0, 1e4]),
     metres=st.sampled_from([1e-2, 1.0, 1e2]),
 )
-def test_any_problem_has_a_possible_answer_in_any_units(
+def test_any_problem_has_a_consistent_solution_in_any_units(
     seed, links, decades, percent, kilograms, metres
 ):
     parameters = ParameterSet(random_robot(seed, links))
@@ -184,7 +184,7 @@ def test_any_problem_has_a_possible_answer_in_any_units(
 
 @pytest.mark.parametrize("amount", [1e-3, 1e-1, 1e2, 1e6])
 def test_tight_and_loose_priors(symbitron, amount):
-    """A tight prior whose mean is impossible is overruled; a loose one does not bias."""
+    """Constraints override a tight prior with an inconsistent mean; a loose prior has no bias."""
     factor, target, std = problem(symbitron, 1)
     prior = slice(len(factor) // 2, None)
     factor, target = factor.copy(), target.copy()
@@ -195,7 +195,7 @@ def test_tight_and_loose_priors(symbitron, amount):
     assert solution.accuracy <= ACCURACY * max(1, solution.moved)
 
 
-def test_the_margin_does_not_forbid_the_truth_under_a_loose_prior(symbitron):
+def test_the_margin_does_not_exclude_the_truth_under_a_loose_prior(symbitron):
     """With a thousand times the robot as the prior's deviation, the data decide."""
     std = np.full(110, 1e3)
     strong = np.diag(np.full(110, 1e9))
@@ -205,7 +205,7 @@ def test_the_margin_does_not_forbid_the_truth_under_a_loose_prior(symbitron):
     np.testing.assert_allclose(solution.value, symbitron.values, rtol=1e-6, atol=1e-9)
 
 
-def test_one_link_with_a_certain_prior_spares_the_others(symbitron):
+def test_one_link_with_a_tight_prior_does_not_affect_the_others(symbitron):
     factor, target, std = problem(symbitron, 2)
     known = slice(20, 30)
     std = std.copy()
@@ -220,7 +220,7 @@ def test_one_link_with_a_certain_prior_spares_the_others(symbitron):
     assert all(map(is_consistent, links_of(symbitron, solution.value)))
 
 
-def test_a_link_without_mass_in_the_file_becomes_a_small_possible_one():
+def test_a_massless_link_becomes_a_small_consistent_one():
     model = random_robot(5, 4)
     phi = model.phi.copy()
     phi[2] = 0.0
@@ -241,7 +241,7 @@ def test_a_link_without_mass_in_the_file_becomes_a_small_possible_one():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_mujoco_accepts_every_answer(symbitron, seed):
+def test_mujoco_accepts_every_solution(symbitron, seed):
     for percent in (10, 60):
         factor, target, std = problem(symbitron, seed, percent=percent)
         solution = consistent_minimum(factor, target, std, 11)
@@ -322,14 +322,14 @@ IMPOSSIBLE = {
 
 
 @pytest.mark.parametrize("case", IMPOSSIBLE)
-def test_bounds_that_no_robot_meets_are_named(symbitron, case):
+def test_infeasible_bounds_are_named(symbitron, case):
     factor, target, std = problem(symbitron, 0)
     with pytest.raises(EstimateError, match="total mass") as caught:
         consistent_minimum(factor, target, std, 11, IMPOSSIBLE[case](symbitron))
     assert "\n" not in str(caught.value)
 
 
-def test_input_that_is_no_problem_is_refused(symbitron):
+def test_invalid_problems_are_rejected(symbitron):
     factor, target, std = problem(symbitron, 0)
     with pytest.raises(EstimateError, match="do not determine"):
         consistent_minimum(factor * (np.arange(110) != 7), target, std, 11)
@@ -353,7 +353,7 @@ def stopping_early(monkeypatch):
 
 
 @pytest.mark.parametrize("limit", [1, 3])
-def test_a_solver_that_stops_far_too_early_is_found_out(symbitron, stopping_early, limit):
+def test_a_solver_that_stops_too_early_is_detected(symbitron, stopping_early, limit):
     factor, target, std = problem(symbitron, 6)
     stopping_early(limit)
     with pytest.raises(EstimateError, match=r"not found .* MaxIterations") as caught:
@@ -362,7 +362,7 @@ def test_a_solver_that_stops_far_too_early_is_found_out(symbitron, stopping_earl
 
 
 @pytest.mark.parametrize("limit", [1, 4, 8, 12])
-def test_even_an_unfinished_answer_is_possible_and_knows_its_error(
+def test_an_unfinished_solution_is_consistent_with_a_valid_error_bound(
     symbitron, monkeypatch, stopping_early, limit
 ):
     factor, target, std = problem(symbitron, 6)
@@ -386,7 +386,7 @@ def test_a_failed_attempt_is_followed_by_another(symbitron, monkeypatch):
 
 
 def test_the_stated_accuracy_bounds_the_true_error(symbitron, monkeypatch):
-    """Answers of a loose solver lie within their own certificate of a tight one's."""
+    """Solutions with loose tolerances are within their certified distance of an accurate one."""
     factor, target, std = problem(symbitron, 7)
     exact = consistent_minimum(factor, target, std, 11)
     monkeypatch.setattr(physical, "ACCURACY", np.inf)
@@ -410,7 +410,7 @@ def test_thirty_links():
 
 
 def test_margin_is_far_below_a_real_link(symbitron):
-    """Real links, a thin plate among them, keep clear of the border by orders of magnitude."""
+    """Real links, even a thin plate, are orders of magnitude away from the boundary."""
     plate = pseudo_inertia(random_phi(np.random.default_rng(0)))
     plate[2, :3] = plate[:3, 2] = 0.0
     plate[2, 2], plate[2, 3], plate[3, 2] = 1e-4 * plate[0, 0], 0.0, 0.0

@@ -1,4 +1,4 @@
-"""The posterior: against stacked rows in dense algebra, its invariances, and its honesty."""
+"""The posterior: against stacked rows in dense algebra, invariances and calibration."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -68,7 +68,7 @@ def dense_posterior(log, prior, known=None):
 
 
 def log_evidence(log, prior, known, covariance, scale):
-    """Return the log probability of all rows at once, none of them whitened or compressed."""
+    """Return the log probability of all rows at once, without whitening or compression."""
     L = scale * prior.covariance_factor()
     seen = log.valid.ravel()
     W, y = log.K.reshape(len(seen), -1)[seen], log.y.ravel()[seen]
@@ -172,7 +172,7 @@ def test_the_evidence_is_that_of_all_rows_at_once(name):
 
 @pytest.mark.parametrize("beyond", [0, 10])
 def test_an_empirical_prior_is_as_wide_as_the_evidence_says(beyond):
-    """The scale is that of the first parameters alone, and nothing is left to say of it."""
+    """The scale is that of the first parameters alone, and the remaining scale is 1."""
     log, prior, _ = case(4, count=200)
     count = len(prior.std) - beyond
     wrong = prior.widened(np.where(np.arange(len(prior.std)) < count, 7.0, 1.0))
@@ -201,7 +201,7 @@ def test_without_data_the_prior_remains(related):
         assert found.noise_share == 0
 
 
-def test_rows_that_excite_nothing_leave_the_prior():
+def test_rows_without_excitation_leave_the_prior():
     log = gaussian_log(6)
     still = replace(log, K=np.zeros_like(log.K))
     prior = prior_of(log, 6)
@@ -212,8 +212,8 @@ def test_rows_that_excite_nothing_leave_the_prior():
 
 @few
 @given(seeds, st.integers(0, 80), st.floats(0, 3), st.booleans())
-def test_data_never_make_the_posterior_wider(seed, count, noisy, related):
-    """However much noise is taken off: its amount is an estimate, the prior is not."""
+def test_the_posterior_is_never_wider_than_the_prior(seed, count, noisy, related):
+    """This holds for any subtracted noise, because the noise is only an estimate."""
     log = gaussian_log(seed % 7, count=80)[:count]
     log = log.with_noisy_regressor(np.random.default_rng(seed), noisy)
     prior = prior_of(log, seed, related=related)
@@ -341,19 +341,19 @@ def test_the_posterior_covariance_is_the_cramer_rao_bound(trials):
         assert ratios.max() < 1 + 1.3 * chance
 
 
-def test_errors_are_as_large_as_stated(trials):
+def test_errors_match_the_stated_deviations(trials):
     assert np.mean(trials.normalised**2) == pytest.approx(1, abs=0.1)
     squares = np.mean(trials.per_direction**2, axis=0)
     # Of fifty draws a mean square strays by sqrt(2 / 50) = .2.
     assert 0.3 < squares.min() < squares.max() < 2.0
 
 
-def test_intervals_cover_as_often_as_they_say(trials):
+def test_intervals_have_their_nominal_coverage(trials):
     hits = [np.abs(each.mean - trials.log.truth) < 1.645 * each.std for each in trials.found]
     assert np.mean(hits) == pytest.approx(0.9, abs=0.03)
 
 
-def test_noise_in_the_regressor_biases_unless_it_is_taken_off():
+def test_noise_in_the_regressor_biases_unless_it_is_subtracted():
     def bias(corrected):
         """Mean square of the errors' mean over draws, 1 where only chance is left."""
         trials = Trials(25, regressor_noise=0.1, corrected=corrected)
@@ -374,7 +374,7 @@ def test_noise_in_the_regressor_biases_unless_it_is_taken_off():
 
 
 @pytest.mark.parametrize("count", [2, 4])
-def test_a_few_windows_do_not_pass_for_certainty(count):
+def test_few_windows_do_not_give_false_certainty(count):
     """Residuals that the prior's freedom fits exactly must not shrink Σ to nothing."""
     squares = []
     for seed in range(8):

@@ -1,4 +1,4 @@
-"""Priors: drawn, written, read, refused."""
+"""Priors are drawn, written, read and checked."""
 
 import json
 from dataclasses import replace
@@ -51,7 +51,7 @@ def test_absolute_is_the_same_for_every_parameter(symbitron):
     assert error.std() == pytest.approx(prior.std[0], rel=0.02)
 
 
-def test_a_consistent_prior_keeps_every_link_possible(symbitron):
+def test_a_consistent_prior_keeps_every_link_consistent(symbitron):
     truth = pseudo_inertia(symbitron.link_phi(symbitron.values))
     for seed in range(50):
         prior = draw_prior(symbitron, "consistent", 25, seed)
@@ -89,7 +89,7 @@ def test_a_consistent_prior_of_links_without_volume_is_drawn(points):
         assert np.linalg.matrix_rank(pseudo_inertia(phi), tol=1e-12) == points
 
 
-def test_no_consistent_prior_is_drawn_around_an_impossible_link():
+def test_no_consistent_prior_is_drawn_around_an_inconsistent_link():
     robot = random_robot(3, links=5)
     robot.links[2].phi[0] *= -1.0
     with pytest.raises(PriorError, match="physically inconsistent link"):
@@ -110,7 +110,7 @@ def test_same_seed_same_prior_and_it_survives_the_file(symbitron, tmp_path):
         assert set(document["parameters"]) == set(symbitron.names)
 
 
-def test_the_models_own_prior_never_takes_a_zero_for_certain():
+def test_the_models_prior_gives_zeros_an_uncertainty():
     parameters = ParameterSet(random_robot(0))
     parameters.model.links[2].phi[5] = 0.0
     prior = model_prior(parameters)
@@ -118,7 +118,7 @@ def test_the_models_own_prior_never_takes_a_zero_for_certain():
     assert np.all(prior.std > 0)
 
 
-def test_the_models_own_prior_is_as_wide_as_asked(symbitron):
+def test_the_models_prior_has_the_requested_width(symbitron):
     percent, absolute = model_prior(symbitron, 10.0), absolute_model_prior(symbitron, 0.125)
     for prior in (percent, absolute):
         np.testing.assert_array_equal(prior.mean, symbitron.values)
@@ -148,7 +148,7 @@ def terms_of(parameters, values):
     return {term: values[columns] for term, columns in parameters.term_columns.items()}
 
 
-def test_what_no_file_states_of_a_joint_is_zero_within_the_terms_own_scale(driven):
+def test_missing_joint_terms_are_zero_with_the_terms_deviation(driven):
     parameters = ParameterSet(random_robot(10, links=6), TERMS)
     kinds = np.array([joint.kind for joint in parameters.model.joints])
     stds = []
@@ -192,14 +192,14 @@ def test_stated_joint_terms_move_by_an_absolute_amount(driven):
 
 
 @pytest.mark.parametrize("kind", ["percent", "absolute", "consistent"])
-def test_joint_terms_leave_the_draw_of_the_links_alone(driven, kind):
+def test_joint_terms_do_not_change_the_draw_of_the_links(driven, kind):
     links = draw_prior(ParameterSet(driven.model), kind, 10, 3)
     both = draw_prior(driven, kind, 10, 3)
     np.testing.assert_array_equal(both.mean[: driven.inertial], links.mean)
     np.testing.assert_array_equal(both.std[: driven.inertial], links.std)
 
 
-def test_a_nearly_vanishing_stated_term_is_not_taken_for_certain(driven):
+def test_a_tiny_given_term_keeps_an_uncertainty(driven):
     joint = replace(driven.model.joints[1], damping=1e-9)
     joints = (driven.model.joints[0], joint, *driven.model.joints[2:])
     parameters = ParameterSet(replace(driven.model, joints=joints), TERMS)
@@ -281,7 +281,7 @@ BAD_FACTORS = {
 
 
 @pytest.mark.parametrize("case", BAD_FACTORS)
-def test_a_bad_covariance_says_what_is_wrong(case, symbitron, tmp_path):
+def test_errors_of_an_invalid_covariance_name_the_cause(case, symbitron, tmp_path):
     change, message = BAD_FACTORS[case]
     path = tmp_path / "prior.json"
     prior = with_factor(draw_prior(symbitron, "percent", 25, 3))
@@ -370,7 +370,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_a_bad_prior_says_what_is_wrong(case, symbitron, tmp_path):
+def test_errors_of_an_invalid_prior_name_the_cause(case, symbitron, tmp_path):
     path = tmp_path / "prior.json"
     draw_prior(symbitron, "percent", 25, 3).write(path)
     change, message = BAD[case]
@@ -381,7 +381,7 @@ def test_a_bad_prior_says_what_is_wrong(case, symbitron, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_prior_and_a_senseless_amount_are_refused(symbitron, tmp_path):
+def test_a_missing_prior_and_an_invalid_amount_are_rejected(symbitron, tmp_path):
     with pytest.raises(PriorError, match="cannot read"):
         load_prior(tmp_path / "none.json", symbitron)
     for kind, amount in (("percent", 0), ("absolute", -1), ("consistent", 100)):
@@ -405,7 +405,7 @@ SIZES = [0.0, 5e-324, 1e-300, 1e-18, 1e-9, 1e-3, 1e5, 1e9, 1e200, 1e308]
 
 @settings(max_examples=25)
 @given(data=st.data())
-def test_whatever_numbers_a_prior_holds_it_is_used_or_refused_in_one_line(data, tmp_path_factory):
+def test_a_prior_with_any_numbers_is_used_or_rejected_in_one_line(data, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "prior.json"
     log = gaussian_log(0, links=2)
     draw_prior(log.parameters, "percent", 25, 0).write(path)

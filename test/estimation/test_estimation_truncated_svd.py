@@ -87,7 +87,7 @@ def test_the_factor_solves_as_the_stacked_problem_does(method, seed, floating):
 
 @given(st.integers(0, 1000), st.lists(st.integers(1, 79), max_size=4))
 @settings(max_examples=15, deadline=None)
-def test_information_does_not_care_how_the_rows_came(seed, cuts):
+def test_information_is_independent_of_blocks(seed, cuts):
     case = Case(seed % 5)
     edges = [0, *sorted(set(cuts)), 80]
     parts = [
@@ -155,7 +155,7 @@ def test_residual_deviation_finds_each_coordinates_noise():
     np.testing.assert_allclose(sigma[loud], truth.std(axis=0)[loud], rtol=0.03)
 
 
-def test_coordinates_left_out_here_and_there_lose_neither_noise_nor_weight():
+def test_partly_masked_coordinates_keep_their_noise_and_weight():
     """A joint that sticks half the time is as noisy as one that slips throughout."""
     case = Case(5, links=3, count=8000)
     valid = np.random.default_rng(5).random(case.rows.y.shape) < np.linspace(0.3, 1.0, case.n)
@@ -173,7 +173,7 @@ def test_coordinates_left_out_here_and_there_lose_neither_noise_nor_weight():
 
 
 @pytest.mark.parametrize("criterion", ["gen_force", "torque", "com"])
-def test_z_is_the_least_of_those_that_predict_the_validation_rows_well(criterion):
+def test_z_is_the_smallest_that_predicts_the_validation_rows_well(criterion):
     training, validation = Case(6), Case(6, count=60)
     problem = LeastSquares(training.information).scaled(training.prior, "wls_rc")
     errors = []
@@ -207,7 +207,7 @@ def test_std_covers_the_error_of_a_linear_problem():
     assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 1.2
 
 
-def test_refusals_are_clear():
+def test_errors_name_the_cause():
     case = Case(8)
     bad = type(case.rows)(case.rows.K.copy(), case.rows.y.copy())
     bad.y[3, 2] = np.nan
@@ -271,7 +271,7 @@ def generalised_forces(model, position, frame, rng):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("floating", [True, False])
-def test_deviations_are_what_noise_does_to_the_rows(seed, floating) -> None:
+def test_row_deviations_are_the_responses_to_noise(seed, floating) -> None:
     rng = np.random.default_rng(seed)
     model = random_robot(seed, links=3 + seed, floating=floating, wrench_frames=1 + seed)
     samples = random_samples(model, 5, rng)

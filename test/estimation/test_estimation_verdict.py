@@ -89,7 +89,7 @@ def test_counts_and_gains_are_those_of_dense_covariances(judged):
         assert gain == pytest.approx((volumes[0] - volumes[1]) / 2 / np.log(2), abs=1e-6)
 
 
-def test_the_rank_without_validation_is_the_number_of_directions_the_data_decide(judged):
+def test_the_rank_without_validation_is_the_number_of_determined_directions(judged):
     expected = int(np.sum(judged.told > 1))
     count = len(judged.parameters)
     assert informative_rank(judged.posterior, count) == expected
@@ -105,7 +105,7 @@ def test_a_rank_is_never_less_than_one():
     assert informative_rank(posterior(faint.observations(), prior), 10) == 1
 
 
-def test_sensor_errors_beyond_the_robots_columns_are_told_apart():
+def test_sensor_errors_are_separate_from_the_robots_parameters():
     log = gaussian_log(3, count=120)
     count, (n, p) = 2, log.K.shape[1:]
     rng = np.random.default_rng(3)
@@ -153,7 +153,7 @@ def alarms(judged, *, whiteness=1.0, has_wrenches=True, **changes):
     ).alarms
 
 
-def test_alarms_ring_beyond_their_thresholds_and_not_before(judged):
+def test_alarms_are_raised_only_beyond_their_thresholds(judged):
     below, above = 1 - 1e-6, 1 + 1e-6
     calm = {"prior_scale": 1.0, "noise_share": 0.0}
     assert alarms(judged, **calm) == ()
@@ -180,7 +180,7 @@ def test_one_window_alone_raises_no_alarm_of_whiteness(judged):
     assert alarms(judged, whiteness=0.0, prior_scale=1.0, noise_share=0.0) == ()
 
 
-def test_a_robot_unlike_its_prior_is_noticed_and_one_like_it_is_not():
+def test_only_a_robot_that_contradicts_its_prior_raises_an_alarm():
     for seed in range(3):
         log = gaussian_log(seed, count=400)
         prior = prior_of(log, seed)

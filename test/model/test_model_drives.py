@@ -61,17 +61,17 @@ def urdf_arm(tmp_path):
     return load_text(URDF.format(""), tmp_path / "arm.urdf")
 
 
-def test_an_mjcf_states_all_three_also_through_its_classes(arm):
+def test_an_mjcf_gives_all_three_terms_also_through_classes(arm):
     assert arm.joint_names == ("knee", "lift", "wrist")
     np.testing.assert_array_equal(drives(arm), [[0.3, 0.5, 0.01], [0, 0, 0], [0.7, 0, 0]])
 
 
-def test_a_urdf_states_friction_and_silence_is_zero(urdf_arm):
+def test_a_urdf_gives_friction_and_a_missing_value_is_zero(urdf_arm):
     np.testing.assert_array_equal(drives(urdf_arm), [[0.3, 0.5, 0], [0, 0, 0]])
 
 
 @pytest.mark.parametrize("value", ["nan", "inf", "much"])
-def test_friction_that_is_no_number_is_refused(value, tmp_path):
+def test_invalid_friction_is_rejected(value, tmp_path):
     text = URDF.format(f'<dynamics damping="{value}"/>')
     with pytest.raises(ModelError, match=r"arm\.urdf: .*(not finite|not a number)"):
         load_text(text, tmp_path / "arm.urdf")
@@ -79,7 +79,7 @@ def test_friction_that_is_no_number_is_refused(value, tmp_path):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("floating", [True, False])
-def test_a_random_trees_drives_survive_both_formats(seed, floating, tmp_path):
+def test_joint_terms_of_random_trees_survive_both_formats(seed, floating, tmp_path):
     robot = random_robot(seed, links=3 + seed, floating=floating)
     robot = with_drives(robot, np.random.default_rng(seed))
     again = load_text(mjcf_text(robot), tmp_path / "robot.xml")
@@ -88,7 +88,7 @@ def test_a_random_trees_drives_survive_both_formats(seed, floating, tmp_path):
     np.testing.assert_array_equal(drives(urdf)[:, :2], drives(robot)[:, :2])
 
 
-def test_what_a_urdf_has_no_place_for_is_said(arm, urdf_arm):
+def test_terms_that_a_urdf_cannot_hold_are_listed(arm, urdf_arm):
     assert "armature, not part of a URDF: knee 0.01 " in urdf_text(arm)
     assert "armature" not in urdf_text(urdf_arm)
 
@@ -112,7 +112,7 @@ def test_parameters_of_joints_follow_the_links(arm):
     assert terms_in(parameters.names[:30]) == ()
 
 
-def test_only_terms_in_use_have_columns_and_an_unknown_one_is_refused(arm):
+def test_only_terms_in_use_have_columns_and_unknown_terms_are_rejected(arm):
     parameters = ParameterSet(arm, ("offset", "coulomb"))
     assert parameters.term_columns == {"coulomb": slice(30, 33), "offset": slice(33, 36)}
     assert len(ParameterSet(arm)) == 30
@@ -133,7 +133,7 @@ def test_stated_terms_that_are_not_identified_are_known(arm):
 
 
 @pytest.mark.parametrize("terms", [(), ("viscous",), ("coulomb", "offset"), TERMS])
-def test_values_applied_are_the_robots_own_and_the_rest_stays(arm, terms):
+def test_applied_values_become_the_robots_and_other_terms_stay(arm, terms):
     parameters = ParameterSet(arm, terms)
     changed = parameters.values + np.arange(len(parameters)) / 7
     robot = parameters.apply(changed)
@@ -144,7 +144,7 @@ def test_values_applied_are_the_robots_own_and_the_rest_stays(arm, terms):
             np.testing.assert_array_equal(drives(robot)[:, column], drives(arm)[:, column])
 
 
-def test_identified_terms_go_into_the_users_own_mjcf(arm, tmp_path):
+def test_identified_terms_are_written_into_the_users_mjcf(arm, tmp_path):
     parameters = ParameterSet(arm, ("viscous", "armature"))
     values = parameters.values.copy()
     values[parameters.term_columns["viscous"]] = 0.3, 1.25, 2.5
@@ -161,7 +161,7 @@ def test_identified_terms_go_into_the_users_own_mjcf(arm, tmp_path):
     assert '<joint damping="0.30" armature="0.010"/>' in text
 
 
-def test_identified_terms_go_into_the_users_own_urdf(urdf_arm, tmp_path):
+def test_identified_terms_are_written_into_the_users_urdf(urdf_arm, tmp_path):
     parameters = ParameterSet(urdf_arm, ("viscous", "coulomb"))
     values = parameters.values.copy()
     values[-4:] = 0.3, 4.0, 0.75, 0.0
@@ -175,7 +175,7 @@ def test_identified_terms_go_into_the_users_own_urdf(urdf_arm, tmp_path):
     )
 
 
-def test_a_solvers_zero_is_no_friction(arm, urdf_arm, tmp_path):
+def test_negligible_friction_is_not_written(arm, urdf_arm, tmp_path):
     for model, write, file in ((arm, mjcf_text, "arm.xml"), (urdf_arm, urdf_text, "arm.urdf")):
         lift = replace(model.joints[1], damping=8.9e-17, friction_loss=3e-12, armature=2e-16)
         robot = replace(model, joints=(model.joints[0], lift, *model.joints[2:]))

@@ -1,4 +1,4 @@
-"""Models handed back: they load everywhere, and the user's own file keeps its wording."""
+"""Exported models load everywhere, and the user's own file changes in numbers only."""
 
 import re
 from dataclasses import replace
@@ -105,7 +105,7 @@ def test_every_example_robot_loads_in_mujoco_and_here(tmp_path):
         assert_loads_as_mjcf(robot, tmp_path)
 
 
-def test_example_robots_come_back_with_other_numbers_only(tmp_path):
+def test_only_numbers_change_in_example_robots(tmp_path):
     rng = np.random.default_rng(3)
     for path, robot in [*example_robots().items()][::2]:
         text = path.read_bytes().decode("utf-8", "surrogateescape")
@@ -200,7 +200,7 @@ def urdfs(draw):
 
 @given(urdfs(), st.sampled_from(["floating", "fixed"]), st.integers(0, 1000))
 @settings(max_examples=60)
-def test_any_urdf_that_loads_comes_back_in_both_formats(tmp_path_factory, text, base, seed):
+def test_any_urdf_that_loads_can_be_written_in_both_formats(tmp_path_factory, text, base, seed):
     folder = tmp_path_factory.mktemp("urdf")
     path = folder / "robot.urdf"
     path.write_bytes(text.encode())
@@ -230,7 +230,7 @@ def test_any_urdf_that_loads_comes_back_in_both_formats(tmp_path_factory, text, 
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "iso-8859-1", "utf-16"])
-def test_other_encodings_come_back_as_they_are(encoding, tmp_path):
+def test_other_encodings_are_preserved(encoding, tmp_path):
     declared = {"utf-8-sig": "utf-8"}.get(encoding, encoding)
     text = (
         f'<?xml version="1.0" encoding="{declared}"?>\r\n<!-- Gerät -->\r\n<robot name="r">'
@@ -360,7 +360,7 @@ def test_settings_that_would_change_inertias_again_are_removed(scene, tmp_path):
     assert '<compiler angle="radian"/>' in next(iter(files.values()))
 
 
-def test_what_no_file_element_stands_for_comes_as_a_bare_tree(tmp_path):
+def test_bodies_without_an_element_in_the_file_give_a_minimal_tree(tmp_path):
     text = """<mujoco><worldbody><body name="base"><inertial mass="1" pos="0 0 0"
       diaginertia="1 1 1"/><replicate count="3" offset="0 1 0"><body name="leg">
       <joint name="hip"/><geom size=".1"/></body></replicate></body></worldbody></mujoco>"""
@@ -372,7 +372,7 @@ def test_what_no_file_element_stands_for_comes_as_a_bare_tree(tmp_path):
     np.testing.assert_allclose(again.phi, changed.phi, rtol=1e-12, atol=1e-15)
 
 
-def test_of_an_impossible_link_the_nearest_possible_one_is_written():
+def test_an_inconsistent_link_is_written_as_the_nearest_consistent_one():
     impossible = phi_from_com(0.9, np.array([0, 0.1, 0]), np.diag([0.01, 0.01, 0.5]))
     mass, com, inertia = com_from_phi(nearest_consistent(impossible))
     assert mass == pytest.approx(0.9)

@@ -1,4 +1,4 @@
-"""URDF and MJCF say the same about a robot, and what we write reads back."""
+"""URDF and MJCF describe the same robot, and written models are read back."""
 
 import mujoco
 import numpy as np
@@ -152,7 +152,7 @@ def test_a_name_shared_by_a_site_and_a_body_means_the_body(tmp_path):
 @pytest.mark.parametrize(
     ("text", "write"), [("symbitron.xml", mjcf_text), ("symbitron.urdf", urdf_text)]
 )
-def test_an_estimate_goes_into_the_users_own_file(text, write, tmp_path):
+def test_an_estimate_is_written_into_the_users_file(text, write, tmp_path):
     source = CONFIG / text
     robot = load_model(source)
     rng = np.random.default_rng(5)
@@ -200,7 +200,7 @@ def test_rpy_holds_at_gimbal_lock(roll, side, yaw, away):
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=30)
-def test_inertia_moves_with_its_frame(seed):
+def test_inertia_transforms_with_its_frame(seed):
     rng = np.random.default_rng(seed)
     phi, rotation, shift = random_phi(rng), random_rotation(rng), rng.normal(size=3)
     moved = transform_phi(phi, rotation, shift)
@@ -225,8 +225,8 @@ def test_consistency_is_positive_pseudo_inertia():
 
 @pytest.mark.parametrize("mass", [1e-6, 1e-3, 1.0, 1e4])
 @pytest.mark.parametrize("size", [1e-3, 0.1, 10.0])
-def test_consistency_is_judged_by_the_links_own_scale(mass, size):
-    """A link of a gram is as impossible as one of a ton with the same proportions."""
+def test_consistency_is_relative_to_the_links_scale(mass, size):
+    """Consistency depends on proportions: it is equal for a link of a gram and one of a ton."""
     com, unit = size * np.array([0.3, -0.2, 0.1]), mass * size**2
     # A + B >= C, missed and kept by a thousandth.
     assert not is_consistent(phi_from_com(mass, com, unit * np.diag([1.0, 1.0, 2.002])))
@@ -289,7 +289,7 @@ BAD_URDFS = {
 
 
 @pytest.mark.parametrize("case", BAD_URDFS)
-def test_a_bad_urdf_says_what_is_wrong(case, tmp_path):
+def test_errors_of_an_invalid_urdf_name_the_cause(case, tmp_path):
     text, message = BAD_URDFS[case]
     with pytest.raises(ModelError, match=message) as caught:
         load_text(text, tmp_path / "bad.urdf")
@@ -297,7 +297,7 @@ def test_a_bad_urdf_says_what_is_wrong(case, tmp_path):
     assert "\n" not in str(caught.value)
 
 
-def test_bad_mjcf_and_missing_files_say_what_is_wrong(tmp_path):
+def test_errors_of_an_invalid_mjcf_and_of_missing_files_name_the_cause(tmp_path):
     with pytest.raises(ModelError, match="cannot read"):
         load_model(tmp_path / "missing.xml")
     with pytest.raises(ModelError, match="MuJoCo cannot load") as caught:

@@ -1,4 +1,4 @@
-"""Models from anybody: a robot with finite numbers, or one line that says what to mend."""
+"""Any model file gives a robot with finite numbers, or a one-line error that names the fix."""
 
 import itertools
 import os
@@ -68,7 +68,7 @@ READER = '<!DOCTYPE x [<!ENTITY a SYSTEM "/etc/passwd">]>'
 
 @pytest.mark.parametrize("text", [MJCF, URDF], ids=["mjcf", "urdf"])
 class TestEveryFormat:
-    def test_a_plain_one_loads(self, text, tmp_path):
+    def test_a_valid_model_loads(self, text, tmp_path):
         robot = load_model(written(tmp_path, text))
         assert robot.joint_names == ("elbow",)
         assert robot.phi[-1][0] == 1.0
@@ -92,7 +92,7 @@ class TestEveryFormat:
             path = written(tmp_path, text[:end] + extra + text[end:])
             assert re.search(message, refusal(path))
 
-    def test_what_is_no_file_of_text_is_refused(self, text, tmp_path):
+    def test_files_that_are_not_text_are_rejected(self, text, tmp_path):
         path = written(tmp_path, text)
         path.unlink()
         os.mkfifo(path)  # reading it would wait for ever
@@ -126,14 +126,14 @@ class TestEveryFormat:
         (URDF, 'value="1"', ""),
     ],
 )
-def test_numbers_of_no_robot_are_refused_with_their_line(text, old, new, tmp_path):
+def test_numbers_outside_a_robots_range_are_rejected_with_their_line(text, old, new, tmp_path):
     assert old in text
     path = written(tmp_path, text.replace(old, new, 1))
     assert re.search(rf"{path}: .*line \d+", refusal(path))
 
 
 class TestUrdf:
-    def test_meshes_are_never_looked_for(self, tmp_path):
+    def test_meshes_are_not_opened(self, tmp_path):
         shapes = "".join(
             f'<visual><geometry><mesh filename="{name}"/></geometry></visual>'
             for name in ("package://arm/upper.stl", "file:///etc/passwd", "../../secret.dae")
@@ -148,7 +148,7 @@ class TestUrdf:
             ('value="1"', 'value="${mass}"'),
         ],
     )
-    def test_xacro_is_to_be_run_first(self, old, new, tmp_path):
+    def test_an_xacro_file_must_be_expanded_first(self, old, new, tmp_path):
         assert re.search(
             r"line \d+: .*run.*xacro", refusal(written(tmp_path, URDF.replace(old, new)))
         )
@@ -162,16 +162,16 @@ class TestUrdf:
             ("a.v2.urdf.xacro", "a.v2.urdf"),
         ],
     )
-    def test_what_xacro_makes_gets_a_name_of_its_own(self, name, expanded, tmp_path):
+    def test_the_expanded_file_gets_another_name(self, name, expanded, tmp_path):
         path = tmp_path / name
         path.write_text(URDF.replace('<link name="base"/>', "<xacro:arm/>"))
         assert f"run `xacro {name} > {expanded}` and give" in refusal(path)
 
-    def test_a_xacro_namespace_alone_does_not_matter(self, tmp_path):
+    def test_an_xacro_namespace_alone_is_accepted(self, tmp_path):
         text = URDF.replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"')
         assert load_model(written(tmp_path, text)).name == "arm"
 
-    def test_links_apart_repeated_or_without_end_are_refused(self, tmp_path):
+    def test_links_that_are_not_one_tree_are_rejected(self, tmp_path):
         def fixed(parent, child):
             return (
                 f'<joint name="{parent}_{child}" type="fixed"><parent link="{parent}"/>'
@@ -235,7 +235,7 @@ SCENE = '<mujoco model="scene"><include file="dog.xml"/><statistic extent="1"/><
 
 
 class TestMjcf:
-    def test_a_scene_loads_without_the_meshes_that_are_only_seen(self, tmp_path):
+    def test_a_scene_loads_without_visual_meshes(self, tmp_path):
         written(tmp_path, MENAGERIE, "dog.xml")
         robot = load_model(written(tmp_path, SCENE))
         assert robot.floating
@@ -245,7 +245,7 @@ class TestMjcf:
         assert (hip.lower, hip.upper) == (-1.0, 2.0)
         np.testing.assert_array_equal(robot.frame("imu").translation, [0.1, 0, 0])
 
-    def test_it_is_the_same_robot_as_with_everything_compiled(self, tmp_path):
+    def test_the_reduced_model_is_the_same_robot(self, tmp_path):
         written(tmp_path, MENAGERIE, "dog.xml")
         robot = load_model(written(tmp_path, SCENE))
         whole = re.sub(r"<(mesh|texture|material)[^>]*/>|mesh=.\w+.|material=.\w+.", "", MENAGERIE)
@@ -255,7 +255,7 @@ class TestMjcf:
         np.testing.assert_array_equal(compiled.body_mass[1:], robot.phi[:, 0])
         np.testing.assert_array_equal(compiled.body("thigh").pos, robot.joints[0].translation)
 
-    def test_the_packages_own_robot_is_what_mujoco_makes_of_the_whole_file(self):
+    def test_the_packages_robot_equals_mujocos_own_compilation(self):
         compiled = mujoco.MjModel.from_xml_path(str(CONFIG / "symbitron.xml"))
         robot = load_model(CONFIG / "symbitron.xml")
         names = [compiled.body(i).name for i in range(compiled.nbody)]
@@ -269,7 +269,7 @@ class TestMjcf:
         again = load_model(written(result, mjcf_text(robot, path, result), "model.xml"))
         np.testing.assert_allclose(again.phi, robot.phi, rtol=1e-12, atol=1e-15)
 
-    def test_a_mesh_that_decides_the_inertia_is_read(self, tmp_path):
+    def test_a_mesh_that_determines_an_inertia_is_read(self, tmp_path):
         text = MJCF.replace("<worldbody>", ASSET).replace(INERTIAL, SHAPE)
         (tmp_path / "assets").mkdir()
         (tmp_path / "assets" / "box.stl").write_bytes(box_stl(0.1, 0.2, 0.3))
@@ -318,7 +318,7 @@ class TestMjcf:
             "<worldbody><body>" + "<joint/>" * 1001 + "</body></worldbody>",
         ],
     )
-    def test_what_loads_code_or_grows_is_refused(self, element, tmp_path):
+    def test_elements_that_load_code_or_generate_bodies_are_rejected(self, element, tmp_path):
         message = refusal(written(tmp_path, MJCF.replace("</mujoco>", element + "</mujoco>")))
         assert "remove it" in message or "the limit; reduce the model" in message
 
@@ -333,7 +333,7 @@ class TestMjcf:
         robot = load_model(written(tmp_path, text))
         assert len(robot.joints) == 991
 
-    def test_a_built_in_mesh_decides_no_inertia(self, tmp_path):
+    def test_a_built_in_mesh_cannot_determine_an_inertia(self, tmp_path):
         mesh = '<asset><mesh name="box" builtin="supersphere" params="4000 1 1"/></asset>'
         text = MJCF.replace("<worldbody>", mesh + "<worldbody>")
         assert load_model(written(tmp_path, text)).name == "arm"
@@ -348,7 +348,7 @@ class TestMjcf:
         ):
             compile_whole(written(tmp_path, SCENE))
 
-    def test_mujocos_own_words_name_the_users_line(self, tmp_path):
+    def test_mujocos_messages_name_the_users_line(self, tmp_path):
         message = refusal(written(tmp_path, MJCF.replace("<worldbody>", "\n\n<worldbody>\n<gem/>")))
         assert f"{tmp_path / 'robot.xml'}: line 5" in message
 
@@ -405,7 +405,7 @@ LIGHT = MJCF.replace(
 )
 
 
-def test_what_mujoco_thinks_of_a_robot_stays_out_of_the_users_folder(tmp_path, monkeypatch, capfd):
+def test_mujocos_warnings_leave_no_file_in_the_users_folder(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
     text = LIGHT.replace("<joint ", '<joint name="far" pos="1e9 0 0"/><joint ')
     load_model(written(tmp_path, text))
@@ -417,7 +417,7 @@ DOG = MENAGERIE.replace("mujocoinclude", "mujoco")
 
 
 @pytest.mark.parametrize("text", [MJCF, URDF, DOG], ids=["mjcf", "urdf", "menagerie"])
-def test_a_mutated_model_is_a_robot_or_refused(text, tmp_path, monkeypatch):
+def test_a_mutated_model_is_valid_or_rejected(text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # where MuJoCo's MUJOCO_LOG.TXT would lie
     path = tmp_path / "robot"
     rng = random.Random(7)

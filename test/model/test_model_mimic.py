@@ -1,4 +1,4 @@
-"""Joints that mimic others follow them; what an MJCF says beside the tree is reported."""
+"""Mimic joints follow their leaders; ignored elements of an MJCF are reported."""
 
 import mujoco
 import numpy as np
@@ -48,7 +48,7 @@ def gripper(request, tmp_path):
 
 
 def following(robot, count, seed=0):
-    """Random samples in which the followers follow, worked out by hand."""
+    """Random samples with the positions of mimic joints computed by hand."""
     samples = random_samples(robot, count, np.random.default_rng(seed), ())
     far, master, near = (robot.joint_names.index(name) for name in ("far", "master", "near"))
     for values, shift in ((samples.position, 1), (samples.velocity, 0), (samples.acceleration, 0)):
@@ -58,7 +58,7 @@ def following(robot, count, seed=0):
     return samples
 
 
-def test_a_chain_of_followers_is_bound_to_its_master(gripper):
+def test_a_chain_of_mimic_joints_is_bound_to_its_leader(gripper):
     far, master, near = (gripper.joint_names.index(name) for name in ("far", "master", "near"))
     assert gripper.joints[near].mimic == Mimic(master, 1.5, 0.1)
     bound = gripper.joints[far].mimic
@@ -72,7 +72,7 @@ def test_a_chain_of_followers_is_bound_to_its_master(gripper):
     np.testing.assert_allclose(rates, samples.velocity, atol=1e-15)
 
 
-def test_the_masters_row_is_the_virtual_work_of_all_that_follow(gripper):
+def test_the_leaders_row_is_the_virtual_work_of_all_its_followers(gripper):
     samples = following(gripper, 8)
     parameters = ParameterSet(gripper)
     rows = equation_of_motion(parameters, samples)
@@ -105,7 +105,7 @@ def test_the_masters_row_is_the_virtual_work_of_all_that_follow(gripper):
     )
 
 
-def test_a_contact_on_a_following_link_pushes_the_master(gripper):
+def test_a_contact_on_a_followers_link_loads_the_leader(gripper):
     samples = following(gripper, 4)
     poses = link_poses(gripper, samples.position)
     jacobian = contact_jacobian(gripper, ("d",), poses)
@@ -121,7 +121,7 @@ def test_a_contact_on_a_following_link_pushes_the_master(gripper):
     np.testing.assert_allclose(jacobian[:, 3:, column], in_link, atol=1e-5)
 
 
-def test_both_formats_say_who_follows_whom(gripper, tmp_path):
+def test_both_formats_write_mimic_joints(gripper, tmp_path):
     again = tmp_path / "again.urdf"
     again.write_text(urdf_text(gripper))
     base = "floating" if gripper.floating else "auto"
@@ -145,7 +145,7 @@ def test_both_formats_say_who_follows_whom(gripper, tmp_path):
         ('<mimic joint="near" offset="x"/>', "offset='x' is not a number"),
     ],
 )
-def test_a_mimic_that_leads_nowhere_is_refused(mimic, message, tmp_path):
+def test_a_mimic_without_a_leader_is_rejected(mimic, message, tmp_path):
     text = GRIPPER.replace(joint("master", "a", "b"), joint("master", "a", "b", mimic=mimic))
     (tmp_path / "robot.urdf").write_text(text)
     with pytest.raises(ModelError, match=message):

@@ -1,4 +1,4 @@
-"""The tree itself: names are unique, whoever builds it."""
+"""The tree of links: unique names and default limits."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from symbid_ros.model.tree import Joint
 
 
 @pytest.mark.parametrize(("kind", "several"), [("link", "links"), ("joint", "joints")])
-def test_a_name_used_twice_is_refused_and_named(kind, several) -> None:
+def test_duplicate_names_are_rejected(kind, several) -> None:
     robot = random_robot(0, links=4)
     first, *others, last = getattr(robot, several)
     names = (first, *others, replace(last, name=others[0].name))

@@ -154,7 +154,7 @@ class TestAlignment:
                 f"without a finite position of {model.joint_names[0]} are left out" in caplog.text
             )
 
-    def test_refusals_are_clear(self, moving):
+    def test_errors_name_the_cause(self, moving):
         model, streams = moving
         joints = streams.joints
         with pytest.raises(ModelError, match="has no joint 'joint_"):
