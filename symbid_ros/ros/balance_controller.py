@@ -219,38 +219,6 @@ class ControlCounts:
     restarts: int = 0
 
 
-@dataclass
-class AnswerTimes:
-    """Computing times of the answers since the last status.
-
-    Attributes
-    ----------
-    count : int
-    total, longest : float
-        s.
-    """
-
-    count: int = 0
-    total: float = 0.0
-    longest: float = 0.0
-
-    def add(self, seconds: float) -> None:
-        """Add one answer."""
-        self.count += 1
-        self.total += seconds
-        self.longest = max(self.longest, seconds)
-
-    @property
-    def mean_ms(self) -> float:
-        """Mean, ms; 0 if there were no answers."""
-        return 1e3 * self.total / self.count if self.count else 0.0
-
-    @property
-    def longest_ms(self) -> float:
-        """Longest, ms."""
-        return 1e3 * self.longest
-
-
 class BalanceNode:
     """Answers the newest measurement with a torque command.
 
@@ -274,8 +242,8 @@ class BalanceNode:
         self._control_counts = ControlCounts()
         self._stamp = 0
         self._heard = float("-inf")
-        self._times = AnswerTimes()
-        self._health = StatusPublisher(node, self._current_status, robot_name(values))
+        self._times: list[float] = []  # computing times of the answers since the last status, s
+        self._status_publisher = StatusPublisher(node, self._current_status, robot_name(values))
 
     def run(self, stop: Event) -> None:
         """Answer measurements until stopped, then print the counts as JSON."""
@@ -308,7 +276,7 @@ class BalanceNode:
             return
         self._publisher.publish(feedback.stamp, torques)
         self._control_counts.answered += 1
-        self._times.add(time.monotonic() - start)
+        self._times.append(time.monotonic() - start)
 
     def _warn(self, text: str) -> None:
         self._node.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD)
@@ -321,17 +289,17 @@ class BalanceNode:
         }
 
     def _current_status(self) -> list[NodeStatus]:
-        times, self._times = self._times, AnswerTimes()
+        times, self._times = self._times, []
         level, message = OK, "measurements are answered"
         if time.monotonic() - self._heard > SILENCE:
             level, message = WARN, "no measurements on joint_states and imu/data"
-        elif not times.count:
+        elif not times:
             level, message = WARN, "measurements cannot be answered"
         values = {
             "motion_time": f"{self._stamp / 1e9:.3f}",
-            "rate": times.count,
-            "mean_ms": f"{times.mean_ms:.3f}",
-            "longest_ms": f"{times.longest_ms:.3f}",
+            "rate": len(times),
+            "mean_ms": f"{1e3 * sum(times) / max(len(times), 1):.3f}",
+            "longest_ms": f"{1e3 * max(times, default=0.0):.3f}",
         }
         return [NodeStatus("control", level, message, values | self._counts())]
 

@@ -1,7 +1,6 @@
 """Parameters of the node mujoco_bridge, and the simulator and payload that they define."""
 
 from pathlib import Path
-from typing import Any
 
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros.parameters import Parameter, Values
@@ -173,10 +172,6 @@ class PayloadParameters:
             return None
         x, y, z = values["payload_position"]
         return Payload(link, values["payload_mass"], (x, y, z))
-
-    def require(self, values: dict[str, Any]) -> None:
-        """Raise the error that `payload` would raise."""
-        self.payload(values)
 
 
 def _path(value: str) -> Path | None:

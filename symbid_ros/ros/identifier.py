@@ -103,39 +103,29 @@ def _receive_model(node: Node, file: Path, base: Any, stop: Event) -> bool:
     return False
 
 
-class OfflineIdentifier:
-    """Identifies bags and keeps the estimate on its topics until stopped."""
-
-    def __init__(self, node: Node, values: dict[str, Any]) -> None:
-        self._node = node
-        model, base = model_of(values)
-        bags = tuple(map(Path, given_texts(values["bag"])))
-        options, log = identify_options(values), log_options(values)
-        self._request = BagRequest(bags, model, options, log, base)
-        self._out = given_path(values["out"])
-
-    def run(self, stop: Event) -> None:
-        """Identify, publish the estimate, and publish its status once a second."""
-        with interruptible(stop):  # long bags take minutes
-            problem = self._request.load(self._out)
-            found = problem.solve()
-        estimate = found.estimate
-        if self._out is not None:
-            write_identification(found, problem.parameters, self._out)
-        topics = EstimateTopics(self._node, problem.parameters)
-        topics.publish(estimate, self._node.get_clock().now().to_msg())
-        topics.describe(export_urdf(estimate, problem.parameters))
-        self._node.get_logger().info(
-            f"estimate of {estimate.model} by {estimate.method}: {estimate.samples} rows per "
-            "coordinate"
-        )
-        verdict = estimate.verdict
-        alarms = () if verdict is None else verdict.alarms
-        details = {} if verdict is None else {"window": f"{verdict.window:g}"}
-        StatusPublisher(
-            self._node, lambda: [estimate_status(estimate, alarms, details)], estimate.model
-        )
-        stop.wait()
+def identify_bags(node: Node, values: dict[str, Any], stop: Event) -> None:
+    """Identify bags, and keep the estimate on its topics until stopped."""
+    model, base = model_of(values)
+    bags = tuple(map(Path, given_texts(values["bag"])))
+    out = given_path(values["out"])
+    with interruptible(stop):  # long bags take minutes
+        request = BagRequest(bags, model, identify_options(values), log_options(values), base)
+        problem = request.load(out)
+        found = problem.solve()
+    estimate = found.estimate
+    if out is not None:
+        write_identification(found, problem.parameters, out)
+    topics = EstimateTopics(node, problem.parameters)
+    topics.publish(estimate, node.get_clock().now().to_msg())
+    topics.describe(export_urdf(estimate, problem.parameters))
+    node.get_logger().info(
+        f"estimate of {estimate.model} by {estimate.method}: {estimate.samples} rows per coordinate"
+    )
+    verdict = estimate.verdict
+    alarms = () if verdict is None else verdict.alarms
+    details = {} if verdict is None else {"window": f"{verdict.window:g}"}
+    StatusPublisher(node, lambda: [estimate_status(estimate, alarms, details)], estimate.model)
+    stop.wait()
 
 
 def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
@@ -146,7 +136,7 @@ def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
         if is_online(complete):
             construct(OnlineIdentifier, node, complete, stop).run(stop)
         else:
-            construct(OfflineIdentifier, node, complete, stop).run(stop)
+            identify_bags(node, complete, stop)
 
 
 def main(args: Sequence[str] | None = None) -> None:

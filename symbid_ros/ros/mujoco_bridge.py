@@ -203,10 +203,10 @@ class MujocoBridge:
         self._rate = FixedRate(self._simulator.period_ns / values["real_time_factor"])
         self._topics = BridgeTopics(node, self._simulator, values)
         self._commands = command_source(node, self._simulator, self._topics, values)
-        watch(node, PARAMETERS, self._changes.put, self._payloads.require)
+        watch(node, PARAMETERS, self._changes.put, self._payloads.payload)
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_service(SetBool, "~/pause", self._on_pause)
-        self._health = StatusPublisher(node, self._current_status, robot_name(values))
+        self._status_publisher = StatusPublisher(node, self._current_status, robot_name(values))
 
     def run(self, stop: Event) -> None:
         """Run the motion to its end or until stopped, then print counts as JSON."""

@@ -115,7 +115,7 @@ class OnlineIdentifier:
             node.create_service(Trigger, f"~/{service}", self._trigger_handler(work))
         node.create_service(SetBool, "~/enable", self._enable)
         watch(node, PARAMETERS, self._change_parameters)
-        self._publisher = StatusPublisher(node, self._diagnostics.statuses, model.name)
+        self._status_publisher = StatusPublisher(node, self._diagnostics.statuses, model.name)
 
     def run(self, stop: Event) -> None:
         """Identify until stopped, save the final estimate if wanted, and print counts as JSON.

@@ -260,7 +260,7 @@ def watch(
     node: Node,
     parameters: Sequence[Parameter],
     on_change: Callable[[dict[str, Any]], None],
-    check: Callable[[dict[str, Any]], None] = lambda values: None,
+    check: Callable[[dict[str, Any]], object] = lambda values: None,
 ) -> None:
     """Allow declared live parameters to be set while the node runs.
 

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from functools import partial
 from threading import Event
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from symbid_ros.bags import RecordedMessage, RecordedTopic, Recording
@@ -18,11 +16,11 @@ from symbid_ros.messages.layout import typestore
 from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
 from symbid_ros.messages.types import has_stamp, read_leading_stamp
 from symbid_ros.ros.bag_options import PlayOptions
+from symbid_ros.ros.diagnostics import OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.ros.endpoints import (
     await_acknowledgement,
     await_settled,
     message_class,
-    reliable_qos,
 )
 from symbid_ros.ros.parameters import ParameterError, Values, options_from, parameters_of
 from symbid_ros.ros.playback import (
@@ -73,10 +71,7 @@ class Player:
         self._position, self._stamp = self._begin, -1
         self._passes = 0
         self._state = "waiting for subscribers"
-        self._node = node
-        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", reliable_qos(10))
-        # A steady clock, because the node's own clock may follow the replayed one.
-        node.create_timer(1.0, self._publish_status, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._status_publisher = StatusPublisher(node, self._status, self._recording.source)
 
     def run(self) -> None:
         """Replay to the end or until stopped, then print counts as JSON."""
@@ -157,30 +152,21 @@ class Player:
                 entry.await_acknowledgement()
         await_acknowledgement((entry.publisher for entry in self._all_publishers()), self._stop)
 
-    def _publish_status(self) -> None:
-        """Publish the status; runs in the executor's thread."""
-        status = DiagnosticStatus(
-            name=f"{self._node.get_fully_qualified_name()}: replay",
-            hardware_id=self._recording.source,
-            level=DiagnosticStatus.OK,
-            message="paused" if self._controls.paused.is_set() else self._state,
-        )
-        lag = self._schedule.lag
+    def _status(self) -> list[NodeStatus]:
+        level, lag = OK, self._schedule.lag
+        message = "paused" if self._controls.paused.is_set() else self._state
         if lag > LATE:
-            status.level = DiagnosticStatus.WARN
-            status.message += f", {lag:.1f} s behind schedule; set a lower rate"
+            level = WARN
+            message += f", {lag:.1f} s behind schedule; set a lower rate"
         values = {
             "position": f"{(self._position - self._recording.start) / 1e9:.3f}",
             "length": f"{(self._recording.end - self._recording.start) / 1e9:.3f}",
             "rate": f"{self._schedule.rate:g}",
             "lag": f"{lag:.4f}",
-            "passes": str(self._passes),
-            "published": str(sum(entry.count for entry in self._all_publishers())),
+            "passes": self._passes,
+            "published": sum(entry.count for entry in self._all_publishers()),
         }
-        status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
-        message = DiagnosticArray(status=[status])
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._diagnostics.publish(message)
+        return [NodeStatus("replay", level, message, values)]
 
 
 def _topics(options: PlayOptions, recording: Recording) -> tuple[RecordedTopic, ...]:

@@ -149,7 +149,7 @@ class Recorder:
             capacity=options.queue_size * MEGABYTE,
         )
         self._progress = RecordingProgress(str(path), Console(stderr=True, highlight=False))
-        self._status = StatusPublisher(
+        self._status_publisher = StatusPublisher(
             node,
             lambda: [self._progress.status(self._writer.state, self._writer.failure)],
             str(self._bag),
