@@ -158,7 +158,7 @@ def _looks(simulator: Simulator, seconds: float, seed: int, memory: float) -> It
         selector = TopicSelector("live", TopicSelection())
         topics = {name: Topic(name, one.msgtype) for name, one in recording.topics.items()}
         selector.counts = {topic: 1 for topic in topics.values() if selector.wants(topic)}
-        selected = selector.selected()
+        selected = selector.select()
         options = IdentifyOptions(prior=Path(folder) / "prior.json")
         initial = InitialState.of(load_model(MODEL), options)
         live = OnlineIdentification(initial, selected, Pace(memory, share=1.0))

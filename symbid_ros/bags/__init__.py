@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from symbid_ros.bags.recovery.report import LostRange, RecoveryReport
     from symbid_ros.bags.replay import RecordedMessage, Recording
     from symbid_ros.bags.writing.background import BackgroundWriter, QueuedMessage, WriterState
-    from symbid_ros.bags.writing.bag_file import new_folder
+    from symbid_ros.bags.writing.bag_file import create_folder
     from symbid_ros.bags.writing.writer import BagWriter
 
 __all__ = [
@@ -34,7 +34,7 @@ __all__ = [
     "bag_info",
     "bag_log",
     "count_messages",
-    "new_folder",
+    "create_folder",
     "read_streams",
     "read_truth",
     "recover",
@@ -49,7 +49,7 @@ MODULES = {
     "replay": ("RecordedMessage", "Recording"),
     "reader": ("bag_log", "read_streams", "read_truth"),
     "writing.background": ("BackgroundWriter", "QueuedMessage", "WriterState"),
-    "writing.bag_file": ("new_folder",),
+    "writing.bag_file": ("create_folder",),
     "writing.writer": ("BagWriter",),
 }
 

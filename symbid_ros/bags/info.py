@@ -9,7 +9,7 @@ from typing import Any
 from mcap.opcode import Opcode
 from mcap.records import Header, Metadata, Statistics
 
-from symbid_ros.bags.container.files import files_present, read_metadata
+from symbid_ros.bags.container.files import find_files, read_metadata
 from symbid_ros.bags.container.mcap_records import (
     MAGIC,
     MESSAGE,
@@ -151,7 +151,7 @@ def bag_info(bag: Path) -> BagInfo:
         When there is no such bag.
     """
     qos: dict[Topic, tuple[OfferedQos, ...]] = {}
-    present = files_present(bag)
+    present = find_files(bag)
     files = tuple(
         _sqlite_file(file, qos)
         if file.suffix == SQLITE_SUFFIX

@@ -13,7 +13,7 @@ from symbid_ros.bags.container.files import count_messages, join_names, read_blo
 from symbid_ros.bags.slices import DEFAULT_SELECTION, iterate_slices
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.decoder import TopicDecoder
-from symbid_ros.messages.sensor_streams import column, stamps
+from symbid_ros.messages.sensor_streams import read_field, read_stamps
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
 from symbid_ros.model.tree import RobotModel
@@ -117,7 +117,7 @@ def _truth_streams(
     decoders = (joints, odometry, accel)
     kept, stamp = [], []
     for decoder in decoders:
-        recorded = stamps(decoder)
+        recorded = read_stamps(decoder)
         tally = DefectCounts(source, decoder.topic.name)
         tally.see(recorded)
         places = kept_in_order(recorded, tally)
@@ -139,7 +139,7 @@ def _truth_streams(
     ]
 
     def values(which: int, path: str) -> FloatArray:
-        return column(decoders[which], path)[rows[which]]
+        return read_field(decoders[which], path)[rows[which]]
 
     return TruthStreams(
         source=source,

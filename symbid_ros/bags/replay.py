@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from symbid_ros.bags.container.file_index import FileIndex, RecordedTopic, read_mcap_index
-from symbid_ros.bags.container.files import bag_files, join_names
+from symbid_ros.bags.container.files import join_names, list_files
 from symbid_ros.bags.container.mcap_summary import warn_of_count_mismatch
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_index
 from symbid_ros.errors import BagError
@@ -66,7 +66,7 @@ class Recording:
             When a bag is missing, damaged or empty, or a topic has two types.
         """
         source = join_names(bags)
-        files = tuple(_read_index(file) for bag in bags for file in bag_files(bag))
+        files = tuple(_read_index(file) for bag in bags for file in list_files(bag))
         topics: dict[str, RecordedTopic] = {}
         for topic in (topic for file in files for topic in file.topics.values()):
             known = topics.setdefault(topic.name, topic)

@@ -10,7 +10,7 @@ from symbid_ros.bags.container.blocks import MessageBlock
 from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
 from symbid_ros.bags.reorder_buffer import ReorderBuffer
 from symbid_ros.messages.decoder import TopicDecoder
-from symbid_ros.messages.sensor_streams import group_joints, sensor_streams, stamps
+from symbid_ros.messages.sensor_streams import build_streams, group_joints, read_stamps
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
 from symbid_ros.signals.defects import ALWAYS, Defect
@@ -54,7 +54,7 @@ def iterate_slices(
     """
     source = join_names(bags)
     slicer = _Slicer(
-        source, TopicSelector(source, topics, count_messages(bags)).selected(), span, part
+        source, TopicSelector(source, topics, count_messages(bags)).select(), span, part
     )
     for block in read_blocks(bags):
         slicer.add(block)
@@ -152,12 +152,12 @@ class _Slicer:
                 "stamped by another clock; record it again or leave it out"
             )
         else:
-            streams = sensor_streams(self._source, self._chosen, decoders, tallies)
+            streams = build_streams(self._source, self._chosen, decoders, tallies)
         return Slice(start, stop, streams, recorded, tuple(tallies.values()), fault)
 
     def _stamps(self, topic: Topic, decoder: TopicDecoder) -> IntArray:
         """Return header stamps in order of recording; each once if joints come in groups."""
-        recorded = stamps(decoder)
+        recorded = read_stamps(decoder)
         is_split = (
             topic in self._chosen.joints
             and len(group_joints(decoder, frozenset(self._chosen.joint_names))) > 1

@@ -59,7 +59,7 @@ def split_by_joints(
             continue
         shared = [len(group & names) for group in groups]
         members[shared.index(max(shared))].append(batch)
-    return tuple(_of_pieces(decoder, batches) for batches in members)
+    return tuple(_select_batches(decoder, batches) for batches in members)
 
 
 def group_joints(decoder: TopicDecoder, needed: frozenset[str]) -> list[frozenset[str]]:
@@ -89,7 +89,7 @@ def _groups(counts: Counter[frozenset[str]], needed: frozenset[str]) -> list[fro
     return sorted(groups, key=sorted)
 
 
-def _of_pieces(decoder: TopicDecoder, batches: list[DecodedBatch]) -> TopicDecoder:
+def _select_batches(decoder: TopicDecoder, batches: list[DecodedBatch]) -> TopicDecoder:
     """Return a decoder with some of the batches and their messages renumbered in order."""
     index = np.sort(np.concatenate([batch.index for batch in batches]))
     renumbered = [
@@ -99,7 +99,7 @@ def _of_pieces(decoder: TopicDecoder, batches: list[DecodedBatch]) -> TopicDecod
     return TopicDecoder(decoder.source, decoder.topic, renumbered, len(index))
 
 
-def sensor_streams(
+def build_streams(
     source: str,
     chosen: SelectedTopics,
     decoders: Mapping[Topic, TopicDecoder],
@@ -110,7 +110,7 @@ def sensor_streams(
     Defects of messages are counted in ``tallies``.
     """
     joints = [
-        joint_stream(part, tallies[topic])
+        build_joint_stream(part, tallies[topic])
         for topic in chosen.joints
         for part in split_by_joints(decoders[topic], frozenset(chosen.joint_names), tallies[topic])
     ]
@@ -119,11 +119,11 @@ def sensor_streams(
         source=source,
         joints=merged_joints(joints, source, chosen.joint_names),
         imus=tuple(
-            _without_prefix(imu_stream(decoders[topic], tallies[topic]), prefix)
+            _without_prefix(build_imu_stream(decoders[topic], tallies[topic]), prefix)
             for topic in chosen.imus
         ),
         wrenches=tuple(
-            _without_prefix(wrench_stream(decoders[topic], tallies[topic]), prefix)
+            _without_prefix(build_wrench_stream(decoders[topic], tallies[topic]), prefix)
             for topic in chosen.wrenches
         ),
     )
@@ -133,7 +133,7 @@ def _without_prefix(stream: S, prefix: str) -> S:
     return replace(stream, frame_id=stream.frame_id.removeprefix(prefix))
 
 
-def stamps(decoder: TopicDecoder) -> IntArray:
+def read_stamps(decoder: TopicDecoder) -> IntArray:
     """Return (N,) header stamps, nanoseconds, in order of recording."""
     stamp = np.empty(decoder.count, dtype=np.int64)
     for batch in decoder.batches:
@@ -141,7 +141,7 @@ def stamps(decoder: TopicDecoder) -> IntArray:
     return stamp
 
 
-def column(decoder: TopicDecoder, path: str) -> FloatArray:
+def read_field(decoder: TopicDecoder, path: str) -> FloatArray:
     """Return one field of all messages, (N, width)."""
     width = decoder.batches[0].records[path].shape[1]
     values = np.empty((decoder.count, width))
@@ -161,7 +161,7 @@ def _rows(batch: DecodedBatch) -> IntArray | slice:
     return batch.index
 
 
-def joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
+def build_joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
     """Return the states of the joints that most messages name, in the order of the first of these.
 
     Messages that name only other joints, such as a gripper's, are dropped. Missing values are NaN,
@@ -173,7 +173,7 @@ def joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
     fields = {
         name: np.empty((decoder.count, len(names))) for name in ("position", "velocity", "effort")
     }
-    stamp = stamps(decoder)
+    stamp = read_stamps(decoder)
     unknown = np.zeros(decoder.count, dtype=bool)
     reordered = np.zeros(decoder.count, dtype=bool)
     foreign = np.zeros(decoder.count, dtype=bool)
@@ -210,14 +210,14 @@ def joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
     return JointStream(topic=topic, names=names, stamp=stamp[kept], **ordered)
 
 
-def imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
+def build_imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
     """Return an IMU's messages; without any orientation (REP-145), that is None."""
     topic = decoder.topic.name
     frame_id = _frame_id(decoder)
-    stamp = stamps(decoder)
+    stamp = read_stamps(decoder)
     readings = {}
     for name in ("angular_velocity", "linear_acceleration"):
-        if (column(decoder, f"{name}_covariance")[:, 0] == -1).any():
+        if (read_field(decoder, f"{name}_covariance")[:, 0] == -1).any():
             raise DefectError(
                 topic,
                 Defect.ABSENT,
@@ -225,10 +225,10 @@ def imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
                 "leave the topic out",
                 "E231",
             )
-        readings[name] = column(decoder, name)
+        readings[name] = read_field(decoder, name)
     usable = _usable(tally, stamp, readings)
-    orientation = column(decoder, "orientation")
-    absent = column(decoder, "orientation_covariance")[:, 0] == -1
+    orientation = read_field(decoder, "orientation")
+    absent = read_field(decoder, "orientation_covariance")[:, 0] == -1
     orientation[absent] = np.nan
     if not absent.all():
         tally.add(Defect.NO_ORIENTATION, stamp, absent)
@@ -242,12 +242,12 @@ def imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
     )
 
 
-def wrench_stream(decoder: TopicDecoder, tally: DefectCounts) -> WrenchStream:
+def build_wrench_stream(decoder: TopicDecoder, tally: DefectCounts) -> WrenchStream:
     """Return a wrench sensor's messages."""
     topic = decoder.topic.name
     frame_id = _frame_id(decoder)
-    stamp = stamps(decoder)
-    force, torque = column(decoder, "wrench.force"), column(decoder, "wrench.torque")
+    stamp = read_stamps(decoder)
+    force, torque = read_field(decoder, "wrench.force"), read_field(decoder, "wrench.torque")
     usable = _usable(tally, stamp, {"wrench.force": force, "wrench.torque": torque})
     kept = _in_order(usable, stamp, tally)
     return WrenchStream(

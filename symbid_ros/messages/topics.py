@@ -144,7 +144,7 @@ class TopicSelector:
             or self._is(topic, WRENCH, self.selection.wrenches, "wrench")
         )
 
-    def selected(self) -> SelectedTopics:
+    def select(self) -> SelectedTopics:
         """Return the selected topics, once all messages are counted.
 
         Raises

@@ -10,7 +10,7 @@ from symbid_ros.arrays import IntArray
 from symbid_ros.errors import DataError
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.layout import Layout
-from symbid_ros.messages.sensor_streams import sensor_streams
+from symbid_ros.messages.sensor_streams import build_streams
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.signals.defects import DefectCounts
 from symbid_ros.signals.stamps import CLOCK_JUMP, find_gaps, seconds
@@ -228,7 +228,7 @@ class LiveStreams:
                     f"{seconds(stop)}; look after its driver"
                 )
         tallies = {topic: DefectCounts(self.source, topic.name) for topic in decoders}
-        streams = sensor_streams(self.source, self.selected, decoders, tallies)
+        streams = build_streams(self.source, self.selected, decoders, tallies)
         streams = replace(streams, is_live=True)
         for topic, tally in tallies.items():
             tally.messages = decoders[topic].count

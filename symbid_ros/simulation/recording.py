@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from symbid_ros.bags import BagWriter, new_folder
+from symbid_ros.bags import BagWriter, create_folder
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.topics import sensor_topics, truth_topics
@@ -40,7 +40,7 @@ def record(
         Number of messages by topic.
     """
     topics = [*sensor_topics(simulator), *truth_topics(simulator)]
-    with new_folder(out) as folder, BagWriter(folder) as bag:
+    with create_folder(out) as folder, BagWriter(folder) as bag:
         channels = [bag.add_topic(f"/{topic.name}", topic.layout.msgtype) for topic in topics]
         done = 0
         while done < simulator.steps:

@@ -61,7 +61,7 @@ def test_selected_topics_are_those_that_may_be_selected() -> None:
     selector = TopicSelector("log", TopicSelection(joints=("/joint_states",)))
     counts = {Topic(name, msgtype): 1 for name, msgtype in TOPICS.items()}
     selector.counts.update(counts)
-    selected = selector.selected()
+    selected = selector.select()
     assert set(selected.all) == {topic for topic in counts if selector.wants(topic)}
     assert selected.clock.name == "/joint_states"
     assert [topic.name for topic in selected.imus] == ["/camera/imu", "/imu/data"]

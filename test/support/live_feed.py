@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from symbid_ros.bags.container.blocks import read_mcap_blocks
-from symbid_ros.bags.container.files import bag_files
+from symbid_ros.bags.container.files import list_files
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
 from symbid_ros.messages.types import read_leading_stamp
 
@@ -42,7 +42,7 @@ def feed_of(bag: Path, selection: TopicSelection | None = None) -> Feed:
     """Return the sensor messages of a bag."""
     selector = TopicSelector(str(bag), selection or TopicSelection())
     messages = []
-    for file in bag_files(bag):
+    for file in list_files(bag):
         for block in read_mcap_blocks(file):
             for topic, spans in block.spans.items():
                 selector.counts[topic] = selector.counts.get(topic, 0) + len(spans)
@@ -52,4 +52,4 @@ def feed_of(bag: Path, selection: TopicSelection | None = None) -> Feed:
                         (read_leading_stamp(payload), topic, payload) for payload in payloads
                     ]
     messages.sort(key=lambda message: (message[0], message[1].name))
-    return Feed(selector.selected(), tuple(messages))
+    return Feed(selector.select(), tuple(messages))

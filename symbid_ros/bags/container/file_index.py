@@ -98,7 +98,7 @@ class FileIndex:
     messages: Callable[[Extent], list[StoredMessage]]
 
 
-def recorded_topics(registry: SchemaRegistry) -> dict[int, RecordedTopic]:
+def list_topics(registry: SchemaRegistry) -> dict[int, RecordedTopic]:
     """Return the topics of a file by channel."""
     return {
         number: RecordedTopic(
@@ -176,7 +176,7 @@ def _file_index(
     extents: tuple[Extent, ...],
     statistics: Statistics | None,
 ) -> FileIndex:
-    topics = recorded_topics(registry)
+    topics = list_topics(registry)
 
     def messages(extent: Extent) -> list[StoredMessage]:
         with report_damage(file):

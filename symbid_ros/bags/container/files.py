@@ -19,12 +19,12 @@ STORAGES = (".mcap", ".db3")
 ZSTD_SUFFIX = ".zstd"
 
 
-def bag_files(bag: Path) -> list[Path]:
+def list_files(bag: Path) -> list[Path]:
     """Return the files of a bag in order of recording; of a single file, the file itself."""
     metadata = bag / "metadata.yaml"
     if not metadata.is_file():
-        return files_present(bag)
-    listed = [_decompressed(bag / name) for name in listed_names(read_metadata(metadata))]
+        return find_files(bag)
+    listed = [_decompressed(bag / name) for name in list_file_names(read_metadata(metadata))]
     present = _sorted_files(bag)
     if len(present) == len(listed) and not any(file.is_file() for file in listed):
         listed = present  # all were renamed
@@ -42,7 +42,7 @@ def bag_files(bag: Path) -> list[Path]:
     return listed
 
 
-def files_present(bag: Path) -> list[Path]:
+def find_files(bag: Path) -> list[Path]:
     """Return the files of a bag that exist, whether or not its metadata.yaml lists them."""
     if bag.is_file():
         return [_require_uncompressed(bag)]
@@ -82,7 +82,7 @@ def read_metadata(metadata: Path) -> dict[str, Any]:
     return information
 
 
-def listed_names(information: dict[str, Any]) -> list[str]:
+def list_file_names(information: dict[str, Any]) -> list[str]:
     """Return the names of a bag's files, all of which are in its folder.
 
     Up to version 3 of its metadata, rosbag2 put the original folder before each name.
@@ -128,7 +128,7 @@ def count_messages(bags: Sequence[Path]) -> dict[Topic, int]:
     """
     counts: Counter[Topic] = Counter()
     for bag in bags:
-        for file in bag_files(bag):
+        for file in list_files(bag):
             counts.update(_count_messages_of_file(file))
     return dict(counts)
 
@@ -153,7 +153,7 @@ def _count_messages_of_file(file: Path) -> dict[Topic, int]:
 def read_blocks(bags: Sequence[Path]) -> Iterator[MessageBlock]:
     """Yield all messages of bags that continue one another, a few megabytes at a time."""
     for bag in bags:
-        for file in bag_files(bag):
+        for file in list_files(bag):
             if file.suffix == SQLITE_SUFFIX:
                 yield from read_sqlite_blocks(file)
             else:

@@ -23,7 +23,7 @@ from symbid_ros.bags.container.file_index import (
     Extent,
     FileIndex,
     StoredMessage,
-    recorded_topics,
+    list_topics,
 )
 from symbid_ros.bags.container.mcap_records import quote_path
 from symbid_ros.bags.container.schema_registry import SchemaRegistry
@@ -77,7 +77,7 @@ def read_sqlite_summary(file: Path) -> SqliteSummary:
         ):
             counts[topics[_known(topics, number)]] += count
         ((start, end),) = database.execute("SELECT min(timestamp), max(timestamp) FROM messages")
-    return SqliteSummary(counts, qos, start, end, not _journals(file))
+    return SqliteSummary(counts, qos, start, end, not _find_journals(file))
 
 
 def read_sqlite_blocks(file: Path) -> Iterator[MessageBlock]:
@@ -105,7 +105,7 @@ def read_sqlite_index(file: Path) -> FileIndex:
     warn_of_journals(file)
     with open_database(file) as database:
         registry = read_registry(database)
-        extents = tuple(_extents(database))
+        extents = tuple(_split_rows(database))
 
     def messages(extent: Extent) -> list[StoredMessage]:
         with open_database(file) as database:
@@ -121,10 +121,10 @@ def read_sqlite_index(file: Path) -> FileIndex:
                 for number, time, payload in rows
             ]
 
-    return FileIndex(file, recorded_topics(registry), extents, None, messages)
+    return FileIndex(file, list_topics(registry), extents, None, messages)
 
 
-def _extents(database: apsw.Connection) -> Iterator[Extent]:
+def _split_rows(database: apsw.Connection) -> Iterator[Extent]:
     """Yield ranges of rows with about `EXTENT_SIZE` bytes of messages each."""
     first = last = start = end = size = 0
     rows = database.execute(
@@ -217,7 +217,7 @@ def _columns(database: apsw.Connection, table: str) -> set[str]:
 @contextmanager
 def open_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Connection]:
     """Open a file without writing to it or its folder; a damaged one as far as possible."""
-    journals = _journals(file)
+    journals = _find_journals(file)
     # Only this VFS reads the journals without writing a lock or an index beside them.
     base, mode = ("unix-none", "mode=ro") if journals else ("", "immutable=1")
     flags = apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI
@@ -248,7 +248,7 @@ def open_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Conn
 
 def warn_of_journals(file: Path) -> None:
     """Warn if the recording of a file was interrupted."""
-    if journals := _journals(file):
+    if journals := _find_journals(file):
         logger.warning(
             "%s: the recording was interrupted; its last messages are read from %s",
             file,
@@ -256,7 +256,7 @@ def warn_of_journals(file: Path) -> None:
         )
 
 
-def _journals(file: Path) -> list[Path]:
+def _find_journals(file: Path) -> list[Path]:
     """Return the journals that an interrupted recording left beside its file."""
     places = (file.with_name(file.name + ending) for ending in JOURNALS)
     return [place for place in places if place.is_file() and place.stat().st_size]

@@ -53,7 +53,7 @@ def read_at(stream: BinaryIO, position: int, length: int) -> bytes:
     return stream.read(length)
 
 
-def candidates(
+def find_pattern(
     stream: BinaryIO, pattern: re.Pattern[bytes], position: int, end: int
 ) -> Iterator[int]:
     """Yield where a pattern begins between ``position`` and ``end``."""
@@ -76,16 +76,16 @@ def is_record(stream: BinaryIO, position: int, size: int) -> bool:
     return position + RECORD.size + length <= size or bool(length <= MAX_CHUNK)
 
 
-def indexed_messages(stream: BinaryIO, position: int, end: int) -> dict[int, int]:
+def count_indexed_messages(stream: BinaryIO, position: int, end: int) -> dict[int, int]:
     """Return the counts of message indexes between two positions, by channel."""
     counts: Counter[int] = Counter()
-    for start in candidates(stream, INDEX, position, end):
+    for start in find_pattern(stream, INDEX, position, end):
         if index := _index(stream, start):
             counts[index.channel] += index.entries
     return {channel: count for channel, count in counts.items() if count}
 
 
-def following_index(stream: BinaryIO, position: int, size: int) -> int:
+def find_index_end(stream: BinaryIO, position: int, size: int) -> int:
     """Return the end of the message indexes that begin at ``position``."""
     while index := _index(stream, position):
         if position + index.length > size:
@@ -115,15 +115,15 @@ def _index(stream: BinaryIO, position: int) -> _Index | None:
     return _Index(channel, size // INDEX_ENTRY_SIZE, RECORD.size + length)
 
 
-def announcements(stream: BinaryIO, position: int, end: int) -> Iterator[tuple[int, bytes]]:
+def find_announcements(stream: BinaryIO, position: int, end: int) -> Iterator[tuple[int, bytes]]:
     """Yield opcode and body of possible schemas and channels between two positions."""
-    for start in candidates(stream, ANNOUNCEMENT, position, end):
+    for start in find_pattern(stream, ANNOUNCEMENT, position, end):
         opcode, length = RECORD.unpack(read_at(stream, start, RECORD.size))
         if length <= MAX_RECORD and start + RECORD.size + length <= end:
             yield opcode, read_at(stream, start + RECORD.size, length)
 
 
-def message_chain(
+def is_message_chain(
     stream: BinaryIO, position: int, size: int, channels: set[int], times: int = 3
 ) -> bool:
     """Return whether messages of known channels follow from here, up to the end of the file."""
@@ -240,7 +240,7 @@ class DamagedMcapReader:
         is_followed = is_inside and (
             is_record(stream, end, self._size)
             # An index states its length twice; if both agree, the index is intact.
-            or following_index(stream, position, self._size) >= end
+            or find_index_end(stream, position, self._size) >= end
         )
         fault = "overwritten" if is_inside else CUT_OFF
         if is_followed or (is_inside and opcode == Opcode.CHUNK):
@@ -251,7 +251,7 @@ class DamagedMcapReader:
         self.damaged[opcode] += 1
         if not is_followed:
             return self._search(stream, position, fault)
-        messages = indexed_messages(stream, end, following_index(stream, end, self._size))
+        messages = count_indexed_messages(stream, end, find_index_end(stream, end, self._size))
         is_counted = bool(messages) or opcode not in (Opcode.CHUNK, Opcode.MESSAGE_INDEX)
         return DamagedRange(position, end - position, fault, messages, is_counted), end
 
@@ -263,7 +263,7 @@ class DamagedMcapReader:
         if opcode == Opcode.CHUNK:
             return self._chunk(read_at(stream, start, check_limit("a chunk", length, MAX_CHUNK)))
         if opcode == Opcode.MESSAGE_INDEX:
-            if following_index(stream, position, self._size) == position:
+            if find_index_end(stream, position, self._size) == position:
                 raise ValueError("a message index is invalid")
         elif read_at(stream, start + length, 1) == bytes([Opcode.MESSAGE_INDEX]):
             raise ValueError("a message index does not follow a chunk")
@@ -298,10 +298,10 @@ class DamagedMcapReader:
     def _search(self, stream: BinaryIO, position: int, fault: str) -> tuple[DamagedRange, int]:
         """Return the damaged bytes up to the next intact record, and where that begins."""
         following = self._next_chunk(stream, position + 1)
-        messages = indexed_messages(stream, position, following)
+        messages = count_indexed_messages(stream, position, following)
         if following == self._size and not messages and not self._has_chunks:
             following = self._next_message(stream, position)
-        for opcode, body in announcements(stream, position, following):
+        for opcode, body in find_announcements(stream, position, following):
             self._announce(opcode, body)
         # Indexes count the messages of some chunks; the number of all chunks is unknown.
         return DamagedRange(
@@ -309,7 +309,7 @@ class DamagedMcapReader:
         ), following
 
     def _next_chunk(self, stream: BinaryIO, position: int) -> int:
-        for start in candidates(stream, CHUNK, position, self._size):
+        for start in find_pattern(stream, CHUNK, position, self._size):
             _, length = RECORD.unpack(read_at(stream, start, RECORD.size))
             if length > MAX_CHUNK or start + RECORD.size + length > self._size:
                 continue
@@ -330,8 +330,8 @@ class DamagedMcapReader:
         if read_at(stream, position, 1) == bytes([Opcode.CHUNK]):
             return self._size  # messages in a damaged chunk cannot be trusted
         channels = set(self.registry.channels)
-        for start in candidates(stream, MESSAGES, position + 1, self._size):
-            if message_chain(stream, start, self._size, channels):
+        for start in find_pattern(stream, MESSAGES, position + 1, self._size):
+            if is_message_chain(stream, start, self._size, channels):
                 return start
         return self._size
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 from mcap.records import Metadata, Statistics
 
-from symbid_ros.bags.container.files import files_present, listed_names, read_metadata
+from symbid_ros.bags.container.files import find_files, list_file_names, read_metadata
 from symbid_ros.bags.container.mcap_records import (
     MESSAGE,
     PAYLOAD_OFFSET,
@@ -30,7 +30,7 @@ from symbid_ros.bags.recovery.damaged_mcap import (
 from symbid_ros.bags.recovery.report import LostRange, RecoveryCounts, RecoveryReport
 from symbid_ros.bags.recovery.rewriter import ROSBAG2, BagRewriter
 from symbid_ros.bags.recovery.sqlite_recovery import SqliteRecovery
-from symbid_ros.bags.writing.bag_file import new_folder
+from symbid_ros.bags.writing.bag_file import create_folder
 from symbid_ros.errors import BagError
 from symbid_ros.messages.topics import Topic
 
@@ -52,7 +52,7 @@ def recover(bag: Path, out: Path | None = None) -> RecoveryReport:
     BagError
         When there is no such bag, nothing in it can be recovered, or writing fails.
     """
-    files = files_present(bag)
+    files = find_files(bag)
     for file in files:
         if file.suffix == SQLITE_SUFFIX:
             continue
@@ -63,7 +63,7 @@ def recover(bag: Path, out: Path | None = None) -> RecoveryReport:
     place = bag.resolve()
     target = out or place.with_name(f"{place.stem if bag.is_file() else place.name}_recovered")
     mode = _compression_mode(bag)
-    with new_folder(target) as folder, BagRewriter(folder, mode) as new:
+    with create_folder(target) as folder, BagRewriter(folder, mode) as new:
         counts = RecoveryCounts()
         for file in files:
             recovery = SqliteRecovery if file.suffix == SQLITE_SUFFIX else McapRecovery
@@ -99,7 +99,7 @@ def _count_what_metadata_tell(bag: Path, files: list[Path], counts: RecoveryCoun
         }
     except (BagError, KeyError, TypeError, ValueError):
         return
-    missing = {*listed_names(information)} - {file.name for file in files}
+    missing = {*list_file_names(information)} - {file.name for file in files}
     counts.holes += [LostRange(name, 0, 0, "no such file") for name in sorted(missing)]
     names = {topic.name: topic for topic in counts.stated}
     for topic, count in stated.items():

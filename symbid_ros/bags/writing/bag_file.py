@@ -141,7 +141,7 @@ class Reserve:
 
 
 @contextmanager
-def new_folder(path: Path) -> Iterator[Path]:
+def create_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary path at which to create a folder; at the end, move it to ``path``.
 
     An exception leaves nothing behind. A process killed by SIGKILL leaves a hidden folder
