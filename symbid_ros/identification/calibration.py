@@ -105,8 +105,8 @@ class Calibrated:
         Of the robot's parameters and the sensors' errors.
     observations : tuple of Observations
         About the last pilot.
-    known : PseudoMeasurements or None
-        What else is known, of all these unknowns.
+    pseudo_measurements : PseudoMeasurements or None
+        Weighing and symmetry, for all these unknowns.
     rows : RowBuilder
         Builds the rows of all these unknowns, about the last pilot.
     """
@@ -114,7 +114,7 @@ class Calibrated:
     errors: SensorErrors
     prior: Prior
     observations: tuple[Observations, ...]
-    known: PseudoMeasurements | None
+    pseudo_measurements: PseudoMeasurements | None
     rows: RowBuilder
 
 
@@ -123,7 +123,7 @@ def calibrate(
     parameters: ParameterSet,
     prior: Prior,
     wanted: "Wanted",
-    known: PseudoMeasurements | None,
+    pseudo_measurements: PseudoMeasurements | None,
 ) -> Calibrated:
     """Make the errors of a log's sensors unknowns, linearised about the best estimate.
 
@@ -137,8 +137,8 @@ def calibrate(
         Of these.
     wanted : Wanted
         Which errors, and what is known of them.
-    known : PseudoMeasurements, optional
-        What else is known of the robot.
+    pseudo_measurements : PseudoMeasurements, optional
+        Weighing and symmetry of the robot.
     """
     segment = next(iter(record.segments))
     errors = SensorErrors.of(
@@ -155,7 +155,7 @@ def calibrate(
     layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
     p = len(parameters)
     pilot = LinearizationPoint(prior.mean, mean)
-    rows = _padded(known, len(errors))
+    rows = _padded(pseudo_measurements, len(errors))
     # Sensor errors and slow motion are told apart over long windows only.
     suited = suited_windows(ALL_WINDOWS, segment.rate)
     shortest, longest = suited[0], suited[-1]
@@ -171,8 +171,10 @@ def calibrate(
     return Calibrated(errors, extended, observed, rows, build)
 
 
-def _padded(known: PseudoMeasurements | None, more: int) -> PseudoMeasurements | None:
+def _padded(pseudo_measurements: PseudoMeasurements | None, more: int) -> PseudoMeasurements | None:
     """Return rows that say nothing of ``more`` further unknowns."""
-    if known is None or more == 0:
-        return known
-    return PseudoMeasurements(np.pad(known.rows, ((0, 0), (0, more))), known.targets)
+    if pseudo_measurements is None or more == 0:
+        return pseudo_measurements
+    return PseudoMeasurements(
+        np.pad(pseudo_measurements.rows, ((0, 0), (0, more))), pseudo_measurements.targets
+    )

@@ -198,7 +198,7 @@ def _solver(
         dataset.observations,
         parameters,
         prior,
-        known=known,
+        pseudo_measurements=known,
         empirical=options.is_empirical,
         inputs=inputs,
         has_wrenches=bool(dataset.samples.wrench_frames),

@@ -44,8 +44,8 @@ class Problem:
         Of them, and of the errors of sensors whose columns follow.
     sensors : tuple of str
         Units of those errors.
-    known : PseudoMeasurements or None
-        What else is known.
+    pseudo_measurements : PseudoMeasurements or None
+        Weighing and symmetry of the robot.
     empirical : bool
         Whether the evidence sets the scale of the prior.
     longest : bool
@@ -62,7 +62,7 @@ class Problem:
     parameters: ParameterSet
     prior: Prior
     sensors: tuple[str, ...] = ()
-    known: PseudoMeasurements | None = None
+    pseudo_measurements: PseudoMeasurements | None = None
     empirical: bool = False
     longest: bool = False
     inputs: tuple[str, ...] = ()
@@ -86,7 +86,7 @@ class Problem:
             observations=found.observations,
             prior=found.prior,
             sensors=found.errors.units,
-            known=found.known,
+            pseudo_measurements=found.pseudo_measurements,
             longest=True,
             calibrated_rows=found.rows,
         )

@@ -172,7 +172,7 @@ class Solver:
             When z is larger than the rank, or sensor errors are unknowns too.
         """
         problem = self.problem
-        if problem.sensor_names or problem.known is not None:
+        if problem.sensor_names or problem.pseudo_measurements is not None:
             raise EstimateError(
                 f"{method} takes neither sensor errors, a tare nor a total mass; use map or map_lmi"
             )

@@ -78,7 +78,7 @@ def solved(
     return posterior(
         one,
         discounted_prior(problem.prior, one.kept),
-        discounted_pseudo_measurements(problem.known, one.kept),
+        discounted_pseudo_measurements(problem.pseudo_measurements, one.kept),
         empirical=problem.empirical,
         count=problem.parameters.inertial,
         tolerance=tolerance,

@@ -51,7 +51,7 @@ class InitialState:
             (),
             parameters,
             prior,
-            known=known_rows(options, parameters, prior),
+            pseudo_measurements=known_rows(options, parameters, prior),
             empirical=options.is_empirical,
             inputs=tuple(map(str, (robot.source, *options.files))),
         )
