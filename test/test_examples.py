@@ -1,0 +1,98 @@
+"""The examples run as their texts say."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+
+from symbid_ros.package_paths import config_file
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+SCENARIO = {"moves": 1, "motion_seed": 3, "noise_seed": 4}
+
+
+@pytest.fixture(scope="module")
+def bag(simulated) -> Path:
+    return simulated("smooth", **SCENARIO)
+
+
+def run(script: str, *words: object, cwd: Path) -> str:
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / script), *map(str, words)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
+def test_an_arm_from_arrays_weighs_what_the_true_one_does(tmp_path) -> None:
+    said = run("arm_from_arrays.py", cwd=tmp_path)
+    assert "0 alarms" in said
+    errors = [float(line.split()[-2]) for line in said.splitlines() if "another motion" in line]
+    assert len(errors) == 2
+    assert max(errors) < 0.05  # Nm, noise averaged over windows
+
+
+def test_a_legged_robot_from_a_bag(bag, tmp_path) -> None:
+    said = run("legged_from_bag.py", bag, config_file("symbitron.urdf"), "out", cwd=tmp_path)
+    assert "L_thigh: " in said
+    assert (tmp_path / "out" / "model.urdf").is_file()
+
+
+def test_logs_are_merged(bag, simulated, tmp_path) -> None:
+    other = simulated("smooth", **(SCENARIO | {"motion_seed": 5, "noise_seed": 6}))
+    said = run("merge_logs.py", config_file("symbitron.urdf"), bag, other, cwd=tmp_path)
+    first, second = (int(line.split("kg, ")[1].split()[0]) for line in said.splitlines())
+    assert 0 < first <= second
+    assert (tmp_path / "information.npz").is_file()
+
+
+def test_the_regressor_alone(tmp_path) -> None:
+    from random_robots import random_robot
+
+    from symbid_ros.model.export_urdf import urdf_text
+
+    model = tmp_path / "arm.urdf"
+    model.write_text(urdf_text(random_robot(2, links=4, floating=False, wrench_frames=0)))
+    said = run("regressor_alone.py", model, cwd=tmp_path)
+    assert float(said.split()[-2]) < 1e-9
+
+
+def test_a_node_prints_the_live_estimate(bag, domain, tmp_path) -> None:
+    identifier = [sys.executable, "-c", "from symbid_ros.ros.start import identifier; identifier()"]
+    parameters = {"bag": f"['{bag}']", "model": config_file("symbitron.urdf")}
+    given = [word for key, value in parameters.items() for word in ("-p", f"{key}:={value}")]
+    printer = [sys.executable, str(EXAMPLES / "live_node.py"), "L_thigh"]
+    environment = os.environ | {"PYTHONUNBUFFERED": "1"}
+    with (
+        subprocess.Popen([*identifier, "--ros-args", *given], cwd=tmp_path) as node,
+        subprocess.Popen(printer, stdout=subprocess.PIPE, text=True, env=environment) as example,
+    ):
+        try:
+            line = example.stdout.readline()
+        finally:
+            for process in (node, example):
+                process.send_signal(signal.SIGINT)
+    assert line.startswith("L_thigh: ")
+    assert "kg" in line
+
+
+def test_the_notebooks_cells_run_in_order(bag, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    mpl.use("agg")
+    cells = json.loads((EXAMPLES / "identify.ipynb").read_text())["cells"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    names: dict[str, object] = {}
+    exec(code[0], names)
+    names |= {"bag": bag, "model": config_file("symbitron.urdf")}
+    for cell in code[1:]:
+        exec(cell, names)
+    assert (tmp_path / "notebook_result" / "estimate.json").is_file()
