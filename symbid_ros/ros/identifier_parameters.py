@@ -97,7 +97,7 @@ _FORMERLY_UNSET = {
 
 
 def is_online(values: Mapping[str, Any]) -> bool:
-    """Tell whether topics are to be identified from.
+    """Return whether to identify from topics.
 
     Raises
     ------

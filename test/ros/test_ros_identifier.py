@@ -204,8 +204,8 @@ def test_a_truncated_method_on_filtered_rows_is_the_same_from_both(
 @pytest.mark.parametrize(
     ("parameters", "says"),
     [
-        ({"total_mass": -41.0}, "parameter total_mass: not a valid value"),
-        ({"sensor_errors": "plate_offse"}, "no sensor error 'plate_offse'"),
+        ({"total_mass": -41.0}, "parameter total_mass: -41.0 is not valid"),
+        ({"sensor_errors": "plate_offse"}, "parameter sensor_errors: 'plate_offse'"),
         ({"rank": 5, "validate": "log"}, "both choose the singular values"),
         ({"filter": "weak", "window": -1.0}, "parameter window"),
     ],

@@ -276,7 +276,7 @@ def test_parameters_are_described_and_checked(graph) -> None:
     [
         ({"mode": "offline"}, "parameter bag: empty"),
         ({"mode": "online", "bag": "[log]"}, "parameter bag: not read online"),
-        ({"bag": "[log]", "resume": "x.npz"}, "parameter resume: for topics alone"),
+        ({"bag": "[log]", "resume": "x.npz"}, "parameter resume: for topics only"),
         ({"mode": "sideways"}, "parameter mode: 'sideways' is not valid"),
         ({"memory": -1.0}, "parameter memory: not a valid value"),
         ({"solve_period": 0.0}, "parameter solve_period: not a valid value"),
