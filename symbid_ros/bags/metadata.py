@@ -1,4 +1,7 @@
-"""The metadata of a bag as rosbag2 writes it: metadata.yaml, and a record in each file."""
+"""The metadata of a bag as rosbag2 writes it: metadata.yaml, and a record in each file.
+
+rosbags writes metadata only when its own writer closes a bag.
+"""
 
 import os
 from collections.abc import Mapping, Sequence

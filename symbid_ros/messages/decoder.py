@@ -129,7 +129,7 @@ class TopicDecoder:
         return pending[:0]
 
     def _decode(self, payload: ByteArray, message: int) -> tuple[ByteArray, Layout, bool]:
-        """Return the message little-endian and packed, its layout and whether that is new."""
+        """Return the message in little-endian order, its layout, and whether that is new."""
         msgtype = self.topic.msgtype
         try:
             check_limit("its length", len(payload), MAX_MESSAGE)
