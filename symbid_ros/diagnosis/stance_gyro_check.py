@@ -108,7 +108,7 @@ class StanceGyroMoments:
             if self.model.frame(frame).link
         ]
         imu_frame = readings.imu_frames[self.imu]
-        motion = LinkMotion.of(self.model, readings.position, readings.velocity)
+        motion = RelativeLinkMotion.of(self.model, readings.position, readings.velocity)
         if len(feet) < FEWEST_POINTS:
             for foot in feet:
                 link = self.model.frame(readings.wrench_frames[foot]).link
@@ -122,7 +122,7 @@ class StanceGyroMoments:
 
 
 @dataclass(frozen=True)
-class LinkMotion:
+class RelativeLinkMotion:
     """Links as the joints move them under a base at rest, component first.
 
     Attributes
@@ -137,7 +137,9 @@ class LinkMotion:
     rotation: FloatArray
 
     @classmethod
-    def of(cls, model: RobotModel, position: FloatArray, velocity: FloatArray) -> "LinkMotion":
+    def of(
+        cls, model: RobotModel, position: FloatArray, velocity: FloatArray
+    ) -> "RelativeLinkMotion":
         """Move joints at positions and velocities (N, J)."""
         posture = Posture.at(JointTable.of(model.joints), component_first(position))
         rest = np.zeros((3, len(position)))

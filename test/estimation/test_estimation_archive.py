@@ -222,6 +222,7 @@ def test_invalid_content_is_rejected(name, stored, tmp_path):
     with pytest.raises(EstimateError, match=r"wrong\.npz: not an information\.npz") as caught:
         load_archive(path)
     assert "\n" not in str(caught.value)
+    assert caught.value.code == "E410"
 
 
 def test_another_format_version_is_named_with_its_fix(stored, tmp_path):

@@ -293,6 +293,7 @@ def test_errors_of_an_invalid_covariance_name_the_cause(case, symbitron, tmp_pat
         load_prior(path, symbitron)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert caught.value.code in ("E402", "E403", "E404", "E405")
 
 
 def test_a_prior_without_friction_serves_a_model_with_it(symbitron, tmp_path):
