@@ -32,7 +32,7 @@ REASONS = ("malformed", "joints", "length", "not_finite", "beyond_limit", "old",
 
 
 class CommandPublisher:
-    """Publishes torques on the topic ``joint_command`` by patching serialized bytes in place.
+    """Publishes torques on the topic ``joint_command`` by patching serialised bytes in place.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ class TopicCommands:
         """Return the command that answers an instant just published, or safe torques.
 
         The wait ends after ``timeout``, and immediately when no controller answers or ``stop`` is
-        set. The first command may take up to `FIRST_TIMEOUT`, because a controller may initialize
+        set. The first command may take up to `FIRST_TIMEOUT`, because a controller may initialise
         first. That wait also ends when another node joins that has missed the instant. A second
         call for the same instant publishes it again.
         """

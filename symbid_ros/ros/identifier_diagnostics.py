@@ -67,7 +67,7 @@ def _stamp_fault(buffer: TopicBuffer, last: _Counts, clock: int | None) -> str:
     if clock is not None:
         return (
             f"stamps are at {buffer.newest_stale * 1e-9:.3f} s, other topics at "
-            f"{clock * 1e-9:.3f} s, and these messages are ignored; synchronize the clocks"
+            f"{clock * 1e-9:.3f} s, and these messages are ignored; synchronise the clocks"
         )
     if buffer.newest is not None and buffer.newest == last.newest:
         return (

@@ -38,7 +38,7 @@ def replay_qos(topic: RecordedTopic, depth: int, *, lossless: bool) -> QoSProfil
     latching = [offer for offer in topic.qos if offer.durability == "transient_local"]
     if latching:
         profile.durability = QoSDurabilityPolicy.TRANSIENT_LOCAL
-        # Bags hold neither history nor depth of offers that the recorder discovered.
+        # A recorder learns neither history nor depth from discovery, and records "unknown".
         if all(offer.history == "keep_last" and offer.depth > 0 for offer in latching):
             profile.depth = sum(offer.depth for offer in latching)
     elif lossless:

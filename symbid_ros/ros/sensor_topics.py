@@ -99,8 +99,8 @@ class SensorTopics:
     The search is complete when all named topics have been found and no new topic has appeared for
     a while. Each topic is subscribed to as soon as it appears, so that no message is lost. A topic
     of an IMU or wrench sensor is accepted when a message has a frame of the model. Of several
-    topics with the same frame, those that are named or remapped come first, then the shortest
-    path.
+    topics with the same frame, those that are named, remapped or the node's own imu/data come
+    first, then the shortest path.
 
     Attributes
     ----------

@@ -104,7 +104,7 @@ def test_efforts_are_read_by_name(bench) -> None:
     assert (loop.commands.counts.accepted, loop.rejected) == (3, {})
 
 
-def test_bytes_of_any_serializer_are_read(bench) -> None:
+def test_bytes_of_any_serialiser_are_read(bench) -> None:
     """Fast CDR may pad behind the last field, and others write big-endian."""
     loop = bench()
     loop.publisher.publish(serialize_message(command(1, hip=2.0, knee=-3.0)))

@@ -15,7 +15,7 @@ def malformed(valid: bytes, draw: Random) -> Iterator[bytes]:
     Parameters
     ----------
     valid : bytes
-        A serialized message that ends with a number or with a string.
+        A serialised message that ends with a number or with a string.
     draw : Random
     """
     while True:

@@ -47,7 +47,7 @@ VARIETY = 64  # different messages in rotation, because equal ones would compres
 
 
 class Feed:
-    """Publishes one topic with pre-serialized noise; the stamp is patched in place."""
+    """Publishes one topic with pre-serialised noise; the stamp is patched in place."""
 
     def __init__(self, node: Node, topic: str, layout: Layout, rate: float) -> None:
         self.topic, self.rate = topic, rate
