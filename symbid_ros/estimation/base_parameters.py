@@ -111,26 +111,6 @@ class BaseParameters:
             text += f" {'-' if row[column] < 0 else '+'} {factor}{self.names[column]}"
         return f"{text} + … ({more} more)" if more else text
 
-    def text(self, terms: int | None = 8) -> str:
-        """Return all base parameters, one per line, and the parameters without effect."""
-        lines = [
-            f"{len(self)} base parameters of {len(self.names)} parameters, "
-            f"{np.sum(self.alone)} of them alone"
-        ]
-        lines += [
-            f"{index + 1:4d}  {self.describe(index, terms)}  [{self.units[lead]}]"
-            for index, lead in enumerate(self.independent)
-        ]
-        silent = [self.names[column] for column in np.flatnonzero(self.without_effect)]
-        if silent:
-            lines.append("no effect on any motion: " + ", ".join(silent))
-        if not self.clear:
-            lines.append(
-                f"their number is unclear, between singular values {self.kept:.1e} and "
-                f"{self.dropped:.1e}; look for axes that are nearly parallel in the model file"
-            )
-        return "\n".join(lines)
-
 
 def base_parameters(parameters: ParameterSet) -> BaseParameters:
     """Return the base parameters of a robot.

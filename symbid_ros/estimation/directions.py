@@ -82,23 +82,6 @@ class DeterminedDirections:
         worth = np.abs(loading[largest]) >= _WORTH_READING * abs(loading[largest[0]])
         return " ".join(f"{loading[k]:+.2f} {self.names[k]}" for k in largest[worth])
 
-    def text(self, limit: int | None = 12, terms: int = 4) -> str:
-        """Return the determined directions, one per line, and the information gain per link."""
-        count = int(np.sum(self.determined))
-        shown = count if limit is None else min(limit, count)
-        lines = [
-            f"{count} of {len(self.ratios)} directions determined (standard deviation below "
-            f"{self.threshold:g} of the prior's), {self.effective:.1f} effective parameters, "
-            f"{self.gain:.1f} bit gained"
-        ]
-        lines += [f"{self.ratios[k]:9.2g}  {self.describe(k, terms)}" for k in range(shown)]
-        if shown < count:
-            lines.append(f"{count - shown} more")
-        if self.link_gain:
-            gains = ", ".join(f"{link} {gain:.1f}" for link, gain in self.link_gain.items())
-            lines.append(f"bit gained per link: {gains}")
-        return "\n".join(lines)
-
 
 def determined_directions(
     prior_factor: FloatArray, posterior_factor: FloatArray, names: Sequence[str], threshold: float
