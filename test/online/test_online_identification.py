@@ -137,10 +137,9 @@ def test_there_is_news_once_every_topic_has_told_more(start, feed) -> None:
 
 
 def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
-    from symbid_ros.signals.samples import moving_segments
-
     from symbid_ros.bags import read_streams
     from symbid_ros.identification.dataset import fold_dataset
+    from symbid_ros.signals.alignment import moving_segments
 
     streams = read_streams([bag])
     live, done = start(), 0.0
