@@ -23,7 +23,7 @@ from symbid_ros.bags.container.files import read_blocks
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.types import fill_stamp, read_stamp
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.offline.bags import BagRequest
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator

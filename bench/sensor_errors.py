@@ -23,8 +23,7 @@ from symbid_ros.identification.intervals import summarise_intervals
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import BagRequest
-from symbid_ros.offline.truth import read_true_motion
+from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.sensor_errors import KINDS
 from symbid_ros.simulation.recording import record

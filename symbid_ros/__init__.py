@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from symbid_ros.messages.log_options import LogOptions as LogOptions
     from symbid_ros.model.load import load_model as load_model
     from symbid_ros.model.tree import RobotModel as RobotModel
-    from symbid_ros.offline.identify import load_bag as load_bag
-    from symbid_ros.offline.truth import evaluate as evaluate
+    from symbid_ros.offline.bags import evaluate as evaluate
+    from symbid_ros.offline.bags import load_bag as load_bag
     from symbid_ros.signals.log import Log as Log
 
 # Where each public name is defined.
@@ -65,9 +65,9 @@ _HOMES = {
     "RobotModel": "model.tree",
     "SymbidError": "errors",
     "diagnose": "identification.api",
-    "evaluate": "offline.truth",
+    "evaluate": "offline.bags",
     "identify": "identification.api",
-    "load_bag": "offline.identify",
+    "load_bag": "offline.bags",
     "load_model": "model.load",
     "merge": "identification.api",
     "regressor": "identification.api",

@@ -60,7 +60,7 @@ LONGEST = (
     "test_ros_process.py",
     "test_ros_recorder.py",
     "test_ros_recorder_kill.py",
-    "test_identification_aligned_log.py",
+    "test_identification_dataset.py",
     "test_ros_process_udp.py",
     "test_cli_bag.py",
     "test_bags_fuzz.py",

@@ -11,7 +11,7 @@ from tree_simulation import TreeSimulation
 
 import symbid_ros as sy
 from symbid_ros.model.export_mjcf import mjcf_text
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.offline.bags import BagRequest
 from symbid_ros.simulation.recording import record
 
 NAMES = [

@@ -83,7 +83,7 @@ def doctor(
     """
     from symbid_ros.diagnosis.doctor import diagnose
     from symbid_ros.model.load import load_model
-    from symbid_ros.offline.identify import load_bag
+    from symbid_ros.offline.bags import load_bag
 
     robot = None if model is None else load_model(model, base)
     found = diagnose(load_bag(bags, robot, log), robot)

@@ -152,12 +152,11 @@ def _identify_offline(
     """Identify with every method, write what each found, and report on all of them."""
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing
-    from symbid_ros.identification.export import write_identification
     from symbid_ros.identification.options import IdentifyOptions
+    from symbid_ros.identification.result_files import write_identification
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
-    from symbid_ros.offline.identify import BagRequest
-    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
+    from symbid_ros.offline.bags import BagRequest, read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import METHOD_TITLES, OWN_Z, GroundTruth, compose, describe_bags
     from symbid_ros.report.page import write_report
     from symbid_ros.report.table import metrics_table
@@ -306,9 +305,9 @@ def _report(
 ) -> None:
     """Judge the saved estimate by the truth and write the page."""
     from symbid_ros.errors import EstimateError
-    from symbid_ros.identification.loaded_model import load_subject
+    from symbid_ros.identification.result_files import load_subject
     from symbid_ros.model.load import load_model
-    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
+    from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import (
         METHOD_TITLES,
         GroundTruth,

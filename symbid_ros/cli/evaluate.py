@@ -36,10 +36,10 @@ def evaluate(
     from symbid_ros.atomic_write import check_output_file, write_text
     from symbid_ros.identification.evaluation import evaluate as judge
     from symbid_ros.identification.intervals import LEVEL, summarise_intervals
-    from symbid_ros.identification.loaded_model import load_subject
-    from symbid_ros.identification.prediction import evaluate_realistic
+    from symbid_ros.identification.realistic_prediction import evaluate_realistic
+    from symbid_ros.identification.result_files import load_subject
     from symbid_ros.model.load import load_model
-    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
+    from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
     from symbid_ros.signals.filters import CausalLowPass
 
     low_pass = CausalLowPass(velocity_cutoff)

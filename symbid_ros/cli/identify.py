@@ -33,8 +33,8 @@ def identify(
     """
     from symbid_ros.cli.overwriting import require_no_files
     from symbid_ros.cli.tables import print_estimate
-    from symbid_ros.identification.export import RESULT_FILES, write_identification
-    from symbid_ros.offline.identify import BagRequest
+    from symbid_ros.identification.result_files import RESULT_FILES, write_identification
+    from symbid_ros.offline.bags import BagRequest
 
     require_no_files(out, RESULT_FILES, overwrite=overwrite)
     problem = BagRequest(tuple(bags), model, options, log, base).load(out)

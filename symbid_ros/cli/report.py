@@ -29,10 +29,10 @@ def report(
     """Render identifications as one self-contained page."""
     from symbid_ros.atomic_write import check_output_file
     from symbid_ros.errors import EstimateError
-    from symbid_ros.identification.loaded_model import load_subject
+    from symbid_ros.identification.result_files import load_subject
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
-    from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
+    from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import (
         METHOD_TITLES,
         GroundTruth,

@@ -8,7 +8,7 @@ import numpy as np
 
 from symbid_ros.estimation.change import Innovation, LinkChange, innovation
 from symbid_ros.estimation.posterior import Posterior
-from symbid_ros.identification.block_rows import BlockRows
+from symbid_ros.identification.accumulator import BlockRows
 from symbid_ros.model.parameters import ParameterSet
 
 # Evidence for a change, nat, over the misfit that has been usual: by chance it is never that large.

@@ -23,7 +23,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import joint_columns
 from symbid_ros.signals.streams import Streams, TruthStreams
 
-BLOCK = 1024
+SAMPLES_AT_ONCE = 1024  # samples whose rows are in memory at a time
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,8 @@ class TrueMotion:
 
     def blocks(self) -> Iterator["TrueMotion"]:
         """Yield consecutive stretches of the motion."""
-        for start in range(0, len(self.samples), BLOCK):
-            yield self[start : start + BLOCK]
+        for start in range(0, len(self.samples), SAMPLES_AT_ONCE):
+            yield self[start : start + SAMPLES_AT_ONCE]
 
 
 @dataclass(frozen=True)

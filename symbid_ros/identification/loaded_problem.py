@@ -1,26 +1,31 @@
 """A log and a robot, read and checked once, to be solved with any method and any prior."""
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from symbid_ros.choices import JOINT_TERMS, Method
-from symbid_ros.diagnosis.stream_checks import StreamChecks
+from symbid_ros.diagnosis.findings import Finding, Kind
+from symbid_ros.diagnosis.model_checks import check_model
+from symbid_ros.diagnosis.model_statistics import ModelStatistics
+from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.constraints import mirror_rows, total_mass_row
 from symbid_ros.estimation.information import INCOMPATIBLE
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.estimation.prior import Prior
+from symbid_ros.estimation.posterior import PseudoMeasurements
+from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior, model_prior
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.calibration import Tare, Wanted, calibrate, read_tare
 from symbid_ros.identification.dataset import Dataset, Processing, read_dataset
-from symbid_ros.identification.export import check_output
 from symbid_ros.identification.options import IdentifyOptions, Source
-from symbid_ros.identification.preflight import examine
-from symbid_ros.identification.prior_information import known_rows, prior_of
 from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.result_files import check_output
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -274,3 +279,118 @@ def merged_observations(
             "E505",
         )
     return both
+
+
+# A weighing this many standard deviations from the prior's mass is an error, not news.
+CONTRADICTION = 6.0
+
+
+def prior_of(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
+    """Return the prior that the options choose.
+
+    Raises
+    ------
+    PriorError
+        When the file of the prior is invalid or belongs to another robot.
+    """
+    if options.prior is not None:
+        return load_prior(options.prior, parameters)
+    if options.prior_absolute is not None:
+        return absolute_model_prior(parameters, options.prior_absolute)
+    if options.prior_percent is not None:
+        return model_prior(parameters, options.prior_percent)
+    return model_prior(parameters)
+
+
+def known_rows(
+    options: IdentifyOptions, parameters: ParameterSet, prior: Prior
+) -> PseudoMeasurements | None:
+    """Return the weighed mass and the symmetry of left and right as pseudo-measurements.
+
+    Raises
+    ------
+    EstimateError
+        When the weighing contradicts the prior.
+    """
+    rows, targets = [], []
+    if options.weighing is not None:
+        mass, std = options.weighing
+        row, target = total_mass_row(parameters, mass, std)
+        expected = row @ prior.mean * std
+        spread = np.hypot(np.linalg.norm(row @ prior.covariance_factor()) * std, std)
+        if abs(mass - expected) > CONTRADICTION * spread:
+            raise EstimateError(
+                f"a total mass of {mass:g} kg contradicts the prior, whose links weigh "
+                f"{expected:.3g} ± {spread:.2g} kg together; check `total_mass` and the model",
+                "E504",
+            )
+        rows.append(row[None])
+        targets.append(np.array([target]))
+    if options.mirror is not None:
+        tied, zero = mirror_rows(parameters, prior.std, options.mirror)
+        rows.append(tied)
+        targets.append(zero)
+    return PseudoMeasurements(np.concatenate(rows), np.concatenate(targets)) if rows else None
+
+
+logger = logging.getLogger(__name__)
+
+
+def examine(
+    record: Dataset,
+    checks: StreamChecks,
+    parameters: ParameterSet,
+    prior: Prior,
+) -> None:
+    """Warn of what is wrong with a record's streams, and between them and its model.
+
+    Parameters
+    ----------
+    record : Dataset
+        Its stretches are read once more if they are too long to be kept.
+    checks : StreamChecks
+        Of its streams.
+    parameters : ParameterSet
+        Of the job.
+    prior : Prior
+        Whose mean is taken for the robot, to ±25 %.
+
+    Raises
+    ------
+    DataError
+        When the record is unusable: a unit, sign, frame or mounting is wrong, a contact is
+        missing, or a topic says next to nothing.
+    """
+    source = record.source
+    of_streams = checks.findings(source)
+    _refuse(source, of_streams)
+    watch: ModelStatistics | None = None
+    for segment in record.segments:
+        if watch is None:
+            robot = parameters.apply(prior.mean)
+            watch = ModelStatistics(robot, segment.wrench_frames, segment.imu_frames)
+        watch.add(segment)
+    if watch is None:
+        return
+    found = check_model(
+        watch,
+        checks.joint_topic,
+        checks.imu_topics,
+        dict(zip(watch.gains.wrench_frames, checks.wrench_topics, strict=True)),
+    ).findings
+    _refuse(source, found)
+    for finding in sorted([*of_streams, *found], key=lambda one: -one.severity):
+        left_out = finding.kind in (Kind.FROZEN, Kind.SATURATED)
+        also = "; those messages are left out" if left_out else ""
+        logger.warning("%s: %s%s", source, finding.message, also)
+
+
+def _refuse(source: str, findings: Sequence[Finding]) -> None:
+    if wrong := unusable(findings):
+        raise DataError(_refusal(source, wrong))
+
+
+def _refusal(source: str, wrong: Sequence[Finding]) -> str:
+    others = ", ".join(f"{one.kind.value} of {one.stream or 'all'}" for one in wrong[1:])
+    also = f"; also {others}" if others else ""
+    return f"{source}: {wrong[0].message}{also}; give `unchecked` to use the log anyway"

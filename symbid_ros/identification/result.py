@@ -14,11 +14,10 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import load_archive, write_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.identification.aligned_log import AlignedLog
-from symbid_ros.identification.dataset import Processing
-from symbid_ros.identification.export import write_identification
+from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, AlignedLog, Processing
 from symbid_ros.identification.loaded_problem import merged_observations
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.result_files import write_identification
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
@@ -29,8 +28,6 @@ from symbid_ros.signals.weak_form import sampled_rows, windowed_rows
 
 if TYPE_CHECKING:
     import pandas
-
-BLOCK = 1024  # samples whose rows are in memory at a time
 
 
 @dataclass(frozen=True)
@@ -277,7 +274,7 @@ class Result:
             samples = build_samples(
                 aligned.whole_stretches(), parameters.model, smoothing, log.source
             )
-            for block in samples.blocks(BLOCK):
+            for block in samples.blocks(SAMPLES_AT_ONCE):
                 single = sampled_rows(parameters, block)
                 predicted = single.rows.K @ found.unknowns
                 yield single.stamp, *_forces(single.rows.y, predicted, single.valid)

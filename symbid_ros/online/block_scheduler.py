@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from symbid_ros.errors import SymbidError
-from symbid_ros.identification.block_rows import TimeSpan
+from symbid_ros.identification.accumulator import TimeSpan
 from symbid_ros.messages.topics import SelectedTopics
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.live_streams import LiveStreams

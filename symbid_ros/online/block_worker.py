@@ -5,8 +5,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 
-from symbid_ros.identification.accumulator import Whole
-from symbid_ros.identification.block_rows import TimeSpan, block_rows
+from symbid_ros.identification.accumulator import TimeSpan, Whole, block_rows
 from symbid_ros.signals.sensor_samples import SensorSamples
 from symbid_ros.signals.weak_form import RowBuilder, SampledRows
 

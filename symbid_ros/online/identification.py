@@ -15,13 +15,11 @@ import numpy as np
 from symbid_ros.estimation.change import relaxed_prior
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
-from symbid_ros.identification.accumulator import Memory, Whole
-from symbid_ros.identification.block_rows import BlockRows, TimeSpan, block_rows
+from symbid_ros.identification.accumulator import BlockRows, Memory, TimeSpan, Whole, block_rows
 from symbid_ros.identification.change_monitor import Change, ChangeWatch
-from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
-from symbid_ros.identification.weight_check import check_weight
-from symbid_ros.identification.window_choice import WindowChoice
+from symbid_ros.identification.window_comparison import WindowChoice
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker

@@ -8,9 +8,8 @@ from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.dataset import Processing
-from symbid_ros.identification.loaded_problem import load_parameters
+from symbid_ros.identification.loaded_problem import known_rows, load_parameters, prior_of
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.prior_information import known_rows, prior_of
 from symbid_ros.identification.problem import Problem
 from symbid_ros.model.tree import RobotModel
 

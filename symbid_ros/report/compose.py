@@ -16,7 +16,7 @@ from symbid_ros.identification.evaluation import (
     predict,
 )
 from symbid_ros.identification.intervals import IntervalSummary, summarise_intervals
-from symbid_ros.identification.prediction import RealisticMotion, evaluate_realistic
+from symbid_ros.identification.realistic_prediction import RealisticMotion, evaluate_realistic
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.content import (
     PRIOR,

@@ -14,9 +14,9 @@ from std_msgs.msg import String
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.errors import SymbidError
-from symbid_ros.identification.export import export_urdf, write_identification
+from symbid_ros.identification.result_files import export_urdf, write_identification
 from symbid_ros.model.load import load_model
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.offline.bags import BagRequest
 from symbid_ros.ros.diagnostics import StatusPublisher
 from symbid_ros.ros.endpoints import latched_qos
 from symbid_ros.ros.estimate_topics import EstimateTopics, estimate_status

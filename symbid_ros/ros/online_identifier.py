@@ -15,7 +15,7 @@ from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.errors import EstimateError, SymbidError
-from symbid_ros.identification.export import check_output, export_urdf, write_identification
+from symbid_ros.identification.result_files import check_output, export_urdf, write_identification
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace

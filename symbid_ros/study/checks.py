@@ -15,9 +15,9 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, known_force
 from symbid_ros.errors import StudyError
 from symbid_ros.identification.evaluation import TrueMotion
-from symbid_ros.identification.prediction import evaluate_realistic
+from symbid_ros.identification.realistic_prediction import evaluate_realistic
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
+from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
 from symbid_ros.report.content import TRUTH
 from symbid_ros.signals.alignment import align, joint_columns
 from symbid_ros.signals.filters import LowPass

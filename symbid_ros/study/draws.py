@@ -27,8 +27,7 @@ from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import BagRequest
-from symbid_ros.offline.truth import read_true_motion
+from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.study.logs import identified, truth
 from symbid_ros.study.plan import Log, Plan, Spread

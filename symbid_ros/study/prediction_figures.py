@@ -7,13 +7,13 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import StudyError
-from symbid_ros.identification.prediction import (
+from symbid_ros.identification.realistic_prediction import (
     RealisticMotion,
     RealisticPrediction,
     predict_realistic,
 )
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
+from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
 from symbid_ros.report.compose import prediction_series
 from symbid_ros.report.content import TRUTH, PredictionSeries
 from symbid_ros.report.figures import (

@@ -20,7 +20,7 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.information import RowLayout, random_motions
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.identification.dataset import BLOCK, Dataset, observe
+from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Dataset, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
@@ -205,6 +205,6 @@ def observe_sensed(
     windows = [one.window for one in record.observations]
     if 0.0 in windows:
         (at_instants,) = record.observations
-        blocks = map(rows.at, record.samples.blocks(BLOCK))
+        blocks = map(rows.at, record.samples.blocks(SAMPLES_AT_ONCE))
         return (Observations.unwindowed(rows.layout, blocks, at_instants.inflation),)
     return observe(record.segments, rows.build, rows.layout, windows)

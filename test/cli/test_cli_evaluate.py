@@ -10,10 +10,10 @@ from report_pages import Page
 from symbid_ros.estimation.archive import load_deviation_factor
 from symbid_ros.identification.evaluation import Metrics
 from symbid_ros.identification.intervals import summarise_intervals
-from symbid_ros.identification.prediction import RealisticMetrics
+from symbid_ros.identification.realistic_prediction import RealisticMetrics
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.truth import read_true_motion
+from symbid_ros.offline.bags import read_true_motion
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from gaussian_logs import gaussian_log
 
-from symbid_ros.identification.accumulator import Memory, Whole
-from symbid_ros.identification.block_rows import BlockRows
+from symbid_ros.identification.accumulator import BlockRows, Memory, Whole
 
 SECOND = 1_000_000_000
 BLOCK = 4 * SECOND

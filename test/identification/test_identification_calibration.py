@@ -19,7 +19,7 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.offline.bags import BagRequest
 from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, SensorErrors
 from symbid_ros.signals.weak_form import WINDOWS
 from symbid_ros.simulation.recording import record

@@ -14,8 +14,7 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import Frame
-from symbid_ros.offline.identify import BagRequest
-from symbid_ros.offline.truth import read_true_motion
+from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.simulation.recording import record
 
 PANDA = (

@@ -16,14 +16,14 @@ from symbid_ros.estimation.prior import Prior, draw_prior, model_prior
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.identification.dataset import Processing
-from symbid_ros.identification.export import write_identification
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.result_files import write_identification
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.offline.bags import BagRequest
 from symbid_ros.signals.weak_form import BLOCK, WindowedRows
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.settings import load_friction

@@ -10,15 +10,13 @@ import pytest
 from tree_simulation import TreeSimulation
 
 from symbid_ros.identification.evaluation import evaluate, predict
-from symbid_ros.identification.export import write_identification
-from symbid_ros.identification.loaded_model import load_subject
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.prediction import RealisticMotion, predict_realistic
+from symbid_ros.identification.realistic_prediction import RealisticMotion, predict_realistic
+from symbid_ros.identification.result_files import load_subject, write_identification
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import Frame
-from symbid_ros.offline.identify import BagRequest
-from symbid_ros.offline.truth import read_true_motion
+from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.simulation.recording import record
 
 Z1 = (

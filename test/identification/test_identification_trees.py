@@ -7,13 +7,12 @@ from tree_simulation import TreeSimulation
 
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.evaluation import evaluate
-from symbid_ros.identification.export import write_identification
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.result_files import write_identification
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import BagRequest
-from symbid_ros.offline.truth import read_true_motion
+from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.simulation.recording import record
 
 

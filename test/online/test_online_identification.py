@@ -18,7 +18,7 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.offline.bags import BagRequest
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file

@@ -11,7 +11,7 @@ from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.offline.bags import BagRequest
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows

@@ -13,11 +13,11 @@ from report_pages import series
 from tree_simulation import TreeSimulation
 
 from symbid_ros.errors import StudyError
-from symbid_ros.identification.prediction import evaluate_realistic, predict_realistic
+from symbid_ros.identification.realistic_prediction import evaluate_realistic, predict_realistic
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.truth import read_realistic_motion
+from symbid_ros.offline.bags import read_realistic_motion
 from symbid_ros.report.content import METRICS, LinkErrors
 from symbid_ros.report.formatting import significant
 from symbid_ros.simulation.balance import BalanceResult

@@ -20,7 +20,7 @@ from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Frame
-from symbid_ros.offline.truth import read_true_motion
+from symbid_ros.offline.bags import read_true_motion
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 from symbid_ros.study.sensor_subsets import Annihilator, SensedRows, Sensing, observe_sensed

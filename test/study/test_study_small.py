@@ -23,7 +23,7 @@ from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.solver import Solver
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.truth import read_true_motion
+from symbid_ros.offline.bags import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.simulation.recording import record

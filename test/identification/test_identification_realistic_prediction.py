@@ -12,11 +12,15 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.evaluation import predict
-from symbid_ros.identification.prediction import FELT, evaluate_realistic, predict_realistic
+from symbid_ros.identification.realistic_prediction import (
+    FELT,
+    evaluate_realistic,
+    predict_realistic,
+)
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.truth import read_realistic_motion, read_true_motion
+from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.simulation.recording import record
 

@@ -9,7 +9,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.offline.bags import BagRequest
 
 ALL = LogOptions()
 RIGHT = "/right_foot/wrench"

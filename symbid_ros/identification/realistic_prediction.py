@@ -19,7 +19,7 @@ from symbid_ros.dynamics.regressor import (
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.spatial import rotate
 from symbid_ros.errors import BagError, DataError
-from symbid_ros.identification.evaluation import BLOCK, TrueMotion, predict, true_motion
+from symbid_ros.identification.evaluation import SAMPLES_AT_ONCE, TrueMotion, predict, true_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align
@@ -238,7 +238,9 @@ def evaluate_realistic(
 def _blocks(motion: RealisticMotion) -> list[RealisticMotion]:
     return [
         RealisticMotion(known, truth)
-        for known, truth in zip(motion.known.blocks(BLOCK), motion.truth.blocks(), strict=True)
+        for known, truth in zip(
+            motion.known.blocks(SAMPLES_AT_ONCE), motion.truth.blocks(), strict=True
+        )
     ]
 
 

@@ -9,14 +9,14 @@ from random_logs import LogPlan, random_streams, small_robot, write_bag
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import load_estimate
-from symbid_ros.identification.export import check_output, write_identification
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.result_files import check_output, write_identification
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.offline.bags import BagRequest
 
 MISSING = Path("missing")
 

@@ -3,9 +3,8 @@
 import pytest
 
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.window_choice import WindowChoice
-from symbid_ros.identification.window_comparison import WindowComparison
-from symbid_ros.offline.identify import BagRequest
+from symbid_ros.identification.window_comparison import WindowChoice, WindowComparison
+from symbid_ros.offline.bags import BagRequest
 from symbid_ros.package_paths import config_file
 
 

@@ -12,7 +12,7 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.loaded_model import load_subject
+from symbid_ros.identification.result_files import load_subject
 from symbid_ros.model.parameters import ParameterSet
 
 TERMS = ("viscous", "offset")
