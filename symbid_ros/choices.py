@@ -8,6 +8,7 @@ Filter = Literal["weak", "butterworth", "savitzky_golay"]
 Channels = Literal["all", "thesis"]
 Criterion = Literal["gen_force", "torque", "com"]
 Term = Literal["viscous", "coulomb", "armature", "offset"]
+Scenario = Literal["smooth", "squat", "vibrating", "suspended", "tare"]
 SensorErrorKind = Literal[
     "plate_offset",
     "plate_gain",

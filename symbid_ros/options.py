@@ -26,6 +26,7 @@ class _Note:
     group: str
     metavar: str
     unset: str
+    live: bool
 
 
 def option(
@@ -38,6 +39,7 @@ def option(
     group: str = "",
     metavar: str = "",
     unset: str = "",
+    live: bool = False,
 ) -> Any:
     """Return a dataclass field that is an option.
 
@@ -57,8 +59,10 @@ def option(
         How a command's help shows the value.
     unset : str
         What happens if it is not given, where the default is None.
+    live : bool
+        Whether a node may change it while it runs.
     """
-    note = _Note(help, unit, minimum, maximum, group, metavar, unset)
+    note = _Note(help, unit, minimum, maximum, group, metavar, unset, live)
     return field(default=default, metadata={_KEY: note})
 
 
@@ -79,7 +83,7 @@ class Option:
         Whether any number of values may be given.
     length : int
         Number of values of a fixed-length tuple; 0 for other kinds.
-    help, unit, group, metavar, unset, minimum, maximum
+    help, unit, group, metavar, unset, live, minimum, maximum
         As in :func:`option`.
     """
 
@@ -96,6 +100,7 @@ class Option:
     group: str
     metavar: str
     unset: str
+    live: bool
 
     @property
     def is_optional(self) -> bool:

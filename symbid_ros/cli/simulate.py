@@ -7,41 +7,15 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from symbid_ros.cli.flags import with_flags
 from symbid_ros.shutdown import stop_on_signals
+from symbid_ros.simulation.options import SimulateOptions
 
-Scenario = Literal["smooth", "squat", "vibrating", "suspended", "tare"]
 
-
+@with_flags
 def simulate(
     out: Annotated[Path, typer.Option(help="Bag folder to write.")],
-    scenario: Annotated[Scenario, typer.Option(help="What the robot does.")] = "smooth",
-    moves: Annotated[int, typer.Option(min=1, max=1000, help="Number of moves.")] = 20,
-    motion_seed: Annotated[int, typer.Option(min=0, help="Seed of the motion.")] = 0,
-    noise_seed: Annotated[int, typer.Option(min=0, help="Seed of the sensor noise.")] = 0,
-    ideal: Annotated[
-        bool, typer.Option("--ideal", help="Same motion, sensors without noise.")
-    ] = False,
-    friction: Annotated[
-        bool, typer.Option("--friction", help="Joints with friction and armature.")
-    ] = False,
-    friction_file: Annotated[
-        Path | None,
-        typer.Option(help="Other values than the package's friction.yaml; implies --friction."),
-    ] = None,
-    errors: Annotated[
-        str, typer.Option(help="Systematic errors: typical, or names with commas, see above.")
-    ] = "",
-    error_seed: Annotated[
-        int, typer.Option(min=0, help="Seed of these errors: one seed, one robot.")
-    ] = 0,
-    payload_link: Annotated[str, typer.Option(help="Link that a payload is fastened to.")] = "",
-    payload_mass: Annotated[float, typer.Option(min=0, help="Its mass, kg; 0: none.")] = 0.0,
-    payload_position: Annotated[
-        tuple[float, float, float], typer.Option(help="Its centre in the link's frame, m.")
-    ] = (0.0, 0.0, 0.0),
-    payload_time: Annotated[
-        float, typer.Option(min=0, help="When it is fastened, s of the motion.")
-    ] = 0.0,
+    options: SimulateOptions,
     true_model: Annotated[
         Path | None,
         typer.Option(
@@ -68,31 +42,17 @@ def simulate(
     """
     from symbid_ros.atomic_write import write_text
     from symbid_ros.cli.overwriting import clear_folder, is_simulated_bag
-    from symbid_ros.errors import SimulationError
-    from symbid_ros.simulation.body_inertia import Payload
     from symbid_ros.simulation.recording import record
-    from symbid_ros.simulation.simulator import Simulator
+    from symbid_ros.simulation.simulator import PayloadFactory, simulator_of
 
-    if payload_mass and not payload_link:
-        raise SimulationError(f"payload of {payload_mass:g} kg on no link; give --payload-link")
-    payload = Payload(payload_link, payload_mass, payload_position) if payload_mass else None
-    simulator = Simulator(
-        scenario,
-        moves=moves,
-        motion_seed=motion_seed,
-        noise_seed=noise_seed,
-        ideal=ideal,
-        friction=friction,
-        errors=errors,
-        error_seed=error_seed,
-        friction_path=friction_file,
-        payload=payload,
-        payload_time=payload_time,
+    payload = PayloadFactory().payload(
+        options.payload_link, options.payload_mass, options.payload_position
     )
+    simulator = simulator_of(options, payload=payload)
     clear_folder(out, is_simulated_bag, "a bag", overwrite=overwrite)
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(f"simulating {scenario}", total=simulator.steps)
+        task = progress.add_task(f"simulating {options.scenario}", total=simulator.steps)
         counts = record(
             simulator, out, progress=lambda done, _: progress.update(task, completed=done)
         )

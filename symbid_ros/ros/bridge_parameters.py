@@ -3,59 +3,15 @@
 from pathlib import Path
 
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.parameters import Parameter, Values
-from symbid_ros.simulation.body_inertia import Payload, link_index
-from symbid_ros.simulation.plant import load_model
-from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.ros.parameters import Parameter, Values, options_from, parameters_of
+from symbid_ros.simulation.options import SimulateOptions
+from symbid_ros.simulation.simulator import Simulator, simulator_of
 
 INTERNAL, TOPIC, UDP = "internal", "topic", "udp"
 
 PARAMETERS = (
-    Parameter(
-        "scenario",
-        "smooth",
-        "Motion of the robot; with an external controller, its initial posture.",
-        choices=("smooth", "squat", "vibrating", "suspended", "tare"),
-    ),
-    Parameter(
-        "moves",
-        20,
-        "Number of moves of the centre of mass or the hook; tare has none.",
-        minimum=1,
-        maximum=100_000,
-    ),
-    Parameter("motion_seed", 0, "Random seed of the moves.", minimum=0),
-    Parameter("noise_seed", 0, "Random seed of the sensor noise.", minimum=0),
-    Parameter("ideal", False, "Publish noise-free sensor data; the motion stays the same."),
-    Parameter("friction", False, "Give the joints the friction and armature of friction.yaml."),
-    Parameter("friction_file", "", "YAML file to use instead of friction.yaml; implies friction."),
-    Parameter("errors", "", "Systematic errors: typical, or a comma-separated list; empty: none."),
-    Parameter("error_seed", 0, "Random seed of the systematic errors.", minimum=0),
+    *parameters_of(SimulateOptions),
     Parameter("model", "", "MJCF file of the robot; empty: the package's Symbitron."),
-    Parameter("noise", "", "YAML file of sensor noise; empty: the package's noise.yaml."),
-    Parameter("payload_link", "", "Link that carries the payload; empty: the base.", live=True),
-    Parameter(
-        "payload_mass",
-        0.0,
-        "Mass of the payload, kg; 0: none. A change while the robot moves takes effect at once.",
-        minimum=0.0,
-        maximum=100.0,
-        live=True,
-    ),
-    Parameter(
-        "payload_position",
-        [0.0, 0.0, 0.0],
-        "Centre of the payload in the link's frame, m.",
-        minimum=-2.0,
-        maximum=2.0,
-        live=True,
-    ),
-    Parameter(
-        "payload_time",
-        0.0,
-        "Time in the motion at which a payload given at the start is attached, s.",
-        minimum=0.0,
-    ),
     Parameter(
         "command_source",
         INTERNAL,
@@ -124,55 +80,18 @@ PARAMETERS = (
 
 def robot_name(values: Values) -> str:
     """Return the robot's name in diagnostics: that of its model file."""
-    return (_path(values["model"]) or config_file("symbitron.xml")).stem
+    return (model_path(values) or config_file("symbitron.xml")).stem
 
 
 def simulator_from(values: Values) -> Simulator:
     """Return a simulator at the start of the motion and without payload."""
-    return Simulator(
-        values["scenario"],
-        moves=values["moves"],
-        motion_seed=values["motion_seed"],
-        noise_seed=values["noise_seed"],
-        ideal=values["ideal"],
-        friction=values["friction"],
-        errors=values["errors"],
-        error_seed=values["error_seed"],
-        model_path=_path(values["model"]),
-        noise_path=_path(values["noise"]),
-        friction_path=_path(values["friction_file"]),
+    return simulator_of(
+        options_from(SimulateOptions, values),
+        model=model_path(values),
         is_commanded=values["command_source"] != INTERNAL,
     )
 
 
-class PayloadParameters:
-    """Converts the payload parameters of one robot.
-
-    Parameters
-    ----------
-    values : mapping
-        Values of the node's parameters; only the path of the model is used.
-    """
-
-    def __init__(self, values: Values) -> None:
-        self._model = load_model(_path(values["model"]) or config_file("symbitron.xml"))
-        self._base = str(self._model.body(self._model.jnt_bodyid[0]).name)
-
-    def payload(self, values: Values) -> Payload | None:
-        """Return the payload; None if its mass is 0.
-
-        Raises
-        ------
-        SimulationError
-            When the robot has no such link, even if the mass is 0.
-        """
-        link = values["payload_link"] or self._base
-        link_index(self._model, link)
-        if not values["payload_mass"]:
-            return None
-        x, y, z = values["payload_position"]
-        return Payload(link, values["payload_mass"], (x, y, z))
-
-
-def _path(value: str) -> Path | None:
-    return Path(value) if value else None
+def model_path(values: Values) -> Path | None:
+    """Return the MJCF of the robot; None for the package's own."""
+    return Path(values["model"]) if values["model"] else None

@@ -15,7 +15,7 @@ from std_srvs.srv import SetBool, Trigger
 from symbid_ros.arrays import FloatArray
 from symbid_ros.ros.bridge_parameters import (
     PARAMETERS,
-    PayloadParameters,
+    model_path,
     robot_name,
     simulator_from,
 )
@@ -28,6 +28,7 @@ from symbid_ros.simulation.body_inertia import Payload
 from symbid_ros.simulation.command import CommandCounts
 from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.sensors import Instant
+from symbid_ros.simulation.simulator import PayloadFactory
 
 CATCH_UP = 0.1  # s; longer delays are not caught up
 PAUSE_POLL = 0.02  # s between two checks whether a pause has ended
@@ -192,8 +193,8 @@ class MujocoBridge:
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node, self._values = node, values
         self._simulator = simulator_from(values)
-        self._payloads = PayloadParameters(values)
-        self._payload = self._payloads.payload(values)
+        self._payloads = PayloadFactory(model_path(values))
+        self._payload = self._payload_of(values)
         self._changes: SimpleQueue[dict[str, Any]] = SimpleQueue()
         self._reset, self._paused = Event(), Event()
         self._step = 0  # number of instants published since the start of this motion
@@ -203,10 +204,15 @@ class MujocoBridge:
         self._rate = FixedRate(self._simulator.period_ns / values["real_time_factor"])
         self._topics = BridgeTopics(node, self._simulator, values)
         self._commands = command_source(node, self._simulator, self._topics, values)
-        watch(node, PARAMETERS, self._changes.put, self._payloads.payload)
+        watch(node, PARAMETERS, self._changes.put, self._payload_of)
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_service(SetBool, "~/pause", self._on_pause)
         self._status_publisher = StatusPublisher(node, self._current_status, robot_name(values))
+
+    def _payload_of(self, values: Mapping[str, Any]) -> Payload | None:
+        return self._payloads.payload(
+            values["payload_link"], values["payload_mass"], values["payload_position"]
+        )
 
     def run(self, stop: Event) -> None:
         """Run the motion to its end or until stopped, then print counts as JSON."""
@@ -315,7 +321,7 @@ class MujocoBridge:
         period = self._simulator.period_ns / 1e9
         is_set = not self._changes.empty()
         while not self._changes.empty():
-            self._payload = self._payloads.payload(self._changes.get())
+            self._payload = self._payload_of(self._changes.get())
         is_due = self._is_payload_due and self._step * period >= self._values["payload_time"]
         if not (is_set or is_due):
             return

@@ -217,7 +217,9 @@ def _parameter(option: Option) -> Parameter:
     if option.unset:
         description = f"{description} Default: {spelled(option.unset, lambda name: name)}."
     choices = option.choices
-    if option.is_sequence:
+    if option.length and default is not None:
+        default = list(default)
+    elif option.is_sequence:
         default = [str(one) for one in default] or [""]
     elif kind in (str, Path) and default is None:
         default = ""
@@ -229,8 +231,9 @@ def _parameter(option: Option) -> Parameter:
         option.minimum,
         option.maximum,
         choices,
+        live=option.live,
         kind=kind if default is None else None,
-        length=option.length,
+        length=option.length if default is None else 0,
     )
 
 

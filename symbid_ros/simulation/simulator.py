@@ -2,7 +2,7 @@
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -13,7 +13,8 @@ from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.body_inertia import Payload, link_index
 from symbid_ros.simulation.initial_pose import level_soles
-from symbid_ros.simulation.plant import Plant
+from symbid_ros.simulation.options import SimulateOptions
+from symbid_ros.simulation.plant import Plant, load_model
 from symbid_ros.simulation.scenario import (
     SCENARIOS,
     SOLES,
@@ -315,3 +316,58 @@ def _lengthen_body(body: ET.Element, amount: float) -> None:
     if amount and length > 0.0:
         longer = offset * (1.0 + amount / length)
         body.set("pos", " ".join(repr(float(value)) for value in longer))
+
+
+class PayloadFactory:
+    """Makes payloads for one robot.
+
+    Parameters
+    ----------
+    model : Path or None
+        MJCF of the robot; None for config/symbitron.xml.
+    """
+
+    def __init__(self, model: Path | None = None) -> None:
+        self._model = load_model(model or config_file("symbitron.xml"))
+        self._base = str(self._model.body(self._model.jnt_bodyid[0]).name)
+
+    def payload(self, link: str, mass: float, position: Sequence[float]) -> Payload | None:
+        """Return a payload; None if its mass is 0. An empty link stands for the base.
+
+        Raises
+        ------
+        SimulationError
+            When the robot has no such link, even if the mass is 0.
+        """
+        link = link or self._base
+        link_index(self._model, link)
+        if not mass:
+            return None
+        x, y, z = position
+        return Payload(link, mass, (x, y, z))
+
+
+def simulator_of(
+    options: SimulateOptions,
+    model: Path | None = None,
+    payload: Payload | None = None,
+    *,
+    is_commanded: bool = False,
+) -> Simulator:
+    """Return a simulator at the start of the motion that the options choose."""
+    return Simulator(
+        options.scenario,
+        moves=options.moves,
+        motion_seed=options.motion_seed,
+        noise_seed=options.noise_seed,
+        ideal=options.ideal,
+        friction=options.friction,
+        errors=options.errors,
+        error_seed=options.error_seed,
+        model_path=model,
+        noise_path=options.noise,
+        friction_path=options.friction_file,
+        payload=payload,
+        payload_time=options.payload_time,
+        is_commanded=is_commanded,
+    )

@@ -13,6 +13,7 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.options import options_of, spelled
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay
+from symbid_ros.simulation.options import SimulateOptions
 
 NAMES = {each.name for kind in (IdentifyOptions, LogOptions) for each in options_of(kind)}
 
@@ -99,6 +100,15 @@ def test_no_option_exists_in_one_front_end_only() -> None:
     assert parameters >= NAMES
     only_the_command = {"bags", "overwrite"}  # a node has `bag`, and never overwrites
     assert flags - NAMES - only_the_command <= parameters
+
+
+def test_no_option_of_a_simulation_exists_in_one_front_end_only() -> None:
+    from symbid_ros.cli.simulate import simulate
+    from symbid_ros.ros.bridge_parameters import PARAMETERS
+
+    names = {each.name for each in options_of(SimulateOptions)}
+    assert names <= set(inspect.signature(simulate).parameters)
+    assert names <= {parameter.name for parameter in PARAMETERS}
 
 
 def test_backquoted_names_are_spelled_by_the_front_end() -> None:

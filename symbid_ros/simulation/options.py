@@ -1,0 +1,76 @@
+"""Options of a simulation, the same for the command and the bridge node."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from symbid_ros.choices import Scenario
+from symbid_ros.options import check_values, option
+
+PAYLOAD = "Payload"
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulateOptions:
+    """What to simulate.
+
+    Raises
+    ------
+    OptionError
+        When a value is invalid.
+    """
+
+    scenario: Scenario = option(
+        "smooth", "Motion of the robot; with an external controller, its initial posture."
+    )
+    moves: int = option(
+        20,
+        "Number of moves of the centre of mass or the hook; tare has none.",
+        minimum=1,
+        maximum=100_000,
+    )
+    motion_seed: int = option(0, "Random seed of the moves.", minimum=0)
+    noise_seed: int = option(0, "Random seed of the sensor noise.", minimum=0)
+    ideal: bool = option(False, "Noise-free sensor data; the motion stays the same.")
+    friction: bool = option(False, "Joints with the friction and armature of friction.yaml.")
+    friction_file: Path | None = option(
+        None, "YAML file to use instead of friction.yaml; implies `friction`."
+    )
+    errors: str = option("", "Systematic errors: typical, or a comma-separated list; empty: none.")
+    error_seed: int = option(
+        0, "Random seed of the systematic errors; equal seeds give the same robot.", minimum=0
+    )
+    noise: Path | None = option(
+        None, "YAML file of sensor noise.", unset="the package's noise.yaml"
+    )
+    payload_link: str = option(
+        "", "Link that carries the payload; empty: the base.", group=PAYLOAD, live=True
+    )
+    payload_mass: float = option(
+        0.0,
+        "Mass of the payload; 0: none.",
+        unit="kg",
+        minimum=0.0,
+        maximum=100.0,
+        group=PAYLOAD,
+        live=True,
+    )
+    payload_position: tuple[float, float, float] = option(
+        (0.0, 0.0, 0.0),
+        "Centre of the payload in the link's frame.",
+        unit="m",
+        minimum=-2.0,
+        maximum=2.0,
+        group=PAYLOAD,
+        live=True,
+    )
+    payload_time: float = option(
+        0.0,
+        "Time in the motion at which a payload given at the start is attached.",
+        unit="s",
+        minimum=0.0,
+        group=PAYLOAD,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse invalid values."""
+        check_values(self)
