@@ -141,7 +141,7 @@ class TestCure:
 
     def test_the_sensors_errors_are_found_within_their_uncertainty(self, cured, wrong):
         verdict = cured.solve("map_lmi").estimate.verdict
-        segment = next(iter(cured.record.segments))
+        segment = next(iter(cured.dataset.segments))
         errors = SensorErrors.of(
             KINDS, cured.parameters.model, segment.wrench_frames, segment.imu_frames
         )
