@@ -165,7 +165,7 @@ def identified(
             options = replace(
                 problem.options, total_mass=weighed, total_mass_std=WEIGHING_STD, tare=(tare,)
             )
-        yield problem.under(prior, options, tares).solve(given.method), prior
+        yield problem.with_prior(prior, options, tares).solve(given.method), prior
 
 
 def score(

@@ -305,7 +305,7 @@ def _report(
 ) -> None:
     """Judge the saved estimate by the truth and write the page."""
     from symbid_ros.errors import EstimateError
-    from symbid_ros.identification.result_files import load_subject
+    from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import (
@@ -320,7 +320,7 @@ def _report(
 
     task = progress.add_task("a report", total=2)
     robot = load_model(model)
-    subject = load_subject(out / "online", robot)
+    subject = load_estimated_model(out / "online", robot)
     estimate = subject.estimate
     if estimate is None:
         raise EstimateError(f"{out / 'online'}: holds no estimate; see {out / 'log'}")

@@ -37,7 +37,7 @@ def evaluate(
     from symbid_ros.identification.evaluation import evaluate as judge
     from symbid_ros.identification.intervals import LEVEL, summarise_intervals
     from symbid_ros.identification.realistic_prediction import evaluate_realistic
-    from symbid_ros.identification.result_files import load_subject
+    from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
     from symbid_ros.signals.filters import CausalLowPass
@@ -46,7 +46,7 @@ def evaluate(
     if json_file is not None:
         check_output_file(json_file)
     robot = load_model(model, base)
-    found = load_subject(subject, robot)
+    found = load_estimated_model(subject, robot)
     parameters, values, factor = found.parameters, found.values, found.deviation_factor
     motion = read_true_motion(bag, robot)
     noisy = read_realistic_motion(realistic, robot, low_pass) if realistic else None

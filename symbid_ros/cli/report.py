@@ -29,7 +29,7 @@ def report(
     """Render identifications as one self-contained page."""
     from symbid_ros.atomic_write import check_output_file
     from symbid_ros.errors import EstimateError
-    from symbid_ros.identification.result_files import load_subject
+    from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
     from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
@@ -46,7 +46,7 @@ def report(
         raise EstimateError("--realistic predictions are judged by the true model; add --truth")
     check_output_file(out)
     robot = load_model(model, base)
-    subjects = {folder: load_subject(folder, robot) for folder in folders}
+    subjects = {folder: load_estimated_model(folder, robot) for folder in folders}
     estimates = {}
     for folder, subject in subjects.items():
         if subject.estimate is None:

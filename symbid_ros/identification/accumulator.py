@@ -19,16 +19,15 @@ from symbid_ros.signals.weak_form import (
 
 @dataclass(frozen=True)
 class TimeSpan:
-    """A stretch of time, aligned.
+    """Aligned sensor data between two stamps.
 
     Attributes
     ----------
     start, stop : int
-        From where up to where, ns.
+        First stamp, and the stamp at which the next span starts, ns.
     segments : tuple of Segment
-        What is in it.
     fault : str
-        Why there is nothing in it; empty if there is.
+        Why there are no segments; empty if there are.
     """
 
     start: int
@@ -39,14 +38,14 @@ class TimeSpan:
 
 @dataclass(frozen=True)
 class BlockRows:
-    """The rows of one stretch of time.
+    """The rows of one time span.
 
     Attributes
     ----------
     start, stop : int
-        From where up to where, ns.
+        As in :class:`TimeSpan`, ns.
     by_window : mapping of float to list of WindowedRows
-        Part by part, for each length of window, s, that suits the rate.
+        For each window length, s, that suits the rate: one element for each part of a segment.
     seconds : frozenset of int
         Fingerprints of the seconds covered.
     """
@@ -57,123 +56,117 @@ class BlockRows:
     seconds: frozenset[int] = frozenset()
 
     def of_window(self, window: float) -> Sequence[WindowedRows]:
-        """Return the rows of one length of window, s."""
+        """Return the rows of one window length, s."""
         return self.by_window.get(window, ())
 
     @property
     def parts(self) -> list[WindowedRows]:
-        """The rows of all windows."""
+        """The rows of all window lengths."""
         return [part for parts in self.by_window.values() for part in parts]
 
 
-def block_rows(
-    stretch: TimeSpan,
+def build_block_rows(
+    data: TimeSpan,
     build: RowBuilder,
     windows: Sequence[float],
     noisy_channels: Sequence[Channel] = MOTION,
 ) -> BlockRows:
-    """Return the rows of a stretch, as an offline run makes them."""
+    """Return the rows of a time span, equal to those of an offline run."""
     rows: dict[float, list[WindowedRows]] = defaultdict(list)
-    for segment in stretch.segments:
+    for segment in data.segments:
         used = suited_windows(windows, segment.rate)
         for parts in windowed_rows(segment, build, used, noisy_channels):
             for window, part in zip(used, parts, strict=True):
                 rows[window].append(part)
-    seconds = frozenset[int]().union(*map(fingerprint, stretch.segments))
-    return BlockRows(stretch.start, stretch.stop, dict(rows), seconds)
+    seconds = frozenset[int]().union(*map(fingerprint, data.segments))
+    return BlockRows(data.start, data.stop, dict(rows), seconds)
 
 
 @dataclass(frozen=True)
-class Whole:
-    """What whole blocks have told.
+class BlockAccumulator:
+    """Information from complete blocks.
 
     Attributes
     ----------
     observations : tuple of Observations
-        For each length of window.
-    span : float
-        Time in which a row loses all but 1/e of its weight, s.
-    until : int or None
-        End of the last block, ns; None where a new time begins.
-    blocks : int
-        How many there were.
+        One for each window length.
+    time_constant : float
+        Time in which the weight of a row falls to 1/e, s.
+    stop : int or None
+        End of the last block, ns; None if there is none, or none since a clock jumped back.
+    count : int
+        Number of blocks.
     """
 
     observations: tuple[Observations, ...]
-    span: float
-    until: int | None = None
-    blocks: int = 0
+    time_constant: float
+    stop: int | None = None
+    count: int = 0
 
-    def with_block(self, block: BlockRows) -> "Whole":
-        """Return what is known with one block more."""
-        share = self.kept(block.stop, block.start)
-        folded = tuple(
-            _folded(one, share, block.of_window(one.window)).covering(block.seconds)
+    def with_block(self, block: BlockRows) -> "BlockAccumulator":
+        """Return the information with one more block."""
+        since = block.start if self.stop is None else self.stop
+        weight = _remaining_weight(block.stop - since, self.time_constant)
+        observations = tuple(
+            _fold(one, weight, block.of_window(one.window)).covering(block.seconds)
             for one in self.observations
         )
-        return replace(self, observations=folded, until=block.stop, blocks=self.blocks + 1)
+        return replace(self, observations=observations, stop=block.stop, count=self.count + 1)
 
-    def new_time(self) -> "Whole":
-        """Return the same for a clock that begins again."""
-        return replace(self, until=None)
-
-    def kept(self, stop: int, start: int) -> float:
-        """Return what is left at ``stop`` of these rows' weight; a new time begins at ``start``."""
-        return _kept(stop - (start if self.until is None else self.until), self.span)
+    def with_new_clock(self) -> "BlockAccumulator":
+        """Return the same information; the stamps of later blocks start anywhere."""
+        return replace(self, stop=None)
 
 
-class Memory:
-    """Whole blocks, and over one length of windows the pieces that have come since.
+class Accumulator:
+    """Information from complete blocks, and for one window length from the pieces since then.
 
     Parameters
     ----------
-    whole : Whole
-        What is known at the beginning.
+    blocks : BlockAccumulator
+        Initial information.
     window : int
-        Index of that length.
+        Index of that window length.
 
     Attributes
     ----------
-    whole : Whole
-        Of whole blocks alone.
-    now : Observations
-        With pieces.
+    blocks : BlockAccumulator
+        Complete blocks only.
+    current : Observations
+        Blocks and pieces.
     window : int
-        Index of the length of windows of ``now``.
+        Index of the window length of ``current``.
     """
 
-    def __init__(self, whole: Whole, window: int) -> None:
-        self.track(whole, window)
+    def __init__(self, blocks: BlockAccumulator, window: int) -> None:
+        self.restart(blocks, window)
 
-    def track(self, whole: Whole, window: int) -> None:
-        """Begin with what is known, over another length of windows; pieces are let go of."""
-        self.whole, self.window = whole, window
-        self.now = whole.observations[window]
-        self._until = whole.until
+    def restart(self, blocks: BlockAccumulator, window: int) -> None:
+        """Replace the information, perhaps with another window length; pieces are discarded."""
+        self.blocks, self.window = blocks, window
+        self.current = blocks.observations[window]
+        self._stop = blocks.stop
         self._pieces: list[BlockRows] = []
 
     def add(self, piece: BlockRows) -> None:
-        """Take a piece, of one length of windows, until its block is whole."""
+        """Add a piece, which counts until its block is complete."""
         self._pieces.append(piece)
-        self._append(piece)
+        since = piece.start if self._stop is None else self._stop
+        weight = _remaining_weight(piece.stop - since, self.blocks.time_constant)
+        self.current = _fold(self.current, weight, piece.of_window(self.current.window))
+        self._stop = piece.stop
 
-    def settle(self, whole: Whole) -> None:
-        """Take what is known with the next whole block, in place of its pieces."""
-        later = [piece for piece in self._pieces if piece.start >= (whole.until or 0)]
-        self.track(whole, self.window)
+    def update_blocks(self, blocks: BlockAccumulator) -> None:
+        """Take over the information with further blocks, which replace their pieces."""
+        later = [piece for piece in self._pieces if piece.start >= (blocks.stop or 0)]
+        self.restart(blocks, self.window)
         for piece in later:
             self.add(piece)
 
-    def _append(self, piece: BlockRows) -> None:
-        since = piece.start if self._until is None else self._until
-        share = _kept(piece.stop - since, self.whole.span)
-        self.now = _folded(self.now, share, piece.of_window(self.now.window))
-        self._until = piece.stop
+
+def _remaining_weight(elapsed: int, time_constant: float) -> float:
+    return float(np.exp(-elapsed * 1e-9 / time_constant))
 
 
-def _kept(elapsed: int, span: float) -> float:
-    return float(np.exp(-elapsed * 1e-9 / span))
-
-
-def _folded(one: Observations, share: float, rows: Sequence[WindowedRows]) -> Observations:
-    return (one if share == 1.0 else one.discounted(share)).fold(rows)
+def _fold(one: Observations, weight: float, rows: Sequence[WindowedRows]) -> Observations:
+    return (one if weight == 1.0 else one.discounted(weight)).fold(rows)

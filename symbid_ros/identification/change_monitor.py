@@ -1,4 +1,4 @@
-"""A robot that is not any more what it was: noticed as its rows come in."""
+"""Detection of changes of a robot's inertias from live rows."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -11,30 +11,31 @@ from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.accumulator import BlockRows
 from symbid_ros.model.parameters import ParameterSet
 
-# Evidence for a change, nat, over the misfit that has been usual: by chance it is never that large.
+# Alarm threshold of the evidence for a change, nat, relative to the usual misfit. Chance alone
+# never reaches it.
 ALARMING = 30.0
-# Looks that tell what is usual, and how many there must be before an alarm.
+# Number of updates from which the usual misfit is taken, and the fewest before an alarm.
 USUAL, FEWEST_USUAL = 30, 8
-# New rows are those of so many looks. The change may lie within them, so that who has changed is
-# asked of those that come after.
+# Updates whose rows are tested together. The change may lie within these rows, so later rows decide
+# which link changed.
 RECENT = 2
-# Pieces that are asked who has changed: a robot that goes on must not fill the memory.
+# Pieces kept to attribute a change; bounds memory while the robot runs on.
 LONGEST_AFTER = 30
-# Quiet looks after which a change is over: the estimate has followed it.
+# Updates below the threshold after which a change is over: the estimate has followed it.
 QUIET = 10
 
 
 @dataclass(frozen=True)
 class Change:
-    """A change that has been noticed.
+    """A detected change.
 
     Attributes
     ----------
     since : int
         Stamp of the first rows that showed it, ns.
     suspects : tuple of LinkChange
-        The link that best explains the rows since then, and any others that explain them about as
-        well, each with the change that it would need.
+        The link that best explains the rows since then and those that explain them about as well,
+        each with the change it would need.
     """
 
     since: int
@@ -42,24 +43,24 @@ class Change:
 
     @property
     def suspect(self) -> LinkChange:
-        """The link that best explains what has come since."""
+        """The link that best explains the rows since the change."""
         return self.suspects[0]
 
     def __str__(self) -> str:
-        """Return what an alarm says of it."""
+        """Return the text of the alarm."""
         names = [suspect.link for suspect in self.suspects]
         since = f"changed since {self.since * 1e-9:.1f} s"
         if len(names) == 1:
-            return f"{names[0]} has {since}: {_amount(self.suspect)}"
-        amounts = ", ".join(f"{_amount(one)} on {one.link}" for one in self.suspects)
+            return f"{names[0]} has {since}: {_describe(self.suspect)}"
+        amounts = ", ".join(f"{_describe(one)} on {one.link}" for one in self.suspects)
         return (
             f"{', '.join(names[:-1])} or {names[-1]} has {since}, the motion does not tell which: "
             f"{amounts}"
         )
 
 
-def _amount(change: LinkChange) -> str:
-    """Return the mass that was added and, where it is known, its place in the link's frame."""
+def _describe(change: LinkChange) -> str:
+    """Return the added mass and, if known, its position in the link's frame."""
     mass, std = change.phi[0], change.std[0]
     place = ""
     if abs(mass) > 3 * std:
@@ -69,8 +70,8 @@ def _amount(change: LinkChange) -> str:
     return f"{mass:+.2f} ± {std:.2f} kg{place}"
 
 
-class ChangeWatch:
-    """Compares the rows of each look with what was known some looks ago.
+class ChangeMonitor:
+    """Tests whether new rows agree with the posterior from before them.
 
     Parameters
     ----------
@@ -80,9 +81,9 @@ class ChangeWatch:
     Attributes
     ----------
     change : Change or None
-        What stands.
+        The change that has been detected and is not over.
     evidence : float
-        Of the last look, over what has been usual; nan before the first.
+        Of the last update, relative to the usual misfit; NaN before the first test.
     """
 
     def __init__(self, parameters: ParameterSet) -> None:
@@ -90,17 +91,17 @@ class ChangeWatch:
         self._usual: deque[float] = deque(maxlen=USUAL)
         self.evidence = float("nan")
         self.change: Change | None = None
-        self.begin_again()
+        self.restart()
 
     @property
     def is_ready(self) -> bool:
-        """Whether enough looks have told what is usual for a change to be told from it."""
+        """Whether the usual misfit is known well enough to detect a change."""
         return len(self._usual) >= FEWEST_USUAL
 
-    def begin_again(self) -> None:
-        """Let go of rows and knowledge: those to come are over another length of windows.
+    def restart(self) -> None:
+        """Discard rows and posteriors, because later rows have another window length.
 
-        A change that stands goes on to stand.
+        A detected change remains.
         """
         self._past: deque[Posterior] = deque(maxlen=RECENT)
         self._rows: deque[tuple[BlockRows, ...]] = deque(maxlen=RECENT)
@@ -108,25 +109,25 @@ class ChangeWatch:
         self._since = self._quiet = 0
         self._after: list[BlockRows] = []
 
-    def look(self, rows: Sequence[BlockRows], posterior: Posterior) -> None:
-        """Take the rows that are new at this look, and what is known with them.
+    def update(self, rows: Sequence[BlockRows], posterior: Posterior) -> None:
+        """Test the rows since the last update.
 
         Parameters
         ----------
         rows : sequence of BlockRows
-            Since the last look, all over the same length of windows.
+            All with the same window length.
         posterior : Posterior
-            By all rows up to now.
+            From all rows up to now.
         """
         self._rows.append(tuple(rows))
         if len(self._past) == RECENT:
             recent = [block for some in self._rows for block in some]
             found = self._innovation(self._past[0], recent)
             if found is not None:
-                self._judge(found, recent, rows)
+                self._assess(found, recent, rows)
         self._past.append(posterior)
 
-    def _judge(
+    def _assess(
         self, found: Innovation, recent: Sequence[BlockRows], rows: Sequence[BlockRows]
     ) -> None:
         usual = max([1.0, *self._usual])
@@ -144,13 +145,13 @@ class ChangeWatch:
             self._before = self.change = None
             return
         if self._before is None:
-            return  # what stands was told over other windows, by who did not know of it yet
+            return  # detected with another window length, and its earlier posterior is discarded
         if len(self._after) < LONGEST_AFTER:
             self._after += rows
         after = self._innovation(self._before, self._after)
         if after is not None:
             self.change = Change(self._since, after.suspects(usual))
 
-    def _innovation(self, known: Posterior, blocks: Sequence[BlockRows]) -> Innovation | None:
+    def _innovation(self, before: Posterior, blocks: Sequence[BlockRows]) -> Innovation | None:
         rows = [part for block in blocks for part in block.parts if len(part.valid)]
-        return innovation(known, rows, self._parameters) if rows else None
+        return innovation(before, rows, self._parameters) if rows else None

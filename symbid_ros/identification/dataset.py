@@ -1,4 +1,4 @@
-"""From a log to information: everything that happens before a method is chosen."""
+"""From a log to information: alignment, filtering, and rows that are folded as they come."""
 
 import logging
 from collections.abc import Iterable, Iterator, Sequence
@@ -33,35 +33,35 @@ from symbid_ros.signals.weak_form import (
     windowed_rows,
 )
 
-# Slices are of whole blocks, over which no window reaches: where they are cut makes no difference.
+# Slices are whole blocks, and no window crosses a block, so the cuts do not change the results.
 SPAN = 15 * BLOCK
-# Bytes of aligned channels that are kept rather than read again: five minutes of Symbitron.
+# Bytes of aligned channels that are kept and not read again: five minutes of the Symbitron.
 MOST_KEPT = 128 << 20
 
 logger = logging.getLogger(__name__)
 
 
 class AlignedLog:
-    """The stretches of a recording at which every sensor spoke; iterate as often as needed.
+    """The segments of a log in which every sensor has data; iterate as often as needed.
 
     Parameters
     ----------
     log : Log
-        Read piece by piece.
+        Read slice by slice.
     model : RobotModel
         Kinematics and frames.
     span : int
-        Length of the slices that are in memory at a time, ns.
+        Length of a slice, ns; one slice is in memory at a time.
     most_kept : int
-        Bytes of stretches that are kept rather than read again.
+        Bytes of segments that are kept and not read again.
     checks : StreamChecks, optional
-        Takes every slice as it is read for the first time. It says what is wrong with the streams,
-        so that reading warns of nothing but what is left out.
+        Receives every slice when it is first read. It reports faults of the streams; reading then
+        logs only what is left out.
 
     Raises
     ------
     BagError, DataError, ModelError
-        While iterating, when a bag, its data or the model does not serve.
+        While iterating, when a bag, its data or the model is invalid.
     """
 
     def __init__(
@@ -93,31 +93,31 @@ class AlignedLog:
         self._has_been_read = True
         self._kept = None if kept is None else tuple(kept)
 
-    def whole_stretches(self) -> tuple[Segment, ...]:
-        """Return the stretches as long as they are, all at once."""
-        whole: list[Segment] = []
+    def contiguous_segments(self) -> tuple[Segment, ...]:
+        """Return all segments, those that continue one another joined."""
+        segments: list[Segment] = []
         for segment in self:
-            if whole and whole[-1].is_continued_by(segment):
-                whole[-1] = whole[-1].joined(segment)
+            if segments and segments[-1].is_continued_by(segment):
+                segments[-1] = segments[-1].joined(segment)
             else:
-                whole.append(segment)
-        return tuple(whole)
+                segments.append(segment)
+        return tuple(segments)
 
     def _read(self, *, warn: bool) -> Iterator[Segment]:
         checks = self._checks if warn else None
-        tell = warn and checks is None
+        reports = warn and checks is None
         coverage = _Coverage(self._log.source)
-        told: set[tuple[str, str]] = set()
-        with warned_once(muted=not tell):
-            for piece in self._log.slices(self._span, warn=tell):
+        reported: set[tuple[str, str]] = set()
+        with warned_once(muted=not reports):
+            for piece in self._log.slices(self._span, warn=reports):
                 if checks is not None:
                     checks.take(piece)
                 if piece.streams is None:
-                    coverage.lose(DataError(piece.fault))
+                    coverage.lose(DataError(piece.fault, "E520"))
                     continue
                 streams, findings = mask_faulty_messages(piece.streams)
-                if tell:
-                    _warn_once(findings, told)
+                if reports:
+                    _warn_once(findings, reported)
                 try:
                     segments = moving_segments(streams, self._model)
                 except DataError as error:
@@ -131,11 +131,11 @@ class AlignedLog:
 
 @dataclass
 class _Coverage:
-    """How much of a recording is in its stretches."""
+    """How much of a log is in its segments."""
 
     source: str
     first: Segment | None = None
-    until: int = 0
+    last: int = 0
     instants: int = 0
     faults: list[DataError] = field(default_factory=list)
 
@@ -146,29 +146,30 @@ class _Coverage:
             raise DataError(
                 f"{self.source}: header.frame_id of a sensor changes from "
                 f"{', '.join(self.first.frames)} to {', '.join(segment.frames)}; give each run "
-                "separately"
+                "separately",
+                "E518",
             )
-        self.until = int(segment.stamp[-1])
+        self.last = int(segment.stamp[-1])
         self.instants += len(segment)
 
     def lose(self, fault: DataError) -> None:
         self.faults.append(fault)
 
     def check(self, *, warn: bool) -> None:
-        """Refuse a recording without any stretch, and tell what is left out of another."""
+        """Raise an error if there is no segment; otherwise log what is left out."""
         if self.first is None:
             raise (
                 self.faults[0]
                 if self.faults
                 else DataError(
-                    f"{self.source}: holds nothing of the time asked for; give an earlier start"
+                    f"{self.source}: no data in the requested part; give an earlier `start`", "E519"
                 )
             )
         if not warn:
             return
         for fault in self.faults[:1]:
             logger.warning("%s; %d slices of the log are left out", fault, len(self.faults))
-        length = (self.until - int(self.first.stamp[0])) * 1e-9
+        length = (self.last - int(self.first.stamp[0])) * 1e-9
         expected = round(length * self.first.rate) + 1
         if self.instants < expected:
             logger.warning(
@@ -179,31 +180,30 @@ class _Coverage:
             )
 
 
-def _warn_once(findings: Iterable[Finding], told: set[tuple[str, str]]) -> None:
-    """Say of each kind and topic once that its messages are left out."""
+def _warn_once(findings: Iterable[Finding], reported: set[tuple[str, str]]) -> None:
+    """Log once for each kind and topic that its messages are left out."""
     for finding in findings:
-        if (finding.kind.value, finding.stream) not in told:
-            told.add((finding.kind.value, finding.stream))
+        if (finding.kind.value, finding.stream) not in reported:
+            reported.add((finding.kind.value, finding.stream))
             logger.warning("%s; those messages are left out", finding.message)
 
 
 SAMPLES_AT_ONCE = 1024  # samples whose rows are built at once
 
-# Seconds between instants at which sensor noise is carried over to the rows.
+# Seconds between the instants at which sensor noise is propagated to the rows.
 PROBE_PERIOD = 0.05
 
 
 @dataclass(frozen=True)
 class Processing:
-    """How bags become rows.
+    """How a log becomes rows.
 
     Attributes
     ----------
     smoothing : Smoothing or None
-        Filter and differentiator for rows at single instants; None averages rows over
-        windows instead.
+        Filter and differentiator for rows at single instants; None averages rows over windows.
     windows : tuple of float
-        Lengths of those windows to try, s; a log uses the shortest that suit its rate.
+        Window lengths to try, s; a log uses the shortest that suit its rate.
     """
 
     smoothing: Smoothing | None = None
@@ -211,7 +211,7 @@ class Processing:
 
     @classmethod
     def of(cls, options: IdentifyOptions) -> "Processing":
-        """Return the processing that options ask for."""
+        """Return the processing that the options choose."""
         if options.row_filter == "weak":
             return cls(windows=ALL_WINDOWS if options.window is None else (options.window,))
         if options.row_filter == "savitzky_golay":
@@ -220,7 +220,7 @@ class Processing:
         return cls(replace(low_pass, channels=options.channels or low_pass.channels))
 
     def __str__(self) -> str:
-        """Return what a report says of it."""
+        """Return the description for a report."""
         if self.smoothing is not None:
             return str(self.smoothing)
         if self.windows == ALL_WINDOWS:
@@ -231,18 +231,18 @@ class Processing:
 
 @dataclass(frozen=True)
 class Dataset:
-    """One recording, read and folded.
+    """A log, read and folded.
 
     Attributes
     ----------
     source : str
         Name of the log, for messages.
     segments : iterable of Segment
-        Aligned sensor channels, as they were recorded; a long log is read again for them.
+        Aligned sensor channels, unfiltered; iterating over those of a long log reads it again.
     samples : Samples
-        Motion and forces after filtering, at instants far enough apart to be few.
+        Filtered motion and forces, at few instants if rows are averaged over windows.
     observations : tuple of Observations
-        The rows, folded, for each length of window.
+        The folded rows for each window length.
     """
 
     source: str
@@ -257,18 +257,16 @@ def read_dataset(
     processing: Processing | None = None,
     checks: StreamChecks | None = None,
 ) -> Dataset:
-    """Read a log piece by piece, build samples and fold their rows.
-
-    ``checks`` takes the streams on the way.
+    """Read a log slice by slice and fold its rows; ``checks`` receives every slice.
 
     Raises
     ------
     BagError, DataError, ModelError
-        When a bag, its data or the model does not serve; the message says which.
+        When a bag, its data or the model is invalid.
     """
     processing = processing or Processing()
     aligned = AlignedLog(log, parameters.model, checks=checks)
-    segments = aligned if processing.smoothing is None else aligned.whole_stretches()
+    segments = aligned if processing.smoothing is None else aligned.contiguous_segments()
     return fold_dataset(segments, log.source, parameters, processing)
 
 
@@ -278,12 +276,12 @@ def fold_dataset(
     parameters: ParameterSet,
     processing: Processing,
 ) -> Dataset:
-    """Do the same with stretches that have been read from a log of that name.
+    """Fold the rows of segments from a log named ``source``.
 
     Raises
     ------
     DataError, ModelError
-        When the data or the model does not serve; the message says which.
+        When the data or the model is invalid.
     """
     model, smoothing = parameters.model, processing.smoothing
     if smoothing is None:
@@ -291,25 +289,25 @@ def fold_dataset(
         probes: list[Samples] = []
         windows = processing.windows
         used: set[float] = set()
-        checked = _checked(segments, windows, source, used)
+        checked = _check_rates(segments, windows, source, used)
         observations = observe(
-            _probed(checked, model, probes), equation_rows(parameters), layout, windows
+            _collect_probes(checked, model, probes), equation_rows(parameters), layout, windows
         )
         samples = joined(probes)
         observations = tuple(one for one in observations if one.rows.samples > 0)
         if not observations:
             raise DataError(
-                f"{source}: the log is too short, not even a window of {1e3 * min(used):g} ms and "
-                "the edges of its filter fit between two gaps; record longer"
+                f"{source}: no part between two gaps is long enough for a window of "
+                f"{1e3 * min(used):g} ms and its filter; record longer",
+                "E521",
             )
     else:
-        stretches = tuple(segments)
-        samples = build_samples(stretches, model, smoothing, source)
-        inflation = row_inflation(smoothing, stretches[0].rate)
+        segments = tuple(segments)
+        samples = build_samples(segments, model, smoothing, source)
+        inflation = row_inflation(smoothing, segments[0].rate)
         rows = (sampled_rows(parameters, block) for block in samples.blocks(SAMPLES_AT_ONCE))
         unwindowed = Observations.unwindowed(RowLayout.of(parameters), rows, inflation)
-        observations = (unwindowed.covering(frozenset().union(*map(fingerprint, stretches))),)
-        segments = stretches
+        observations = (unwindowed.covering(frozenset().union(*map(fingerprint, segments))),)
     return Dataset(source, segments, samples, observations)
 
 
@@ -320,9 +318,9 @@ def observe(
     windows: Sequence[float],
     noisy_channels: Sequence[Channel] = MOTION,
 ) -> tuple[Observations, ...]:
-    """Fold the windowed rows of aligned segments, for each length of window.
+    """Fold the windowed rows of aligned segments, for each window length.
 
-    Each segment adds rows to the windows that suit its rate; the others may stay empty.
+    Each segment adds rows for the window lengths that suit its rate; others may stay empty.
     """
     observations = {window: Observations.empty(layout, window) for window in windows}
     for segment in segments:
@@ -336,24 +334,24 @@ def observe(
     return tuple(observations.values())
 
 
-def _checked(
+def _check_rates(
     segments: Iterable[Segment], windows: Sequence[float], source: str, used: set[float]
 ) -> Iterator[Segment]:
-    """Pass stretches on and collect the windows that suit their rates; refuse rates too low."""
+    """Yield the segments and collect the window lengths that suit them; refuse rates too low."""
     for segment in segments:
         check_windows(windows, segment.rate, source)
         used.update(suited_windows(windows, segment.rate))
         yield segment
 
 
-def _probed(
+def _collect_probes(
     segments: Iterable[Segment], model: RobotModel, probes: list[Samples]
 ) -> Iterator[Segment]:
-    """Pass stretches on and keep unfiltered samples at few of their instants."""
+    """Yield the segments and collect unfiltered samples at few of their instants."""
     for segment in segments:
         stride = max(1, int(PROBE_PERIOD * segment.rate))
         readings = smoothed(segment, LowPass(0))
-        # Chosen by index, not by slice: a view would hold the whole stretch in memory.
+        # Indices copy; a slice would be a view and keep the whole segment in memory.
         few = np.arange(0, len(readings), stride)
         probes.append(at_base(readings[few], model))
         yield segment

@@ -1,4 +1,4 @@
-"""An estimate judged against the truth of a simulated bag, as the thesis does."""
+"""Comparison of an estimate with the ground truth of a simulation, as in the thesis."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
@@ -28,12 +28,12 @@ SAMPLES_AT_ONCE = 1024  # samples whose rows are in memory at a time
 
 @dataclass(frozen=True)
 class TrueMotion:
-    """A validation record's true motion and true forces.
+    """The true motion and forces of a simulated log.
 
     Attributes
     ----------
     samples : Samples
-        True joint and base motion, true efforts, and the bag's wrenches.
+        True joint and base motion, true efforts, and measured wrenches.
     base_velocity : (N, 3) float64
         Linear velocity of the base's origin in base axes, m/s.
     base_rotation : (N, 3, 3) float64
@@ -49,14 +49,14 @@ class TrueMotion:
         return TrueMotion(self.samples[index], self.base_velocity[index], self.base_rotation[index])
 
     def blocks(self) -> Iterator["TrueMotion"]:
-        """Yield consecutive stretches of the motion."""
+        """Yield consecutive parts of the motion."""
         for start in range(0, len(self.samples), SAMPLES_AT_ONCE):
             yield self[start : start + SAMPLES_AT_ONCE]
 
 
 @dataclass(frozen=True)
-class Prediction:
-    """What one parameter vector predicts along a true motion.
+class MotionPrediction:
+    """Predictions of one parameter vector along a true motion.
 
     Attributes
     ----------
@@ -86,18 +86,20 @@ class Metrics:
 
 
 def true_motion(truth: TruthStreams, streams: Streams, model: RobotModel) -> TrueMotion:
-    """Return the truth at the instants that have all of it; of the streams, wrenches alone serve.
+    """Return the true motion at the stamps that ground truth and all wrenches have in common.
 
     Raises
     ------
     BagError
-        When truth and wrenches never coincide.
+        When there is no common stamp.
     """
     common = truth.stamp
     for wrench in streams.wrenches:
         common = np.intersect1d(common, wrench.stamp)
     if len(common) == 0:
-        raise BagError(f"{truth.source}: ground truth and wrenches share no stamp; record both")
+        raise BagError(
+            f"{truth.source}: ground truth and wrenches share no stamp; record both", "E525"
+        )
     return _at(truth, streams, common, model)
 
 
@@ -128,18 +130,18 @@ def _at(truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotMode
     return TrueMotion(samples, truth.base_linear_velocity[rows], rotation)
 
 
-def predict(parameters: ParameterSet, values: FloatArray, motion: TrueMotion) -> Prediction:
-    """Return what the parameters (p,) predict along the motion."""
+def predict(parameters: ParameterSet, values: FloatArray, motion: TrueMotion) -> MotionPrediction:
+    """Return the predictions of the parameters (p,) along the motion."""
     parts = []
     for block in motion.blocks():
-        gen_force, com, momentum = _Linear.of(parameters, block).predict(values[:, None])
+        gen_force, com, momentum = _LinearPrediction.of(parameters, block).predict(values[:, None])
         about_com = momentum[..., 0].reshape(-1, 2, 3)
         in_world = rotate(block.base_rotation[:, None], about_com).reshape(-1, 6)
-        parts.append(Prediction(gen_force[..., 0], com[..., 0], in_world))
-    return Prediction(
+        parts.append(MotionPrediction(gen_force[..., 0], com[..., 0], in_world))
+    return MotionPrediction(
         *(
             np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(Prediction)
+            for field in fields(MotionPrediction)
         )
     )
 
@@ -152,14 +154,14 @@ def evaluate(
 ) -> dict[str, Metrics]:
     """Return the five metrics of several parameter vectors (p,) against the true one (p,).
 
-    Forces are compared with those of the bag, everything else with the true model.
+    Forces are compared with measured ones, everything else with the true model.
     """
-    blocks = (_Linear.of(parameters, block) for block in motion.blocks())
-    return _judged(parameters, candidates, truth, blocks)
+    blocks = (_LinearPrediction.of(parameters, block) for block in motion.blocks())
+    return _metrics(parameters, candidates, truth, blocks)
 
 
-class Judge:
-    """Judges by one motion again and again; what is linear in the parameters is worked out once.
+class MotionEvaluator:
+    """Evaluates many candidates along one motion; matrices are computed once.
 
     Parameters
     ----------
@@ -168,23 +170,23 @@ class Judge:
     truth : (p,) float64
         The true parameters.
     motion : TrueMotion
-        Short enough to be kept: 20 kB a sample for ten joints.
+        Short enough for memory: 20 kB for each sample with ten joints.
     """
 
     def __init__(self, parameters: ParameterSet, truth: FloatArray, motion: TrueMotion) -> None:
         self._parameters, self._truth = parameters, truth
-        self._blocks = [_Linear.of(parameters, block) for block in motion.blocks()]
+        self._blocks = [_LinearPrediction.of(parameters, block) for block in motion.blocks()]
 
     def metrics(self, candidates: Mapping[str, FloatArray]) -> dict[str, Metrics]:
-        """Return what :func:`evaluate` does."""
-        return _judged(self._parameters, candidates, self._truth, self._blocks)
+        """Return the five metrics, as :func:`evaluate` does."""
+        return _metrics(self._parameters, candidates, self._truth, self._blocks)
 
 
-def _judged(
+def _metrics(
     parameters: ParameterSet,
     candidates: Mapping[str, FloatArray],
     truth: FloatArray,
-    blocks: Iterable["_Linear"],
+    blocks: Iterable["_LinearPrediction"],
 ) -> dict[str, Metrics]:
     first_joint = 6 * parameters.model.floating
     stacked = np.stack([truth, *candidates.values()], axis=1)
@@ -209,8 +211,8 @@ def _judged(
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """All of a stretch of true motion that is linear in the parameters.
+class _LinearPrediction:
+    """Matrices of the predictions for a part of a true motion, linear in the parameters.
 
     Attributes
     ----------
@@ -220,9 +222,9 @@ class _Linear:
     y : (N, n) float64
         Measured generalised force.
     known : (N, n) float64
-        What known friction and armature ask for, whatever the parameters are.
+        Force of known friction and armature.
     mass : (p,) float64
-        Ones at the links' masses.
+        1 for each mass, 0 for other parameters.
     """
 
     matrix: FloatArray
@@ -231,7 +233,7 @@ class _Linear:
     mass: FloatArray
 
     @classmethod
-    def of(cls, parameters: ParameterSet, motion: TrueMotion) -> "_Linear":
+    def of(cls, parameters: ParameterSet, motion: TrueMotion) -> "_LinearPrediction":
         rows = equation_of_motion(parameters, motion.samples)
         poses = link_poses(parameters.model, motion.samples.position)
         momentum = momentum_regressor(parameters, motion.samples, motion.base_velocity, poses)
@@ -246,8 +248,8 @@ class _Linear:
     def predict(self, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return generalised force (N, n, c), centre of mass (N, 3, c), momentum (N, 6, c).
 
-        Of each column of ``values`` (p, c), in base axes, the angular momentum about each
-        one's own centre of mass.
+        For each column of ``values`` (p, c), in base axes; angular momentum about the centre of
+        mass of that column.
         """
         n = self.y.shape[1]
         count, _, p = self.matrix.shape
@@ -268,7 +270,7 @@ def parameter_error(parameters: ParameterSet, values: FloatArray, truth: FloatAr
 
 
 def link_errors(parameters: ParameterSet, values: FloatArray, truth: FloatArray) -> FloatArray:
-    """Return the same mean for each link alone, (len(links),), the thesis's Fig. 6."""
+    """Return the mean relative error of each link (len(links),) in %, as in the thesis, Fig. 6."""
     estimated, true = parameters.link_phi(values), parameters.link_phi(truth)
     used = true != 0
     error = np.divide(np.abs(estimated - true), np.abs(true), out=np.zeros(true.shape), where=used)
@@ -279,7 +281,7 @@ def link_errors(parameters: ParameterSet, values: FloatArray, truth: FloatArray)
 
 
 def environment_force(model: RobotModel, motion: TrueMotion) -> FloatArray:
-    """Return J_gᵀ f_e (N, n), what the measured wrenches contribute to each coordinate."""
+    """Return J_gᵀ f_e (N, n), the generalised force of the measured wrenches."""
     samples = replace(motion.samples, effort=np.zeros_like(motion.samples.effort))
     poses = link_poses(model, samples.position)
     return generalised_force(model, samples, poses, joint_axes(model, poses))

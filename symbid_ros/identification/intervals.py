@@ -19,15 +19,15 @@ HALF_WIDTH = float(ndtri(0.5 + LEVEL / 2))
 
 @dataclass(frozen=True)
 class PredictionStd:
-    """Standard deviations of what an estimate predicts along a motion.
+    """Standard deviations of an estimate's predictions along a motion.
 
     Attributes
     ----------
     com : (N, 3) float64
         Of the centre of mass in the base frame, m, to first order in the parameters.
     torque : (N, J) float64
-        Of each joint's row of K φ, Nm or N: of the torque that the motion needs, the contact
-        forces given.
+        Of the torque that the motion needs with given contact forces (each joint's row of K φ), Nm
+        or N.
     """
 
     com: FloatArray
@@ -36,17 +36,17 @@ class PredictionStd:
 
 @dataclass(frozen=True)
 class IntervalSummary:
-    """How wide the intervals are and how often they hold the truth.
+    """Width of the intervals, and how often they contain the truth.
 
-    Samples of one motion share one estimate, so that a single coverage can lie far from
-    ``LEVEL`` by chance; over many estimates its mean must not.
+    All samples of one motion share one estimate, so a single coverage can differ from ``LEVEL`` by
+    chance. Its mean over many estimates equals ``LEVEL``.
 
     Attributes
     ----------
     com_std_mm, torque_std : float
         RMS over the samples of the norm of the standard deviations, mm and Nm.
     com_coverage, torque_coverage : float
-        Share of samples and axes or joints whose truth lies in the 90 % interval.
+        Share of samples and axes (or joints) whose true value lies in the 90 % interval.
     """
 
     com_std_mm: float
@@ -58,7 +58,7 @@ class IntervalSummary:
 def prediction_std(
     parameters: ParameterSet, values: FloatArray, factor: FloatArray, motion: TrueMotion
 ) -> PredictionStd:
-    """Return how far the parameters' uncertainty moves the predictions.
+    """Return the standard deviations of predictions due to the parameters' covariance.
 
     Parameters
     ----------
@@ -67,19 +67,19 @@ def prediction_std(
     values : (p,) float64
         The estimate.
     factor : (p, r) float64
-        Square root L of the posterior's covariance L Lᵀ.
+        L of the posterior covariance L Lᵀ.
     motion : TrueMotion
-        Where to predict.
 
     Raises
     ------
     EstimateError
-        When the factor is not one of these parameters.
+        When the factor has another number of parameters.
     """
     if factor.ndim != 2 or len(factor) != len(parameters):
         raise EstimateError(
             f"a covariance factor of shape {factor.shape} does not belong to the "
-            f"{len(parameters)} parameters of {parameters.model.source}; give one row for each"
+            f"{len(parameters)} parameters of {parameters.model.source}; give one row for each",
+            "E523",
         )
     first_joint = 6 * parameters.model.floating
     com, torque = [], []
@@ -98,10 +98,10 @@ def summarise_intervals(
     truth: FloatArray,
     motion: TrueMotion,
 ) -> IntervalSummary:
-    """Compare the intervals around an estimate with the truth.
+    """Compare the credible intervals of an estimate with the truth.
 
     The true centre of mass follows from the true parameters (p,), the true torques from the
-    motion's forces, as in :func:`symbid_ros.identification.evaluation.evaluate`.
+    forces of the motion, as in :func:`symbid_ros.identification.evaluation.evaluate`.
     """
     std = prediction_std(parameters, values, factor, motion)
     first_joint = 6 * parameters.model.floating
@@ -121,7 +121,7 @@ def summarise_intervals(
 
 
 def _com_jacobian(parameters: ParameterSet, values: FloatArray, poses: LinkPoses) -> FloatArray:
-    """Return the derivative (N, 3, p) of Σ (m p + R mc) / Σ m by the parameters (p,)."""
+    """Return the derivative (N, 3, p) of Σ (m p + R mc) / Σ m with respect to the parameters."""
     com = com_position(parameters, values, poses)
     jacobian = np.zeros((len(com), 3, len(parameters)))
     for index, link in enumerate(parameters.links):

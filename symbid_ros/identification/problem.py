@@ -1,6 +1,6 @@
-"""What is known before a method is chosen, and the check of the measured weight."""
+"""An identification before a method is chosen: data, prior and pseudo-measurements."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,23 +11,22 @@ from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.identification.calibration import Calibrated
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import RowBuilder, equation_rows
 
 
 @dataclass(frozen=True)
 class Truncation:
-    """How the number of singular values z is chosen: given, on a validation log, or by itself.
+    """How to choose the number of singular values z; without rank and validation, by information.
 
     Attributes
     ----------
     rank : int or None
-        z.
+        z, if given.
     validation : tuple of Observations
-        Of a log kept apart; the one with the training rows' window is used.
+        Of a validation log; the one with the window length of the training rows is used.
     criterion : {"gen_force", "torque", "com"}
-        What to choose it by there.
+        Prediction error that is minimised on the validation log.
     """
 
     rank: int | None = None
@@ -42,34 +41,34 @@ class Problem:
     Attributes
     ----------
     observations : tuple of Observations
-        The data, for each length of window, shortest first.
+        The data for each window length, shortest first.
     parameters : ParameterSet
         The robot's p columns.
     prior : Prior
-        Of them, and of the errors of sensors whose columns follow.
-    sensors : tuple of str
-        Units of those errors.
+        Of the p parameters and of the sensor errors, whose columns follow.
+    sensor_units : tuple of str
+        Units of the sensor errors.
     pseudo_measurements : PseudoMeasurements or None
-        Weighing and symmetry of the robot.
-    empirical : bool
+        Weighed mass and symmetry of the robot.
+    is_empirical : bool
         Whether the evidence sets the scale of the prior.
-    longest : bool
-        Whether only the longest window will do.
+    needs_longest_window : bool
+        Whether only the longest window length may be used.
     inputs : tuple of str
-        What to write down as the estimate's origin.
+        Input files, recorded in the estimate.
     has_wrenches : bool
         Whether the robot has wrench sensors.
     calibrated_rows : RowBuilder or None
-        Builds rows in which sensor errors are unknowns, too; None where they are not.
+        Builds rows with columns for sensor errors; None without these unknowns.
     """
 
     observations: tuple[Observations, ...]
     parameters: ParameterSet
     prior: Prior
-    sensors: tuple[str, ...] = ()
+    sensor_units: tuple[str, ...] = ()
     pseudo_measurements: PseudoMeasurements | None = None
-    empirical: bool = False
-    longest: bool = False
+    is_empirical: bool = False
+    needs_longest_window: bool = False
     inputs: tuple[str, ...] = ()
     has_wrenches: bool = True
     calibrated_rows: RowBuilder | None = None
@@ -81,43 +80,32 @@ class Problem:
 
     @property
     def sensor_names(self) -> tuple[str, ...]:
-        """Names of the sensors' errors."""
+        """Names of the sensor errors."""
         return self.prior.names[len(self.parameters) :]
-
-    def calibrated(self, found: Calibrated) -> "Problem":
-        """Return the problem with errors of the log's sensors among the unknowns."""
-        return replace(
-            self,
-            observations=found.observations,
-            prior=found.prior,
-            sensors=found.errors.units,
-            pseudo_measurements=found.pseudo_measurements,
-            longest=True,
-            calibrated_rows=found.rows,
-        )
 
 
 def check_weight(rows: Information, parameters: ParameterSet, prior: Prior) -> None:
-    """Refuse a floating robot whose measured forces do not carry it.
+    """Check that the measured forces carry the weight of a floating robot.
 
     Raises
     ------
     DataError
-        When they miss what the prior expects by as much as the doctor calls unusable.
+        When the error is as large as one that the doctor calls unusable.
     """
     if not parameters.model.floating:
         return
-    missing = missing_weight(rows, parameters, prior)
+    missing = _missing_weight(rows, parameters, prior)
     if missing > MOST_LEFT:
         raise DataError(
-            f"the wrenches measured differ by {100 * missing:.0f} % of the prior's weight from "
-            "what the motion needs; publish the wrench of every contact, or go on all the same "
-            "with unchecked"
+            f"live topics: the measured wrenches differ from those that the motion needs by "
+            f"{100 * missing:.0f} % of the robot's weight; publish the wrench of every contact, or "
+            "set `unchecked`",
+            "E513",
         )
 
 
-def missing_weight(rows: Information, parameters: ParameterSet, prior: Prior) -> float:
-    """Return by how much a floating base's force rows miss what a prior expects, in weights."""
+def _missing_weight(rows: Information, parameters: ParameterSet, prior: Prior) -> float:
+    """Return the RMS residual of the base's force rows, as a share of the prior's weight."""
     moment = rows.residual_moment(prior.mean).diagonal() / max(rows.samples, 1)
     masses = parameters.link_phi(prior.mean)[:, 0]
     weight = np.linalg.norm(parameters.model.gravity) * masses.sum()

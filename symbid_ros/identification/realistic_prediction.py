@@ -1,4 +1,4 @@
-"""Predictions as the robot itself could make them, from noisy sensors (thesis, chapter 4)."""
+"""Predictions that a controller could make on the robot, from noisy sensors (thesis, chapter 4)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -27,44 +27,44 @@ from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.streams import Streams, TruthStreams
 
-# A combination of wrenches that the coordinates feel less than this share of the best felt one is
-# taken as unfelt, for its noise would outgrow the wrench: with the legs in parallel planes the feet
-# twisted against each other reach 1e-3, anything else of two feet and a hoist 1e-2.
-FELT = 3e-3
+# Relative singular value of the contact Jacobian below which a combination of wrenches is set to
+# zero, because its noise would exceed it. With the legs in parallel planes, feet that twist against
+# each other reach 1e-3; all other combinations of two feet and a hoist exceed 1e-2.
+SINGULAR = 3e-3
 
 
 @dataclass(frozen=True)
 class RealisticMotion:
-    """A noisy record as a controller on the robot has it, beside the truth.
+    """A noisy log as a controller on the robot has it, and the truth.
 
     Attributes
     ----------
-    known : Samples
-        Positions as measured; velocities, the base's angular one included, filtered
-        causally; efforts as measured one period *before* (Eq. 4.1's f_aⁱ, of little use where
-        the motors vibrate at hundreds of hertz); wrenches as measured. The accelerations and
-        the specific force are the true ones: they stand for the ideal desired motion.
+    measured : Samples
+        Positions and wrenches as measured. Velocities, including the base's angular velocity, are
+        filtered causally. Efforts are those measured one period *before* (f_aⁱ of Eq. 4.1), which
+        is inaccurate if the motors vibrate at hundreds of hertz. Accelerations and specific force
+        are the true ones and represent the ideal desired motion.
     truth : TrueMotion
-        The same instants. Of it, predictions use the base's linear velocity and orientation
-        too, which no sensor of the record measures: a state estimator's, taken as ideal.
+        At the same instants. Predictions also use its linear velocity and orientation of the base,
+        as from an ideal state estimator, because no sensor measures them.
     """
 
-    known: Samples
+    measured: Samples
     truth: TrueMotion
 
 
 @dataclass(frozen=True)
 class RealisticPrediction:
-    """What one parameter vector predicts of a noisy record.
+    """Predictions of one parameter vector for a noisy log.
 
     Attributes
     ----------
     wrenches : (N, F, 6) float64
-        Contact forces of Eq. 4.1, per frame (moment; force) in its own axes about its origin.
+        Contact wrenches of Eq. 4.1 (moment; force) about the origin of each frame, in its axes.
     torque : (N, J) float64
-        Joint torques that the desired accelerations ask for, given those contact forces.
+        Joint torques for the desired accelerations, given these contact wrenches.
     torque_from_wrenches : (N, J) float64
-        The same, given the measured wrenches instead.
+        Joint torques given the measured wrenches.
     com : (N, 3) float64
         Centre of mass in the base frame, m.
     momentum : (N, 6) float64
@@ -82,9 +82,9 @@ class RealisticPrediction:
 class RealisticMetrics:
     """RMSE of realistic predictions in Nm, N, Nm, mm, and Ns with Nms.
 
-    A vector's error is its norm per sample. Torques are compared with the true ones; contact
-    forces and moments with the measured wrenches, whose noise is in the figure; centre of mass
-    and momentum with the true model's on the true motion.
+    The error of a vector is its norm at each sample. Torques are compared with the true ones;
+    contact forces and moments with the measured wrenches, whose noise adds to the error; centre of
+    mass and momentum with those of the true model along the true motion.
     """
 
     torque_rmse: float
@@ -101,12 +101,12 @@ def realistic_motion(
     model: RobotModel,
     low_pass: CausalLowPass | None = None,
 ) -> RealisticMotion:
-    """Return what a noisy simulated log and its ground truth say; velocities are filtered.
+    """Return a noisy simulated log with filtered velocities, and its ground truth.
 
     Raises
     ------
     BagError
-        When the ground truth never coincides with the joint states.
+        When ground truth and joint states have no common stamp.
     DataError
         When a floating robot's log has no IMU.
     """
@@ -114,20 +114,22 @@ def realistic_motion(
     if model.floating and not streams.imus:
         raise DataError(
             f"{streams.source}: the base of {model.source} floats, but the bag has no "
-            "sensor_msgs/msg/Imu topic; record the IMU, or give `base` fixed if it is bolted down"
+            "sensor_msgs/msg/Imu topic; record the IMU, or give `base` fixed if it is bolted down",
+            "E524",
         )
     low_pass = low_pass or CausalLowPass()
-    known = [_known(segment, streams, model, low_pass) for segment in align(streams, model)]
-    stamp = np.concatenate([part.stamp for part in known])
+    filtered = [_filtered(segment, streams, model, low_pass) for segment in align(streams, model)]
+    stamp = np.concatenate([part.stamp for part in filtered])
     common, here, there = np.intersect1d(stamp, truth.samples.stamp, return_indices=True)
     if len(common) == 0:
         raise BagError(
             f"{streams.source}: ground truth and {streams.joints.topic} share no stamp once the "
-            "velocity filter has settled; use a longer bag of this package's simulator"
+            "velocity filter has settled; use a longer bag of `symbid simulate`",
+            "E525",
         )
 
     def at_common(name: str) -> FloatArray:
-        found: FloatArray = np.concatenate([getattr(part, name) for part in known])[here]
+        found: FloatArray = np.concatenate([getattr(part, name) for part in filtered])[here]
         return found
 
     true = truth[there]
@@ -142,8 +144,8 @@ def realistic_motion(
 
 
 @dataclass(frozen=True)
-class _Known:
-    """What the robot's own sensors tell at ``stamp`` (N,), as in :class:`RealisticMotion`."""
+class _FilteredSegment:
+    """Measured part of a :class:`RealisticMotion` at ``stamp`` (N,)."""
 
     stamp: IntArray
     position: FloatArray
@@ -152,13 +154,13 @@ class _Known:
     base_angular_velocity: FloatArray
 
 
-def _known(
+def _filtered(
     segment: Segment, streams: Streams, model: RobotModel, low_pass: CausalLowPass
-) -> _Known:
+) -> _FilteredSegment:
     position, rate = segment.position, segment.rate
     velocity = low_pass.velocity(position, rate)
     edge = max(1, low_pass.settling(rate))
-    return _Known(
+    return _FilteredSegment(
         stamp=segment.stamp[edge:],
         position=position[edge:],
         velocity=velocity[edge:],
@@ -174,7 +176,7 @@ def _base_rate(
     low_pass: CausalLowPass,
     velocity: FloatArray,
 ) -> FloatArray:
-    """Return the base's angular velocity (M, 3), the mean of what the IMUs say."""
+    """Return the base's angular velocity (M, 3), averaged over the IMUs."""
     unused = np.zeros((len(segment.stamp), 3))
     if not model.floating:
         return unused
@@ -195,7 +197,7 @@ def _base_rate(
 def predict_realistic(
     parameters: ParameterSet, values: FloatArray, motion: RealisticMotion
 ) -> RealisticPrediction:
-    """Return what the parameters (p,) predict of the record."""
+    """Return the predictions of the parameters (p,) for the log."""
     parts = [_predictions(parameters, [values], block)[0] for block in _blocks(motion)]
     return RealisticPrediction(
         *(
@@ -215,7 +217,7 @@ def evaluate_realistic(
     squares = np.zeros((len(candidates), len(fields(RealisticMetrics))))
     for block in _blocks(motion):
         true = predict(parameters, truth, block.truth)
-        effort, wrenches = block.truth.samples.effort, block.known.wrenches
+        effort, wrenches = block.truth.samples.effort, block.measured.wrenches
         for row, predicted in zip(
             squares, _predictions(parameters, [*candidates.values()], block), strict=True
         ):
@@ -229,7 +231,7 @@ def evaluate_realistic(
                 predicted.momentum - true.momentum,
             )
             row += [np.sum(error**2) for error in errors]
-    roots = np.sqrt(squares / len(motion.known))
+    roots = np.sqrt(squares / len(motion.measured))
     return {
         label: RealisticMetrics(*row.tolist()) for label, row in zip(candidates, roots, strict=True)
     }
@@ -237,9 +239,9 @@ def evaluate_realistic(
 
 def _blocks(motion: RealisticMotion) -> list[RealisticMotion]:
     return [
-        RealisticMotion(known, truth)
-        for known, truth in zip(
-            motion.known.blocks(SAMPLES_AT_ONCE), motion.truth.blocks(), strict=True
+        RealisticMotion(measured, truth)
+        for measured, truth in zip(
+            motion.measured.blocks(SAMPLES_AT_ONCE), motion.truth.blocks(), strict=True
         )
     ]
 
@@ -247,21 +249,21 @@ def _blocks(motion: RealisticMotion) -> list[RealisticMotion]:
 def _predictions(
     parameters: ParameterSet, candidates: Sequence[FloatArray], motion: RealisticMotion
 ) -> list[RealisticPrediction]:
-    """Return each candidate's prediction of one block; what they share is worked out once."""
-    model, known, truth = parameters.model, motion.known, motion.truth
+    """Return the predictions of all candidates for one block; shared matrices are computed once."""
+    model, samples, truth = parameters.model, motion.measured, motion.truth
     first_joint = 6 * model.floating
-    poses = link_poses(model, known.position)
-    jacobian = contact_jacobian(model, known.wrench_frames, poses)
-    momentum = momentum_regressor(parameters, known, truth.base_velocity, poses)
-    needed = np.stack(candidates) @ equation_of_motion(parameters, known).K.transpose(0, 2, 1)
-    needed += known_force(parameters, known)[:, None]
+    poses = link_poses(model, samples.position)
+    jacobian = contact_jacobian(model, samples.wrench_frames, poses)
+    momentum = momentum_regressor(parameters, samples, truth.base_velocity, poses)
+    needed = np.stack(candidates) @ equation_of_motion(parameters, samples).K.transpose(0, 2, 1)
+    needed += known_force(parameters, samples)[:, None]
     unmet = needed.copy()
-    unmet[:, :, first_joint:] -= known.effort[:, None]
-    wrenches = contact_wrenches(jacobian, unmet, FELT)
+    unmet[:, :, first_joint:] -= samples.effort[:, None]
+    wrenches = contact_wrenches(jacobian, unmet, SINGULAR)
     stacked = wrenches.reshape(*needed.shape[:2], jacobian.shape[1])
-    measured = known.wrenches.reshape(len(known), 1, jacobian.shape[1])
+    given = samples.wrenches.reshape(len(samples), 1, jacobian.shape[1])
     torque = (needed - stacked @ jacobian)[:, :, first_joint:]
-    from_measured = (needed - measured @ jacobian)[:, :, first_joint:]
+    from_measured = (needed - given @ jacobian)[:, :, first_joint:]
     predictions = []
     for index, values in enumerate(candidates):
         com = com_position(parameters, values, poses)

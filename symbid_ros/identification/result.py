@@ -272,7 +272,7 @@ class Result:
         smoothing = Processing.of(self.options).smoothing
         if smoothing is not None:
             samples = build_samples(
-                aligned.whole_stretches(), parameters.model, smoothing, log.source
+                aligned.contiguous_segments(), parameters.model, smoothing, log.source
             )
             for block in samples.blocks(SAMPLES_AT_ONCE):
                 single = sampled_rows(parameters, block)

@@ -28,12 +28,12 @@ RESULT_FILES = "model.urdf", "model.xml", "information.npz", "estimate.json"
 
 
 def check_output(parameters: ParameterSet, out: Path) -> None:
-    """Refuse a folder or a robot that could not be written once the work is done.
+    """Check that the results can be written, before the work starts.
 
     Raises
     ------
     SymbidError
-        When the folder cannot be written to or the robot has no text in one of the formats.
+        When the folder is not writable or the robot cannot be expressed in one of the formats.
     """
     check_writable(out)
     _urdf(parameters, parameters.values, "")
@@ -43,12 +43,12 @@ def check_output(parameters: ParameterSet, out: Path) -> None:
 def write_identification(found: Identification, parameters: ParameterSet, out: Path) -> None:
     """Write estimate.json, information.npz, model.urdf and model.xml into a folder, together.
 
-    The user's own file is carried over in its format, with the files that it includes; the
-    other is a bare tree. What a format cannot say of the estimate is logged, and written at the
-    top of a bare tree.
+    The user's model file keeps everything but the inertial parameters, together with the files that
+    it includes. The other format holds the kinematic tree only. Parameters that a format cannot
+    express are logged, and listed at the top of such a tree.
 
-    A file that cannot be written does not cost the others. The estimate and its information
-    go to a temporary folder if this one has become unwritable.
+    If a file cannot be written, the others are. If the folder is no longer writable, estimate and
+    information go to a temporary folder.
 
     Raises
     ------
@@ -69,18 +69,18 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
     outputs = results | models
     try:
         with staged(out) as stage:
-            failures = _written(outputs, stage, out)
+            failures = _write_all(outputs, stage, out)
     except SymbidError as error:
         failures = dict.fromkeys(outputs, str(error))
-    _report_unwritten(parameters.apply(estimate.value), out)
+    _log_unwritten(parameters.apply(estimate.value), out)
     if not failures:
         return
     first = next(iter(failures.values()))
     saved = [name for name in outputs if name not in failures]
     done = f"{', '.join(saved)} written to {out}" if saved else ""
     if lost := {name: write for name, write in results.items() if name in failures}:
-        done = ", ".join(filter(None, [done, _rescued(lost)]))
-    raise EstimateError(f"{first}; {done}; not written: {', '.join(failures)}")
+        done = ", ".join(filter(None, [done, _write_to_temporary_folder(lost)]))
+    raise EstimateError(f"{first}; {done}; not written: {', '.join(failures)}", "E522")
 
 
 def _write_mjcf(path: Path, files: Mapping[PurePosixPath, str]) -> None:
@@ -88,7 +88,7 @@ def _write_mjcf(path: Path, files: Mapping[PurePosixPath, str]) -> None:
         write_text(path.parent / place, text)
 
 
-def _report_unwritten(identified: RobotModel, out: Path) -> None:
+def _log_unwritten(identified: RobotModel, out: Path) -> None:
     for name, remarks in (
         ("model.urdf", unwritten(identified)),
         ("model.xml", replaced_values(identified)),
@@ -97,41 +97,41 @@ def _report_unwritten(identified: RobotModel, out: Path) -> None:
             logger.warning("%s: %s", out / name, remark)
 
 
-def _written(
+def _write_all(
     outputs: Mapping[str, Callable[[Path], object]], folder: Path, named: Path
 ) -> dict[str, str]:
-    """Write files, and return by name what went wrong; messages show ``named`` as the folder."""
+    """Write files and return the errors by file name; messages show ``named`` as the folder."""
     failures = {}
     for name, write in outputs.items():
         try:
             write(folder / name)
         except SymbidError as error:
             failures[name] = str(error).replace(str(folder), str(named))
-        except Exception as error:  # a fault of ours in one format must not cost the other files
+        except Exception as error:  # a bug in one format must not lose the other files
             failures[name] = f"{named / name}: {type(error).__name__}: {error}"
     return failures
 
 
-def _rescued(outputs: Mapping[str, Callable[[Path], object]]) -> str:
-    """Write files into a new temporary folder, and return what was achieved."""
+def _write_to_temporary_folder(outputs: Mapping[str, Callable[[Path], object]]) -> str:
+    """Write files into a new temporary folder and return a description of the result."""
     try:
         folder = Path(tempfile.mkdtemp(prefix="symbid_"))
     except OSError:
         return "no temporary folder is writable either"
-    failures = _written(outputs, folder, folder)
+    failures = _write_all(outputs, folder, folder)
     saved = [name for name in outputs if name not in failures]
     return f"{', '.join(saved) or 'nothing'} written to {folder} instead"
 
 
 def export_urdf(estimate: Estimate, parameters: ParameterSet) -> str:
-    """Return the identified robot as URDF text, the user's own file if it is one."""
+    """Return the identified robot as URDF, based on the user's file if that is a URDF."""
     return _urdf(parameters, estimate.value, _warning(estimate))
 
 
 def export_mjcf(
     estimate: Estimate, parameters: ParameterSet, folder: Path
 ) -> dict[PurePosixPath, str]:
-    """Return the identified robot as MJCF for ``folder``, the user's own files if they are MJCF."""
+    """Return the identified robot as MJCF for ``folder``, based on the user's files if MJCF."""
     return _mjcf(parameters, estimate.value, folder, _warning(estimate))
 
 
@@ -155,19 +155,19 @@ def _warning(estimate: Estimate) -> str:
 
 
 @dataclass(frozen=True)
-class Subject:
-    """A robot's parameters, with what is known of how they were found.
+class EstimatedModel:
+    """A robot's parameters as read from files, with their estimate and covariance if available.
 
     Attributes
     ----------
     parameters : ParameterSet
         The p columns.
     values : (p,) float64
-        In SI units.
+        SI units.
     estimate : Estimate or None
-        Its parameters in the columns' order; None for a prior.
+        With parameters in the order of the columns; None for a prior.
     deviation_factor : (p, r) float64 or None
-        L of the posterior covariance L Lᵀ; None where no folder holds one.
+        L of the posterior covariance L Lᵀ; None if there is none.
     """
 
     parameters: ParameterSet
@@ -176,40 +176,42 @@ class Subject:
     deviation_factor: FloatArray | None = None
 
 
-def load_subject(path: Path, model: RobotModel) -> Subject:
-    """Read an estimate or a prior of ``model``.
+def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
+    """Read the folder of an identification, an estimate.json or a prior.json.
 
     Raises
     ------
     EstimateError, PriorError
-        When the file is missing, malformed or about another robot.
+        When a file is missing, malformed or of another robot.
     """
     file = path / "estimate.json" if path.is_dir() else path
     if _is_prior(file):
         parameters = ParameterSet(model)
-        return Subject(parameters, load_prior(file, parameters).mean)
+        return EstimatedModel(parameters, load_prior(file, parameters).mean)
     estimate = load_estimate(file)
-    # The file may be that of the true robot, whose friction the estimate need not know.
+    # The model may be the true robot, with friction that the estimate does not have.
     parameters = ParameterSet(model, terms_in(estimate.names)).with_known_values(estimate.known)
     if set(parameters.names) != set(estimate.names):
         raise EstimateError(
-            f"{file}: this estimate is of model {estimate.model!r} and its parameters are not "
-            f"those of {model.source}; name the model it was identified with"
+            f"{file}: its parameters, of model {estimate.model!r}, are not those of "
+            f"{model.source}; give the model it was identified with",
+            "E512",
         )
     order = [estimate.names.index(name) for name in parameters.names]
     ordered = _ordered(estimate, order)
     archive = path / "information.npz"
     if not archive.is_file():
-        return Subject(parameters, ordered.value, ordered)
+        return EstimatedModel(parameters, ordered.value, ordered)
     factor = load_deviation_factor(archive)
     if factor is not None:
         if factor.ndim != 2 or len(factor) != len(order):
             raise EstimateError(
-                f"{archive}: its uncertainty is not of the {len(order)} parameters of {file.name}; "
-                "identify the log again"
+                f"{archive}: its covariance does not belong to the {len(order)} parameters of "
+                f"{file.name}; identify the log again",
+                "E523",
             )
         factor = factor[order]
-    return Subject(parameters, ordered.value, ordered, factor)
+    return EstimatedModel(parameters, ordered.value, ordered, factor)
 
 
 def _ordered(estimate: Estimate, order: list[int]) -> Estimate:
@@ -226,7 +228,7 @@ def _ordered(estimate: Estimate, order: list[int]) -> Estimate:
 
 
 def _is_prior(file: Path) -> bool:
-    """Tell prior.json by its kind; whatever cannot be read is left to the estimate's reader."""
+    """Return whether a file is a prior; an unreadable file fails later, as an estimate."""
     try:
         document = load_json(file)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""The offline job: observations and a prior in, an estimate out."""
+"""Solves a problem with any method: observations and a prior in, an estimate out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,28 +17,27 @@ from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, 
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
 from symbid_ros.identification.problem import Problem, Truncation
-from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solved
+from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.package_paths import package_version
 from symbid_ros.signals.weak_form import RowBuilder
 
-SOFTWARE = f"symbid_ros {package_version()}"  # looked up before any work
+SOFTWARE = f"symbid_ros {package_version()}"
 
 
 @dataclass(frozen=True)
 class Identification:
-    """An estimate with what it was made from.
+    """An estimate, and what is needed to predict with it or to continue from it.
 
     Attributes
     ----------
     estimate : Estimate
-        The result.
     observations : tuple of Observations
-        The data, for a run that goes on from here.
+        The data for each window length.
     deviation_factor : (p, r) float64 or None
         L of the robot's parameters' covariance L Lᵀ; None for truncated methods.
     window : float
-        Length of the windows of the rows that were solved, s; 0 for rows at single instants.
+        Window length of the rows that were solved, s; 0 for rows at single instants.
     unknowns : (p + s,) float64
         The parameters, then the sensor errors.
     rows : RowBuilder
@@ -55,15 +54,15 @@ class Identification:
 
 @dataclass(frozen=True)
 class Solver:
-    """A problem with its posterior, from which every method starts.
+    """A problem and its posterior, from which every method starts.
 
     Attributes
     ----------
     problem : Problem
     chosen : Observations
-        Over the window that tells most.
+        With the most informative window length.
     posterior : Posterior
-        Of those.
+        From these.
     """
 
     problem: Problem
@@ -72,20 +71,22 @@ class Solver:
 
     @classmethod
     def of(cls, problem: Problem) -> "Solver":
-        """Find the window whose rows tell most of the robot, noise not counted."""
+        """Choose the most informative window length and compute its posterior."""
         best, near = WindowComparison(problem).finish()
-        return cls(problem, best, solved(problem, best, near, CONVERGED))
+        return cls(problem, best, solve_window(problem, best, near, CONVERGED))
 
     @classmethod
     def approximate(
         cls, problem: Problem, chosen: Observations, start: FloatArray | None
     ) -> "Solver":
-        """Solve over one window to a hundredth of a deviation, from parameters that are near."""
-        return cls(problem, chosen, solved(problem, chosen, start, COMPARABLE, approximate=True))
+        """Solve one window length to a hundredth of a standard deviation, from a near start."""
+        return cls(
+            problem, chosen, solve_window(problem, chosen, start, COMPARABLE, approximate=True)
+        )
 
     @property
     def whiteness(self) -> float:
-        """How much longer residuals last than noise; 0 where there is one window only."""
+        """How far the residuals are from white noise; 0 with one window length only."""
         observations = self.problem.observations
         if len(observations) < 2:
             return 0.0
@@ -93,22 +94,19 @@ class Solver:
 
     @property
     def alarms(self) -> tuple[str, ...]:
-        """What is wrong, one line each."""
+        """Reasons not to trust the estimate, one line each."""
         return alarms(self.posterior, self.whiteness, has_wrenches=self.problem.has_wrenches)
 
-    def map(self, *, judged: bool = True) -> Identification:
-        """Return the most probable parameters, with or without a verdict."""
-        return self._gaussian("map", self.posterior.mean, judged=judged)
+    def map(self, *, with_verdict: bool = True) -> Identification:
+        """Return the most probable parameters."""
+        return self._gaussian("map", self.posterior.mean, with_verdict=with_verdict)
 
-    def map_lmi(self, *, judged: bool = True) -> Identification:
-        """Return the most probable parameters of physically possible links, likewise."""
-        return self._gaussian("map_lmi", self.possible(), judged=judged)
+    def map_lmi(self, *, with_verdict: bool = True) -> Identification:
+        """Return the most probable parameters of physically possible links."""
+        return self._gaussian("map_lmi", self.consistent_unknowns(), with_verdict=with_verdict)
 
-    def possible(self) -> FloatArray:
-        """Return the most probable unknowns with physically possible links, (p,) and more.
-
-        Those that need not be possible are the posterior's mean.
-        """
+    def consistent_unknowns(self) -> FloatArray:
+        """Return the most probable unknowns (p + s,) with physically possible links."""
         parameters, found = self.problem.parameters, self.posterior
         return consistent_minimum(
             found.factor,
@@ -118,19 +116,19 @@ class Solver:
             Bounds.nonnegative(parameters) if parameters.terms else None,
         ).value
 
-    def _gaussian(self, method: Method, value: FloatArray, *, judged: bool) -> Identification:
+    def _gaussian(self, method: Method, value: FloatArray, *, with_verdict: bool) -> Identification:
         found, problem = self.posterior, self.problem
         p = len(problem.parameters)
         singular = np.linalg.svd(found.factor * found.prior.std, compute_uv=False)
         verdict = None
-        if judged:
+        if with_verdict:
             verdict = assess(
                 found,
                 value,
                 problem.parameters,
                 window=self.chosen.window,
                 whiteness=self.whiteness,
-                sensors=(problem.sensor_names, problem.sensors),
+                sensors=(problem.sensor_names, problem.sensor_units),
                 has_wrenches=problem.has_wrenches,
             )
         estimate = self._estimate(
@@ -155,7 +153,7 @@ class Solver:
         truncation: Truncation,
         row_deviation: FloatArray | None = None,
     ) -> Identification:
-        """Return the estimate of one of the thesis's methods.
+        """Return the estimate of a truncated method of the thesis.
 
         Parameters
         ----------
@@ -164,17 +162,19 @@ class Solver:
         truncation : Truncation
             Choice of z.
         row_deviation : (n,) float64, optional
-            σ of each coordinate instead of the OLS residual's.
+            σ of each coordinate; by default that of the OLS residual.
 
         Raises
         ------
         EstimateError
-            When z is larger than the rank, or sensor errors are unknowns too.
+            When z exceeds the rank, or there are sensor errors or pseudo-measurements.
         """
         problem = self.problem
         if problem.sensor_names or problem.pseudo_measurements is not None:
             raise EstimateError(
-                f"{method} takes neither sensor errors, a tare nor a total mass; use map or map_lmi"
+                f"{method} supports neither `sensor_errors`, `tare`, `total_mass` nor `mirror`; "
+                "use `method` map or map_lmi",
+                "E503",
             )
         least_squares = LeastSquares(self.chosen.rows, row_deviation, self.chosen.counts.diagonal())
         scaled = least_squares.scaled(problem.prior, method)
@@ -182,11 +182,12 @@ class Solver:
             z = truncation.rank
             if not 1 <= z <= scaled.rank:
                 raise EstimateError(
-                    f"rank {z} is not between 1 and {scaled.rank}, the rank of this log's "
-                    "equations; choose another `rank`"
+                    f"`rank` {z} is not between 1 and {scaled.rank}, the rank of this log's "
+                    "equations; choose another",
+                    "E501",
                 )
         elif truncation.validation:
-            validation = _same_window(truncation.validation, self.chosen.window)
+            validation = _with_window(truncation.validation, self.chosen.window)
             z = select_rank(scaled, validation.rows, truncation.criterion)
         else:
             z = informative_rank(self.posterior, scaled.rank)
@@ -204,7 +205,7 @@ class Solver:
         )
 
     def _residuals(self, value: FloatArray) -> dict[str, float]:
-        """Return the root mean square residual of every coordinate that has rows."""
+        """Return the RMS residual of each coordinate that has rows."""
         residuals = self.chosen.rows.residual_rmse(value)
         used = self.chosen.counts.diagonal() > 0
         return {
@@ -248,10 +249,12 @@ class Solver:
         )
 
 
-def _same_window(candidates: Sequence[Observations], window: float) -> Observations:
+def _with_window(candidates: Sequence[Observations], window: float) -> Observations:
     for one in candidates:
         if one.window == window:
             return one
     raise EstimateError(
-        f"the validation log is too short for windows of {1e3 * window:g} ms; give a longer one"
+        f"the validation log is too short for windows of {1e3 * window:g} ms; give a longer one to "
+        "`validate`",
+        "E516",
     )

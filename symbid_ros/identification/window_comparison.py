@@ -9,124 +9,81 @@ from symbid_ros.estimation.posterior import Posterior, posterior
 from symbid_ros.estimation.verdict import SUSPICIOUS_NOISE
 from symbid_ros.identification.problem import Problem
 
-# Change, in posterior deviations, at which windows of several lengths can be compared.
+# Change, in posterior standard deviations, at which iterations stop for a comparison.
 COMPARABLE = 1e-2
+
+# Factor by which the number of blocks grows between two comparisons online.
+COMPARE_AGAIN = 2
 
 
 class WindowComparison:
-    """The windows of a problem, compared one after the other, at once or in steps.
+    """Compares the window lengths of a problem, all at once or step by step.
 
-    Where noise is most of what some direction is told, its estimate leaves a bias larger than the
-    deviations: such windows are passed over for others.
+    If sensor noise in the motion dominates some direction, the bias exceeds the standard
+    deviations. Such window lengths are chosen only if all are like that.
 
     Parameters
     ----------
     problem : Problem
-        With data over one length of windows at least.
+        With data for at least one window length.
     """
 
     def __init__(self, problem: Problem) -> None:
         self._problem = problem
-        self._candidates = problem.observations[-1:] if problem.longest else problem.observations
+        needs_longest = problem.needs_longest_window
+        self._candidates = problem.observations[-1:] if needs_longest else problem.observations
         self._found: list[Posterior] = []
 
     @property
     def is_done(self) -> bool:
-        """Whether no window is left; a single one need not be looked at."""
+        """Whether every window length has been solved; a single one need not be."""
         return len(self._found) == len(self._candidates) or len(self._candidates) == 1
 
     def step(self) -> None:
-        """Look at one window more."""
-        # Which of them it is shows long before weights and solution have settled.
+        """Solve one more window length."""
+        # The order is clear long before weights and solution have converged.
         one = self._candidates[len(self._found)]
         near = self._found[-1].mean if self._found else None
-        self._found.append(solved(self._problem, one, near, COMPARABLE, approximate=True))
+        self._found.append(solve_window(self._problem, one, near, COMPARABLE, approximate=True))
 
     def finish(self) -> tuple[Observations, FloatArray | None]:
-        """Look at all and return what tells most, and parameters near its solution if known."""
+        """Return the most informative rows and, if known, parameters near their solution."""
         while not self.is_done:
             self.step()
         if not self._found:
             return self._candidates[0], None
-        best = _telling(self._found, len(self._problem.parameters))
+        best = _most_informative(self._found, len(self._problem.parameters))
         return self._candidates[best], self._found[best].mean
 
 
-def solved(
-    problem: Problem,
-    one: Observations,
-    start: FloatArray | None,
-    tolerance: float,
-    *,
-    approximate: bool = False,
-) -> Posterior:
-    """Return a problem's posterior over one length of windows.
+class WindowSelector:
+    """Repeats the comparison as data arrive, one window length at each estimate after the first.
 
-    Parameters
-    ----------
-    problem : Problem
-    one : Observations
-        Over those windows; where rows have faded, the prior has as well.
-    start : (p,) float64 or None
-        Parameters near the solution.
-    tolerance : float
-        Change, in posterior deviations, at which it will do.
-    approximate : bool
-        Whether the weights' last digits are spared.
-    """
-    # Nothing has faded unless old rows have, and 1 changes no digit.
-    return posterior(
-        one,
-        discounted_prior(problem.prior, one.kept),
-        discounted_pseudo_measurements(problem.pseudo_measurements, one.kept),
-        empirical=problem.empirical,
-        count=problem.parameters.inertial,
-        tolerance=tolerance,
-        start=start,
-        approximate=approximate,
-    )
-
-
-def _telling(found: Sequence[Posterior], count: int) -> int:
-    """Return which window tells most of the first ``count`` parameters."""
-    shares = [one.noise_share for one in found]
-    allowed = max(SUSPICIOUS_NOISE, min(shares))
-    gains = [one.gain(count) for one in found]
-    return max(range(len(found)), key=lambda i: (shares[i] <= allowed, gains[i]))
-
-
-# Windows are compared again when there are so many times more blocks than at the last time.
-COMPARE_AGAIN = 2
-
-
-class WindowChoice:
-    """Windows compared again and again as data come, one at each estimate but for the first.
-
-    All at once would take as long as a few estimates, which would have to wait.
+    A whole comparison takes as long as several estimates, which would be late.
     """
 
     def __init__(self) -> None:
         self._comparison: WindowComparison | None = None
         self._compared_at = 0
 
-    def look(self, problem: Problem, blocks: int) -> float | None:
-        """Compare one length more, and return which tells most, s, where all have been compared.
+    def update(self, problem: Problem, count: int) -> float | None:
+        """Solve one more window length; return the best one, s, at the end of a comparison.
 
         Parameters
         ----------
         problem : Problem
-            By whole blocks, with data.
-        blocks : int
-            How many they are.
+            From complete blocks, with data.
+        count : int
+            Number of these blocks.
         """
-        # What fails is not tried again before there are more blocks.
+        # A comparison that fails is repeated only when there are more blocks.
         comparison, self._comparison = self._comparison, None
         if comparison is not None:
             comparison.step()
-        elif blocks >= COMPARE_AGAIN * self._compared_at:
+        elif count >= COMPARE_AGAIN * self._compared_at:
             comparison = WindowComparison(problem)
-            is_first, self._compared_at = not self._compared_at, max(blocks, 1)
-            if is_first:  # nothing is known yet: the first estimates wait for it
+            is_first, self._compared_at = not self._compared_at, max(count, 1)
+            if is_first:  # the first estimates wait for the result
                 comparison.finish()
         if comparison is None:
             return None
@@ -135,3 +92,46 @@ class WindowChoice:
             return None
         best, _ = comparison.finish()
         return best.window
+
+
+def solve_window(
+    problem: Problem,
+    one: Observations,
+    start: FloatArray | None,
+    tolerance: float,
+    *,
+    approximate: bool = False,
+) -> Posterior:
+    """Return a problem's posterior for one window length.
+
+    Parameters
+    ----------
+    problem : Problem
+    one : Observations
+        With that window length; the prior is discounted like these rows.
+    start : (p,) float64 or None
+        Parameters near the solution.
+    tolerance : float
+        Change, in posterior standard deviations, at which iterations stop.
+    approximate : bool
+        Whether weights need not converge to the last digits.
+    """
+    # Offline, `kept` is 1, and discounting by 1 changes no digit.
+    return posterior(
+        one,
+        discounted_prior(problem.prior, one.kept),
+        discounted_pseudo_measurements(problem.pseudo_measurements, one.kept),
+        empirical=problem.is_empirical,
+        count=problem.parameters.inertial,
+        tolerance=tolerance,
+        start=start,
+        approximate=approximate,
+    )
+
+
+def _most_informative(found: Sequence[Posterior], count: int) -> int:
+    """Return the index of the window length that tells most of the first ``count`` parameters."""
+    shares = [one.noise_share for one in found]
+    allowed = max(SUSPICIOUS_NOISE, min(shares))
+    gains = [one.gain(count) for one in found]
+    return max(range(len(found)), key=lambda i: (shares[i] <= allowed, gains[i]))

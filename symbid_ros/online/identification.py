@@ -15,11 +15,17 @@ import numpy as np
 from symbid_ros.estimation.change import relaxed_prior
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
-from symbid_ros.identification.accumulator import BlockRows, Memory, TimeSpan, Whole, block_rows
-from symbid_ros.identification.change_monitor import Change, ChangeWatch
+from symbid_ros.identification.accumulator import (
+    Accumulator,
+    BlockAccumulator,
+    BlockRows,
+    TimeSpan,
+    build_block_rows,
+)
+from symbid_ros.identification.change_monitor import Change, ChangeMonitor
 from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
-from symbid_ros.identification.window_comparison import WindowChoice
+from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker
@@ -123,11 +129,11 @@ class OnlineIdentification:
         self._posterior: Posterior | None = None
         self._released: set[str] = set()
         self._until = 0
-        self._choice, self._watch = WindowChoice(), ChangeWatch(self._parameters)
+        self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
         # Those that suit the topics' rate, once it is known.
         self._suited: tuple[float, ...] = ()
-        known = Whole(beginning.observations, pace.memory)
-        self._memory = Memory(known, len(self._windows) // 2)
+        known = BlockAccumulator(beginning.observations, pace.memory)
+        self._accumulator = Accumulator(known, len(self._windows) // 2)
         self._work = BlockWorker(self._build, self._windows, pace.share, known)
 
     @property
@@ -144,12 +150,12 @@ class OnlineIdentification:
     @property
     def evidence(self) -> float:
         """For a change at the last look, over what has been usual; nan before there was one."""
-        return self._watch.evidence
+        return self._monitor.evidence
 
     @property
     def can_tell_change(self) -> bool:
         """Whether what is usual is known well enough to tell a change from it."""
-        return self._watch.is_ready
+        return self._monitor.is_ready
 
     def feed(self, topic: Topic, payload: bytes) -> None:
         """Take a serialised message of one of the topics, whatever its bytes may be."""
@@ -168,7 +174,7 @@ class OnlineIdentification:
             self.clock_jumps += 1
             self._put(self._timeline.restart())
             self._settle(self._work.finish())
-            self._begin_time(self._memory.whole.new_time())
+            self._begin_time(self._accumulator.blocks.with_new_clock())
         streams.add(topic, stamp, payload)
 
     def advance(self) -> None:
@@ -192,35 +198,35 @@ class OnlineIdentification:
             When the measured forces do not carry the robot.
         """
         self.advance()
-        known = self._memory.whole.until or 0  # by blocks that have been worked on
+        known = self._accumulator.blocks.stop or 0  # by blocks that have been worked on
         new = [
             self._piece(stretch)
             for stretch in self._timeline.pieces()
             if stretch.segments and stretch.stop > known
         ]
         for piece in new:
-            self._memory.add(piece)
+            self._accumulator.add(piece)
             self._until = piece.stop - 1
         return self._solve_exactly() if exactly else self._solve_roughly(new)
 
     def _solve_exactly(self) -> OnlineEstimate | None:
         self._settle(self._work.finish())
-        whole, rest = self._memory.whole, self._timeline.rest()
+        whole, rest = self._accumulator.blocks, self._timeline.rest()
         if rest is not None and rest.segments:
             self._suit(rest)
-            whole = whole.with_block(block_rows(rest, self._build, self._windows))
+            whole = whole.with_block(build_block_rows(rest, self._build, self._windows))
             self._until = rest.stop - 1
         problem = self._problem_of(whole)
         if not problem.observations:
             return None
         self._check_weight(problem.observations[0])
-        return self._outcome(Solver.of(problem), judged=True)
+        return self._outcome(Solver.of(problem), with_verdict=True)
 
     def _solve_roughly(self, new: Sequence[BlockRows]) -> OnlineEstimate | None:
-        problem = self._problem_of(self._memory.whole)
+        problem = self._problem_of(self._accumulator.blocks)
         if problem.observations:
             self._choose_window(problem)
-        now = self._memory.now
+        now = self._accumulator.current
         if now.rows.samples == 0:
             return None
         self._check_weight(now)
@@ -231,13 +237,13 @@ class OnlineIdentification:
         solver = Solver.approximate(problem, now, start)
         self._posterior = solver.posterior
         if new:
-            self._watch.look(new, solver.posterior)
+            self._monitor.update(new, solver.posterior)
             self._release()
-        return self._outcome(solver, judged=False)
+        return self._outcome(solver, with_verdict=False)
 
     def _release(self) -> None:
         """Relax the prior of every link that may have changed, if old data are forgotten too."""
-        change = self._watch.change
+        change = self._monitor.change
         if change is None or np.isinf(self._pace.memory):
             return
         for suspect in change.suspects:
@@ -246,7 +252,7 @@ class OnlineIdentification:
                 prior = relaxed_prior(self._problem.prior, self._parameters, suspect.link)
                 self._problem = replace(self._problem, prior=prior)
 
-    def _problem_of(self, whole: Whole) -> Problem:
+    def _problem_of(self, whole: BlockAccumulator) -> Problem:
         told = tuple(
             one
             for one in whole.observations
@@ -265,23 +271,23 @@ class OnlineIdentification:
         rate = stretch.segments[0].rate
         check_windows(self._windows, rate, "live topics")
         self._suited = suited_windows(self._windows, rate)
-        if self._windows[self._memory.window] not in self._suited:
+        if self._windows[self._accumulator.window] not in self._suited:
             middle = self._suited[len(self._suited) // 2]
-            self._memory.track(self._memory.whole, self._windows.index(middle))
+            self._accumulator.restart(self._accumulator.blocks, self._windows.index(middle))
 
     def _choose_window(self, problem: Problem) -> None:
-        best = self._choice.look(problem, self._memory.whole.blocks)
+        best = self._selector.update(problem, self._accumulator.blocks.count)
         if best is None:
             return
         window = self._windows.index(best)
-        if window != self._memory.window:
-            self._memory.track(self._memory.whole, window)
-            self._watch.begin_again()
+        if window != self._accumulator.window:
+            self._accumulator.restart(self._accumulator.blocks, window)
+            self._monitor.restart()
 
-    def _outcome(self, solver: Solver, *, judged: bool) -> OnlineEstimate:
-        found = self._identified(solver, judged=judged)
+    def _outcome(self, solver: Solver, *, with_verdict: bool) -> OnlineEstimate:
+        found = self._identified(solver, with_verdict=with_verdict)
         window = solver.chosen.window
-        return OnlineEstimate(found, self._until, window, solver.alarms, self._watch.change)
+        return OnlineEstimate(found, self._until, window, solver.alarms, self._monitor.change)
 
     def reset(self) -> None:
         """Forget all but the prior."""
@@ -290,24 +296,24 @@ class OnlineIdentification:
         self._posterior = None
         self._released.clear()
         self._problem = replace(self._problem, prior=self._beginning.problem.prior)
-        self._choice, self._watch = WindowChoice(), ChangeWatch(self._parameters)
-        self._begin_time(Whole(self._beginning.nothing, self._pace.memory))
+        self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
+        self._begin_time(BlockAccumulator(self._beginning.nothing, self._pace.memory))
 
     def set_memory(self, span: float) -> None:
         """Forget from now on with another memory, s; what is known keeps its present weight."""
         self._settle(self._work.finish())
         self._pace = replace(self._pace, memory=span)
-        whole = replace(self._memory.whole, span=span)
+        whole = replace(self._accumulator.blocks, time_constant=span)
         self._work.begin(whole)
-        self._memory.settle(whole)
+        self._accumulator.update_blocks(whole)
 
     def close(self) -> None:
         """Give up blocks that are in line."""
         self._work.close()
 
-    def _begin_time(self, whole: Whole) -> None:
+    def _begin_time(self, whole: BlockAccumulator) -> None:
         self._work.begin(whole)
-        self._memory.track(whole, self._memory.window)
+        self._accumulator.restart(whole, self._accumulator.window)
         self._until = 0
 
     def _put(self, stretch: TimeSpan | None) -> None:
@@ -320,23 +326,23 @@ class OnlineIdentification:
             return
         self._work.put(stretch)
 
-    def _settle(self, whole: Whole | None) -> None:
+    def _settle(self, whole: BlockAccumulator | None) -> None:
         if whole is not None:
-            self._memory.settle(whole)
+            self._accumulator.update_blocks(whole)
 
     def _piece(self, stretch: TimeSpan) -> BlockRows:
         self._suit(stretch)
         # It is not searched for noise: that takes as long again, and its block will be.
-        return block_rows(stretch, self._build, [self._windows[self._memory.window]], ())
+        return build_block_rows(stretch, self._build, [self._windows[self._accumulator.window]], ())
 
     def _check_weight(self, shortest: Observations) -> None:
         if not self._options.unchecked:
             check_weight(shortest.rows, self._parameters, self._problem.prior)
 
-    def _identified(self, solver: Solver, *, judged: bool) -> Identification:
+    def _identified(self, solver: Solver, *, with_verdict: bool) -> Identification:
         method = self._options.method
         if method == "map_lmi":
-            return solver.map_lmi(judged=judged)
+            return solver.map_lmi(with_verdict=with_verdict)
         if method == "map":
-            return solver.map(judged=judged)
+            return solver.map(with_verdict=with_verdict)
         return solver.truncated(method, Truncation(self._options.rank))

@@ -8,7 +8,11 @@ from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.dataset import Processing
-from symbid_ros.identification.loaded_problem import known_rows, load_parameters, prior_of
+from symbid_ros.identification.loaded_problem import (
+    build_pseudo_measurements,
+    choose_prior,
+    load_parameters,
+)
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
 from symbid_ros.model.tree import RobotModel
@@ -45,13 +49,13 @@ class InitialState:
         """
         _check_online(options)
         parameters = load_parameters(robot, options)
-        prior = prior_of(options, parameters)
+        prior = choose_prior(options, parameters)
         problem = Problem(
             (),
             parameters,
             prior,
-            pseudo_measurements=known_rows(options, parameters, prior),
-            empirical=options.is_empirical,
+            pseudo_measurements=build_pseudo_measurements(options, parameters, prior),
+            is_empirical=options.is_empirical,
             inputs=tuple(map(str, (robot.source, *options.files))),
         )
         layout = RowLayout.of(parameters)

@@ -103,7 +103,7 @@ def check_realistic(plan: Plan, figures: Figures, space: Workspace) -> None:
     log, spread = plan.realistic_of(figures.data), figures.prior
     true = truth(plan.data[figures.data], space)
     motion = read_realistic_motion([space.log(log)], true.model)
-    thin = type(motion)(motion.known[::STRIDE], motion.truth[::STRIDE])
+    thin = type(motion)(motion.measured[::STRIDE], motion.truth[::STRIDE])
     candidates = {TRUTH: true.values}
     for iteration in range(plan.iterations):
         draw = load_draw(space.draw(figures.data, spread, iteration))

@@ -20,7 +20,7 @@ from symbid_ros.estimation.prior import Prior, draw_prior
 from symbid_ros.estimation.truncated_svd import METHODS as TRUNCATED
 from symbid_ros.estimation.truncated_svd import LeastSquares, select_rank
 from symbid_ros.identification.calibration import Tare, read_tare
-from symbid_ros.identification.evaluation import Judge, link_errors
+from symbid_ros.identification.evaluation import MotionEvaluator, link_errors
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem, Truncation
@@ -120,11 +120,11 @@ def _gaussian(plan: Plan, space: Workspace, data: str, spread: Spread, prior: Pr
         options = replace(
             problem.options, total_mass=weighed, total_mass_std=WEIGHING_STD, tare=(tare,)
         )
-        solver = problem.under(prior, options, _tares(tare)).solver
+        solver = problem.with_prior(prior, options, _tares(tare)).solver
     else:
         rows = _archive(space.rows(log, log.sensors, None))
         solver = Solver.of(Problem(rows, identified(log), prior))
-    solve = {"map": lambda: solver.posterior.mean, "map_lmi": solver.possible}
+    solve = {"map": lambda: solver.posterior.mean, "map_lmi": solver.consistent_unknowns}
     count = len(identified(log))
     return {Case(data, str(spread), method): (solve[method]()[:count], None) for method in wanted}
 
@@ -163,17 +163,17 @@ def _filtered_rows(training: Path, validation: Path | None) -> _Filtered:
     return _Filtered(rows, LeastSquares(rows.rows, counts=rows.counts.diagonal()), other)
 
 
-def _judge(plan: Plan, space: Workspace, data: str) -> Judge:
+def _judge(plan: Plan, space: Workspace, data: str) -> MotionEvaluator:
     return _motion_judge(space, plan.validation_of(data), plan.judged_every)
 
 
 @lru_cache(maxsize=2)
-def _motion_judge(space: Workspace, ideal: Log, every: float) -> Judge:
+def _motion_judge(space: Workspace, ideal: Log, every: float) -> MotionEvaluator:
     true = truth(ideal, space)
     motion = read_true_motion([space.log(ideal)], true.model)
     stamp = motion.samples.stamp
     stride = max(1, round(every * 1e9 / float(np.median(np.diff(stamp)))))
-    return Judge(true, true.values, motion[::stride])
+    return MotionEvaluator(true, true.values, motion[::stride])
 
 
 @lru_cache(maxsize=1)

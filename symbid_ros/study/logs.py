@@ -91,4 +91,4 @@ def fold_rows(
 @lru_cache(maxsize=1)
 def _segments(bag: Path, log: Log) -> tuple[Segment, ...]:
     model = identified(log).model
-    return AlignedLog(bag_log([bag], model), model).whole_stretches()
+    return AlignedLog(bag_log([bag], model), model).contiguous_segments()

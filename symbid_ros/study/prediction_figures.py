@@ -285,7 +285,7 @@ def realistic_drawings(results: Results, figures: Figures) -> tuple[Drawing, ...
     low_pass = CausalLowPass()
     log = results.space.log(results.plan.realistic_of(figures.data))
     whole = read_realistic_motion([log], parameters.model, low_pass)
-    motion = RealisticMotion(whole.known[::STRIDE], whole.truth[::STRIDE])
+    motion = RealisticMotion(whole.measured[::STRIDE], whole.truth[::STRIDE])
 
     def series(cutoff: float) -> list[PredictionSeries]:
         shown = _shown(results, figures, cutoff)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from gaussian_logs import gaussian_log
 
-from symbid_ros.identification.accumulator import BlockRows, Memory, Whole
+from symbid_ros.identification.accumulator import Accumulator, BlockAccumulator, BlockRows
 
 SECOND = 1_000_000_000
 BLOCK = 4 * SECOND
@@ -52,36 +52,36 @@ def assert_holds(observations, log, *weighted):
 
 
 def test_rows_age_while_a_block_is_lost(log, empty) -> None:
-    whole = Whole((empty,), SPAN).with_block(stretch(log, 0, BLOCK, FIRST))
-    assert_holds(whole.observations[0], log, (1.0, FIRST))
-    later = whole.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD))
+    blocks = BlockAccumulator((empty,), SPAN).with_block(stretch(log, 0, BLOCK, FIRST))
+    assert_holds(blocks.observations[0], log, (1.0, FIRST))
+    later = blocks.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD))
     assert_holds(later.observations[0], log, (np.exp(-8 / SPAN), FIRST), (1.0, THIRD))
     # What was known at the beginning ages from the first block on.
     assert later.observations[0].kept == pytest.approx(np.exp(-12 / SPAN))
-    assert (later.until, later.blocks) == (3 * BLOCK, 2)
+    assert (later.stop, later.count) == (3 * BLOCK, 2)
 
 
 def test_rows_age_while_no_piece_comes(log, empty) -> None:
-    whole = Whole((empty,), SPAN).with_block(stretch(log, 0, BLOCK, FIRST))
-    memory = Memory(whole, 0)
-    memory.add(stretch(log, 2 * BLOCK, 2 * BLOCK + SECOND, THIRD))
-    memory.add(stretch(log, 3 * BLOCK, 3 * BLOCK + SECOND, PIECE))
+    blocks = BlockAccumulator((empty,), SPAN).with_block(stretch(log, 0, BLOCK, FIRST))
+    accumulator = Accumulator(blocks, 0)
+    accumulator.add(stretch(log, 2 * BLOCK, 2 * BLOCK + SECOND, THIRD))
+    accumulator.add(stretch(log, 3 * BLOCK, 3 * BLOCK + SECOND, PIECE))
     ages = np.exp(-np.array([9.0, 4.0, 0.0]) / SPAN)
-    assert_holds(memory.now, log, (ages[0], FIRST), (ages[1], THIRD), (ages[2], PIECE))
+    assert_holds(accumulator.current, log, (ages[0], FIRST), (ages[1], THIRD), (ages[2], PIECE))
     # The block that comes in place of the first piece changes nothing about the second.
-    memory.settle(whole.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD)))
+    accumulator.update_blocks(blocks.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD)))
     ages = np.exp(-np.array([9.0, 1.0, 0.0]) / SPAN)
-    assert_holds(memory.now, log, (ages[0], FIRST), (ages[1], THIRD), (ages[2], PIECE))
+    assert_holds(accumulator.current, log, (ages[0], FIRST), (ages[1], THIRD), (ages[2], PIECE))
 
 
 def test_a_clock_that_begins_again_ages_nothing_between(log, empty) -> None:
-    first = Whole((empty,), SPAN).with_block(stretch(log, 25 * BLOCK, 26 * BLOCK, FIRST))
-    again = first.new_time().with_block(stretch(log, BLOCK, 2 * BLOCK, THIRD))
+    first = BlockAccumulator((empty,), SPAN).with_block(stretch(log, 25 * BLOCK, 26 * BLOCK, FIRST))
+    again = first.with_new_clock().with_block(stretch(log, BLOCK, 2 * BLOCK, THIRD))
     assert_holds(again.observations[0], log, (np.exp(-4 / SPAN), FIRST), (1.0, THIRD))
 
 
 def test_an_endless_memory_forgets_nothing(log, empty) -> None:
-    whole = Whole((empty,), np.inf).with_block(stretch(log, 0, BLOCK, FIRST))
-    later = whole.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD))
+    blocks = BlockAccumulator((empty,), np.inf).with_block(stretch(log, 0, BLOCK, FIRST))
+    later = blocks.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD))
     assert_holds(later.observations[0], log, (1.0, FIRST), (1.0, THIRD))
     assert later.observations[0].kept == 1.0

@@ -13,9 +13,10 @@ from symbid_ros.bags import bag_log
 from symbid_ros.errors import DataError, OptionError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.calibration import Tare, Wanted, calibrate, read_tare
+from symbid_ros.identification.calibration import SensorErrorRequest, Tare, calibrate, read_tare
 from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.problem import Problem
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -82,9 +83,7 @@ class TestTare:
 
     def test_nothing_unloaded_is_no_tare(self, folder, wrong):
         assert wrong.plate_offset.any()
-        with pytest.raises(
-            DataError, match="no wrench sensor here is unloaded, so none can be tared"
-        ):
+        with pytest.raises(DataError, match="every wrench sensor is loaded"):
             read_tare(bag_log([folder / "log"]))
 
     def test_a_reading_that_is_no_number_is_refused(self, tmp_path):
@@ -199,10 +198,10 @@ def test_any_trees_sensors_are_calibrated(seed, floating):
     offset = errors.of_kind("plate_offset", theta)[0]
     tare = {errors.wrench_frames[0]: Tare(offset, np.repeat([1e-3, 1e-2], 3))}
     prior = draw_prior(parameters, "percent", 25, seed)
-    found = calibrate(log, parameters, prior, Wanted(KINDS, tare), None)
+    found = calibrate(Problem((), parameters, prior), log, SensorErrorRequest(KINDS, tare))
 
     p = len(parameters)
-    assert found.errors.names == errors.names == found.prior.names[p:]
+    assert found.sensor_names == errors.names
     # A tared sensor is known to the tare's deviation, one that was not to a data sheet's.
     place = errors.places["plate_offset"]
     np.testing.assert_array_equal(found.prior.std[p:][place][:6], tare[errors.wrench_frames[0]].std)
@@ -222,7 +221,7 @@ def test_sensors_without_noise_are_calibrated():
     segment = analytic_segment(parameters, 3.9, 1, start=0.05)
     log = Dataset(source="log", segments=(segment,), samples=None, observations=())
     prior = draw_prior(parameters, "percent", 25, 1)
-    found = calibrate(log, parameters, prior, Wanted(KINDS, {}), None)
+    found = calibrate(Problem((), parameters, prior), log, SensorErrorRequest(KINDS, {}))
     after = posterior(found.observations[-1], found.prior, count=len(parameters))
     assert np.all(np.isfinite(after.mean))
     assert np.all(after.std <= found.prior.std * (1 + 1e-9))

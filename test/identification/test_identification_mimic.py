@@ -86,7 +86,7 @@ def test_a_finger_that_follows_needs_no_readings(gripper, method):
     wrong = robot.with_phi(1.2 * robot.phi)
     parameters = prepared.parameters
     prior_mean = replace(prepared.prior, mean=parameters.values * 1.2)
-    found = prepared.under(prior_mean).solve(method)
+    found = prepared.with_prior(prior_mean).solve(method)
     motion = read_true_motion([folder / "other"], robot)
     candidates = {"it": found.estimate.value, "prior": wrong.phi[parameters.links].ravel()}
     judged = evaluate(parameters, candidates, parameters.values, motion)

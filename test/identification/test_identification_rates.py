@@ -49,7 +49,7 @@ def identified(parameters: ParameterSet, plan: LogPlan) -> Identification:
     topics = {frame: frame for frame in first.wrench_frames}
     check_model(watch, "/joint_states", list(first.imu_frames), topics)
     prior = model_prior(parameters)
-    return Solver.of(Problem(record.observations, parameters, prior, empirical=True)).map()
+    return Solver.of(Problem(record.observations, parameters, prior, is_empirical=True)).map()
 
 
 plans = st.builds(

@@ -13,7 +13,7 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.evaluation import predict
 from symbid_ros.identification.realistic_prediction import (
-    FELT,
+    SINGULAR,
     evaluate_realistic,
     predict_realistic,
 )
@@ -48,10 +48,10 @@ def test_eq_4_1_finds_the_measured_wrenches_of_an_ideal_bag(ideal, symbitron):
     force = equation_of_motion(symbitron, samples).K @ symbitron.values
     force[:, 6:] -= samples.effort
     # The feet twisted against each other are hardly felt: there the data determine nothing.
-    found = contact_wrenches(jacobian, force, FELT).reshape(-1, 12)
+    found = contact_wrenches(jacobian, force, SINGULAR).reshape(-1, 12)
     left, size, felt = np.linalg.svd(jacobian.transpose(0, 2, 1), full_matrices=False)
     assert left.shape == (len(samples), 16, 12)
-    determined = felt * (size > FELT * size[:, :1])[..., None]
+    determined = felt * (size > SINGULAR * size[:, :1])[..., None]
     seen = np.einsum("nki,nj,nkj->ni", determined, samples.wrenches.reshape(-1, 12), determined)
     np.testing.assert_allclose(found, seen, atol=1e-2)
 
@@ -65,36 +65,36 @@ def test_eq_4_1_explains_any_trees_bag(seed, floating, frames, tmp_path):
     parameters = ParameterSet(load_model(tmp_path / "robot.xml"))
     record(TreeSimulation(robot, 0.4, seed), tmp_path / "log")
     motion = read_realistic_motion([tmp_path / "log"], parameters.model, CausalLowPass(0))
-    known = replace(motion.known, velocity=motion.truth.samples.velocity)
-    known = replace(known, effort=motion.truth.samples.effort)
-    exact = predict_realistic(parameters, parameters.values, replace(motion, known=known))
-    scale = np.linalg.norm(known.effort) + np.linalg.norm(known.wrenches)
-    np.testing.assert_allclose(exact.torque, known.effort, atol=1e-8 * scale)
-    np.testing.assert_allclose(exact.torque_from_wrenches, known.effort, atol=1e-8 * scale)
+    measured = replace(motion.measured, velocity=motion.truth.samples.velocity)
+    measured = replace(measured, effort=motion.truth.samples.effort)
+    exact = predict_realistic(parameters, parameters.values, replace(motion, measured=measured))
+    scale = np.linalg.norm(measured.effort) + np.linalg.norm(measured.wrenches)
+    np.testing.assert_allclose(exact.torque, measured.effort, atol=1e-8 * scale)
+    np.testing.assert_allclose(exact.torque_from_wrenches, measured.effort, atol=1e-8 * scale)
     jacobian = contact_jacobian(
-        parameters.model, known.wrench_frames, link_poses(parameters.model, known.position)
+        parameters.model, measured.wrench_frames, link_poses(parameters.model, measured.position)
     )
-    error = (exact.wrenches - known.wrenches).reshape(len(known), 1, -1) @ jacobian
+    error = (exact.wrenches - measured.wrenches).reshape(len(measured), 1, -1) @ jacobian
     np.testing.assert_allclose(error, 0, atol=1e-8 * scale)
 
 
 def test_a_controller_knows_the_last_torques_and_late_velocities(ideal, symbitron):
     cutoff = 40.0
     motion = read_realistic_motion([ideal], symbitron.model, CausalLowPass(cutoff))
-    known, truth = motion.known, motion.truth.samples
-    np.testing.assert_array_equal(known.stamp, truth.stamp)
-    np.testing.assert_array_equal(known.position, truth.position)
-    np.testing.assert_array_equal(known.acceleration, truth.acceleration)
-    np.testing.assert_array_equal(known.effort[1:], truth.effort[:-1])
+    measured, truth = motion.measured, motion.truth.samples
+    np.testing.assert_array_equal(measured.stamp, truth.stamp)
+    np.testing.assert_array_equal(measured.position, truth.position)
+    np.testing.assert_array_equal(measured.acceleration, truth.acceleration)
+    np.testing.assert_array_equal(measured.effort[1:], truth.effort[:-1])
     # The backward difference is half a period late, the filter 0.225 periods of its cutoff.
     late = 0.0005 + 0.225 / cutoff
     time = (truth.stamp - truth.stamp[0]) * 1e-9
     settled = slice(100, None)
     for found, true in (
-        (known.velocity, truth.velocity),
-        (known.base_angular_velocity, truth.base_angular_velocity),
+        (measured.velocity, truth.velocity),
+        (measured.base_angular_velocity, truth.base_angular_velocity),
     ):
-        shift = late if found is known.velocity else late - 0.0005
+        shift = late if found is measured.velocity else late - 0.0005
         expected = np.stack([np.interp(time - shift, time, column) for column in true.T], axis=1)
         unshifted = np.sqrt(np.mean((found - true)[settled] ** 2))
         assert np.sqrt(np.mean((found - expected)[settled] ** 2)) < 0.2 * unshifted
@@ -102,13 +102,13 @@ def test_a_controller_knows_the_last_torques_and_late_velocities(ideal, symbitro
 
 def test_torques_balance_what_the_contact_forces_leave(noisy, symbitron):
     prediction = predict_realistic(symbitron, symbitron.values, noisy)
-    known = noisy.known
-    needed = equation_of_motion(symbitron, known).K @ symbitron.values
-    poses = link_poses(symbitron.model, known.position)
-    jacobian = contact_jacobian(symbitron.model, known.wrench_frames, poses)
-    given = np.c_[np.zeros((len(known), 6)), known.effort]
-    for k in range(0, len(known), 97):
-        contact = np.linalg.lstsq(jacobian[k].T, needed[k] - given[k], rcond=FELT)[0]
+    measured = noisy.measured
+    needed = equation_of_motion(symbitron, measured).K @ symbitron.values
+    poses = link_poses(symbitron.model, measured.position)
+    jacobian = contact_jacobian(symbitron.model, measured.wrench_frames, poses)
+    given = np.c_[np.zeros((len(measured), 6)), measured.effort]
+    for k in range(0, len(measured), 97):
+        contact = np.linalg.lstsq(jacobian[k].T, needed[k] - given[k], rcond=SINGULAR)[0]
         np.testing.assert_allclose(prediction.wrenches[k].ravel(), contact, atol=1e-6)
         left = needed[k] - jacobian[k].T @ contact
         np.testing.assert_allclose(prediction.torque[k], left[6:], atol=1e-6)
@@ -137,7 +137,7 @@ def test_metrics_are_norms_per_sample(noisy, symbitron):
     def rmse(error):
         return pytest.approx(np.sqrt(np.mean(np.sum(error.reshape(len(error), -1) ** 2, axis=1))))
 
-    effort, contact = noisy.truth.samples.effort, found.wrenches - noisy.known.wrenches
+    effort, contact = noisy.truth.samples.effort, found.wrenches - noisy.measured.wrenches
     assert judged.torque_rmse == rmse(found.torque - effort)
     assert judged.torque_from_wrenches_rmse == rmse(found.torque_from_wrenches - effort)
     assert judged.contact_force_rmse == rmse(contact[:, :, 3:])

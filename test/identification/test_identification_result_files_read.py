@@ -12,7 +12,7 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import draw_prior
-from symbid_ros.identification.result_files import load_subject
+from symbid_ros.identification.result_files import load_estimated_model
 from symbid_ros.model.parameters import ParameterSet
 
 TERMS = ("viscous", "offset")
@@ -65,7 +65,7 @@ def test_every_number_stays_with_its_parameter(parameters, estimate, tmp_path):
         determined=estimate.determined[order],
     )
     write(shuffled, parameters, tmp_path, factor[order])
-    found = load_subject(tmp_path, parameters.model)
+    found = load_estimated_model(tmp_path, parameters.model)
     assert found.parameters.names == parameters.names
     assert found.estimate.names == estimate.names
     assert found.estimate.units == estimate.units
@@ -77,22 +77,22 @@ def test_every_number_stays_with_its_parameter(parameters, estimate, tmp_path):
 
 def test_an_estimate_without_covariance_has_none(parameters, estimate, tmp_path):
     write(replace(estimate, std=None, determined=None), parameters, tmp_path, None)
-    assert load_subject(tmp_path, parameters.model).deviation_factor is None
-    alone = load_subject(tmp_path / "estimate.json", parameters.model)
+    assert load_estimated_model(tmp_path, parameters.model).deviation_factor is None
+    alone = load_estimated_model(tmp_path / "estimate.json", parameters.model)
     assert (alone.deviation_factor, alone.estimate.std) == (None, None)
 
 
 def test_a_covariance_of_other_parameters_is_refused(parameters, estimate, tmp_path):
     write(estimate, parameters, tmp_path, np.ones((3, 3)))
-    with pytest.raises(EstimateError, match=r"information\.npz: its uncertainty is not of the"):
-        load_subject(tmp_path, parameters.model)
+    with pytest.raises(EstimateError, match=r"information\.npz: its covariance"):
+        load_estimated_model(tmp_path, parameters.model)
 
 
 def test_a_prior_has_values_alone(parameters, tmp_path):
     links = ParameterSet(parameters.model)
     prior = draw_prior(links, "percent", 10, 1)
     prior.write(tmp_path / "prior.json")
-    found = load_subject(tmp_path / "prior.json", parameters.model)
+    found = load_estimated_model(tmp_path / "prior.json", parameters.model)
     np.testing.assert_array_equal(found.values, prior.mean)
     assert (found.estimate, found.deviation_factor) == (None, None)
     assert found.parameters.names == links.names
@@ -101,4 +101,4 @@ def test_a_prior_has_values_alone(parameters, tmp_path):
 def test_another_robot_is_refused(parameters, estimate, tmp_path):
     estimate.write(tmp_path / "estimate.json")
     with pytest.raises(EstimateError, match="not those of random"):
-        load_subject(tmp_path, random_robot(4, links=4))
+        load_estimated_model(tmp_path, random_robot(4, links=4))

@@ -12,7 +12,7 @@ from tree_simulation import TreeSimulation
 from symbid_ros.identification.evaluation import evaluate, predict
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.realistic_prediction import RealisticMotion, predict_realistic
-from symbid_ros.identification.result_files import load_subject, write_identification
+from symbid_ros.identification.result_files import load_estimated_model, write_identification
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import Frame
@@ -74,7 +74,7 @@ def test_stated_friction_is_known_and_not_identified_away(arm, rows, tmp_path, c
     assert rms(torque_of_exported(robot, tmp_path, motion) - true) < 0.02 * rms(true)
 
     # What is predicted, evaluated and written down agrees with the file that comes back.
-    subject = load_subject(tmp_path, robot)
+    subject = load_estimated_model(tmp_path, robot)
     assert subject.estimate.known["joint2/coulomb"] == robot.joints[1].friction_loss
     force = predict(subject.parameters, subject.values, motion).gen_force
     slipping = np.abs(motion.samples.velocity).min(axis=1) > 0.02
@@ -99,7 +99,7 @@ def test_an_estimate_that_knows_no_friction_is_judged_without_the_true_robots(ar
     write_identification(prepared.solve("map_lmi"), prepared.parameters, tmp_path)
     robot = load_model(arm / "robot.urdf", "fixed")
     motion = read_true_motion([arm / "other"], robot)
-    subject = load_subject(tmp_path, robot)
+    subject = load_estimated_model(tmp_path, robot)
     judged = evaluate(
         subject.parameters, {"it": subject.values}, subject.parameters.values, motion
     )["it"]

@@ -3,7 +3,7 @@
 import pytest
 
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.window_comparison import WindowChoice, WindowComparison
+from symbid_ros.identification.window_comparison import WindowComparison, WindowSelector
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.package_paths import config_file
 
@@ -17,12 +17,12 @@ def problem(simulated):
 
 def test_compared_at_once_first_and_one_by_one_when_there_is_twice_as_much(problem) -> None:
     best = WindowComparison(problem).finish()[0].window
-    choice = WindowChoice()
-    assert choice.look(problem, 3) == best
-    assert choice.look(problem, 5) is None
-    told = [choice.look(problem, 6) for _ in range(len(problem.observations) + 1)]
+    selector = WindowSelector()
+    assert selector.update(problem, 3) == best
+    assert selector.update(problem, 5) is None
+    told = [selector.update(problem, 6) for _ in range(len(problem.observations) + 1)]
     assert told == [None] * len(problem.observations) + [best]
-    assert [choice.look(problem, blocks) for blocks in range(6, 12)] == [None] * 6
+    assert [selector.update(problem, blocks) for blocks in range(6, 12)] == [None] * 6
 
 
 def test_a_comparison_in_steps_is_one_at_once(problem) -> None:

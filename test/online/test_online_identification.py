@@ -323,7 +323,7 @@ def test_a_robot_whose_forces_do_not_carry_it_is_refused(feed) -> None:
     halved = replace(feed.selected, wrenches=feed.selected.wrenches[1:])
     other = OnlineIdentification(initial(), halved, HURRIED)
     feed.between(0.0, 3.0).without(gone.name).into(other)
-    with pytest.raises(DataError, match=r"differ by \d+ % of the prior's weight"):
+    with pytest.raises(DataError, match=r"by \d+ % of the robot's weight"):
         other.solve()
     other.close()
 

@@ -198,7 +198,7 @@ def test_a_late_wrench_topic_restarts_identification(graph, simulated) -> None:
     graph.wait_until(
         lambda: (
             "estimate" in ears.health
-            and "wrenches measured differ" in ears.health["estimate"].message
+            and "measured wrenches differ" in ears.health["estimate"].message
         )
     )
     without.kill()
