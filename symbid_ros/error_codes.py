@@ -278,7 +278,111 @@ CODES: dict[str, Entry] = {
         "The posterior does not belong to the prior.",
         "Compare it with the prior that it was computed from.",
     ),
-    # E5xx: options and their combinations
+    # E5xx: options and their combinations, identification
+    "E501": Entry(
+        "An option has an invalid value, or there is no option of that name.",
+        "Give a value of the type and range in the table of options.",
+    ),
+    "E502": Entry(
+        "Two options contradict each other.",
+        "Leave one of them out.",
+    ),
+    "E503": Entry(
+        "An option has no effect or is not supported with the other options, or online.",
+        "Leave it out, or choose the method or filter that the message names.",
+    ),
+    "E504": Entry(
+        "The weighed mass contradicts the prior by more than six standard deviations.",
+        "Check `total_mass` and the masses in the model or the prior.",
+    ),
+    "E505": Entry(
+        "The information of another run has another robot, parameters, sensor errors or windows.",
+        "Identify both logs with the same model and options.",
+    ),
+    "E506": Entry(
+        "The information already includes seconds of this log, which would be counted twice.",
+        "Leave `information` out, or identify another log.",
+    ),
+    "E507": Entry(
+        "The method gives no covariance.",
+        "Use `method` map or map_lmi.",
+    ),
+    "E508": Entry(
+        "A log is too short to predict forces.",
+        "Give a log that is longer than the windows and the settling of the filter.",
+    ),
+    "E509": Entry(
+        "A table needs pandas, which is not installed.",
+        "Run `pip install pandas`.",
+    ),
+    "E510": Entry(
+        "No information was given to merge.",
+        "Give the information of at least one log.",
+    ),
+    "E511": Entry(
+        "An array has the wrong shape, or the motion of a floating base is missing.",
+        "Give arrays of the shape that the message states.",
+    ),
+    "E512": Entry(
+        "An estimate belongs to another robot than the model.",
+        "Give the model that the estimate was identified with.",
+    ),
+    "E513": Entry(
+        "The live wrenches do not carry the weight of the robot.",
+        "Publish the wrench of every contact, check the model's masses, or set `unchecked`.",
+    ),
+    "E514": Entry(
+        "Every wrench sensor of the tare is loaded.",
+        "Record the tare with nothing touching the wrench sensors.",
+    ),
+    "E515": Entry(
+        "A wrench sensor of the tare has a NaN or infinite reading.",
+        "Fix the driver and record the tare again.",
+    ),
+    "E516": Entry(
+        "The validation log is too short for the windows of the training log.",
+        "Give `validate` a longer log.",
+    ),
+    "E517": Entry(
+        "The checks of `symbid bag doctor` call the log unusable.",
+        "Fix the fault that the message names, or use the log as it is with `unchecked`.",
+    ),
+    "E518": Entry(
+        "The instants of arrays are NaN, infinite or not in seconds.",
+        "Give `time` in seconds, or as integers in nanoseconds.",
+    ),
+    "E519": Entry(
+        "The log has no data in the requested part.",
+        "Give an earlier `start`.",
+    ),
+    "E520": Entry(
+        "A topic has no data in a part of the log where the others have.",
+        "Leave the topic out, or check that all sensors use the same clock.",
+    ),
+    "E521": Entry(
+        "No part of the log between two gaps is long enough for a window and its filter.",
+        "Record longer, or choose a shorter `window`.",
+    ),
+    "E522": Entry(
+        "Files of a result could not be written.",
+        "Fix the cause in the message; results may be in the temporary folder that it names.",
+    ),
+    "E523": Entry(
+        "A covariance does not belong to the parameters of the estimate.",
+        "Identify the log again; keep the files of a result together.",
+    ),
+    "E524": Entry(
+        "The base of the robot floats, but the bag has no IMU.",
+        "Record the IMU, or set `base` to fixed if the base is bolted down.",
+    ),
+    "E525": Entry(
+        "The ground truth has no stamp in common with the sensor data.",
+        "Record ground truth and sensors together, and long enough for the filter to settle.",
+    ),
+    "E526": Entry(
+        "A log of arrays was combined with the path of a bag, whose topics are unknown.",
+        "Read the bag with `load_bag` and give the log instead of its path.",
+    ),
     # E6xx: simulation
     "E601": Entry(
         "MuJoCo cannot compile the model file of the simulated robot.",

@@ -1,7 +1,7 @@
-"""Options defined once: dataclass fields that carry what every front end shows of them.
+"""Definition of options as dataclass fields, with all that front ends show of them.
 
 A command's flags, a node's parameters, parameter files, launch arguments and the reference page
-are generated from the fields, so that none of them can drift apart.
+are generated from these fields, so they cannot drift apart.
 """
 
 import math
@@ -48,7 +48,7 @@ def option(
     default : object
         None if the option is not given by default.
     help : str
-        What it does, one or two sentences; other options in backquotes.
+        One or two sentences; other options in backquotes.
     unit : str
         SI unit or ``%``.
     minimum, maximum : float, optional
@@ -58,7 +58,7 @@ def option(
     metavar : str
         How a command's help shows the value.
     unset : str
-        What happens if it is not given, where the default is None.
+        What applies if it is not given, for a default of None.
     live : bool
         Whether a node may change it while it runs.
     """
@@ -74,7 +74,7 @@ class Option:
     ----------
     name : str
     kind : type
-        bool, int, float, str or Path; of the elements if there are several.
+        bool, int, float, str or Path; for tuples, of the elements.
     default : object
         None if it is not given by default.
     choices : tuple of str
@@ -104,16 +104,16 @@ class Option:
 
     @property
     def is_optional(self) -> bool:
-        """Whether None, not given, is a value."""
+        """Whether None (not given) is allowed."""
         return self.default is None
 
     def value_of(self, value: Any) -> Any:
-        """Return a value in the option's own type.
+        """Return a value converted to the option's type.
 
         Raises
         ------
         OptionError
-            When the value has another type or lies outside the range; the message names the field.
+            When the value has another type or lies outside the range.
         """
         if value is None and self.is_optional:
             return None
@@ -148,7 +148,7 @@ class Option:
 
     @property
     def expected(self) -> str:
-        """What may be given, in words."""
+        """Description of the allowed values."""
         if self.choices:
             return f"one of {', '.join(self.choices)}"
         names = {bool: "True or False", int: "an integer", float: "a number", Path: "a path"}
@@ -175,7 +175,7 @@ def options_of(kind: type) -> tuple[Option, ...]:
 
 
 def check_values(options: Any) -> None:
-    """Bring each field of a frozen dataclass of options into its type; call in __post_init__.
+    """Convert each field of a frozen dataclass of options to its type; call in __post_init__.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def check_values(options: Any) -> None:
 
 
 def spelled(message: str, spelling: Callable[[str], str]) -> str:
-    """Return a message with options, which it names in backquotes, as a front end spells them."""
+    """Return a message in which the options, named in backquotes, are spelled for a front end."""
     return re.sub(r"`([a-z][a-z_]*)`", lambda found: spelling(found[1]), message)
 
 

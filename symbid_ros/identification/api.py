@@ -33,11 +33,11 @@ def identify(
     Parameters
     ----------
     robot : RobotModel
-        Kinematics, and prior means of the inertias.
+        Its kinematics are used, and its inertias as prior means.
     log : Log or LogInformation
-        Measurements, or what other logs told (see :func:`merge`).
+        Measurements, or the information of earlier logs (see :func:`merge`).
     options : IdentifyOptions, optional
-        How to identify.
+        Options of the identification.
     **fields
         Fields of :class:`symbid_ros.IdentifyOptions` instead, such as ``prior_percent=25``.
 
@@ -63,22 +63,22 @@ def diagnose(robot: RobotModel | None, log: Log) -> Diagnosis:
     Parameters
     ----------
     robot : RobotModel or None
-        The nominal robot, inertias within about 25 %; None checks each topic by itself.
+        The nominal robot, with inertias within about 25 %; None checks each topic by itself.
     log : Log
     """
     return doctor.diagnose(log, robot)
 
 
 def merge(records: Sequence[LogInformation]) -> LogInformation:
-    """Add up what several logs of one robot told.
+    """Add up the information of several logs of one robot.
 
     Raises
     ------
     EstimateError
-        When the records belong to different robots, parameters or windows, or share seconds.
+        When the records differ in robot, parameters or windows, or share seconds of a log.
     """
     if not records:
-        raise DataError("no information to merge; give at least one record", "E510")
+        raise DataError("merge: no records; give the information of at least one log", "E510")
     return reduce(LogInformation.merged, records)
 
 
@@ -99,7 +99,7 @@ def regressor(
     position, velocity, acceleration : (N, J) array_like
         Joint motion in the order of ``robot.joint_names``, rad or m.
     base : BaseMotion, optional
-        Motion of a floating base, in base axes; required if the base floats.
+        Motion of the base in its own axes; required if the base floats.
     options : IdentifyOptions, optional
         Its ``friction``, ``armature`` and ``offset`` add columns.
 

@@ -147,7 +147,7 @@ class _Coverage:
                 f"{self.source}: header.frame_id of a sensor changes from "
                 f"{', '.join(self.first.frames)} to {', '.join(segment.frames)}; give each run "
                 "separately",
-                "E518",
+                "E233",
             )
         self.last = int(segment.stamp[-1])
         self.instants += len(segment)

@@ -23,10 +23,10 @@ from symbid_ros.options import check_values, option
 if TYPE_CHECKING:
     from symbid_ros.signals.log import Log
 
-    # A bag by its path, or a log that has been opened.
+    # Path of a bag, or a log.
     Source = Path | Log
 else:
-    Source = Path  # NumPy is not loaded for a command's help
+    Source = Path  # the help of a command does not load NumPy
 
 KNOWN = "Prior knowledge"
 JOINTS = "Parameters to identify in addition to the links"
@@ -38,7 +38,7 @@ WEIGHING_STD = 0.05  # kg; what a good floor scale does
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifyOptions:
-    """How to identify a robot; every field has a default that suits most logs.
+    """Options of an identification; the defaults suit most logs.
 
     Raises
     ------
@@ -167,7 +167,7 @@ class IdentifyOptions:
     unchecked: bool = option(False, "Skip the checks of the log (`symbid bag doctor`).")
 
     def __post_init__(self) -> None:
-        """Refuse options that contradict each other, or have no effect with this method."""
+        """Check for options that contradict each other or have no effect with this method."""
         check_values(self)
         self._check_rows()
         self._check_sensor_errors()
@@ -210,7 +210,7 @@ class IdentifyOptions:
 
     @cached_property
     def sensor_error_kinds(self) -> tuple[SensorErrorKind, ...]:
-        """Kinds of sensor errors to identify: all of them if there is a tare, unless named."""
+        """Kinds of sensor errors to identify: those named, or all if there is a tare."""
         named = set(self._named_sensor_errors)
         if not named and self.tare:
             named = {"typical"}
@@ -224,7 +224,7 @@ class IdentifyOptions:
     def _check_sensor_errors(self) -> None:
         known = "typical", *SENSOR_ERROR_KINDS
         if self.sensor_errors and not self._named_sensor_errors:
-            raise OptionError(f"`sensor_errors` names none; give {' or '.join(known)}", "E501")
+            raise OptionError(f"`sensor_errors` is empty; give {' or '.join(known)}", "E501")
         for name in self._named_sensor_errors:
             if name not in known:
                 raise OptionError(

@@ -89,17 +89,17 @@ class LinkEstimate:
 
 @dataclass(frozen=True)
 class ForcePrediction:
-    """What a model predicts of a log, beside what was measured.
+    """Measured and predicted generalised forces of a log.
 
-    The equation of motion is averaged over the same windows as in the identification (or taken at
-    the same filtered instants), so that the errors are those of the report.
+    The equation of motion is averaged over the same windows as in the identification (or evaluated
+    at the same filtered instants), so the errors equal those of the report.
 
     Attributes
     ----------
     stamp : (N,) int64
         Middles of the windows, ns.
     coordinates : tuple of str
-        Names of the n coordinates: moments and forces of a floating base, then the joints.
+        Names of the n coordinates: moments and forces on a floating base, then the joints.
     measured, predicted : (N, n) float64
         Generalised forces, Nm or N; NaN where the equation does not hold, as at a sticking joint.
     """
@@ -118,7 +118,7 @@ class ForcePrediction:
     def rmse(self) -> dict[str, float]:
         """Root mean square error of each coordinate that has rows, Nm or N.
 
-        Rows that are left out count as zero, as in ``residual_rmse`` of the report.
+        Rows that are left out count as zero, as in ``residual_rmse`` of estimate.json.
         """
         squares = np.nansum(self.error**2, axis=0) / max(len(self.stamp), 1)
         used: list[bool] = np.any(np.isfinite(self.error), axis=0).tolist()
@@ -135,7 +135,7 @@ class ForcePrediction:
 
 @dataclass(frozen=True)
 class LogInformation:
-    """What logs tell of a robot, compressed: it can be saved, merged and solved again.
+    """Information about a robot from one or more logs; it can be saved, merged and solved again.
 
     Attributes
     ----------
@@ -161,7 +161,7 @@ class LogInformation:
         write_archive(Path(path), self.observations)
 
     def merged(self, other: "LogInformation") -> "LogInformation":
-        """Return what both tell; see :func:`symbid_ros.merge`."""
+        """Return the sum of both; see :func:`symbid_ros.merge`."""
         return LogInformation(merged_observations(self.observations, other.observations))
 
     @property
@@ -222,7 +222,7 @@ class Result:
 
     @property
     def alarms(self) -> tuple[str, ...]:
-        """Reasons not to trust the result, one sentence each; empty if there is none."""
+        """Reasons not to trust the result, one sentence each."""
         verdict = self.estimate.verdict
         return () if verdict is None else verdict.alarms
 
@@ -233,7 +233,7 @@ class Result:
         Raises
         ------
         EstimateError
-            When the method gives none.
+            When the method gives no covariance.
         """
         factor = self._identification.deviation_factor
         if factor is None:
@@ -249,7 +249,7 @@ class Result:
 
     @property
     def information(self) -> LogInformation:
-        """What the logs told, to be merged with that of other logs."""
+        """The information of the log, to be merged with that of other logs."""
         return LogInformation(self._identification.observations)
 
     def predict(self, log: Log) -> ForcePrediction:
@@ -262,7 +262,9 @@ class Result:
         """
         parts = list(self._rows(log))
         if not parts:
-            raise EstimateError(f"{log.source}: no row of this log can be predicted", "E508")
+            raise EstimateError(
+                f"{log.source}: too short to predict forces; give a longer log", "E508"
+            )
         stamp, measured, predicted = (np.concatenate(each) for each in zip(*parts, strict=True))
         return ForcePrediction(stamp, self._parameters.model.coordinates, measured, predicted)
 
@@ -306,7 +308,7 @@ class Result:
         Raises
         ------
         EstimateError
-            When a file cannot be written; the others are.
+            When a file cannot be written; the other files are written.
         """
         write_identification(self._identification, self._parameters, Path(folder))
         return Path(folder)

@@ -1,1 +1,1 @@
-"""Whole jobs on bags: identify, evaluate; the nodes and the commands call these."""
+"""Identification and evaluation of bags, for the commands, the nodes and the API."""

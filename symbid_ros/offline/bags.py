@@ -1,4 +1,4 @@
-"""Bags for the functions of the API: logs, requests for an identification, ground truth."""
+"""Identification and evaluation of bags: logs, requests and ground truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -30,14 +30,14 @@ def load_bag(
     options: LogOptions | None = None,
     **fields: Any,
 ) -> Log:
-    """Return the log in a bag; its messages are read when they are needed.
+    """Return the log in a bag; its messages are read when needed.
 
     Parameters
     ----------
     bags : str, Path or sequence of these
         A bag (folder or file), or several that continue one another.
     robot : RobotModel, optional
-        Whose joints must be in the log.
+        Its joints must be in the log.
     options : LogOptions, optional
         Topics and part of the bag to read.
     **fields
@@ -56,14 +56,14 @@ def load_bag(
 
 @dataclass(frozen=True)
 class BagRequest:
-    """Bags and a robot model, and how to identify the robot from them.
+    """Bags, a robot model and options: the input of `symbid identify` and of the node.
 
     Attributes
     ----------
     bags : tuple of Path
         Bags that continue one another.
     model : Path
-        URDF or MJCF; only its kinematics are used if there is a prior.
+        URDF or MJCF; with a prior file, only its kinematics are used.
     options : IdentifyOptions
     log : LogOptions
         Topics and part of the bags.
@@ -78,7 +78,7 @@ class BagRequest:
     base: Base = "auto"
 
     def load(self, out: Path | None = None) -> LoadedProblem:
-        """Read everything; the folder ``out`` for the results is checked first.
+        """Read all inputs, after a check of the folder ``out`` for the results.
 
         Raises
         ------
@@ -90,12 +90,12 @@ class BagRequest:
 
 
 def read_true_motion(bags: Sequence[Path], model: RobotModel) -> TrueMotion:
-    """Read the ground truth of a simulated bag at the instants that have all of it.
+    """Read the ground truth of a simulated bag at the stamps that all its topics share.
 
     Raises
     ------
     BagError
-        When the bag holds no ground truth, or its truth and its wrenches never coincide.
+        When the bag has no ground truth, or none at the stamps of the wrenches.
     """
     return true_motion(read_truth(bags), read_streams(bags), model)
 
@@ -108,16 +108,16 @@ def read_realistic_motion(
     Raises
     ------
     BagError
-        When the bag holds no ground truth, or none at the instants of the joint states.
+        When the bag has no ground truth, or none at the stamps of the joint states.
     DataError
-        When the bag of a floating robot has no IMU.
+        When the base floats and the bag has no IMU.
     """
     streams = read_streams(bags)
     return realistic_motion(read_truth(bags), streams, model, low_pass)
 
 
 def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str | Path]) -> Metrics:
-    """Compare an identified robot with the true one of a simulation.
+    """Compare an identified robot with the true robot of a simulation.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
         The true robot.
     result : Result
     bags : str, Path or sequence of these
-        Simulated bag with ground truth, preferably of a motion not identified from.
+        Simulated bag with ground truth, preferably of another motion than the identified log.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
     parameters = ParameterSet(robot, result.options.terms).with_known_values(estimate.known)
     if parameters.names != estimate.names:
         raise EstimateError(
-            f"the result is of {estimate.model} and its parameters are not those of "
+            f"result: its parameters, of model {estimate.model!r}, are not those of "
             f"{robot.source}; give the model it was identified with",
             "E512",
         )

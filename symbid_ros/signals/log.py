@@ -32,8 +32,8 @@ S = TypeVar("S", JointStream, ImuStream, WrenchStream)
 class Log:
     """Sensor measurements of one robot: a bag, several bags that continue one another, or arrays.
 
-    Use :func:`symbid_ros.load_bag` or :meth:`from_arrays` to get one. A bag is read when it is
-    needed, not when the log is made.
+    Get one from :func:`symbid_ros.load_bag` or :meth:`from_arrays`. A bag is read when its data are
+    needed.
 
     Attributes
     ----------
@@ -51,37 +51,37 @@ class Log:
     )
 
     def slices(self, span: int | None = None, *, warn: bool = True) -> Iterator[Slice]:
-        """Yield the measurements in slices that end at multiples of ``span`` ns.
+        """Yield the measurements in slices that end at multiples of ``span``.
 
         Parameters
         ----------
         span : int, optional
-            Length of a slice, ns; one slice of everything if left out.
+            Length of a slice, ns; by default one slice holds everything.
         warn : bool
             Whether to log a warning about repaired messages at the end.
 
         Raises
         ------
         BagError, DataError
-            When a bag or its content cannot be used.
+            When a bag or its content is invalid.
         """
         return self._read(span, warn)
 
     def other(self, bags: tuple[Path, ...]) -> "Log":
-        """Return the log in other bags, read with the same topics.
+        """Return the log of other bags, read from the same topics.
 
         Raises
         ------
         BagError
             When a bag is missing or damaged; its messages are read later.
         DataError
-            When this log was made of arrays, which says nothing about topics.
+            When this is a log of arrays, which have no topics.
         """
         if self._open is None:
             raise DataError(
-                f"{', '.join(map(str, bags))}: {self.source} does not tell the topics of this bag; "
-                "read it with load_bag and give the log",
-                "E502",
+                f"{', '.join(map(str, bags))}: its topics are unknown: {self.source} is a log "
+                "of arrays; read the bag with load_bag and give that log",
+                "E526",
             )
         return self._open(bags)
 
@@ -91,11 +91,11 @@ class Log:
         Raises
         ------
         BagError, DataError
-            When a bag or its content cannot be used, or a topic is silent.
+            When a bag or its content is invalid, or a topic has no message.
         """
         (whole,) = self.slices()
         if whole.streams is None:
-            raise DataError(whole.fault)
+            raise DataError(whole.fault, "E520")
         return whole.streams
 
     @classmethod
@@ -113,26 +113,25 @@ class Log:
         stop: float = np.inf,
         name: str = "arrays",
     ) -> "Log":
-        """Make a log of arrays whose N rows were measured at the same instants.
+        """Return a log of arrays whose N rows were measured at the same instants.
 
         Parameters
         ----------
         robot : RobotModel
-            Names the joints and sensor frames.
+            Its joints and frames give the columns and the keys below.
         time : (N,) array_like
             Instants: seconds if floating-point, nanoseconds if integer.
         position, effort : (N, J) array_like
             rad and Nm (m and N for prismatic joints), one column for each of
-            ``robot.measured_joint_names``. NaN where a joint has no reading.
+            ``robot.measured_joint_names``. NaN marks a missing reading.
         velocity : (N, J) array_like, optional
-            rad/s or m/s; compared with the positions by :func:`symbid_ros.diagnose`, not needed to
-            identify.
+            rad/s or m/s; only :func:`symbid_ros.diagnose` uses it, to check the positions.
         imus : mapping of str to (N, 6) array_like, optional
-            By frame: angular velocity (rad/s), then specific force (acceleration minus gravity,
-            m/s²), in the axes of the frame.
+            For each frame: angular velocity (rad/s), then specific force (acceleration minus
+            gravity, m/s²), in the axes of the frame.
         wrenches : mapping of str to (N, 6) array_like, optional
-            By frame: force (N), then torque (Nm) about the frame's origin, environment on robot,
-            in the axes of the frame.
+            For each frame: force (N), then torque (Nm) about its origin, exerted by the environment
+            on the robot, in the axes of the frame.
         start, stop : float
             Part of the log to use, seconds after the first instant.
         name : str
@@ -157,12 +156,13 @@ class Log:
             if array.shape != (len(stamp), width):
                 raise DataError(
                     f"{name}: {what} has shape {array.shape}, expected {(len(stamp), width)}: one "
-                    f"row for each of {len(stamp)} instants"
+                    f"row for each of {len(stamp)} instants",
+                    "E511",
                 )
             return np.ascontiguousarray(array[kept])
 
         def finite(topic: str, values: ArrayLike) -> tuple[IntArray, FloatArray]:
-            """Return the stamps and rows that hold no NaN, as a bag's messages are treated."""
+            """Return the stamps and rows without NaN; the others are counted, as for bags."""
             read = rows(topic, values, 6)
             usable = np.isfinite(read).all(axis=1)
             tally = DefectCounts(name, topic)
@@ -214,7 +214,7 @@ class Log:
     def from_streams(
         cls, streams: Streams, part: TimeRange = ALL_OF_IT, tallies: tuple[DefectCounts, ...] = ()
     ) -> "Log":
-        """Make a log of streams in memory, each with stamps that increase strictly."""
+        """Return a log of streams in memory, each with strictly increasing stamps."""
 
         def read(span: int | None, warn: bool) -> Iterator[Slice]:
             yield from _slices(streams, span, part, tallies)
@@ -229,14 +229,16 @@ def _stamps(time: ArrayLike, name: str) -> IntArray:
     """Return instants (N,) as ns."""
     instants: NDArray[np.generic] = np.asarray(time)
     if instants.ndim != 1 or not len(instants):
-        raise DataError(f"{name}: time has shape {instants.shape}, expected (N,) with N > 0")
+        raise DataError(
+            f"{name}: time has shape {instants.shape}, expected (N,) with N > 0", "E511"
+        )
     if np.issubdtype(instants.dtype, np.integer):
         return instants.astype(np.int64)
     in_seconds = instants.astype(np.float64)
-    # 2⁶² ns are 146 years: what lies beyond would overflow, and margins need room.
+    # 2⁶² ns are 146 years. The limit leaves room for margins below the overflow of int64.
     if not (np.abs(in_seconds) < 2**62 * 1e-9).all():
         raise DataError(
-            f"{name}: time is NaN, infinite or not in seconds; give seconds or integer ns"
+            f"{name}: time is NaN, infinite or not in seconds; give seconds or integer ns", "E518"
         )
     return np.rint(in_seconds * 1e9).astype(np.int64)
 
@@ -244,7 +246,7 @@ def _stamps(time: ArrayLike, name: str) -> IntArray:
 def _slices(
     streams: Streams, span: int | None, part: TimeRange, tallies: tuple[DefectCounts, ...]
 ) -> Iterator[Slice]:
-    """Cut streams as `bags.slices` cuts a bag."""
+    """Yield slices as `bags.slices` does for a bag."""
     stamp = streams.joints.stamp
     every = _each(streams)
     begin = int(stamp[0]) + round(1e9 * part.start)
@@ -269,7 +271,7 @@ def _slices(
         silent = [each.topic for each in _each(piece) if not len(each.stamp)]
         if silent:
             fault = (
-                f"{streams.source}: {', '.join(silent)} has no reading up to {seconds(until)}; "
+                f"{streams.source}: {', '.join(silent)} has no data before {seconds(until)}; "
                 "leave it out, or give all arrays the same clock"
             )
             yield Slice(start, until, None, inside, tallies, fault)

@@ -110,7 +110,7 @@ def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
         ({"method": "map", "sensor_std": (0.1, 1, 0.1)}, "map truncates no singular values"),
         ({"method": "ols", "total_mass": 41}, "ols supports neither"),
         ({"total_mass_std": 0.1}, "has no effect without --total-mass"),
-        ({"sensor_errors": ","}, "--sensor-errors names none"),
+        ({"sensor_errors": ","}, "--sensor-errors is empty"),
         ({"cutoff": 20}, "weak has neither --cutoff nor --channels"),
         ({"method": "wls_rc", "cutoff": 0.05}, "too short for this filter"),
         ({"base": "fixed"}, "has a free joint, so it is not fixed; remove that joint, or drop"),
