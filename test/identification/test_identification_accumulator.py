@@ -1,4 +1,4 @@
-"""Forgetting against dense sums: every row loses weight by its age, whatever was lost between."""
+"""Discounted rows equal dense weighted sums, also if blocks are lost in between."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from symbid_ros.identification.accumulator import Accumulator, BlockAccumulator,
 SECOND = 1_000_000_000
 BLOCK = 4 * SECOND
 SPAN = 3.0
-# The rows of each stretch; the second block, from 4 s to 8 s, is lost.
+# The rows of each time span; the second block, from 4 s to 8 s, is lost.
 FIRST, THIRD, PIECE = slice(0, 40), slice(40, 80), slice(80, 120)
 
 
@@ -25,7 +25,7 @@ def empty(log):
     return replace(log[:0].observations(), window=0.081)
 
 
-def stretch(log, start, stop, part):
+def block_rows(log, start, stop, part):
     return BlockRows(start, stop, {0.081: [log[part].rows()]})
 
 
@@ -40,7 +40,7 @@ def dense(log, *weighted):
 
 
 def assert_holds(observations, log, *weighted):
-    """Compare what is known of each coordinate with weighted sums of rows."""
+    """Compare the information of each coordinate with weighted sums of rows."""
     expected = dense(log, *weighted)
     for index, columns in enumerate(log.layout.columns):
         factor = observations.rows.coordinate_factor(index)
@@ -51,37 +51,39 @@ def assert_holds(observations, log, *weighted):
     assert observations.rows.samples == pytest.approx(samples)
 
 
-def test_rows_age_while_a_block_is_lost(log, empty) -> None:
-    blocks = BlockAccumulator((empty,), SPAN).with_block(stretch(log, 0, BLOCK, FIRST))
+def test_rows_are_discounted_while_a_block_is_lost(log, empty) -> None:
+    blocks = BlockAccumulator((empty,), SPAN).with_block(block_rows(log, 0, BLOCK, FIRST))
     assert_holds(blocks.observations[0], log, (1.0, FIRST))
-    later = blocks.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD))
+    later = blocks.with_block(block_rows(log, 2 * BLOCK, 3 * BLOCK, THIRD))
     assert_holds(later.observations[0], log, (np.exp(-8 / SPAN), FIRST), (1.0, THIRD))
-    # What was known at the beginning ages from the first block on.
+    # The initial information is discounted from the first block on.
     assert later.observations[0].kept == pytest.approx(np.exp(-12 / SPAN))
     assert (later.stop, later.count) == (3 * BLOCK, 2)
 
 
-def test_rows_age_while_no_piece_comes(log, empty) -> None:
-    blocks = BlockAccumulator((empty,), SPAN).with_block(stretch(log, 0, BLOCK, FIRST))
+def test_rows_are_discounted_while_no_piece_arrives(log, empty) -> None:
+    blocks = BlockAccumulator((empty,), SPAN).with_block(block_rows(log, 0, BLOCK, FIRST))
     accumulator = Accumulator(blocks, 0)
-    accumulator.add(stretch(log, 2 * BLOCK, 2 * BLOCK + SECOND, THIRD))
-    accumulator.add(stretch(log, 3 * BLOCK, 3 * BLOCK + SECOND, PIECE))
+    accumulator.add(block_rows(log, 2 * BLOCK, 2 * BLOCK + SECOND, THIRD))
+    accumulator.add(block_rows(log, 3 * BLOCK, 3 * BLOCK + SECOND, PIECE))
     ages = np.exp(-np.array([9.0, 4.0, 0.0]) / SPAN)
     assert_holds(accumulator.current, log, (ages[0], FIRST), (ages[1], THIRD), (ages[2], PIECE))
-    # The block that comes in place of the first piece changes nothing about the second.
-    accumulator.update_blocks(blocks.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD)))
+    # The block that replaces the first piece leaves the second unchanged.
+    accumulator.update_blocks(blocks.with_block(block_rows(log, 2 * BLOCK, 3 * BLOCK, THIRD)))
     ages = np.exp(-np.array([9.0, 1.0, 0.0]) / SPAN)
     assert_holds(accumulator.current, log, (ages[0], FIRST), (ages[1], THIRD), (ages[2], PIECE))
 
 
-def test_a_clock_that_begins_again_ages_nothing_between(log, empty) -> None:
-    first = BlockAccumulator((empty,), SPAN).with_block(stretch(log, 25 * BLOCK, 26 * BLOCK, FIRST))
-    again = first.with_new_clock().with_block(stretch(log, BLOCK, 2 * BLOCK, THIRD))
+def test_a_clock_that_jumps_back_does_not_discount_rows(log, empty) -> None:
+    first = BlockAccumulator((empty,), SPAN).with_block(
+        block_rows(log, 25 * BLOCK, 26 * BLOCK, FIRST)
+    )
+    again = first.with_new_clock().with_block(block_rows(log, BLOCK, 2 * BLOCK, THIRD))
     assert_holds(again.observations[0], log, (np.exp(-4 / SPAN), FIRST), (1.0, THIRD))
 
 
-def test_an_endless_memory_forgets_nothing(log, empty) -> None:
-    blocks = BlockAccumulator((empty,), np.inf).with_block(stretch(log, 0, BLOCK, FIRST))
-    later = blocks.with_block(stretch(log, 2 * BLOCK, 3 * BLOCK, THIRD))
+def test_an_infinite_time_constant_keeps_all_weights(log, empty) -> None:
+    blocks = BlockAccumulator((empty,), np.inf).with_block(block_rows(log, 0, BLOCK, FIRST))
+    later = blocks.with_block(block_rows(log, 2 * BLOCK, 3 * BLOCK, THIRD))
     assert_holds(later.observations[0], log, (1.0, FIRST), (1.0, THIRD))
     assert later.observations[0].kept == 1.0

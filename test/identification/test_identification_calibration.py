@@ -1,4 +1,4 @@
-"""Sensors that are off: the tare, what is cured by it, and what is noticed without."""
+"""Sensor errors: the tare, their identification, and the alarms without it."""
 
 import logging
 
@@ -28,12 +28,12 @@ from symbid_ros.simulation.scenario import SOLES
 from symbid_ros.simulation.simulator import Simulator
 
 MODEL = CONFIG / "symbitron.xml"
-# Without Coulomb friction no joint sticks: even a short log has rows of every joint.
+# Without Coulomb friction no joint sticks, so even a short log has rows for every joint.
 DRIVES = {"damping": 0.3, "frictionloss": 0.0, "armature": 0.01}
 
 
 def written(folder, name, seconds=None, **options):
-    """Record a simulation, its beginning alone where ``seconds`` are given."""
+    """Record a simulation, or only its first ``seconds``."""
     simulator = Simulator(**options)
     if seconds is not None:
         simulator.steps = round(1e9 * seconds / simulator.period_ns)
@@ -48,7 +48,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def wrong(folder):
-    """One robot's tare and log: all its sensors are off. Returns what they are off by."""
+    """Record a tare and a log of one robot with errors in all sensors; return these errors."""
     parameters = ParameterSet(load_model(MODEL))
     draw_prior(parameters, "percent", 25, 3).write(folder / "prior.json")
     drives = folder / "friction.yaml"
@@ -69,7 +69,7 @@ def identified(folder, **known):
 
 
 class TestTare:
-    def test_an_unloaded_plate_shows_its_offset(self, folder, wrong, caplog):
+    def test_an_unloaded_plate_reads_its_offset(self, folder, wrong, caplog):
         with caplog.at_level(logging.WARNING):
             tares = read_tare(bag_log([folder / "tare"]))
         assert set(tares) == set(SOLES)
@@ -79,16 +79,16 @@ class TestTare:
             # A second of white noise: 0.1 Nm and 1 N over a thousand readings.
             np.testing.assert_allclose(tare.std, np.repeat([0.1, 1.0], 3) / 1000**0.5, rtol=0.1)
             assert np.all(np.abs(tare.mean - offset) < 5 * tare.std)
-        # The hoist's load cell carries the robot.
+        # The load cell of the hoist carries the robot.
         (warning,) = caplog.messages
         assert "/suspension/wrench reads 403 N and is not unloaded: not tared" in warning
 
-    def test_nothing_unloaded_is_no_tare(self, folder, wrong):
+    def test_a_tare_needs_an_unloaded_sensor(self, folder, wrong):
         assert wrong.plate_offset.any()
         with pytest.raises(DataError, match="every wrench sensor is loaded"):
             read_tare(bag_log([folder / "log"]))
 
-    def test_a_reading_that_is_no_number_is_refused(self, tmp_path):
+    def test_a_nan_reading_is_refused(self, tmp_path):
         messages = [
             ("/joint_states", JOINT_STATE, joint_state(1, ["a"], [0.0])),
             ("/imu/data", IMU, imu(1)),
@@ -130,36 +130,38 @@ def true_parameters(parameters):
 class TestCure:
     @pytest.fixture(scope="class")
     @classmethod
-    def cured(cls, folder, wrong):
+    def calibrated(cls, folder, wrong):
         assert wrong.encoder_offset.any()
         return identified(folder, tare=(folder / "tare",), total_mass=41.05, total_mass_std=0.02)
 
     @pytest.fixture(scope="class")
     @classmethod
-    def uncured(cls, folder, wrong):
+    def uncalibrated(cls, folder, wrong):
         assert wrong.encoder_offset.any()
         return identified(folder)
 
-    def test_the_sensors_errors_are_found_within_their_uncertainty(self, cured, wrong):
-        verdict = cured.solve("map_lmi").estimate.verdict
-        segment = next(iter(cured.dataset.segments))
+    def test_sensor_errors_are_estimated_within_their_standard_deviations(self, calibrated, wrong):
+        verdict = calibrated.solve("map_lmi").estimate.verdict
+        segment = next(iter(calibrated.dataset.segments))
         errors = SensorErrors.of(
-            KINDS, cured.parameters.model, segment.wrench_frames, segment.imu_frames
+            KINDS, calibrated.parameters.model, segment.wrench_frames, segment.imu_frames
         )
         assert tuple(quantity.name for quantity in verdict.sensors) == errors.names
         assert tuple(quantity.unit for quantity in verdict.sensors) == errors.units
         z = normalised(verdict.sensors, drawn(errors, wrong))
         assert np.sqrt(np.mean(z**2)) < 1.5
         assert np.abs(z).max() < 4.5
-        # Of drives and of what tilts the robot a log says more than a data sheet does.
+        # A log determines drives and the tilt of the robot better than a data sheet.
         for kind in ("torque_gain", "encoder_offset", "imu_mounting"):
             known = [one.determined for one in verdict.sensors[errors.places[kind]]]
             assert np.mean(known) > 0.5
 
     @pytest.mark.parametrize("method", ["map", "map_lmi"])
-    def test_links_and_drives_are_found_within_their_uncertainty(self, cured, method):
-        estimate = cured.solve(method).estimate
-        parameters = cured.parameters
+    def test_links_and_drives_are_estimated_within_their_standard_deviations(
+        self, calibrated, method
+    ):
+        estimate = calibrated.solve(method).estimate
+        parameters = calibrated.parameters
         z = (estimate.value - true_parameters(parameters)) / estimate.std
         assert np.sqrt(np.mean(z[estimate.determined] ** 2)) < 1.5
         for term, columns in parameters.term_columns.items():
@@ -168,27 +170,27 @@ class TestCure:
         if method == "map_lmi":
             assert all(estimate.consistent.values())
 
-    def test_errors_that_are_not_cured_raise_an_alarm(self, cured, uncured):
-        assert cured.solve("map").estimate.verdict.alarms == ()
-        assert uncured.solve("map").estimate.verdict.alarms != ()
+    def test_sensor_errors_that_are_not_identified_raise_an_alarm(self, calibrated, uncalibrated):
+        assert calibrated.solve("map").estimate.verdict.alarms == ()
+        assert uncalibrated.solve("map").estimate.verdict.alarms != ()
 
-    def test_the_cure_is_worth_it(self, cured, uncured):
-        truth = true_parameters(cured.parameters)
-        with_cure, without = (
+    def test_identifying_sensor_errors_reduces_the_bias(self, calibrated, uncalibrated):
+        truth = true_parameters(calibrated.parameters)
+        with_calibration, without = (
             np.abs((p.solve("map").estimate.value - truth) / p.solve("map").estimate.std)
-            for p in (cured, uncured)
+            for p in (calibrated, uncalibrated)
         )
-        assert without.max() > 4 * with_cure.max()
+        assert without.max() > 4 * with_calibration.max()
 
 
-def test_truncated_methods_and_filtered_rows_know_no_sensor_errors(folder, wrong):
+def test_filtered_rows_do_not_support_sensor_errors(folder, wrong):
     assert wrong.plate_gain.any()
     with pytest.raises(OptionError, match="sensor errors need rows averaged over windows"):
         IdentifyOptions(sensor_errors=("torque_gain",), filter="butterworth")
 
 
 @pytest.mark.parametrize(("seed", "floating"), [(1, True), (6, True), (2, False)])
-def test_any_trees_sensors_are_calibrated(seed, floating):
+def test_sensors_of_any_tree_are_calibrated(seed, floating):
     rng = np.random.default_rng(seed)
     parameters = ParameterSet(random_robot(seed, links=4, floating=floating))
     perfect = analytic_segment(parameters, 3.9, seed, start=0.05)
@@ -204,7 +206,7 @@ def test_any_trees_sensors_are_calibrated(seed, floating):
 
     p = len(parameters)
     assert found.sensor_names == errors.names
-    # A tared sensor is known to the tare's deviation, one that was not to a data sheet's.
+    # Prior of a tared sensor: the tare's standard deviation; of others: that of a data sheet.
     place = errors.places["plate_offset"]
     np.testing.assert_array_equal(found.prior.std[p:][place][:6], tare[errors.wrench_frames[0]].std)
     np.testing.assert_array_equal(found.prior.mean[p:][place][:6], offset)

@@ -1,4 +1,4 @@
-"""A payload fastened to a running robot is noticed, laid at the right link's door, and followed."""
+"""A payload added to a running robot is detected, attributed to its link, and tracked."""
 
 import numpy as np
 import pytest
@@ -20,8 +20,8 @@ PLACE = (0.2, 0.0, 0.05)
 
 
 @pytest.fixture(scope="module")
-def looks(simulated):
-    """Return, second by second, the time and what was known, through a change at 15.5 s."""
+def estimates(simulated):
+    """Return time and estimate for each second, with a change at 15.5 s."""
     bag = simulated(
         "smooth",
         moves=14,
@@ -32,13 +32,13 @@ def looks(simulated):
     feed = feed_of(bag)
     state = InitialState.of(load_model(MODEL), IdentifyOptions(prior_percent=25.0))
     live = OnlineIdentification(state, feed.selected, Pace(memory=5.0, share=1.0))
-    outcomes = feed.into(live, solving=1.0)
+    results = feed.into(live, solving=1.0)
     live.close()
-    return [(outcome.until * 1e-9, outcome) for outcome in outcomes if outcome is not None]
+    return [(result.until * 1e-9, result) for result in results if result is not None]
 
 
-def test_there_is_no_alarm_before_the_change_and_one_soon_after(looks) -> None:
-    alarms = [(time, outcome.change) for time, outcome in looks if outcome.change is not None]
+def test_there_is_no_alarm_before_the_change_and_one_soon_after(estimates) -> None:
+    alarms = [(time, result.change) for time, result in estimates if result.change is not None]
     first, change = alarms[0]
     assert BEGUN < first < BEGUN + 5.0
     assert change.suspect.link == "L_thigh"
@@ -46,22 +46,22 @@ def test_there_is_no_alarm_before_the_change_and_one_soon_after(looks) -> None:
     assert str(change).startswith("L_thigh has changed since 1")
 
 
-def test_an_alarm_stands_until_the_estimate_has_followed(looks) -> None:
-    """Even if windows of another length turn out to tell more meanwhile, as they do here."""
-    standing = [outcome.change is not None for _, outcome in looks]
+def test_an_alarm_remains_until_the_estimate_has_converged(estimates) -> None:
+    """The window length changes in the meantime."""
+    standing = [result.change is not None for _, result in estimates]
     first = standing.index(True)
     last = len(standing) - standing[::-1].index(True)
     assert all(standing[first:last])
-    assert len({outcome.change.since for _, outcome in looks[first:last]}) == 1
+    assert len({result.change.since for _, result in estimates[first:last]}) == 1
 
 
-def test_an_alarm_names_the_link_alone_that_the_motion_tells(looks) -> None:
-    changes = [outcome.change for _, outcome in looks if outcome.change is not None]
+def test_an_alarm_names_one_link_if_the_motion_identifies_it(estimates) -> None:
+    changes = [result.change for _, result in estimates if result.change is not None]
     assert all(len(change.suspects) == 1 for change in changes)
     assert " or " not in str(changes[0])
 
 
-def test_an_alarm_names_both_links_that_move_alike() -> None:
+def test_an_alarm_names_both_links_if_they_move_alike() -> None:
     std = np.full(10, 0.01)
     on_parent = LinkChange("L_haa", 905.0, 910.0, np.array([2.0, 0.3, 0.0, 0.36, *[0.0] * 6]), std)
     on_child = LinkChange("L_thigh", 900.0, 909.0, np.array([2.0, *[0.0] * 9]), std)
@@ -72,20 +72,20 @@ def test_an_alarm_names_both_links_that_move_alike() -> None:
     )
 
 
-def test_what_was_added_is_told_with_the_alarm(looks) -> None:
-    within = [outcome.change for time, outcome in looks if BEGUN + 3.0 < time < BEGUN + 6.0]
+def test_an_alarm_states_mass_and_position_of_the_payload(estimates) -> None:
+    within = [result.change for time, result in estimates if BEGUN + 3.0 < time < BEGUN + 6.0]
     suspect = within[-1].suspect
     assert suspect.phi[0] == pytest.approx(MASS, abs=max(3 * suspect.std[0], 0.1))
     for moment, deviation, place in zip(suspect.phi[1:3], suspect.std[1:3], PLACE, strict=False):
         assert moment == pytest.approx(MASS * place, abs=max(4 * deviation, 0.03))
 
 
-def test_the_estimate_follows_within_three_memories(looks) -> None:
+def test_the_estimate_converges_within_three_time_constants(estimates) -> None:
     parameters = ParameterSet(load_model(MODEL))
     index = parameters.names.index("L_thigh/m")
-    time, outcome = looks[-1]
+    time, result = estimates[-1]
     assert time > BEGUN + 15.0
-    estimate = outcome.found.estimate
+    estimate = result.found.estimate
     truth = parameters.values[index] + MASS
     near = max(0.1 * truth, 2 * estimate.std[index])
     assert estimate.value[index] == pytest.approx(truth, abs=near)

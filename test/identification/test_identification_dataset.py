@@ -1,4 +1,4 @@
-"""A log read slice by slice is the log read at once."""
+"""A log read slice by slice equals the log read at once."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -44,7 +44,7 @@ def assert_equal(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) 
         np.testing.assert_array_equal(found[name], values, err_msg=name)
 
 
-def test_slices_put_together_are_the_whole(model, bag: Path) -> None:
+def test_joined_slices_equal_the_log_read_at_once(model, bag: Path) -> None:
     (whole,) = AlignedLog(bag_log([bag], model), model)
     sliced = AlignedLog(bag_log([bag], model), model, span=BLOCK)
     parts = list(sliced)
@@ -69,7 +69,7 @@ def test_a_log_too_long_to_keep_is_read_again(model, bag: Path, tmp_path: Path) 
         list(reread)
 
 
-def test_a_part_is_cut_out(model, bag: Path) -> None:
+def test_start_and_stop_select_a_part(model, bag: Path) -> None:
     (whole,) = AlignedLog(bag_log([bag], model), model)
     begin = int(whole.stamp[0])
     parts = AlignedLog(bag_log([bag], model, ALL, TimeRange(1.5, 6.25)), model, span=BLOCK)

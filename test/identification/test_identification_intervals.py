@@ -15,7 +15,7 @@ from symbid_ros.model.parameters import ParameterSet
 
 
 def random_motion(parameters, count, rng):
-    """Return a motion whose forces are the true parameters' to the last digit."""
+    """Return a motion whose forces follow exactly from the true parameters."""
     model = parameters.model
     samples = random_samples(model, count, rng)
     rows = equation_of_motion(parameters, samples)
@@ -26,13 +26,13 @@ def random_motion(parameters, count, rng):
 
 
 def random_factor(parameters, rng, size=0.02):
-    """Return a correlated square root, about ``size`` of each link's parameters."""
+    """Return a square root of a correlated covariance, about ``size`` of each link's parameters."""
     scale = size * np.abs(parameters.link_phi(parameters.values)).max(axis=1).repeat(10)
     return scale[:, None] * rng.normal(size=(len(scale), len(scale))) / np.sqrt(len(scale))
 
 
 @pytest.mark.parametrize(("seed", "floating"), [(0, True), (3, True), (2, False)])
-def test_deviations_are_those_of_posterior_draws(seed, floating):
+def test_standard_deviations_equal_those_of_posterior_draws(seed, floating):
     rng = np.random.default_rng(seed)
     parameters = ParameterSet(random_robot(seed, links=4, floating=floating))
     motion = random_motion(parameters, 4, rng)
@@ -43,12 +43,12 @@ def test_deviations_are_those_of_posterior_draws(seed, floating):
     com = np.std([com_position(parameters, phi, poses) for phi in draws], axis=0)
     K = equation_of_motion(parameters, motion.samples).K
     force = np.std([K @ phi for phi in draws], axis=0)
-    # 4000 draws tell a deviation to 1.1 %: this is five of those, for the worst of all entries.
+    # 4000 draws determine a standard deviation to 1.1 %; five times that for the worst entry.
     np.testing.assert_allclose(std.com, com, rtol=0.055)
     np.testing.assert_allclose(std.torque, force[:, 6 * floating :], rtol=0.055)
 
 
-def test_com_deviation_is_the_first_order_change():
+def test_com_deviation_equals_the_first_order_change():
     rng = np.random.default_rng(7)
     parameters = ParameterSet(random_robot(7, links=5))
     motion = random_motion(parameters, 6, rng)
@@ -64,7 +64,7 @@ def test_com_deviation_is_the_first_order_change():
 
 
 @pytest.mark.parametrize("floating", [True, False])
-def test_honest_intervals_hold_the_truth_nine_times_in_ten(floating):
+def test_intervals_contain_the_truth_in_90_percent(floating):
     rng = np.random.default_rng(11)
     parameters = ParameterSet(random_robot(1, links=5, floating=floating))
     motion = random_motion(parameters, 20, rng)
@@ -104,7 +104,7 @@ def test_summary_has_the_norms_of_the_deviations_in_millimetres_and_newton_metre
 
 
 def test_total_mass_and_shared_displacement_need_no_pose():
-    """Links known only as a whole: a common factor on all of φ leaves the centre of mass alone."""
+    """A common factor on all of φ does not move the centre of mass."""
     rng = np.random.default_rng(3)
     parameters = ParameterSet(random_robot(3, links=6))
     motion = random_motion(parameters, 5, rng)

@@ -1,4 +1,4 @@
-"""A gripper whose second finger mimics the first is identified from the first one's readings."""
+"""A gripper whose second finger mimics the first is identified from the first finger's data."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -77,7 +77,7 @@ def gripper(tmp_path_factory):
 
 
 @pytest.mark.parametrize("method", ["map_lmi", "wls_rc"])
-def test_a_finger_that_follows_needs_no_readings(gripper, method):
+def test_a_mimic_joint_needs_no_data(gripper, method):
     folder, robot = gripper
     cutoff = None if method == "map_lmi" else 0.0
     options = IdentifyOptions(prior_percent=25.0, method=method, cutoff=cutoff)
@@ -89,9 +89,9 @@ def test_a_finger_that_follows_needs_no_readings(gripper, method):
     found = prepared.with_prior(prior_mean).solve(method)
     motion = read_true_motion([folder / "other"], robot)
     candidates = {"it": found.estimate.value, "prior": wrong.phi[parameters.links].ravel()}
-    judged = evaluate(parameters, candidates, parameters.values, motion)
-    assert judged["it"].torque_rmse < 0.03 * judged["prior"].torque_rmse
-    # Both fingers together weigh what they do: the force of the first moves both.
+    metrics = evaluate(parameters, candidates, parameters.values, motion)
+    assert metrics["it"].torque_rmse < 0.03 * metrics["prior"].torque_rmse
+    # Their sum is determined, because the force on the first finger moves both.
     mass = [found.estimate.names.index(f"panda_{side}finger/m") for side in ("left", "right")]
     true = parameters.values[mass].sum()
     assert found.estimate.value[mass].sum() == pytest.approx(true, rel=0.05)

@@ -1,4 +1,4 @@
-"""Options are checked alike for every front end, which all offer the same ones."""
+"""All front ends offer the same options, which are checked in one place."""
 
 import inspect
 import math
@@ -43,7 +43,7 @@ NAMES = {each.name for kind in (IdentifyOptions, LogOptions) for each in options
     ],
     ids=str,
 )
-def test_what_is_invalid_is_refused_by_the_names_of_its_fields(given, names) -> None:
+def test_errors_name_the_invalid_fields(given, names) -> None:
     with pytest.raises(OptionError) as refusal:
         IdentifyOptions(**given)
     for name in names:
@@ -51,7 +51,7 @@ def test_what_is_invalid_is_refused_by_the_names_of_its_fields(given, names) -> 
     assert refusal.value.code.startswith("E50")
 
 
-def test_values_get_the_type_of_their_field() -> None:
+def test_values_are_converted_to_the_type_of_their_field() -> None:
     options = IdentifyOptions(prior="p.json", tare="bag", sensor_errors="typical", mirror=1)
     assert options.prior == Path("p.json")
     assert options.tare == (Path("bag"),)
@@ -76,12 +76,12 @@ def test_terms_follow_from_three_options() -> None:
 
 @pytest.mark.parametrize("method", ["ols", "wls_r", "wls_c", "wls_rc"])
 @pytest.mark.parametrize("given", [{"cutoff": 20.0}, {"cutoff": 0.0}, {"channels": "thesis"}])
-def test_a_cutoff_with_a_method_of_the_thesis_means_butterworth(method, given) -> None:
+def test_a_cutoff_selects_butterworth_for_truncated_methods(method, given) -> None:
     assert IdentifyOptions(method=method, **given).row_filter == "butterworth"
     assert IdentifyOptions(method=method).row_filter == "weak"
 
 
-def test_rows_are_processed_as_the_options_say() -> None:
+def test_options_determine_the_processing_of_rows() -> None:
     assert Processing.of(IdentifyOptions()) == Processing()
     assert Processing.of(IdentifyOptions(window=0.1)).windows == (0.1,)
     filtered = IdentifyOptions(method="ols", cutoff=20.0, channels="thesis")

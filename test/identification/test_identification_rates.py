@@ -26,7 +26,7 @@ ARM, LEGGED = (ParameterSet(small_robot(3, floating=floating)) for floating in (
 
 
 def record_of(parameters: ParameterSet, plan: LogPlan, windows: tuple[float, ...] = ()) -> Dataset:
-    """Take a random log as far as its rows, cut into minutes as that of a bag is."""
+    """Fold the rows of a random log, cut into minutes like that of a bag."""
     streams, _ = mask_faulty_messages(random_streams(parameters.model, plan, 1))
     whole = moving_segments(streams, parameters.model)
     first, last = int(whole[0].stamp[0]) // SPAN, int(whole[-1].stamp[-1]) // SPAN
@@ -40,7 +40,7 @@ def record_of(parameters: ParameterSet, plan: LogPlan, windows: tuple[float, ...
 
 
 def identified(parameters: ParameterSet, plan: LogPlan) -> Identification:
-    """Do all that an offline run does with a log but read it."""
+    """Identify from a log as offline, without reading a bag."""
     record = record_of(parameters, plan)
     first = next(iter(record.segments))
     watch = ModelStatistics(parameters.model, first.wrench_frames, first.imu_frames)
@@ -85,7 +85,7 @@ def test_any_log_is_identified_or_refused_in_one_line(
 
 @pytest.mark.parametrize("rate", [20.0, 30.0, 57.0, 100.0])
 @pytest.mark.parametrize("parameters", [ARM, LEGGED], ids=["arm", "legged"])
-def test_most_of_a_minute_is_kept_at_any_rate(parameters: ParameterSet, rate: float) -> None:
+def test_most_of_a_minute_is_used_at_any_rate(parameters: ParameterSet, rate: float) -> None:
     plan = LogPlan(rate, round(60 * rate), START)
     for one in record_of(parameters, plan).observations:
         # Windows overlap by half.
@@ -106,7 +106,7 @@ def test_a_log_of_about_one_block(rate: float, more: int) -> None:
 
 
 @pytest.mark.parametrize("rate", [20.0])
-def test_slow_logs_are_identified_as_well_as_their_deviations_say(rate: float) -> None:
+def test_errors_from_slow_logs_agree_with_their_standard_deviations(rate: float) -> None:
     plan = LogPlan(rate, round(120 * rate), START)
     record = record_of(LEGGED, plan)
     prior = model_prior(LEGGED)
@@ -114,7 +114,7 @@ def test_slow_logs_are_identified_as_well_as_their_deviations_say(rate: float) -
     mass = LEGGED.names.index("link_0/m")
     error = np.abs(found.estimate.value - LEGGED.values)
     assert error[mass] < 0.02 * LEGGED.values[mass]
-    # What is left at 20 Hz is the error of differences between samples.
+    # The remaining error at 20 Hz comes from differences between samples.
     assert np.sqrt(np.mean((error / found.estimate.std) ** 2)) < 4
 
 

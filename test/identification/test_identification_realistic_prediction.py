@@ -1,4 +1,4 @@
-"""Realistic predictions of simulated bags against the truth that the bags hold."""
+"""Realistic predictions for simulated bags are compared with their ground truth."""
 
 from dataclasses import asdict, replace
 
@@ -47,7 +47,7 @@ def test_eq_4_1_finds_the_measured_wrenches_of_an_ideal_bag(ideal, symbitron):
     jacobian = contact_jacobian(symbitron.model, samples.wrench_frames, poses)
     force = equation_of_motion(symbitron, samples).K @ symbitron.values
     force[:, 6:] -= samples.effort
-    # The feet twisted against each other are hardly felt: there the data determine nothing.
+    # Feet that twist against each other hardly load the coordinates; the data do not determine it.
     found = contact_wrenches(jacobian, force, SINGULAR).reshape(-1, 12)
     left, size, felt = np.linalg.svd(jacobian.transpose(0, 2, 1), full_matrices=False)
     assert left.shape == (len(samples), 16, 12)
@@ -59,7 +59,7 @@ def test_eq_4_1_finds_the_measured_wrenches_of_an_ideal_bag(ideal, symbitron):
 @pytest.mark.parametrize(
     ("seed", "floating", "frames"), [(1, True, 1), (4, True, 2), (2, False, 2), (3, False, 0)]
 )
-def test_eq_4_1_explains_any_trees_bag(seed, floating, frames, tmp_path):
+def test_eq_4_1_holds_for_any_tree(seed, floating, frames, tmp_path):
     robot = random_robot(seed, links=6, floating=floating, wrench_frames=frames)
     (tmp_path / "robot.xml").write_text(mjcf_text(robot))
     parameters = ParameterSet(load_model(tmp_path / "robot.xml"))
@@ -78,7 +78,7 @@ def test_eq_4_1_explains_any_trees_bag(seed, floating, frames, tmp_path):
     np.testing.assert_allclose(error, 0, atol=1e-8 * scale)
 
 
-def test_a_controller_knows_the_last_torques_and_late_velocities(ideal, symbitron):
+def test_a_controller_has_the_last_torques_and_delayed_velocities(ideal, symbitron):
     cutoff = 40.0
     motion = read_realistic_motion([ideal], symbitron.model, CausalLowPass(cutoff))
     measured, truth = motion.measured, motion.truth.samples
@@ -100,7 +100,7 @@ def test_a_controller_knows_the_last_torques_and_late_velocities(ideal, symbitro
         assert np.sqrt(np.mean((found - expected)[settled] ** 2)) < 0.2 * unshifted
 
 
-def test_torques_balance_what_the_contact_forces_leave(noisy, symbitron):
+def test_torques_and_contact_forces_balance(noisy, symbitron):
     prediction = predict_realistic(symbitron, symbitron.values, noisy)
     measured = noisy.measured
     needed = equation_of_motion(symbitron, measured).K @ symbitron.values
@@ -114,23 +114,23 @@ def test_torques_balance_what_the_contact_forces_leave(noisy, symbitron):
         np.testing.assert_allclose(prediction.torque[k], left[6:], atol=1e-6)
 
 
-def test_a_prior_predicts_worse_than_the_truth_and_the_noise_sets_the_floor(noisy, symbitron):
+def test_the_prior_predicts_worse_than_the_truth(noisy, symbitron):
     prior = draw_prior(symbitron, "percent", 25, 1).mean
-    judged = evaluate_realistic(
+    metrics = evaluate_realistic(
         symbitron, {"truth": symbitron.values, "prior": prior}, symbitron.values, noisy
     )
-    truth, wrong = asdict(judged["truth"]), asdict(judged["prior"])
+    truth, wrong = asdict(metrics["truth"]), asdict(metrics["prior"])
     assert all(truth[name] < wrong[name] for name in truth)
-    # A passive joint's torque is zero for sure; the eight motors' are measured with 0.1 Nm.
+    # Passive joints have exactly zero torque; noise of the eight motors' torques is 0.1 Nm.
     assert 0.1 < truth["torque_rmse"] < 0.1 * np.sqrt(8)
-    # One newton along three axes of two plates, and what the motors' noise adds to the prediction.
+    # Noise of 1 N along three axes of two plates, and the motors' noise in the prediction.
     assert np.sqrt(6) < truth["contact_force_rmse"] < 2 * np.sqrt(6)
     assert truth["com_position_rmse_mm"] < 0.01
 
 
-def test_metrics_are_norms_per_sample(noisy, symbitron):
+def test_metrics_are_rms_norms(noisy, symbitron):
     prior = draw_prior(symbitron, "percent", 25, 2).mean
-    judged = evaluate_realistic(symbitron, {"it": prior}, symbitron.values, noisy)["it"]
+    metrics = evaluate_realistic(symbitron, {"it": prior}, symbitron.values, noisy)["it"]
     found = predict_realistic(symbitron, prior, noisy)
     true = predict(symbitron, symbitron.values, noisy.truth)
 
@@ -138,9 +138,9 @@ def test_metrics_are_norms_per_sample(noisy, symbitron):
         return pytest.approx(np.sqrt(np.mean(np.sum(error.reshape(len(error), -1) ** 2, axis=1))))
 
     effort, contact = noisy.truth.samples.effort, found.wrenches - noisy.measured.wrenches
-    assert judged.torque_rmse == rmse(found.torque - effort)
-    assert judged.torque_from_wrenches_rmse == rmse(found.torque_from_wrenches - effort)
-    assert judged.contact_force_rmse == rmse(contact[:, :, 3:])
-    assert judged.contact_moment_rmse == rmse(contact[:, :, :3])
-    assert judged.com_position_rmse_mm == rmse(1e3 * (found.com - true.com))
-    assert judged.com_momentum_rmse == rmse(found.momentum - true.momentum)
+    assert metrics.torque_rmse == rmse(found.torque - effort)
+    assert metrics.torque_from_wrenches_rmse == rmse(found.torque_from_wrenches - effort)
+    assert metrics.contact_force_rmse == rmse(contact[:, :, 3:])
+    assert metrics.contact_moment_rmse == rmse(contact[:, :, :3])
+    assert metrics.com_position_rmse_mm == rmse(1e3 * (found.com - true.com))
+    assert metrics.com_momentum_rmse == rmse(found.momentum - true.momentum)

@@ -1,16 +1,26 @@
-"""What was found is not lost, whatever goes wrong when it is written."""
+"""Files of a result are written whatever fails, and read in the order of the model."""
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from random_logs import LogPlan, random_streams, small_robot, write_bag
+from random_robots import random_robot
 
 from symbid_ros.errors import EstimateError, SymbidError
-from symbid_ros.estimation.archive import load_archive
-from symbid_ros.estimation.estimate import load_estimate
+from symbid_ros.estimation.archive import load_archive, write_archive
+from symbid_ros.estimation.estimate import Estimate, load_estimate
+from symbid_ros.estimation.information import RowLayout
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.options import IdentifyOptions
-from symbid_ros.identification.result_files import check_output, write_identification
+from symbid_ros.identification.result_files import (
+    check_output,
+    load_estimated_model,
+    write_identification,
+)
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
@@ -19,6 +29,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest
 
 MISSING = Path("missing")
+TERMS = ("viscous", "offset")
 
 
 @pytest.fixture(scope="module", params=["robot.urdf", "robot.xml"])
@@ -35,7 +46,7 @@ def arm(request, tmp_path_factory) -> tuple[Path, Path]:
 
 @pytest.fixture
 def found(arm, tmp_path) -> tuple[Identification, ParameterSet]:
-    """Return a result whose model file the test may spoil."""
+    """Return a result whose model file the test may delete."""
     model = tmp_path / arm[0].name
     model.write_text(arm[0].read_text())
     prepared = BagRequest((arm[1],), model).load(tmp_path / "out")
@@ -43,38 +54,42 @@ def found(arm, tmp_path) -> tuple[Identification, ParameterSet]:
     return prepared.solve("map"), prepared.parameters
 
 
-def test_a_model_file_that_is_gone_does_not_cost_the_estimate(found, tmp_path) -> None:
+def test_the_estimate_is_written_if_the_model_file_is_gone(found, tmp_path) -> None:
     identification, parameters = found
     out = tmp_path / "out"
     Path(parameters.model.source).unlink()
-    with pytest.raises(EstimateError, match=r"not written: model\.urdf, model\.xml$") as refused:
+    with pytest.raises(EstimateError, match=r"not written: model\.urdf, model\.xml$") as caught:
         write_identification(identification, parameters, out)
-    assert "\n" not in str(refused.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.code == "E522"
     assert load_estimate(out / "estimate.json").value.tolist()
     assert load_archive(out / "information.npz")
 
 
-def test_a_folder_that_is_gone_does_not_cost_the_estimate(found, tmp_path, monkeypatch) -> None:
+def test_the_estimate_is_written_elsewhere_if_the_folder_is_gone(
+    found, tmp_path, monkeypatch
+) -> None:
     spare = tmp_path / "spare"
     spare.mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(spare))
     (tmp_path / "out").write_text("a file has taken its place")
-    with pytest.raises(EstimateError, match=r"written to .*/spare/symbid_.* instead") as refused:
+    with pytest.raises(EstimateError, match=r"written to .*/spare/symbid_.* instead") as caught:
         write_identification(*found, tmp_path / "out")
-    assert "\n" not in str(refused.value)
+    assert "\n" not in str(caught.value)
+    assert caught.value.code == "E522"
     (folder,) = spare.iterdir()
     assert load_estimate(folder / "estimate.json").value.tolist()
     assert load_archive(folder / "information.npz")
 
 
-def test_a_folder_that_cannot_be_is_refused_before_any_bag_is_read(arm, tmp_path) -> None:
+def test_the_output_folder_is_checked_before_any_bag_is_read(arm, tmp_path) -> None:
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file", tmp_path / "file" / "out", tmp_path / ("long" * 100)):
         with pytest.raises(SymbidError, match="cannot write"):
             BagRequest((MISSING,), arm[0]).load(out)
 
 
-def test_what_is_read_last_is_looked_at_first(arm, tmp_path) -> None:
+def test_options_and_files_are_checked_before_the_log_is_read(arm, tmp_path) -> None:
     model, _ = arm
 
     def load(**options) -> None:
@@ -90,3 +105,91 @@ def test_what_is_read_last_is_looked_at_first(arm, tmp_path) -> None:
         load()
     check_output(ParameterSet(load_model(model)), tmp_path / "deep" / "er")
     assert not (tmp_path / "deep").exists()
+
+
+@pytest.fixture
+def parameters():
+    return ParameterSet(random_robot(4, links=3), TERMS)
+
+
+@pytest.fixture
+def estimate(parameters):
+    p = len(parameters)
+    return Estimate(
+        method="map",
+        model=parameters.model.name,
+        names=parameters.names,
+        units=parameters.units,
+        value=np.arange(p) + 0.5,
+        prior=np.arange(p) + 0.25,
+        std=np.arange(p) + 1.0,
+        determined=np.arange(p) % 3 == 0,
+        rank=None,
+        condition=1.0,
+        samples=7,
+        residual_rmse={},
+        consistent=dict.fromkeys(parameters.link_names, True),
+        inputs=(),
+        software="test",
+    )
+
+
+def write(estimate, parameters, folder, factor):
+    estimate.write(folder / "estimate.json")
+    observations = Observations.empty(RowLayout.of(parameters), 0.1)
+    write_archive(folder / "information.npz", [observations], factor)
+
+
+def test_values_are_read_in_the_order_of_the_model(parameters, estimate, tmp_path):
+    rng = np.random.default_rng(0)
+    order = rng.permutation(len(parameters))
+    factor = rng.normal(size=(len(order), 5))
+    shuffled = replace(
+        estimate,
+        names=tuple(estimate.names[i] for i in order),
+        units=tuple(estimate.units[i] for i in order),
+        value=estimate.value[order],
+        prior=estimate.prior[order],
+        std=estimate.std[order],
+        determined=estimate.determined[order],
+    )
+    write(shuffled, parameters, tmp_path, factor[order])
+    found = load_estimated_model(tmp_path, parameters.model)
+    assert found.parameters.names == parameters.names
+    assert found.estimate.names == estimate.names
+    assert found.estimate.units == estimate.units
+    for name in ("value", "prior", "std", "determined"):
+        np.testing.assert_array_equal(getattr(found.estimate, name), getattr(estimate, name))
+    np.testing.assert_array_equal(found.values, estimate.value)
+    np.testing.assert_array_equal(found.deviation_factor, factor)
+
+
+def test_an_estimate_without_covariance_has_none(parameters, estimate, tmp_path):
+    write(replace(estimate, std=None, determined=None), parameters, tmp_path, None)
+    assert load_estimated_model(tmp_path, parameters.model).deviation_factor is None
+    alone = load_estimated_model(tmp_path / "estimate.json", parameters.model)
+    assert (alone.deviation_factor, alone.estimate.std) == (None, None)
+
+
+def test_a_covariance_of_other_parameters_is_refused(parameters, estimate, tmp_path):
+    write(estimate, parameters, tmp_path, np.ones((3, 3)))
+    with pytest.raises(EstimateError, match=r"information\.npz") as caught:
+        load_estimated_model(tmp_path, parameters.model)
+    assert caught.value.code == "E523"
+
+
+def test_a_prior_has_values_only(parameters, tmp_path):
+    links = ParameterSet(parameters.model)
+    prior = draw_prior(links, "percent", 10, 1)
+    prior.write(tmp_path / "prior.json")
+    found = load_estimated_model(tmp_path / "prior.json", parameters.model)
+    np.testing.assert_array_equal(found.values, prior.mean)
+    assert (found.estimate, found.deviation_factor) == (None, None)
+    assert found.parameters.names == links.names
+
+
+def test_another_robot_is_refused(parameters, estimate, tmp_path):
+    estimate.write(tmp_path / "estimate.json")
+    with pytest.raises(EstimateError, match=r"estimate\.json") as caught:
+        load_estimated_model(tmp_path, random_robot(4, links=4))
+    assert caught.value.code == "E512"

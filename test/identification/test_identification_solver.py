@@ -1,4 +1,4 @@
-"""Whole jobs on short logs of the Symbitron: every method, chains, and what is known beside."""
+"""Identification of short logs of the Symbitron: methods, merged runs, pseudo-measurements."""
 
 from dataclasses import replace
 
@@ -74,10 +74,10 @@ def square_of_normalised_errors(found, truth):
     return float(error @ np.linalg.solve(covariance, error))
 
 
-def test_the_posterior_knows_how_far_off_it_is(whole, symbitron):
+def test_errors_agree_with_the_posterior_covariance(whole, symbitron):
     found = whole.solve("map")
     count = len(symbitron)
-    # Chi-square of 110 degrees of freedom; the prior's part of it is drawn uniformly.
+    # Chi-square with 110 degrees of freedom; the prior's part is drawn uniformly.
     assert 70 < square_of_normalised_errors(found, symbitron.values) < 160
     estimate = found.estimate
     z = (estimate.value - symbitron.values) / estimate.std
@@ -97,14 +97,14 @@ def test_a_clean_log_raises_no_alarm(whole):
     assert len(verdict.base) == 80
 
 
-def test_map_lmi_leaves_every_link_possible_and_moves_no_further_than_it_must(whole, symbitron):
+def test_map_lmi_is_the_nearest_physically_possible_estimate(whole, symbitron):
     free, possible = whole.solve("map"), whole.solve("map_lmi")
     assert not all(free.estimate.consistent.values())
     assert all(possible.estimate.consistent.values())
     for phi in symbitron.link_phi(possible.estimate.value):
         assert is_consistent(phi)
     np.testing.assert_array_equal(possible.estimate.std, free.estimate.std)
-    # The truth is possible too, so the projection brings the estimate nearer to it.
+    # The truth is also possible, so the projection reduces the error.
     factor = whole.solver.posterior.factor
     errors = [
         np.linalg.norm(factor @ (found.estimate.value - symbitron.values))
@@ -114,9 +114,9 @@ def test_map_lmi_leaves_every_link_possible_and_moves_no_further_than_it_must(wh
 
 
 @pytest.mark.parametrize("method", TRUNCATED)
-def test_truncated_methods_choose_z_for_themselves(whole, symbitron, method):
+def test_truncated_methods_choose_z_from_the_data(whole, symbitron, method):
     estimate = whole.solve(method).estimate
-    # As many as the directions of which the data say more than the prior.
+    # The number of directions about which the data say more than the prior.
     told = len(whole.solve("map").estimate.verdict.directions)
     assert abs(estimate.rank - told) <= 3
     first_force = whole.solver.chosen.rows.residual_rmse(estimate.value)
@@ -129,7 +129,7 @@ def test_truncated_methods_choose_z_for_themselves(whole, symbitron, method):
         assert np.linalg.norm(error) < 1.2 * np.linalg.norm(off)
 
 
-def test_rows_are_weighed_by_the_noise_of_the_sensors_where_it_is_given(whole, symbitron):
+def test_rows_are_weighted_by_given_sensor_noise(whole, symbitron):
     sensors = SensorNoise(effort=0.5, force=3.0, moment=0.2)
     options = IdentifyOptions(method="wls_r", rank=20, sensor_std=(0.5, 3.0, 0.2))
     given = replace(whole, options=options)
@@ -151,7 +151,7 @@ def test_rows_are_weighed_by_the_noise_of_the_sensors_where_it_is_given(whole, s
     assert not np.allclose(unweighted.solve("wls_r").estimate.value, expected, rtol=1e-3)
 
 
-def test_truncated_methods_take_what_they_are_given(whole):
+def test_truncated_methods_use_a_given_rank_or_validation(whole):
     given = replace(whole, options=IdentifyOptions(method="wls_rc", rank=12))
     assert given.solve("wls_rc").estimate.rank == 12
     validated = replace(whole, validation=whole.dataset)
@@ -161,7 +161,7 @@ def test_truncated_methods_take_what_they_are_given(whole):
     def error(estimate):
         return np.linalg.norm(list(rows.residual_rmse(estimate.value).values()))
 
-    # Not the best on those rows, but the simplest that is about as good.
+    # The smallest rank that predicts these rows about as well as the best one.
     assert chosen.rank < whole.solve("wls_rc").estimate.rank
     assert error(chosen) < 1.5 * error(whole.solve("wls_rc").estimate)
     excessive = replace(whole, options=IdentifyOptions(method="ols", rank=500))
@@ -169,7 +169,7 @@ def test_truncated_methods_take_what_they_are_given(whole):
         excessive.solve("ols")
 
 
-def test_truncated_methods_refuse_what_they_cannot_use(folder):
+def test_truncated_methods_refuse_unsupported_options(folder):
     weighed = load(folder, "second", total_mass=41.05, total_mass_std=0.02)
     for method in TRUNCATED:
         with pytest.raises(EstimateError, match=f"{method} supports neither"):
@@ -191,7 +191,7 @@ def chained(folder, begun):
     return load(folder, "second", information=folder / "begun/information.npz")
 
 
-def test_two_chained_halves_give_the_estimate_of_the_whole(whole, chained):
+def test_two_merged_halves_give_the_estimate_of_the_whole(whole, chained):
     one, two = (prepared.solve("map").estimate for prepared in (whole, chained))
     assert one.verdict.window == two.verdict.window
     assert one.samples == two.samples
@@ -199,18 +199,18 @@ def test_two_chained_halves_give_the_estimate_of_the_whole(whole, chained):
     np.testing.assert_allclose(two.std, one.std, rtol=1e-7)
 
 
-def test_possible_links_are_chained_by_information_not_by_their_projection(whole, chained):
+def test_merging_uses_the_information_before_the_projection(whole, chained):
     one, two = (prepared.solve("map_lmi").estimate for prepared in (whole, chained))
     assert np.abs((one.value - two.value) / one.std).max() < 1e-4
 
 
-def test_half_a_log_knows_less_than_all_of_it(begun, chained):
+def test_half_a_log_has_larger_standard_deviations(begun, chained):
     half, all_of_it = (prepared.solve("map").estimate for prepared in (begun, chained))
     assert half.verdict.gain < all_of_it.verdict.gain
     assert half.verdict.effective < all_of_it.verdict.effective
 
 
-def test_rows_over_other_windows_are_not_added(folder, chained):
+def test_rows_of_other_windows_are_refused(folder, chained):
     with pytest.raises(EstimateError, match="averaged over other windows"):
         load(folder, "second", information=chained.options.information, window=0.1)
 
@@ -225,13 +225,13 @@ def test_a_weighing_that_contradicts_the_prior_is_refused_in_one_line(folder):
         assert "\n" not in message
 
 
-def test_one_source_of_a_prior_at_a_time(folder):
+def test_two_priors_are_refused(folder):
     with pytest.raises(OptionError, match="give only one of `prior`, `prior_percent`"):
         IdentifyOptions(prior=folder / "prior.json", prior_percent=25)
 
 
-def test_a_log_at_rest_tells_of_weight_and_balance_alone(folder, symbitron):
-    """What nothing moves, no force tells of: second moments stay the prior's, and say so."""
+def test_a_log_at_rest_determines_only_weight_and_balance(folder, symbitron):
+    """Without motion, second moments keep their prior values and standard deviations."""
     prepared = load(folder, "rest")
     for method in ("map", "map_lmi"):
         estimate = prepared.solve(method).estimate
@@ -248,8 +248,8 @@ def test_a_log_at_rest_tells_of_weight_and_balance_alone(folder, symbitron):
     assert np.linalg.norm(errors) < np.linalg.norm(off)
 
 
-def test_windows_that_tell_of_noise_are_passed_over(whole):
-    """Under a wide prior short windows seem to tell more, most of it noise in the regressor."""
+def test_window_lengths_dominated_by_noise_are_not_chosen(whole):
+    """With a wide prior, short windows seem more informative because of noise in the regressor."""
     prior = draw_prior(whole.parameters, "absolute", 0.125, 1)
     problem = replace(whole.solver.problem, prior=prior)
     each = [Solver.of(replace(problem, observations=(one,))) for one in problem.observations]
@@ -270,19 +270,19 @@ def test_windows_that_tell_of_noise_are_passed_over(whole):
 
 @pytest.mark.parametrize("scale", [1 / 3, 1.0, 3.0])
 def test_the_evidence_recovers_the_scale_of_the_prior(whole, scale):
-    """A prior stated too narrow or too wide is found out by the data."""
+    """The data correct a prior that is too narrow or too wide."""
     count = len(whole.parameters)
     stated = whole.prior.widened(np.full(count, 1 / scale))
     problem = Problem((whole.solver.chosen,), whole.parameters, stated, is_empirical=True)
     found = Solver.of(problem).posterior
     np.testing.assert_allclose(found.prior.std, scale * stated.std, rtol=0.3)
-    # The widened prior is content with its width; the stated one is not.
+    # The evidence accepts the scale of the widened prior, and corrects the stated one.
     assert found.prior_scale == pytest.approx(1.0, rel=0.02)
     as_stated = Solver.of(replace(problem, is_empirical=False)).posterior
     assert as_stated.prior_scale == pytest.approx(scale, rel=0.4)
 
 
-def test_a_model_that_is_right_is_found_to_need_no_width(folder, symbitron):
+def test_the_prior_of_an_exact_model_shrinks(folder, symbitron):
     prepared = load(folder, "second", prior=None)
     estimate = prepared.solve("map").estimate
     believed = model_prior(symbitron, 25)
@@ -292,7 +292,7 @@ def test_a_model_that_is_right_is_found_to_need_no_width(folder, symbitron):
 
 @pytest.mark.parametrize("samples", [40, 400])
 def test_white_residuals_raise_no_alarm_however_short_the_log(samples):
-    """Coordinates share noise, as base and joints share that of a plate."""
+    """Coordinates share noise, as base and joints do for one plate."""
     rng = np.random.default_rng(1)
     n = 6
     layout = RowLayout(tuple("uvwxyz"), ("m",), np.ones((n, 1), dtype=bool))
@@ -311,8 +311,8 @@ def test_white_residuals_raise_no_alarm_however_short_the_log(samples):
     assert max(ratios) < SUSPICIOUS_WHITENESS
 
 
-def test_few_rows_of_a_joint_are_not_taken_for_exact():
-    """Coordinate 1 has as many rows as unknowns of its own: the fit leaves no residual there."""
+def test_a_joint_with_few_rows_is_not_weighted_as_exact():
+    """Coordinate 1 has as many rows as own unknowns, so its residual is zero."""
     rng = np.random.default_rng(0)
     structure = np.array([[True] * 3 + [False] * 3, [False] * 3 + [True] * 3])
     layout = RowLayout(("busy", "seldom"), tuple("abcdef"), structure)
@@ -337,7 +337,7 @@ def test_few_rows_of_a_joint_are_not_taken_for_exact():
     assert 0.05 < seldom < 1.5
 
 
-def test_friction_armature_and_offsets_are_found_within_their_uncertainty(folder):
+def test_friction_armature_and_offsets_agree_with_their_standard_deviations(folder):
     rubbing = Simulator("smooth", moves=2, motion_seed=32, noise_seed=6, friction=True)
     record(rubbing, folder / "rubbing")
     prepared = load(folder, "rubbing", friction=True, armature=True, offset=True)
@@ -357,7 +357,7 @@ def test_friction_armature_and_offsets_are_found_within_their_uncertainty(folder
 
 
 def with_friction(parameters):
-    """Return the parameters of the robot that rubs as config/friction.yaml says."""
+    """Return the parameters of the robot with the friction of config/friction.yaml."""
     friction = load_friction(CONFIG / "friction.yaml")
     truth = parameters.values.copy()
     for term, field in (

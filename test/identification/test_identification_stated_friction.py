@@ -27,7 +27,7 @@ Z1 = (
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory):
-    """A real arm's URDF with friction, without it, and two logs of the arm that has it."""
+    """URDFs of a real arm with and without friction, and two logs of the arm with friction."""
     folder = tmp_path_factory.mktemp("arm")
     robot = load_model(Z1, "fixed")
     assert all(joint.damping > 0 and joint.friction_loss > 0 for joint in robot.joints)
@@ -41,7 +41,7 @@ def arm(tmp_path_factory):
 
 
 def torque_of_exported(model, folder, motion):
-    """The held-out torques as MuJoCo computes them from the written model.xml."""
+    """Return the validation torques as MuJoCo computes them from the written model.xml."""
     compiled = mujoco.MjModel.from_xml_path(str(folder / "model.xml"))
     compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
     data = mujoco.MjData(compiled)
@@ -61,7 +61,7 @@ def rms(error):
 
 
 @pytest.mark.parametrize("rows", [{}, {"filter": "savitzky_golay", "window": 0.011}], ids=str)
-def test_stated_friction_is_known_and_not_identified_away(arm, rows, tmp_path, caplog):
+def test_friction_of_the_model_file_is_used_and_kept(arm, rows, tmp_path, caplog):
     options = IdentifyOptions(**rows)
     prepared = BagRequest((arm / "log",), arm / "robot.urdf", options, base="fixed").load()
     assert "states viscous friction of joint1" in caplog.text
@@ -73,19 +73,19 @@ def test_stated_friction_is_known_and_not_identified_away(arm, rows, tmp_path, c
     true = motion.samples.effort
     assert rms(torque_of_exported(robot, tmp_path, motion) - true) < 0.02 * rms(true)
 
-    # What is predicted, evaluated and written down agrees with the file that comes back.
-    subject = load_estimated_model(tmp_path, robot)
-    assert subject.estimate.known["joint2/coulomb"] == robot.joints[1].friction_loss
-    force = predict(subject.parameters, subject.values, motion).gen_force
+    # Predictions and metrics agree with the written model.
+    estimated = load_estimated_model(tmp_path, robot)
+    assert estimated.estimate.known["joint2/coulomb"] == robot.joints[1].friction_loss
+    force = predict(estimated.parameters, estimated.values, motion).gen_force
     slipping = np.abs(motion.samples.velocity).min(axis=1) > 0.02
     np.testing.assert_allclose(
         force[slipping], torque_of_exported(robot, tmp_path, motion)[slipping], atol=1e-6
     )
-    parameters = subject.parameters
-    judged = evaluate(parameters, {"it": subject.values}, parameters.values, motion)["it"]
-    assert judged.torque_rmse == pytest.approx(rms(force - true))
+    parameters = estimated.parameters
+    metrics = evaluate(parameters, {"it": estimated.values}, parameters.values, motion)["it"]
+    assert metrics.torque_rmse == pytest.approx(rms(force - true))
     realistic = predict_realistic(
-        parameters, subject.values, RealisticMotion(motion.samples, motion)
+        parameters, estimated.values, RealisticMotion(motion.samples, motion)
     )
     np.testing.assert_allclose(realistic.torque, force, atol=1e-9)
     written = load_model(tmp_path / "model.urdf", "fixed")
@@ -94,17 +94,17 @@ def test_stated_friction_is_known_and_not_identified_away(arm, rows, tmp_path, c
     ]
 
 
-def test_an_estimate_that_knows_no_friction_is_judged_without_the_true_robots(arm, tmp_path):
+def test_an_estimate_without_friction_is_evaluated_without_it(arm, tmp_path):
     prepared = BagRequest((arm / "log",), arm / "smooth.urdf", base="fixed").load()
     write_identification(prepared.solve("map_lmi"), prepared.parameters, tmp_path)
     robot = load_model(arm / "robot.urdf", "fixed")
     motion = read_true_motion([arm / "other"], robot)
-    subject = load_estimated_model(tmp_path, robot)
-    judged = evaluate(
-        subject.parameters, {"it": subject.values}, subject.parameters.values, motion
+    estimated = load_estimated_model(tmp_path, robot)
+    metrics = evaluate(
+        estimated.parameters, {"it": estimated.values}, estimated.parameters.values, motion
     )["it"]
     true = motion.samples.effort
-    assert judged.torque_rmse == pytest.approx(
+    assert metrics.torque_rmse == pytest.approx(
         rms(torque_of_exported(robot, tmp_path, motion) - true), rel=1e-6
     )
-    assert judged.torque_rmse > 0.5 * rms(true)
+    assert metrics.torque_rmse > 0.5 * rms(true)

@@ -1,4 +1,4 @@
-"""Any tree goes through every room: simulated, recorded, read, identified, written, judged."""
+"""Any tree is simulated, recorded, read, identified, written and evaluated."""
 
 import numpy as np
 import pytest

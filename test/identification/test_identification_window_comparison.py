@@ -1,4 +1,4 @@
-"""Windows are compared again as data come, without keeping an estimate waiting."""
+"""Window lengths are compared again as data arrive, without delaying an estimate."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def problem(simulated):
     return BagRequest((bag,), config_file("symbitron.xml"), options).load().solver.problem
 
 
-def test_compared_at_once_first_and_one_by_one_when_there_is_twice_as_much(problem) -> None:
+def test_comparisons_after_the_first_are_spread_over_estimates(problem) -> None:
     best = WindowComparison(problem).finish()[0].window
     selector = WindowSelector()
     assert selector.update(problem, 3) == best
@@ -25,7 +25,7 @@ def test_compared_at_once_first_and_one_by_one_when_there_is_twice_as_much(probl
     assert [selector.update(problem, blocks) for blocks in range(6, 12)] == [None] * 6
 
 
-def test_a_comparison_in_steps_is_one_at_once(problem) -> None:
+def test_a_comparison_in_steps_equals_one_at_once(problem) -> None:
     at_once, in_steps = WindowComparison(problem), WindowComparison(problem)
     chosen, near = at_once.finish()
     steps = 0
