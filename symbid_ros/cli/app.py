@@ -61,8 +61,8 @@ def run() -> int:
     """Run the command line and return its status; errors of ours are one line on stderr, and 2."""
     console = Console(stderr=True, soft_wrap=True)
     handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
-    handler.addFilter(_with_flags)
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler])
+    handler.setFormatter(_Formatter("%(message)s"))
+    logging.basicConfig(level=logging.WARNING, handlers=[handler])
     try:
         # By itself click would name whatever module runs this.
         return _command()(prog_name="symbid", standalone_mode=False) or 0
@@ -83,10 +83,11 @@ def run() -> int:
     return USAGE
 
 
-def _with_flags(record: logging.LogRecord) -> bool:
-    """Spell options in a message as flags."""
-    record.msg, record.args = spelled(record.getMessage(), flag), ()
-    return True
+class _Formatter(logging.Formatter):
+    """Spells options in messages as flags."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return spelled(super().format(record), flag)
 
 
 def _command() -> Any:
