@@ -332,8 +332,8 @@ CODES: dict[str, Entry] = {
         "Publish the wrench of every contact, check the model's masses, or set `unchecked`.",
     ),
     "E514": Entry(
-        "Every wrench sensor of the tare is loaded.",
-        "Record the tare with nothing touching the wrench sensors.",
+        "The tare has no unloaded wrench sensor.",
+        "Record the topics of the wrench sensors with nothing touching them.",
     ),
     "E515": Entry(
         "A wrench sensor of the tare has a NaN or infinite reading.",

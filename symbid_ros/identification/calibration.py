@@ -48,7 +48,7 @@ def read_tare(log: Log) -> dict[str, Tare]:
     Raises
     ------
     DataError
-        When every sensor is loaded, or a reading is NaN or infinite.
+        When there is no unloaded sensor, or a reading is NaN or infinite.
     """
     streams = log.streams()
     tares = {}
@@ -74,8 +74,8 @@ def read_tare(log: Log) -> dict[str, Tare]:
         tares[wrench.frame_id] = Tare(mean, np.maximum(std, 1e-4))
     if not tares:
         raise DataError(
-            f"{streams.source}: every wrench sensor is loaded; record the `tare` with nothing "
-            "touching the sensors",
+            f"{streams.source}: no unloaded wrench sensor; record the topics of the sensors with "
+            "nothing touching them for the `tare`",
             "E514",
         )
     return tares

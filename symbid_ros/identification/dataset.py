@@ -224,7 +224,7 @@ class Processing:
         if self.smoothing is not None:
             return str(self.smoothing)
         if self.windows == ALL_WINDOWS:
-            return "rows averaged over Hann windows of the length that tells most"
+            return "rows averaged over Hann windows of the most informative length"
         lengths = " or ".join(f"{1e3 * window:g}" for window in self.windows)
         return f"rows averaged over Hann windows of {lengths} ms"
 

@@ -1,4 +1,4 @@
-"""Choice of the window length whose rows tell most about a robot."""
+"""Choice of the window length with the most informative rows."""
 
 from collections.abc import Sequence
 
@@ -59,7 +59,7 @@ class WindowComparison:
 class WindowSelector:
     """Repeats the comparison as data arrive, one window length at each estimate after the first.
 
-    A whole comparison takes as long as several estimates, which would be late.
+    A full comparison takes as long as several estimates, which would be late.
     """
 
     def __init__(self) -> None:
@@ -130,7 +130,7 @@ def solve_window(
 
 
 def _most_informative(found: Sequence[Posterior], count: int) -> int:
-    """Return the index of the window length that tells most of the first ``count`` parameters."""
+    """Return the index of the most informative rows for the first ``count`` parameters."""
     shares = [one.noise_share for one in found]
     allowed = max(SUSPICIOUS_NOISE, min(shares))
     gains = [one.gain(count) for one in found]

@@ -96,6 +96,7 @@ def _resumed(archive: Path, nothing: tuple[Observations, ...]) -> tuple[Observat
     if not known:
         raise EstimateError(
             f"{archive}: of another robot, other columns or other windows; resume with the model "
-            "and the options it was written with"
+            "and the options it was written with",
+            "E505",
         )
     return known

@@ -163,7 +163,7 @@ def test_information_about_another_robot(fails, good, tmp_path) -> None:
 
 def test_a_tare_without_wrenches(fails, good, copied_without, tmp_path) -> None:
     bag = copied_without(good["bag"], tmp_path / "blank", "foot")
-    fails("blank", "no wrench sensor", **good | {"tare": bag})
+    fails("blank", "no unloaded wrench sensor", **good | {"tare": bag})
 
 
 def test_a_log_without_wrenches_that_is_to_be_tared(fails, good, copied_without, tmp_path) -> None:

@@ -81,11 +81,11 @@ class TestTare:
             assert np.all(np.abs(tare.mean - offset) < 5 * tare.std)
         # The load cell of the hoist carries the robot.
         (warning,) = caplog.messages
-        assert "/suspension/wrench reads 403 N and is not unloaded: not tared" in warning
+        assert "/suspension/wrench reads 403 N, so it is loaded" in warning
 
     def test_a_tare_needs_an_unloaded_sensor(self, folder, wrong):
         assert wrong.plate_offset.any()
-        with pytest.raises(DataError, match="every wrench sensor is loaded"):
+        with pytest.raises(DataError, match="no unloaded wrench sensor"):
             read_tare(bag_log([folder / "log"]))
 
     def test_a_nan_reading_is_refused(self, tmp_path):
