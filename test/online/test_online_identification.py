@@ -349,7 +349,7 @@ def test_a_memory_set_while_running_holds_from_then_on(start, feed) -> None:
             feed.between(begin, stop).into(live)
             live.advance()
             live.set_memory(memory)  # waits for the blocks so far
-        return live._memory.whole.observations
+        return live._accumulator.blocks.observations
 
     # In the first block there is nothing that could fade: only what is set later counts.
     faded = known(2.0, 2.0)
