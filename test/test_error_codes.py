@@ -1,0 +1,22 @@
+"""Every error that a user can cause has a code, and every code its entry."""
+
+import re
+from pathlib import Path
+
+import symbid_ros
+from symbid_ros.error_codes import CODES
+from symbid_ros.errors import SymbidError
+
+PACKAGE = Path(symbid_ros.__file__).parent
+
+
+def test_the_codes_in_use_are_those_that_are_documented() -> None:
+    texts = [path.read_text() for path in PACKAGE.rglob("*.py") if path.name != "error_codes.py"]
+    assert set(re.findall(r'"(E\d{3})"', "\n".join(texts))) == set(CODES)
+    for entry in CODES.values():
+        assert entry.cause.endswith(".")
+        assert entry.fix.endswith(".")
+
+
+def test_an_error_shows_its_code() -> None:
+    assert SymbidError("bag: missing; give another", "E201").code == "E201"
