@@ -185,6 +185,101 @@ CODES: dict[str, Entry] = {
         "Fix the driver, or leave the topic out.",
     ),
     # E3xx: measurements
+    "E301": Entry(
+        "A topic has no usable message in the part of the log that is used.",
+        "Check the topic's driver, use another part (--start, --stop), or leave the topic out.",
+    ),
+    "E302": Entry(
+        "The topics, or the publishers of joint states, have no time in common.",
+        "Synchronise the clocks that set header.stamp and record all topics together.",
+    ),
+    "E303": Entry(
+        "The log is too short or has too many gaps.",
+        "Record longer, repair the driver that drops messages, or publish at a higher rate.",
+    ),
+    "E304": Entry(
+        "A joint has no finite position in at least half of the messages.",
+        "Let its driver fill JointState.position, or give a model in which that joint is fixed.",
+    ),
+    "E305": Entry(
+        "No joint of a robot with a fixed base has a measured effort.",
+        "Let the driver fill JointState.effort.",
+    ),
+    "E306": Entry(
+        "The log lacks joints of the model.",
+        "Name every topic of joint states (--joint-topic, parameter joint_topic), or give the "
+        "model of this robot.",
+    ),
+    "E307": Entry(
+        "The base of the model floats, but no IMU was recorded.",
+        "Record a sensor_msgs/msg/Imu topic, or give --base fixed if the base is bolted down.",
+    ),
+    "E308": Entry(
+        "A sensor's frame is not in the model.",
+        "Correct header.frame_id, add the frame to the model, or give --frame-prefix (parameter "
+        "frame_prefix).",
+    ),
+    "E309": Entry(
+        "header.frame_id of one topic changes during the log.",
+        "Publish each sensor on a topic of its own.",
+    ),
+    "E310": Entry(
+        "One of several publishers of joint states has fewer than two messages.",
+        "Let it publish its joints at the rate of the others.",
+    ),
+    "E311": Entry(
+        "An array of measurements has the wrong shape.",
+        "Give one row for each instant and one column for each channel.",
+    ),
+    "E312": Entry(
+        "The instants of an array log are NaN, infinite, or not in seconds.",
+        "Give seconds as floating-point numbers, or nanoseconds as integers.",
+    ),
+    "E313": Entry(
+        "A topic was silent during a part of the log or for a while live.",
+        "Check its driver and clock, or leave that part out (--start, --stop).",
+    ),
+    "E314": Entry(
+        "Header stamps jump back by more than a second, as when two runs are mixed.",
+        "Give each run separately.",
+    ),
+    "E315": Entry(
+        "All messages of a topic have the same header stamp.",
+        "Let the driver fill header.stamp.",
+    ),
+    "E316": Entry(
+        "The start and stop of the part of a log to use are invalid.",
+        "Give a start of at least 0 and a later stop, in seconds after the first joint state.",
+    ),
+    "E317": Entry(
+        "A smoothing filter has an invalid cutoff, window or degree.",
+        "Give a cutoff of at least 0 Hz and below half the sampling rate, a positive window, and "
+        "a degree of at least 2.",
+    ),
+    "E318": Entry(
+        "The smoothing filter needs more samples than the log has without a gap.",
+        "Raise the cutoff, shorten the filter's window, or record longer.",
+    ),
+    "E319": Entry(
+        "The averaging windows hold too few samples at the rate of the joint states.",
+        "Give a longer window, or record at a higher rate.",
+    ),
+    "E320": Entry(
+        "The name of a kind of sensor error is unknown, or the list is empty.",
+        "Give typical, or any of the kinds that the message lists.",
+    ),
+    "E321": Entry(
+        "An option is not available online: filters, tares, sensor errors, and validation bags.",
+        "Leave the option out, or record a log and identify offline.",
+    ),
+    "E322": Entry(
+        "The saved run to resume from has another robot, other columns, or other windows.",
+        "Resume with the model and the options of the saved run.",
+    ),
+    "E323": Entry(
+        "A live message is not of this robot or holds a value that no sensor reads.",
+        "Check the topic and its driver; the message is dropped and counted.",
+    ),
     # E4xx: priors and estimates
     "E401": Entry(
         "The file of a prior, an estimate or information cannot be read.",

@@ -9,7 +9,7 @@ from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, beyond_mending, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import moving_segments, warned_once
+from symbid_ros.signals.alignment import align_checked, warn_once
 from symbid_ros.signals.defects import Defect, DefectError
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import cut_to
@@ -75,8 +75,8 @@ class _LogDiagnoser:
             return
         _check_frames(self.first, streams)
         # What is too short or shares no time is seen in the streams' own figures.
-        with suppress(DataError), warned_once(muted=True):
-            for segment in cut_to(moving_segments(streams, model), piece.start, piece.stop):
+        with suppress(DataError), warn_once(muted=True):
+            for segment in cut_to(align_checked(streams, model), piece.start, piece.stop):
                 self.watch.add(segment)
 
     def diagnosis(self, source: str) -> Diagnosis:

@@ -204,7 +204,7 @@ def mended(tallies: Iterable[DefectCounts]) -> list[Finding]:
             KINDS[defect],
             tally.topic,
             Severity.WARNING,
-            f"{tally.topic}: {count} of {tally.messages} messages {tally.told(defect)}; "
+            f"{tally.topic}: {count} of {tally.messages} messages {tally.description(defect)}; "
             f"{REMEDIES[defect]}",
             {"messages": count, "share": count / max(tally.messages, 1)},
         )

@@ -16,7 +16,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import moving_segments, warned_once
+from symbid_ros.signals.alignment import align_checked, warn_once
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_inflation
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.noise_floor import MOTION, Channel
@@ -108,7 +108,7 @@ class AlignedLog:
         reports = warn and checks is None
         coverage = _Coverage(self._log.source)
         reported: set[tuple[str, str]] = set()
-        with warned_once(muted=not reports):
+        with warn_once(muted=not reports):
             for piece in self._log.slices(self._span, warn=reports):
                 if checks is not None:
                     checks.take(piece)
@@ -119,7 +119,7 @@ class AlignedLog:
                 if reports:
                     _warn_once(findings, reported)
                 try:
-                    segments = moving_segments(streams, self._model)
+                    segments = align_checked(streams, self._model)
                 except DataError as error:
                     coverage.lose(error)
                     continue

@@ -14,7 +14,7 @@ from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.signals.alignment import (
     LONGEST_MARGIN,
     SHORTEST_SEGMENT,
-    moving_segments,
+    align_checked,
     resampling_margin,
 )
 from symbid_ros.signals.segments import cut_to
@@ -161,7 +161,7 @@ class BlockScheduler:
         try:
             margin = resampling_margin(each.stamps for each in self.streams.buffers.values())
             streams = self.streams.between(start - margin, seen_until)
-            segments = moving_segments(streams, self._model)
+            segments = align_checked(streams, self._model)
         except SymbidError as error:
             return TimeSpan(start, stop, (), str(error))
         return TimeSpan(start, stop, tuple(cut_to(segments, start, stop)))

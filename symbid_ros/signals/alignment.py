@@ -1,8 +1,7 @@
-"""Streams with clocks of their own, brought onto one uniform clock.
+"""Alignment: streams with stamps of their own are resampled on one uniform clock.
 
-The joint states give the clock. Where every stream was sampled at its ticks the
-numbers pass untouched; elsewhere a cubic spline is evaluated. Nothing is invented
-across a gap: there the record is cut into segments.
+The joint states give the clock. Streams sampled at its instants pass unchanged, others are
+interpolated with cubic splines. Gaps are not interpolated: the log is cut into segments there.
 """
 
 import logging
@@ -22,20 +21,20 @@ from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
 
 logger = logging.getLogger(__name__)
 
-# A stream may miss this many periods in a row before the record is cut.
+# A log is cut where a stream has no sample for longer than this many of its periods.
 LONGEST_GAP = 5.5
 SHORTEST_SEGMENT = 50
 
-# Beyond the ends of a stretch, ns: what a spline needs that resamples a slower topic. What a sample
-# contributes falls by a factor of four from one sample to the next.
+# Margin beyond the ends of a slice, ns, that splines of slower topics need. The influence of a
+# sample on a spline falls by a factor of four with each sample of distance.
 MARGIN = 100_000_000
 LONGEST_MARGIN = 1_000_000_000
 SAMPLES_PER_MARGIN = 20
 
 
 @dataclass(frozen=True)
-class _Channel:
-    """One stream as a matrix: ``topic`` for messages, values (N, c) at ``stamp`` (N,)."""
+class _Matrix:
+    """One stream as a matrix: values (N, c) at ``stamp`` (N,); ``topic`` is for messages."""
 
     topic: str
     stamp: IntArray
@@ -43,14 +42,14 @@ class _Channel:
 
 
 def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
-    """Bring all streams onto the clock of the joint states.
+    """Resample all streams on the clock of the joint states.
 
     Raises
     ------
     DataError
-        When the streams do not overlap or every stretch is too short.
+        When the streams do not overlap or every segment is too short.
     ModelError
-        When the bag's joints are not the model's.
+        When the log lacks joints of the model.
     """
     stamps = [(streams.joints.topic, streams.joints.stamp)]
     stamps += [(imu.topic, imu.stamp) for imu in streams.imus]
@@ -59,7 +58,8 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
         if not len(stamp):
             raise DataError(
                 f"{streams.source}: {topic} has no usable message; check its driver, or leave the "
-                "topic out"
+                "topic out",
+                "E301",
             )
     joints, efforts = _joint_channel(streams, model)
     channels = [joints, *map(_imu_channel, streams.imus), *map(_wrench_channel, streams.wrenches)]
@@ -69,34 +69,39 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     if stop <= start:
         topics = ", ".join(channel.topic for channel in channels)
         raise DataError(
-            f"{streams.source}: the topics {topics} share no time; check their clocks and stamps"
+            f"{streams.source}: the topics {topics} have no time in common; check their clocks and "
+            "stamps",
+            "E302",
         )
     segments = tuple(
         _segment(channels, grid, period, streams, efforts)
         for grid in _grids(channels, start, stop, period)
     )
     if not segments:
-        nowhere = f"no stretch of {SHORTEST_SEGMENT} samples has data on every topic"
-        if streams.is_live:
-            raise DataError(f"{streams.source}: {nowhere}; check their drivers for gaps")
-        raise DataError(f"{streams.source}: the log is too short, {nowhere}; record longer")
+        action = "check the drivers for gaps" if streams.is_live else "record longer"
+        raise DataError(
+            f"{streams.source}: there are no {SHORTEST_SEGMENT} samples in a row with data on "
+            f"every topic; {action}",
+            "E303",
+        )
     return segments
 
 
-def moving_segments(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
-    """Return the aligned stretches of a recording that can tell how the base moves.
+def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
+    """Align streams after checking that they have the IMU and the frames that the model needs.
 
     Raises
     ------
     DataError
-        When a floating robot has no IMU or the record is too short.
+        When a floating robot has no IMU, or the log is too short.
     ModelError
         When a joint or a sensor's frame is not in the model.
     """
     if model.floating and not streams.imus:
         raise DataError(
-            f"{streams.source}: the base of {model.source} floats, but the bag has no "
-            "sensor_msgs/msg/Imu topic; record the IMU, or give `base` fixed if it is bolted down"
+            f"{streams.source}: the base of {model.source} floats, but there is no topic of type "
+            "sensor_msgs/msg/Imu; record the IMU, or give `base` fixed if it is bolted down",
+            "E307",
         )
     sensors: list[ImuStream | WrenchStream] = [
         *(streams.imus if model.floating else ()),
@@ -108,48 +113,56 @@ def moving_segments(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
 
 
 def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: str) -> None:
-    """Refuse a sensor whose frame the model lacks, and suggest the prefix that it may have."""
+    """Check that the model has a sensor's frame; if not, suggest the prefix to remove."""
     frame = sensor.frame_id
     try:
         model.frame(frame)
     except ModelError as error:
         prefix = suggested_prefix(frame, model)
         if not prefix:
-            raise ModelError(f"{source}: {sensor.topic}: {error}") from error
+            raise ModelError(f"{source}: {sensor.topic}: {error}", "E308") from error
         raise ModelError(
             f"{source}: {sensor.topic}: frame {frame!r} is not in model {model.source}, but "
-            f"{frame.removeprefix(prefix)!r} is; give `frame_prefix` {prefix}"
+            f"{frame.removeprefix(prefix)!r} is; give `frame_prefix` {prefix}",
+            "E308",
         ) from error
 
 
 def suggested_prefix(frame: str, model: RobotModel) -> str:
-    """Return what to remove from a sensor's frame to get one of the model's; empty if nothing."""
+    """Return the prefix of a sensor's frame without which the model has it; empty if none."""
     known = {*(one.name for one in model.frames), *model.link_names}
     cuts = [index + 1 for index, letter in enumerate(frame) if letter == "/"]
     return next((frame[:cut] for cut in cuts if frame[cut:] in known), "")
 
 
 def resampling_margin(topics: Iterable[IntArray]) -> int:
-    """Return how far beyond a stretch's ends its topics must reach, ns, by their stamps (N,)."""
+    """Return how far beyond the ends of a slice resampling needs data, ns.
+
+    Parameters
+    ----------
+    topics : iterable of (N,) int64
+        Stamps of each topic, ns.
+    """
     steps = [np.diff(np.unique(stamp)) for stamp in topics]
     periods = [float(np.median(each)) for each in steps if len(each)]
     needed = round(SAMPLES_PER_MARGIN * max(periods, default=0.0))
     return min(max(MARGIN, needed), LONGEST_MARGIN)
 
 
-def _period(joints: _Channel, streams: Streams) -> float:
-    """Return the joint states' sampling period in nanoseconds."""
+def _period(joints: _Matrix, streams: Streams) -> float:
+    """Return the period of the joint states, ns."""
     if len(joints.stamp) < SHORTEST_SEGMENT:
         action = "publish at a higher rate" if streams.is_live else "record longer"
         raise DataError(
-            f"{streams.source}: {joints.topic}: {len(joints.stamp)} joint states are too few, at "
-            f"least {SHORTEST_SEGMENT} are needed; {action}"
+            f"{streams.source}: {joints.topic} has {len(joints.stamp)} joint states, at least "
+            f"{SHORTEST_SEGMENT} are needed; {action}",
+            "E303",
         )
     return float(np.median(np.diff(joints.stamp)))
 
 
-def _grids(channels: Sequence[_Channel], start: int, stop: int, period: float) -> list[IntArray]:
-    """Return the uniform clocks of the stretches in which no stream has a gap."""
+def _grids(channels: Sequence[_Matrix], start: int, stop: int, period: float) -> list[IntArray]:
+    """Return the uniform stamps of each segment in which no stream has a gap."""
     cuts: list[tuple[int, int]] = []
     for channel in channels:
         steps = np.diff(channel.stamp)
@@ -160,7 +173,7 @@ def _grids(channels: Sequence[_Channel], start: int, stop: int, period: float) -
     grids = []
     ticks = channels[0].stamp
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        # Start on a tick of the joint states, so that a regular log needs no interpolation.
+        # Start at a joint state, so that a log with regular stamps needs no interpolation.
         first = np.searchsorted(ticks, begin)
         if first < len(ticks) and ticks[first] <= end:
             count = int((end - ticks[first]) / period + 1e-6) + 1
@@ -170,6 +183,7 @@ def _grids(channels: Sequence[_Channel], start: int, stop: int, period: float) -
 
 
 def _merged(cuts: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return the union of intervals."""
     merged: list[tuple[int, int]] = []
     for begin, end in sorted(cuts):
         if merged and begin <= merged[-1][1]:
@@ -180,7 +194,7 @@ def _merged(cuts: list[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def _segment(
-    channels: Sequence[_Channel],
+    channels: Sequence[_Matrix],
     grid: IntArray,
     period: float,
     streams: Streams,
@@ -204,8 +218,8 @@ def _segment(
     )
 
 
-def _resampled(channel: _Channel, grid: IntArray) -> FloatArray:
-    """Return the channel's values (M, c) at the grid's stamps."""
+def _resampled(channel: _Matrix, grid: IntArray) -> FloatArray:
+    """Return the values (M, c) of a stream at the stamps of a grid (M,)."""
     first = int(np.searchsorted(channel.stamp, grid[0]))
     here = channel.stamp[first : first + len(grid)]
     if len(here) == len(grid) and np.array_equal(here, grid):
@@ -219,8 +233,8 @@ def _resampled(channel: _Channel, grid: IntArray) -> FloatArray:
     return resampled
 
 
-def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Channel, MeasuredEfforts]:
-    """Return positions and efforts of the model's joints side by side, and which were measured."""
+def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, MeasuredEfforts]:
+    """Return positions and efforts of the model's joints, and which efforts were measured."""
     joints = streams.joints
     topic = f"{streams.source}: {joints.topic}"
     columns = joint_columns(joints.names, model, topic)
@@ -231,16 +245,17 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Channel, Measu
         row, column = np.argwhere(~is_finite)[0]
         action = "let its driver publish it"
         if not streams.is_live:
-            action += ", leave that part of the bag out (`start`, `stop`)"
+            action += ", leave out that part of the log (`start`, `stop`)"
         raise DataError(
-            f"{topic} has no finite position of joint {model.joint_names[column]!r} at "
-            f"{stamp[row] * 1e-9:.3f} s, as in half of the messages or more; {action}, or give a "
-            "model in which that joint is fixed"
+            f"{topic}: at least half of the messages have no finite position of a joint, such as "
+            f"{model.joint_names[column]!r} at {stamp[row] * 1e-9:.3f} s; {action}, or give a "
+            "model in which that joint is fixed",
+            "E304",
         )
     if not whole.all():
         names = [model.joint_names[i] for i in np.flatnonzero(~is_finite.all(axis=0))]
         logger.warning(
-            "%s: messages without a finite position of %s are left out", topic, ", ".join(names)
+            "%s: messages without a finite position of %s are dropped", topic, ", ".join(names)
         )
         stamp, position = stamp[whole], position[whole]
     longest = LONGEST_GAP * float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
@@ -250,27 +265,29 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Channel, Measu
     if not model.floating and not efforts.any_row:
         raise DataError(
             f"{topic} has no effort of any joint of {model.source}, whose base is fixed; let the "
-            "driver fill JointState.effort"
+            "driver fill JointState.effort",
+            "E305",
         )
-    return _Channel(joints.topic, stamp, np.hstack([position, efforts.values])), efforts
+    return _Matrix(joints.topic, stamp, np.hstack([position, efforts.values])), efforts
 
 
 def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntArray:
-    """Return where in ``names`` each of the model's joints stands; ``source`` is for messages.
+    """Return the index in ``names`` of each joint of the model; ``source`` is for messages.
 
-    A joint that follows another stands where its leader does, whether it is named or not.
+    A mimic joint has the index of the joint that it follows.
 
     Raises
     ------
     ModelError
-        When the model has a joint that is not among them.
+        When ``names`` lacks a joint of the model.
     """
     missing = [name for name in model.measured_joint_names if name not in names]
     if missing:
         raise ModelError(
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
             f"has {', '.join(names)}; name every topic of joint states (`joint_topic`), "
-            "or the model of this robot"
+            "or give the model of this robot",
+            "E306",
         )
     leaders = [
         index if joint.mimic is None else joint.mimic.leader
@@ -280,29 +297,29 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
     return np.array(places, dtype=np.int64)
 
 
-def _imu_channel(imu: ImuStream) -> _Channel:
+def _imu_channel(imu: ImuStream) -> _Matrix:
     values = np.concatenate([imu.angular_velocity, imu.linear_acceleration], axis=1)
-    return _Channel(imu.topic, imu.stamp, values)
+    return _Matrix(imu.topic, imu.stamp, values)
 
 
-def _wrench_channel(wrench: WrenchStream) -> _Channel:
-    return _Channel(
+def _wrench_channel(wrench: WrenchStream) -> _Matrix:
+    return _Matrix(
         wrench.topic, wrench.stamp, np.concatenate([wrench.torque, wrench.force], axis=1)
     )
 
 
 @contextmanager
-def warned_once(*, muted: bool = False) -> Iterator[None]:
-    """Let alignment warn once, or not at all, of what it would say of every slice of a log."""
-    said: set[str] = set()
+def warn_once(*, muted: bool = False) -> Iterator[None]:
+    """Log each warning of alignment once, or never, instead of once for each slice of a log."""
+    logged: set[str] = set()
 
     def is_new(record: logging.LogRecord) -> bool:
         message = record.getMessage()
-        is_first = message not in said
-        said.add(message)
+        is_first = message not in logged
+        logged.add(message)
         return is_first and not muted
 
-    # A filter on a logger does not see its children's records.
+    # The filter of a logger does not apply to records of its children.
     loggers = [logger, logging.getLogger(measured_efforts.__module__)]
     for each in loggers:
         each.addFilter(is_new)

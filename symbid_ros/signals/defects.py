@@ -1,4 +1,4 @@
-"""What was mended in a topic's messages, counted, so that one warning can tell it."""
+"""Defects of messages, counted per topic for one warning each."""
 
 import logging
 from collections.abc import Iterable
@@ -12,22 +12,22 @@ from symbid_ros.errors import UNCODED, DataError
 
 logger = logging.getLogger("symbid_ros.bags")
 
-ALWAYS = (-(2**62), 2**62)  # ns; far beyond every clock, and room for margins
+ALWAYS = (-(2**62), 2**62)  # ns; beyond every clock, with room for margins
 
 
 class Defect(Enum):
-    """What may be wrong with messages; the value is how a warning goes on after their number."""
+    """What may be wrong with messages; the value completes "3 of 100 messages …"."""
 
-    DISORDER = "are out of order, sorted"
-    DUPLICATE = "repeat a stamp, dropped"
-    NOT_FINITE = "have no finite {}, left out"
-    UNKNOWN_JOINT = "name joints that most do not, left out"
-    REORDERED_JOINTS = "name their joints in another order than the first, put in that order"
-    OTHER_JOINTS = "name other joints alone, left out"
+    DISORDER = "are out of order and were sorted"
+    DUPLICATE = "repeat a stamp and were dropped"
+    NOT_FINITE = "have no finite {} and were dropped"
+    UNKNOWN_JOINT = "name joints that most messages do not and were dropped"
+    REORDERED_JOINTS = "name their joints in a different order and were reordered"
+    OTHER_JOINTS = "name only other joints and were dropped"
     NO_NAMES = "name no joint"
     NO_ORIENTATION = "have no orientation"
-    LATE = "came after their time had been worked on, left out"
-    OTHER_LAYOUT = "were decoded one by one, their bytes follow no layout"
+    LATE = "arrived after their block had been processed and were dropped"
+    OTHER_LAYOUT = "have irregular bytes and were decoded one by one"
     CLOCK_JUMP = "jump back"
     OTHER_FRAME = "change their frame"
     ABSENT = "mark a reading absent"
@@ -35,7 +35,7 @@ class Defect(Enum):
 
 
 class DefectError(DataError):
-    """Messages of one topic that cannot be mended.
+    """Messages of one topic with a defect that cannot be repaired.
 
     Attributes
     ----------
@@ -50,21 +50,21 @@ class DefectError(DataError):
 
 @dataclass
 class DefectCounts:
-    """Counts of one topic.
+    """Number of defective messages of one topic.
 
     Attributes
     ----------
     source, topic : str
-        Names of the bag and of the topic.
+        Names of the log and of the topic.
     during : (int, int)
-        Only messages with a stamp from the first up to the second, ns, are counted: who reads a
-        log in pieces that overlap counts nothing twice.
+        Only messages with a stamp from the first up to the second, ns, are counted. A log that is
+        read in overlapping slices is thus counted once.
     messages : int
-        Messages seen.
+        All messages.
     counts : dict of Defect to int
-        Of these, by what is wrong with them.
+        Messages with each defect.
     details : dict of Defect to list of str
-        Where in them it is wrong.
+        Fields or joints that have the defect.
     """
 
     source: str
@@ -75,25 +75,25 @@ class DefectCounts:
     details: dict[Defect, list[str]] = field(default_factory=dict)
 
     def see(self, stamps: IntArray) -> None:
-        """Count messages by their stamps (N,), ns."""
+        """Count messages by their stamps (N,) ns."""
         self.messages += int(np.count_nonzero(self._is_during(stamps)))
 
     def add(
         self, defect: Defect, stamps: IntArray, wrong: BoolArray, where: Iterable[str] = ()
     ) -> None:
-        """Count those of the messages (N,) that are wrong."""
+        """Count the messages (N,) marked as wrong; ``where`` names the fields or joints."""
         count = int(np.count_nonzero(wrong & self._is_during(stamps)))
         if count:
             self.counts[defect] = self.counts.get(defect, 0) + count
             known = self.details.setdefault(defect, [])
             known += [one for one in where if one not in known]
 
-    def told(self, defect: Defect) -> str:
-        """Return what a warning says of messages with a defect, after their number."""
+    def description(self, defect: Defect) -> str:
+        """Return the part of a warning that follows "3 of 100 messages"."""
         return defect.value.format(", ".join(self.details.get(defect, [])))
 
     def report(self) -> None:
-        """Warn of what was counted."""
+        """Log one warning for each defect."""
         for defect, count in self.counts.items():
             logger.warning(
                 "%s: %s: %d of %d messages %s",
@@ -101,7 +101,7 @@ class DefectCounts:
                 self.topic,
                 count,
                 self.messages,
-                self.told(defect),
+                self.description(defect),
             )
 
     def _is_during(self, stamps: IntArray) -> BoolArray:

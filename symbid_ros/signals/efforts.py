@@ -1,7 +1,8 @@
-"""Which joint efforts were measured: the others must not enter the equation of motion.
+"""Detection of joint efforts that were not measured.
 
-Drivers that know no effort fill it with NaN, or with zeros. Either way the joint's own row of the
-equation of motion cannot be used; the rows of the base and of all other joints can.
+Drivers without effort sensors fill JointState.effort with NaN or zeros. The joint's own row of the
+equation of motion is then unusable, while the rows of the base and of other joints are not
+affected.
 """
 
 import logging
@@ -15,23 +16,23 @@ from symbid_ros.model.tree import RobotModel
 
 logger = logging.getLogger(__name__)
 
-# A row is left out for whole spans of the clock, ns: those over which no window of rows reaches, so
-# that a log gives the same rows whether it is read at once, in slices or live.
+# Rows are dropped for whole spans of the clock, ns. No window crosses their limits, so a log gives
+# the same rows whether it is read at once, in slices or live.
 SPAN = 4_000_000_000
 
 
 @dataclass(frozen=True)
 class MeasuredEfforts:
-    """Efforts (N, J) of a model's joints, and where they were not measured.
+    """Efforts of a model's J joints, and where they were not measured.
 
     Attributes
     ----------
     values : (N, J) float64
-        All finite: short gaps are interpolated, what was not measured is zero.
+        Finite efforts: short gaps are interpolated, unmeasured efforts are zero.
     spans : (B,) int64
-        Which spans of the clock there are, increasing: stamps divided by ``SPAN``.
+        Increasing numbers of the spans of the clock, stamps divided by ``SPAN``.
     lost : (B, J) bool
-        In which of them the effort of a driven joint was not measured.
+        Spans in which the effort of a driven joint was not measured.
     """
 
     values: FloatArray
@@ -39,7 +40,7 @@ class MeasuredEfforts:
     lost: BoolArray
 
     def masked(self, stamp: IntArray, effort: FloatArray) -> FloatArray:
-        """Return efforts (M, J) at other stamps (M,), NaN in the spans that have none."""
+        """Return efforts (M, J) at other stamps (M,) with NaN in the spans without measurement."""
         if not self.lost.any():
             return effort
         span = np.searchsorted(self.spans, stamp // SPAN, side="right") - 1
@@ -47,27 +48,27 @@ class MeasuredEfforts:
 
     @property
     def any_row(self) -> bool:
-        """Whether some joint's row is left in some span."""
+        """Whether any joint has a usable row in any span."""
         return not self.lost.size or not self.lost.all()
 
 
 def measured_efforts(
     stamp: IntArray, effort: FloatArray, model: RobotModel, longest_gap: float, topic: str
 ) -> MeasuredEfforts:
-    """Find the efforts that were measured, and warn of the others.
+    """Find out which efforts were measured, and log a warning about the others.
 
     Parameters
     ----------
     stamp : (N,) int64
         Nanoseconds, increasing.
     effort : (N, J) float64
-        In the model's order, not finite where a message has no value. Changed in place.
+        In the model's order, NaN where a message has no value; changed in place.
     model : RobotModel
-        Says which joints are driven: passive ones need no effort, theirs is zero.
+        Tells which joints are driven; the effort of passive joints is zero.
     longest_gap : float
-        Up to which a joint's effort is interpolated, ns.
+        Longest gap to interpolate, ns.
     topic : str
-        Bag and topic, for warnings.
+        Log and topic, for warnings.
     """
     number = stamp // SPAN
     starts = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
@@ -85,7 +86,7 @@ def measured_efforts(
             _fill(stamp, column, finite)
             lost[:, index] = np.logical_or.reduceat(unmeasured, starts)
             _warn(topic, joint.name, "is not finite", lost[:, index])
-        # A sensor that measures has noise; exact zeros come from a driver that has no sensor.
+        # Measurements are noisy; exact zeros come from a driver without a sensor.
         is_zero = ~np.logical_or.reduceat(column != 0.0, starts) & ~lost[:, index]
         if is_zero.any():
             lost[:, index] |= is_zero
@@ -94,11 +95,11 @@ def measured_efforts(
 
 
 def _within_gaps(stamp: IntArray, finite: BoolArray, longest: float) -> BoolArray:
-    """Return which stamps (N,) are in no gap between finite values longer than ``longest``, ns."""
+    """Return which stamps (N,) do not lie in a gap between finite values above ``longest`` ns."""
     known = stamp[finite]
     if not len(known):
         return finite
-    # At the ends, where a filter settles, the nearest value is held for as long.
+    # Beyond the first and last finite values, these are held for up to ``longest``.
     edges = np.concatenate([[known[0] - int(longest)], known, [known[-1] + int(longest)]])
     after = np.clip(np.searchsorted(edges, stamp), 1, len(edges) - 1)
     is_short = edges[after] - edges[after - 1] <= longest
@@ -114,20 +115,20 @@ def _fill(stamp: IntArray, column: FloatArray, finite: BoolArray) -> None:
         return
     seconds = (stamp - stamp[0]) * 1e-9
     spline = make_interp_spline(seconds[finite], column[finite], k=min(3, count - 1))
-    # Beyond the first and last values, which are held there, a cubic would run away.
+    # A cubic would diverge beyond the first and last finite values, which are held instead.
     inside = np.clip(seconds[~finite], seconds[finite][0], seconds[finite][-1])
     column[~finite] = spline(inside)
 
 
 def _warn(topic: str, joint: str, what: str, lost: BoolArray) -> None:
-    """Say that a joint's row is left out: the same words for every slice of a log."""
+    """Warn that a joint's row is dropped, with the same text for every slice of a log."""
     if not lost.any():
         return
     logger.warning(
-        "%s: the effort of joint %s %s: its row of the equation of motion is left out%s, all other "
-        "rows are used; let the driver fill JointState.effort",
+        "%s: the effort of joint %s %s%s: its row of the equation of motion is dropped there, all "
+        "other rows are used; let the driver fill JointState.effort",
         topic,
         joint,
         what,
-        "" if lost.all() else " for as long",
+        "" if lost.all() else " in part of the log",
     )

@@ -1,4 +1,4 @@
-"""Uniformly sampled stretches of a log, and fingerprints of their seconds."""
+"""Uniformly sampled segments of a log, and fingerprints of the seconds they cover."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -10,14 +10,14 @@ import numpy as np
 from symbid_ros.arrays import FloatArray, IntArray
 
 SECOND = 1_000_000_000  # ns
-# Stamps from here on, in September 2001, are those of a wall clock, which shows each second once.
-# Simulated time, and the clock of a computer that has not been set, begin at 0 in every run.
+# Stamps after September 2001 come from a wall clock, which shows each second once. Simulated time,
+# and the clock of a computer that has not been set, start at 0 in every run.
 WALL_CLOCK = SECOND * SECOND
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of M uniformly spaced instants at which every sensor spoke.
+    """M uniformly spaced instants at which every sensor has a sample.
 
     Attributes
     ----------
@@ -26,14 +26,13 @@ class Segment:
     rate : float
         Hz.
     position, effort : (M, J) float64
-        Columns in the model's joint order; the effort is NaN where a driven joint's was not
-        measured.
+        In the model's joint order. The effort of a driven joint is NaN where it was not measured.
     angular_velocity, linear_acceleration : (M, I, 3) float64
-        Per IMU, in its own frame.
+        Of each IMU, in its frame.
     wrenches : (M, F, 6) float64
-        Per sensor (moment; force) in its own frame.
+        Moment and force of each wrench sensor, in its frame.
     imu_frames, wrench_frames : tuple of str
-        The I and F frames.
+        Frames of the I IMUs and F wrench sensors.
     """
 
     stamp: IntArray
@@ -51,12 +50,12 @@ class Segment:
 
     @property
     def frames(self) -> tuple[str, ...]:
-        """Where the sensors are, IMUs first."""
+        """Frames of all sensors, IMUs first."""
         return (*self.imu_frames, *self.wrench_frames)
 
     @property
     def nbytes(self) -> int:
-        """Size of the arrays."""
+        """Size of the arrays, bytes."""
         return sum(
             value.nbytes
             for entry in fields(self)
@@ -64,12 +63,12 @@ class Segment:
         )
 
     def is_continued_by(self, later: "Segment") -> bool:
-        """Tell whether another stretch begins where this one ends."""
+        """Tell whether another segment starts where this one ends."""
         step = int(later.stamp[0] - self.stamp[-1])
         return self.frames == later.frames and 0 < step * self.rate < 1.5e9
 
     def joined(self, later: "Segment") -> "Segment":
-        """Return this stretch and the one that continues it as one."""
+        """Return this segment and the one that continues it as one."""
         arrays: dict[str, Any] = {
             entry.name: np.concatenate([value, getattr(later, entry.name)])
             for entry in fields(self)
@@ -92,7 +91,7 @@ class Segment:
 
 
 def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segment]:
-    """Yield what of stretches lies between two stamps, ns."""
+    """Yield the parts of segments from ``start`` up to ``stop``, ns."""
     for segment in segments:
         first, last = np.searchsorted(segment.stamp, [start, stop]).tolist()
         if last > first:
@@ -100,10 +99,10 @@ def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segme
 
 
 def fingerprint(segment: Segment) -> frozenset[int]:
-    """Return a number for each whole second of a segment.
+    """Return an identifier of each whole second of a segment, so that none is counted twice.
 
-    Equal seconds of one log have equal numbers however the log was cut, split or copied: the
-    second itself by a wall clock, else a hash of the joint states at its beginning.
+    The identifier does not change when a log is cut, split or copied. It is the second itself for
+    stamps of a wall clock, otherwise a hash of the joint states at the start of the second.
     """
     if len(segment) == 0:
         return frozenset()

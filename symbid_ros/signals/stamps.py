@@ -1,4 +1,4 @@
-"""Header stamps in order: what is sorted, dropped and refused."""
+"""Header stamps of one topic: their order, gaps and clock jumps."""
 
 from dataclasses import dataclass
 
@@ -7,21 +7,21 @@ import numpy as np
 from symbid_ros.arrays import IntArray
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 
-CLOCK_JUMP = 1_000_000_000  # ns; messages overtake each other by milliseconds, clocks jump further
+CLOCK_JUMP = 1_000_000_000  # ns; messages overtake one another by milliseconds only
 
 
 def seconds(stamp: int | np.int64) -> str:
-    """Return a stamp as the user sees it."""
+    """Return a stamp as text."""
     return f"{int(stamp) / 1e9:.3f} s"
 
 
 def check_clock(source: str, topic: str, stamp: IntArray) -> None:
-    """Refuse stamps (N,), ns in order of recording, that jump back to another time.
+    """Check that stamps (N,), ns in order of recording, do not jump back.
 
     Raises
     ------
     DefectError
-        Where they do.
+        When they do, by more than a second.
     """
     step = np.diff(stamp)
     jumps = np.flatnonzero(step < -CLOCK_JUMP)
@@ -32,25 +32,22 @@ def check_clock(source: str, topic: str, stamp: IntArray) -> None:
             Defect.CLOCK_JUMP,
             f"{source}: {topic}: header stamps jump back by {seconds(-step[at])} after "
             f"{seconds(stamp[at])}; give each run separately",
+            "E314",
         )
 
 
 def kept_in_order(stamp: IntArray, tally: DefectCounts) -> IntArray:
-    """Return the places of the messages to keep, by strictly increasing stamp.
+    """Return the indices (K,) of the messages to keep, by strictly increasing stamp.
 
-    Messages that overtook each other are sorted, repeated stamps dropped behind
-    the first; both are counted.
+    Messages out of order are sorted. Of messages with equal stamps the first is kept. Both are
+    counted.
 
     Parameters
     ----------
     stamp : (N,) int64
         Nanoseconds, in order of recording.
     tally : DefectCounts
-        Of their topic.
-
-    Returns
-    -------
-    (K,) int64
+        Counts of the topic.
     """
     check_clock(tally.source, tally.topic, stamp)
     order: IntArray = np.argsort(stamp, kind="stable")
@@ -61,6 +58,7 @@ def kept_in_order(stamp: IntArray, tally: DefectCounts) -> IntArray:
             Defect.DUPLICATE,
             f"{tally.source}: {tally.topic}: all header stamps are {seconds(stamp[0])}; "
             "let the driver fill header.stamp",
+            "E315",
         )
     tally.add(Defect.DISORDER, stamp[1:], np.diff(stamp) < 0)
     tally.add(Defect.DUPLICATE, stamp[order], repeated)
@@ -70,18 +68,18 @@ def kept_in_order(stamp: IntArray, tally: DefectCounts) -> IntArray:
 
 @dataclass(frozen=True)
 class Gaps:
-    """How complete a topic is.
+    """Gaps of one topic.
 
     Attributes
     ----------
     period : int
-        Median distance of successive stamps, nanoseconds; 0 below two messages.
+        Median interval between stamps, ns; 0 for fewer than two messages.
     gaps, missing : int
-        Distances of 1.5 periods and more, and the messages that would fill them.
+        Intervals of at least 1.5 periods, and the number of messages that would fill them.
     longest : int
-        Largest distance, nanoseconds.
+        Longest interval, ns.
     disordered : int
-        Stamps not later than the one before.
+        Stamps that are not later than the previous one.
     """
 
     period: int
@@ -92,7 +90,7 @@ class Gaps:
 
 
 def find_gaps(stamps: IntArray) -> Gaps:
-    """Judge the stamps (N,) of one topic, nanoseconds in order of arrival."""
+    """Find the gaps in stamps (N,), ns in order of arrival."""
     disordered = int(np.count_nonzero(np.diff(stamps) <= 0))
     step = np.diff(np.unique(stamps))
     if not len(step):

@@ -1,4 +1,4 @@
-"""What sensors said, one array per field and topic, before anything is aligned."""
+"""Sensor streams as recorded, before alignment: one array per field and topic."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,13 +17,13 @@ class JointStream:
     Attributes
     ----------
     topic : str
-        Topic name as recorded, for messages to the user.
+        Topic as recorded, for messages to the user.
     names : tuple of str
-        Joint names, the order of the columns below.
+        Joints in the order of the columns.
     stamp : (N,) int64
         header.stamp in nanoseconds.
     position, velocity, effort : (N, J) float64
-        rad or m, rad/s or m/s, Nm or N. NaN where the message has no value.
+        rad or m, rad/s or m/s, Nm or N; NaN where the message has no value.
     """
 
     topic: str
@@ -36,21 +36,21 @@ class JointStream:
 
 @dataclass(frozen=True)
 class ImuStream:
-    """Messages of one Imu topic (REP-145: the acceleration is the specific force).
+    """Messages of one Imu topic.
 
     Attributes
     ----------
     topic, frame_id : str
-        Topic name and header.frame_id, the frame of all vectors below.
+        Topic, and header.frame_id: the axes of all vectors.
     stamp : (N,) int64
         header.stamp in nanoseconds.
     orientation : (N, 4) float64 or None
-        Quaternion xyzw of the IMU in the world; None when the field is absent
-        (first covariance element -1).
+        Quaternion xyzw of the IMU in the world; None if the driver marks it as absent (first
+        covariance element -1).
     angular_velocity : (N, 3) float64
         rad/s.
     linear_acceleration : (N, 3) float64
-        Specific force (acceleration minus gravity), m/s².
+        Specific force, the acceleration minus gravity, m/s² (REP-145).
     """
 
     topic: str
@@ -63,16 +63,16 @@ class ImuStream:
 
 @dataclass(frozen=True)
 class WrenchStream:
-    """Messages of one WrenchStamped topic: environment on robot.
+    """Messages of one WrenchStamped topic: the wrench of the environment on the robot.
 
     Attributes
     ----------
     topic, frame_id : str
-        Topic name and header.frame_id: axes and origin of the wrench.
+        Topic, and header.frame_id: axes and origin of the wrench.
     stamp : (N,) int64
         header.stamp in nanoseconds.
     force, torque : (N, 3) float64
-        N and Nm, the torque about the frame's origin.
+        N and Nm; the torque is about the frame's origin.
     """
 
     topic: str
@@ -84,17 +84,17 @@ class WrenchStream:
 
 @dataclass(frozen=True)
 class Streams:
-    """All sensor streams of one recording or of live topics.
+    """All sensor streams of one log or of live topics.
 
     Attributes
     ----------
     source : str
-        Name of the bag, for messages.
+        Name of the log, for messages.
     joints : JointStream
     imus : tuple of ImuStream
     wrenches : tuple of WrenchStream
     is_live : bool
-        Whether they come from a running robot: advice about a bag would be of no use then.
+        Whether they come from a running robot; error messages then give no advice about bags.
     """
 
     source: str
@@ -106,18 +106,18 @@ class Streams:
 
 @dataclass(frozen=True)
 class TruthStreams:
-    """The simulator's ``ground_truth/`` topics; validation alone may read them.
+    """The simulator's ``ground_truth/`` topics, which only validation reads.
 
     Attributes
     ----------
     source : str
-        The bag's name.
+        Name of the bag.
     joint_names : tuple of str
-        Order of the joint columns.
+        Joints in the order of the columns.
     stamp : (N,) int64
-        Nanoseconds, the same instant for every array.
+        Nanoseconds, common to all arrays.
     position, velocity, acceleration, effort : (N, J) float64
-        True joint motion and true applied torques.
+        True joint motion and applied torques.
     base_position : (N, 3) float64
         Base origin in the world, m.
     base_orientation : (N, 4) float64
@@ -125,8 +125,7 @@ class TruthStreams:
     base_linear_velocity, base_angular_velocity : (N, 3) float64
         Of the base origin relative to the world, in base axes.
     base_linear_acceleration : (N, 3) float64
-        Second derivative of the base origin's world position, in base axes;
-        gravity is not in it.
+        Second derivative of the base origin's world position, in base axes, without gravity.
     base_angular_acceleration : (N, 3) float64
         In base axes, rad/s².
     """
@@ -148,7 +147,7 @@ class TruthStreams:
 
 @dataclass(frozen=True)
 class TimeRange:
-    """A part of a recording, in seconds after its first joint state."""
+    """Part of a log, in seconds after its first joint state."""
 
     start: float = 0.0
     stop: float = np.inf
@@ -156,27 +155,28 @@ class TimeRange:
     def __post_init__(self) -> None:
         if not 0 <= self.start < self.stop:
             raise DataError(
-                f"from {self.start:g} s to {self.stop:g} s is no part of a recording; give a start "
-                "from 0 on and a later stop, seconds after the first joint state"
+                f"start {self.start:g} s and stop {self.stop:g} s are invalid; give a start of at "
+                "least 0 and a later stop, in seconds after the first joint state",
+                "E316",
             )
 
 
 @dataclass(frozen=True)
 class Slice:
-    """A slice of a recording.
+    """Slice of a log, the unit in which logs are read and processed.
 
     Attributes
     ----------
     start, stop : int
-        From where up to where, ns of header.stamp.
+        First stamp and end, ns.
     streams : Streams or None
-        Of that time, and of a margin at both ends; None where a topic was silent.
+        Measurements of that time with a margin at both ends; None if a topic was silent.
     stamps : dict of str to (N,) int64
-        By topic the stamps of that time as they were recorded, ns.
+        Stamps of each topic in that time as recorded, ns.
     tallies : tuple of DefectCounts
-        What was mended so far, one for each topic; they go on counting.
+        Defects of each topic so far; counting continues with the next slice.
     fault : str
-        Which was silent; empty where none was.
+        Which topic was silent; empty if none was.
     """
 
     start: int

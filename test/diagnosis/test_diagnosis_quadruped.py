@@ -16,7 +16,7 @@ from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments, fit_gyro
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.alignment import moving_segments
+from symbid_ros.signals.alignment import align_checked
 
 JOINTS, IMU, FIRST, SECOND = "/joint_states", "/imu", "/LF_foot/wrench", "/RF_foot/wrench"
 
@@ -75,7 +75,7 @@ def test_a_gyroscopes_constant_bias_is_no_fault_of_its_mounting(log, model, tmp_
     biased[IMU]["angular_velocity"] += 2 * size * np.array([0.6, -0.8, 0.0])
     streams = read_streams([record_log(biased, model, tmp_path / "bag")])
     standing = StanceGyroMoments(model, 0)
-    for segment in moving_segments(streams, model):
+    for segment in align_checked(streams, model):
         standing.add(segment)
     found = fit_gyro(standing)
     assert found is not None

@@ -16,7 +16,7 @@ from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.alignment import moving_segments
+from symbid_ros.signals.alignment import align_checked
 from symbid_ros.signals.segments import cut_to
 from symbid_ros.signals.weak_form import BLOCKS, block_length
 
@@ -28,7 +28,7 @@ ARM, LEGGED = (ParameterSet(small_robot(3, floating=floating)) for floating in (
 def record_of(parameters: ParameterSet, plan: LogPlan, windows: tuple[float, ...] = ()) -> Dataset:
     """Fold the rows of a random log, cut into minutes like that of a bag."""
     streams, _ = mask_faulty_messages(random_streams(parameters.model, plan, 1))
-    whole = moving_segments(streams, parameters.model)
+    whole = align_checked(streams, parameters.model)
     first, last = int(whole[0].stamp[0]) // SPAN, int(whole[-1].stamp[-1]) // SPAN
     segments = [
         part

@@ -139,14 +139,14 @@ def test_there_is_news_once_every_topic_has_told_more(start, feed) -> None:
 def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
     from symbid_ros.bags import read_streams
     from symbid_ros.identification.dataset import fold_dataset
-    from symbid_ros.signals.alignment import moving_segments
+    from symbid_ros.signals.alignment import align_checked
 
     streams = read_streams([bag])
     live, done = start(), 0.0
     for stop in (3.0, 4.0, 7.3, 8.0):
         feed.between(done, stop).into(live)
         done = stop
-        segments = moving_segments(_cut(streams, stop), parameters.model)
+        segments = align_checked(_cut(streams, stop), parameters.model)
         cut = fold_dataset(segments, str(bag), parameters, Processing())
         assert_same(live.solve(exactly=True).found.observations, cut.observations)
 

@@ -17,7 +17,7 @@ from symbid_ros.messages.types import IMU, read_leading_stamp
 from symbid_ros.model.load import load_model
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.package_paths import config_file
-from symbid_ros.signals.alignment import moving_segments
+from symbid_ros.signals.alignment import align_checked
 
 ALL = TopicSelection()
 APART = TopicSelection(joints=("/left/joint_states", "/right/joint_states"))
@@ -212,5 +212,5 @@ def test_advice_to_a_live_robot_names_no_bag(bag: Path, model) -> None:
         for is_live, says in ((False, recorded), (True, live)):
             faulty = replace(streams, source="log", joints=joints, is_live=is_live)
             with pytest.raises(DataError, match=says) as raised:
-                moving_segments(faulty, model)
+                align_checked(faulty, model)
             assert ("bag" in str(raised.value)) <= (not is_live)

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_robots import random_robot
+from refusals import refused
 
-from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import align
 from symbid_ros.signals.efforts import SPAN
@@ -77,7 +77,7 @@ def assert_alike(blocks, others, lost) -> None:
     ("value", "says"),
     [(NAN, "joint_1 is not finite"), (np.inf, "is not finite"), (0.0, "joint_1 is always zero")],
 )
-def test_a_driven_joint_without_effort_loses_its_own_row_and_no_more(caplog, value, says) -> None:
+def test_a_driven_joint_without_effort_loses_only_its_own_row(caplog, value, says) -> None:
     model = robot()
     whole = rows_of(model, streams_of(model))
     silent = streams_of(model)
@@ -85,23 +85,21 @@ def test_a_driven_joint_without_effort_loses_its_own_row_and_no_more(caplog, val
     silent.joints.velocity[:, 1] = value
     assert_alike(rows_of(model, silent), whole, dict.fromkeys(range(3), (7,)))
     assert says in caplog.text
-    assert "its row of the equation of motion is left out, all other rows are used" in caplog.text
+    assert "its row of the equation of motion is dropped" in caplog.text
 
 
 @pytest.mark.parametrize("start", [0, 5])
-def test_a_part_without_effort_costs_its_blocks(caplog, start) -> None:
+def test_a_span_without_effort_loses_the_blocks_in_it(caplog, start) -> None:
     model = robot()
     whole = rows_of(model, streams_of(model))
     silent = streams_of(model)
     silent.joints.effort[SPAN_ROWS + start : 2 * SPAN_ROWS, 2] = NAN
     silent.joints.effort[2 * SPAN_ROWS :, 0] = 0.0
     assert_alike(rows_of(model, silent), whole, {1: (8,), 2: (6,)})
-    assert "joint_2 is not finite: its row of the equation of motion is left out for as long" in (
-        caplog.text
-    )
+    assert "joint_2 is not finite in part of the log" in caplog.text
 
 
-def test_efforts_that_are_missing_now_and_then_are_interpolated(caplog) -> None:
+def test_short_gaps_in_efforts_are_interpolated(caplog) -> None:
     model = robot()
     clean = streams_of(model)
     holes = streams_of(model)
@@ -118,7 +116,7 @@ def test_efforts_that_are_missing_now_and_then_are_interpolated(caplog) -> None:
 
 
 @pytest.mark.parametrize("field", ["position", "velocity", "effort"])
-def test_joints_outside_the_model_may_say_what_they_like(caplog, field) -> None:
+def test_joints_outside_the_model_are_ignored(caplog, field) -> None:
     model = robot()
     whole = rows_of(model, streams_of(model))
     odd = streams_of(model, extra=2)
@@ -150,7 +148,7 @@ def test_a_fixed_robot_without_any_effort_is_refused() -> None:
     model = robot(floating=False)
     silent = streams_of(model)
     silent.joints.effort[:] = NAN
-    with pytest.raises(DataError, match=r"has no effort of any joint of .*let the driver fill"):
+    with refused("E305"):
         align(silent, model)
 
 
@@ -190,7 +188,7 @@ def part_of(streams: Streams, start: int, stop: int) -> Streams:
     return replace(streams, joints=cut(streams.joints), imus=tuple(map(cut, streams.imus)))
 
 
-def test_what_is_left_out_does_not_depend_on_how_a_log_is_cut() -> None:
+def test_dropped_rows_do_not_depend_on_how_a_log_is_cut() -> None:
     """Live, one block and a margin are at hand; from a bag, a minute."""
     model = robot()
     holes = streams_of(model)
