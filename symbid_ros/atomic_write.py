@@ -47,7 +47,7 @@ def check_output_file(path: Path) -> None:
         When it cannot.
     """
     if path.is_dir():
-        raise SymbidError(f"{path}: is a folder; name a file in it")
+        raise SymbidError(f"{path}: is a folder; name a file in it", "E552")
     check_writable(path.parent)
 
 
@@ -133,4 +133,4 @@ def _umask() -> int:
 
 
 def _cannot_write(path: Path, error: OSError) -> SymbidError:
-    return SymbidError(f"{path}: cannot write ({error.strerror}); choose another place")
+    return SymbidError(f"{path}: cannot write ({error.strerror}); choose another place", "E552")

@@ -264,18 +264,6 @@ CODES: dict[str, Entry] = {
         "The averaging windows hold too few samples at the rate of the joint states.",
         "Give a longer window, or record at a higher rate.",
     ),
-    "E320": Entry(
-        "The name of a kind of sensor error is unknown, or the list is empty.",
-        "Give typical, or any of the kinds that the message lists.",
-    ),
-    "E321": Entry(
-        "An option is not available online: filters, tares, sensor errors, and validation bags.",
-        "Leave the option out, or record a log and identify offline.",
-    ),
-    "E322": Entry(
-        "The saved run to resume from has another robot, other columns, or other windows.",
-        "Resume with the model and the options of the saved run.",
-    ),
     "E323": Entry(
         "A live message is not of this robot or holds a value that no sensor reads.",
         "Check the topic and its driver; the message is dropped and counted.",
@@ -477,6 +465,30 @@ CODES: dict[str, Entry] = {
     "E526": Entry(
         "A log of arrays was combined with the path of a bag, whose topics are unknown.",
         "Read the bag with `load_bag` and give the log instead of its path.",
+    ),
+    "E550": Entry(
+        "A file of the installed package is missing.",
+        "Install the package again, or source its setup.bash.",
+    ),
+    "E551": Entry(
+        "The output exists already, or something else is in its place.",
+        "Choose another --out, or give --overwrite to replace an earlier result.",
+    ),
+    "E552": Entry(
+        "A file or folder cannot be written.", "Choose another place, or change its permissions."
+    ),
+    "E553": Entry(
+        "A process that a command started failed or did not end.",
+        "Read the log file that the message names.",
+    ),
+    "E554": Entry("All ROS domains of the machine are in use.", "Stop some of its nodes."),
+    "E555": Entry(
+        "`symbid prior` was given none or several of its kinds of priors.",
+        "Give exactly one of --percent, --absolute and --consistent.",
+    ),
+    "E556": Entry(
+        "A report was asked for something that it cannot show.",
+        "Name folders of identifications, and add --truth for realistic predictions.",
     ),
     # E6xx: simulation
     "E601": Entry(

@@ -1,7 +1,5 @@
 """Errors that a user can cause: what went wrong, where, and how to fix it, in one line."""
 
-UNCODED = "E000"
-
 
 class SymbidError(Exception):
     """An error that the user can fix.
@@ -16,7 +14,7 @@ class SymbidError(Exception):
         meaning.
     """
 
-    def __init__(self, message: str, code: str = UNCODED) -> None:
+    def __init__(self, message: str, code: str) -> None:
         super().__init__(message)
         self.code = code
 

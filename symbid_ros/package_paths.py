@@ -27,7 +27,8 @@ def share_directory() -> Path:
             return folder
     raise SymbidError(
         f"{PACKAGE}: its config/ folder is neither in {source_tree} nor under AMENT_PREFIX_PATH; "
-        "install the package again or source its setup.bash"
+        "install the package again or source its setup.bash",
+        "E550",
     )
 
 
@@ -35,7 +36,9 @@ def config_file(name: str) -> Path:
     """Return the path of one file of ``config/``, checked to exist."""
     path = share_directory() / "config" / name
     if not path.is_file():
-        raise SymbidError(f"{path}: no such file in the package's config/; reinstall {PACKAGE}")
+        raise SymbidError(
+            f"{path}: no such file in the package's config/; reinstall {PACKAGE}", "E550"
+        )
     return path
 
 

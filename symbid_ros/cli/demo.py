@@ -323,7 +323,7 @@ def _report(
     subject = load_estimated_model(out / "online", robot)
     estimate = subject.estimate
     if estimate is None:
-        raise EstimateError(f"{out / 'online'}: holds no estimate; see {out / 'log'}")
+        raise EstimateError(f"{out / 'online'}: holds no estimate; see {out / 'log'}", "E553")
     ground_truth = GroundTruth(
         read_true_motion([out / "validation"], robot),
         subject.parameters.values,

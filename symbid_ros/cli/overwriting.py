@@ -21,7 +21,8 @@ def require_no_files(out: Path, names: Collection[str], *, overwrite: bool) -> N
     if held and not overwrite:
         raise SymbidError(
             f"{out}: holds an earlier {held[0]}; choose another --out, or give --overwrite to "
-            "replace it"
+            "replace it",
+            "E551",
         )
 
 
@@ -38,9 +39,11 @@ def clear_folder(
     if not (out.exists() or out.is_symlink()):
         return
     if not overwrite:
-        raise SymbidError(f"{out}: exists; choose another --out, or give --overwrite to replace it")
+        raise SymbidError(
+            f"{out}: exists; choose another --out, or give --overwrite to replace it", "E551"
+        )
     if out.is_symlink() or not out.is_dir() or not is_replaceable(out):
-        raise SymbidError(f"{out}: exists and is not {what}; choose another --out")
+        raise SymbidError(f"{out}: exists and is not {what}; choose another --out", "E551")
     shutil.rmtree(out)
 
 

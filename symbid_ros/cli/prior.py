@@ -37,7 +37,7 @@ def prior(
     }
     chosen = [(kind, amount) for kind, amount in amounts.items() if amount is not None]
     if len(chosen) != 1:
-        raise PriorError("give exactly one of --percent, --absolute and --consistent")
+        raise PriorError("give exactly one of --percent, --absolute and --consistent", "E555")
     kind, amount = chosen[0]
     drawn = draw_prior(ParameterSet(load_model(model, base)), kind, amount, seed)
     drawn.write(out)

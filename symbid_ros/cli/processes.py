@@ -162,7 +162,7 @@ class NodeProcess:
             output, _ = self._process.communicate(timeout=patience)
         except subprocess.TimeoutExpired:
             raise SymbidError(
-                f"{self.name} does not end within {patience:g} s; see {self.log}"
+                f"{self.name} does not end within {patience:g} s; see {self.log}", "E553"
             ) from None
         if self._process.returncode != 0:
             raise self._failure()
@@ -174,7 +174,7 @@ class NodeProcess:
         reason = words[-1] if words else f"killed by signal {-status}"
         if not words and status >= 0:
             reason = f"exit status {status}"
-        return SymbidError(f"{self.name} failed: {reason} (see {self.log})")
+        return SymbidError(f"{self.name} failed: {reason} (see {self.log})", "E553")
 
 
 def _yaml(value: object) -> str:
@@ -207,7 +207,8 @@ def unused_domain(domains: Sequence[int] = DOMAINS) -> Iterator[int]:
                 yield domain
             return
     raise SymbidError(
-        f"each of {len(domains)} ROS domains is in use on this machine; end some of its nodes"
+        f"each of {len(domains)} ROS domains is in use on this machine; end some of its nodes",
+        "E554",
     )
 
 

@@ -43,14 +43,18 @@ def report(
     from symbid_ros.report.page import write_report
 
     if realistic and truth is None:
-        raise EstimateError("--realistic predictions are judged by the true model; add --truth")
+        raise EstimateError(
+            "--realistic predictions are judged by the true model; add --truth", "E556"
+        )
     check_output_file(out)
     robot = load_model(model, base)
     subjects = {folder: load_estimated_model(folder, robot) for folder in folders}
     estimates = {}
     for folder, subject in subjects.items():
         if subject.estimate is None:
-            raise EstimateError(f"{folder}: a prior is no identification; name a folder of one")
+            raise EstimateError(
+                f"{folder}: a prior is no identification; name a folder of one", "E556"
+            )
         title = METHOD_TITLES.get(subject.estimate.method, subject.estimate.method)
         label = title if title not in estimates else f"{title}, {folder}"
         estimates[label] = subject.estimate

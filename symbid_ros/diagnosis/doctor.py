@@ -117,4 +117,5 @@ def _check_frames(first: Streams, later: Streams) -> None:
                 Defect.OTHER_FRAME,
                 f"{later.source}: {new.topic}: header.frame_id changes from {old.frame_id} to "
                 f"{new.frame_id}; give every sensor a topic of its own",
+                "E309",
             )

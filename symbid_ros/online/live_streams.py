@@ -225,7 +225,8 @@ class LiveStreams:
             if not decoders[topic].count:
                 raise DataError(
                     f"{self.source}: {topic.name} was silent from {seconds(start)} to "
-                    f"{seconds(stop)}; look after its driver"
+                    f"{seconds(stop)}; check its driver",
+                    "E313",
                 )
         tallies = {topic: DefectCounts(self.source, topic.name) for topic in decoders}
         streams = build_streams(self.source, self.selected, decoders, tallies)

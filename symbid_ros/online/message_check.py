@@ -96,11 +96,11 @@ class MessageCheck:
         pattern, numbers = self._read(payload)
         second, nanosecond = pattern.stamp(numbers)
         if nanosecond >= NANO:
-            raise DataError(f"{self._topic.name}: header.stamp.nanosec is a second or more")
+            raise DataError(f"{self._topic.name}: header.stamp.nanosec is a second or more", "E323")
         # NaN passes: what lacks a value is reported with its joint or axis later on.
         field = pattern.field_beyond(numbers, LARGEST)
         if field:
-            raise DataError(f"{self._topic.name}: {field} exceeds {LARGEST:g}")
+            raise DataError(f"{self._topic.name}: {field} exceeds {LARGEST:g}", "E323")
         return second * NANO + nanosecond
 
     def _read(self, payload: bytes) -> tuple[MessagePattern, bytes]:
@@ -111,7 +111,7 @@ class MessageCheck:
         layout, record = self._messages.decode(payload)
         objection = self._objection(layout)
         if objection:
-            raise DataError(f"{self._topic.name}: {objection}")
+            raise DataError(f"{self._topic.name}: {objection}", "E323")
         pattern = MessagePattern(layout, VALUES[self._topic.msgtype])
         if pattern.matches(payload):
             self._patterns = [pattern, *self._patterns[: MOST_PATTERNS - 1]]

@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, IntArray
-from symbid_ros.errors import UNCODED, DataError
+from symbid_ros.errors import DataError
 
 logger = logging.getLogger("symbid_ros.bags")
 
@@ -43,7 +43,7 @@ class DefectError(DataError):
     defect : Defect
     """
 
-    def __init__(self, topic: str, defect: Defect, message: str, code: str = UNCODED) -> None:
+    def __init__(self, topic: str, defect: Defect, message: str, code: str) -> None:
         super().__init__(message, code)
         self.topic, self.defect = topic, defect
 

@@ -19,7 +19,7 @@ PASSES = 3
 def check_cutoff(cutoff: float) -> None:
     """Refuse a cutoff that is no frequency."""
     if not (np.isfinite(cutoff) and cutoff >= 0):
-        raise DataError(f"cutoff {cutoff} Hz is no frequency; give 0 (no filter) or more")
+        raise DataError(f"cutoff {cutoff} Hz is no frequency; give 0 (no filter) or more", "E317")
 
 
 def butterworth(cutoff: float, rate: float) -> FloatArray:
@@ -31,7 +31,9 @@ def butterworth(cutoff: float, rate: float) -> FloatArray:
         When the cutoff is not below half the sampling rate.
     """
     if cutoff >= rate / 2:
-        raise DataError(f"cutoff {cutoff:g} Hz is not below half the rate of {rate:g} Hz; lower it")
+        raise DataError(
+            f"cutoff {cutoff:g} Hz is not below half the rate of {rate:g} Hz; lower it", "E317"
+        )
     return np.asarray(butter(2, cutoff, fs=rate, output="sos"), dtype=np.float64)
 
 
@@ -154,7 +156,8 @@ class SavitzkyGolay:
         if not (np.isfinite(self.window) and self.window > 0 and self.degree >= 2):
             raise DataError(
                 f"Savitzky-Golay window {self.window} s, degree {self.degree}: give a positive "
-                "window and a degree of at least 2"
+                "window and a degree of at least 2",
+                "E317",
             )
 
     def __str__(self) -> str:
@@ -176,7 +179,8 @@ class SavitzkyGolay:
         if length > len(signal):
             raise DataError(
                 f"a Savitzky-Golay window of {self.window:g} s is longer than a stretch of "
-                f"{len(signal) / rate:.3g} s; shorten it or record longer"
+                f"{len(signal) / rate:.3g} s; shorten it or record longer",
+                "E318",
             )
         # At the ends SciPy fits by least squares, which refuse NaN: efforts that were not measured.
         columns = signal.reshape(len(signal), -1)

@@ -45,7 +45,8 @@ def merged_joints(
         if len(part.stamp) < 2:
             raise DataError(
                 f"{source}: {part.topic}: fewer than two messages name {', '.join(part.names)}; "
-                "let the driver publish these joints at the rate of the others"
+                "let the driver publish these joints at the rate of the others",
+                "E310",
             )
     periods = [float(np.median(np.diff(part.stamp))) for part, _ in chosen]
     first = next(index for index, one in enumerate(periods) if one <= SIMILAR_PERIOD * min(periods))
@@ -54,7 +55,8 @@ def merged_joints(
         described = " and ".join(f"{part.topic} ({', '.join(part.names)})" for part, _ in chosen)
         raise DataError(
             f"{source}: joint states of {described} share no time; synchronise the clocks of their "
-            "publishers"
+            "publishers",
+            "E302",
         )
     columns = [[part.names.index(name) for name in names] for part, names in chosen]
 

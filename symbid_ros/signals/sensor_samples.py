@@ -208,7 +208,8 @@ def build_samples(
     if len(samples) == 0:
         raise DataError(
             f"{source}: the log is too short for this filter ({smoothing}), nothing is "
-            "left once it has settled; raise its cutoff, shorten it or record longer"
+            "left once it has settled; raise its cutoff, shorten it or record longer",
+            "E318",
         )
     return samples
 

@@ -173,7 +173,8 @@ def check_windows(windows: Sequence[float], rate: float, source: str) -> None:
     raise DataError(
         f"{source}: windows of {lengths} ms hold fewer than {SAMPLES_PER_WINDOW} samples at "
         f"{rate:.4g} Hz; give a window of at least {SAMPLES_PER_WINDOW / rate:.3g} s, or record "
-        "at a higher rate"
+        "at a higher rate",
+        "E319",
     )
 
 

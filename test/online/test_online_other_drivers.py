@@ -206,7 +206,7 @@ def test_advice_to_a_live_robot_names_no_bag(bag: Path, model) -> None:
         **{name: getattr(streams.joints, name)[:40] for name in ("stamp", "position", "effort")},
     )
     for joints, recorded, live in (
-        (absent, "leave that part of the bag out", "let its driver publish it"),
+        (absent, "leave out that part of the log", "let its driver publish it"),
         (few, "record longer", "publish at a higher rate"),
     ):
         for is_live, says in ((False, recorded), (True, live)):

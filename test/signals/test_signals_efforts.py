@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from expected_errors import raises_code
 from random_robots import random_robot
-from refusals import refused
 
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import align
@@ -148,7 +148,7 @@ def test_a_fixed_robot_without_any_effort_is_refused() -> None:
     model = robot(floating=False)
     silent = streams_of(model)
     silent.joints.effort[:] = NAN
-    with refused("E305"):
+    with raises_code("E305"):
         align(silent, model)
 
 

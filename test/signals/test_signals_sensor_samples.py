@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from expected_errors import raises_code
 from random_robots import random_robot
-from refusals import refused
 from scipy.signal import butter, filtfilt
 from tree_simulation import TreeSimulation, streams_of
 
@@ -155,10 +155,10 @@ class TestAlignment:
     def test_errors_name_the_cause(self, moving):
         model, streams = moving
         joints = streams.joints
-        with refused("E306", "joint_"):
+        with raises_code("E306", "joint_"):
             align(replace(streams, joints=replace(joints, names=("a", "b", "c"))), model)
         late = replace(streams.imus[0], stamp=streams.imus[0].stamp + 10**10)
-        with refused("E302"):
+        with raises_code("E302"):
             align(replace(streams, imus=(late,)), model)
         short = replace(
             joints,
@@ -166,17 +166,17 @@ class TestAlignment:
             position=joints.position[:20],
             effort=joints.effort[:20],
         )
-        with refused("E303"):
+        with raises_code("E303"):
             align(replace(streams, joints=short), model)
         lost = replace(joints, position=np.full_like(joints.position, np.nan))
-        with refused("E304", "joint_"):
+        with raises_code("E304", "joint_"):
             align(replace(streams, joints=lost), model)
-        with refused("E307", "sensor_msgs/msg/Imu"):
+        with raises_code("E307", "sensor_msgs/msg/Imu"):
             samples_of(replace(streams, imus=()), model, UNFILTERED)
         lost = replace(streams.imus[0], frame_id="head")
-        with refused("E308", "head"):
+        with raises_code("E308", "head"):
             samples_of(replace(streams, imus=(lost,)), model, UNFILTERED)
-        with refused("E317", "600"):
+        with raises_code("E317", "600"):
             samples_of(streams, model, LowPass(600))
-        with refused("E317", "-1"):
+        with raises_code("E317", "-1"):
             LowPass(-1)
