@@ -564,6 +564,10 @@ CODES: dict[str, Entry] = {
         "Send datagrams as in the documentation of the UDP loop; the message names the rule.",
     ),
     # E7xx: studies and reports
+    "E701": Entry(
+        "A study's file is invalid, or its folder holds results of another study.",
+        "Correct the file, or choose another folder.",
+    ),
     "E750": Entry(
         "The estimates of one report have different parameters.",
         "Report on identifications of one robot with the same joint terms.",
