@@ -227,14 +227,6 @@ CODES: dict[str, Entry] = {
         "One of several publishers of joint states has fewer than two messages.",
         "Let it publish its joints at the rate of the others.",
     ),
-    "E311": Entry(
-        "An array of measurements has the wrong shape.",
-        "Give one row for each instant and one column for each channel.",
-    ),
-    "E312": Entry(
-        "The instants of an array log are NaN, infinite, or not in seconds.",
-        "Give seconds as floating-point numbers, or nanoseconds as integers.",
-    ),
     "E313": Entry(
         "A topic was silent during a part of the log or for a while live.",
         "Check its driver and clock, or leave that part out (--start, --stop).",

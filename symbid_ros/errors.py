@@ -18,6 +18,11 @@ class SymbidError(Exception):
         super().__init__(message)
         self.code = code
 
+    @property
+    def labelled(self) -> str:
+        """The message with its code, as commands and nodes print it."""
+        return f"{self} (SYMBID-{self.code})"
+
 
 class ModelError(SymbidError):
     """A robot description that cannot be read or does not match the data."""

@@ -67,7 +67,7 @@ def run() -> int:
         # By itself click would name whatever module runs this.
         return _command()(prog_name="symbid", standalone_mode=False) or 0
     except SymbidError as error:
-        message = spelled(str(error), flag)
+        message = spelled(error.labelled, flag)
     except OSError as error:
         # The operating system refuses a path, such as a name that is too long for it.
         if error.filename is None:

@@ -116,7 +116,7 @@ def run_node(
         finally:
             node.destroy_node()
     except SymbidError as error:
-        print(f"{name}: {error}", file=sys.stderr)
+        print(f"{name}: {error.labelled}", file=sys.stderr)
         return FAILURE
     except OSError as error:
         # The operating system rejects a path, for example because its name is too long.
