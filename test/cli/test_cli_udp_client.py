@@ -40,7 +40,7 @@ def test_silence_ends_it_with_one_line(symbid_here):
     assert done.returncode == 2
     assert done.stderr == (
         f"symbid: udp 127.0.0.1:{port}: no measurement for 0.2 s; "
-        "start the simulator there or increase --timeout\n"
+        "start the simulator there or increase --timeout (SYMBID-E617)\n"
     )
 
 
