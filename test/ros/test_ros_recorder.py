@@ -225,7 +225,8 @@ def test_full_disk_ends_the_recording_with_a_valid_bag(graph, disk: Path) -> Non
     (line,) = ended.err.splitlines()
     told = re.fullmatch(
         rf"recorder: {bag}/bag_0.mcap: cannot write: No space left on device; the bag is "
-        r"incomplete: (\d+) messages from \S+ to \S+ are missing \(/joint_states (\d+)\) \(SYMBID-E\d+\)",
+        r"incomplete: (\d+) messages from \S+ to \S+ are missing \(/joint_states (\d+)\) "
+        r"\(SYMBID-E\d+\)",
         line,
     )
     summary = json.loads(ended.out)
