@@ -1,4 +1,4 @@
-"""Live messages cut along the clock: whole blocks, and what has come since."""
+"""Cuts live messages into complete blocks of clock time and into partial blocks."""
 
 from collections import deque
 from collections.abc import Iterator
@@ -20,14 +20,14 @@ from symbid_ros.signals.alignment import (
 from symbid_ros.signals.segments import cut_to
 from symbid_ros.signals.weak_form import block_length, prefilter
 
-# So many times as long as what a filter loses at one end must a piece be to be worth its while.
-EDGES = 8
-# Of so many blocks what is no piece yet is kept; who asks so seldom can wait for the blocks.
-MOST_LEFT = 4
+# A partial block is at least this many times as long as what the filter discards at one end.
+MIN_EDGES = 8
+# Unread ends of at most this many blocks are kept for `partial_blocks`.
+MAX_UNREAD_ENDS = 4
 
 
 class BlockScheduler:
-    """Messages of a robot's topics, cut where an offline run cuts.
+    """Cuts the messages of a robot's topics into the same blocks as an offline run.
 
     Parameters
     ----------
@@ -36,15 +36,15 @@ class BlockScheduler:
     model : RobotModel
         Kinematics and frames.
     lag : float
-        How long a topic may lag behind the joint states before a block is given out without what
-        is missing, s.
+        How long to wait for a topic that lags behind the joint states, s. After that, its block
+        is released without the missing messages.
     source : str
-        How messages to the user name the topics.
+        Name of the topics in messages to the user.
 
     Attributes
     ----------
     streams : LiveStreams
-        What has come.
+        Buffered messages.
     """
 
     def __init__(
@@ -55,83 +55,83 @@ class BlockScheduler:
         )
         self._model = model
         self._lag = round(lag * 1e9)
-        self._period: float | None = None  # of the joint states, ns, once enough have come
+        self._period: float | None = None  # of the joint states, ns; None until enough arrived
         self._open_from: int | None = None
-        self._piece_from: int | None = None
-        self._left: deque[TimeSpan] = deque(maxlen=MOST_LEFT)
+        self._unread_from: int | None = None
+        self._unread_ends: deque[TimeSpan] = deque(maxlen=MAX_UNREAD_ENDS)
 
     def restart(self) -> TimeSpan | None:
-        """Begin a new time and return what was left of the old one."""
-        left = self.rest()
+        """Restart after a clock jump and return the open block of the old clock."""
+        open_block = self.open_block()
         self.streams.restart()
-        self._open_from = self._piece_from = self._period = None
-        self._left.clear()
-        return left
+        self._open_from = self._unread_from = self._period = None
+        self._unread_ends.clear()
+        return open_block
 
     @property
     def newest(self) -> int | None:
         """Stamp of the newest joint state, ns; None before the first."""
         return self.streams.joints.newest
 
-    def whole(self) -> Iterator[TimeSpan]:
-        """Yield the blocks that are whole by now, each once."""
-        while (place := self._block()) is not None:
-            start, stop = place
+    def complete_blocks(self) -> Iterator[TimeSpan]:
+        """Yield each block once, as soon as it is complete."""
+        while (bounds := self._open_bounds()) is not None:
+            start, stop = bounds
             margin = self._margin_after(stop)
             if margin is None:
                 return
-            block = self._stretch(start, stop, stop + margin)
+            block = self._align(start, stop, stop + margin)
             yield block
-            self._leave(block)
+            self._keep_unread_end(block)
             for buffer in self.streams.buffers.values():
                 buffer.count_gaps(stop)
-            self.streams.worked_until = stop
-            self.streams.forget_before(stop - LONGEST_MARGIN)
+            self.streams.released_until = stop
+            self.streams.drop_before(stop - LONGEST_MARGIN)
             stamps = self.streams.joints.stamps
             later = stamps[stamps >= stop]
             self._open_from = int(later.min()) if len(later) else stop
 
-    def pieces(self) -> Iterator[TimeSpan]:
-        """Yield what every topic has told since the last time; no piece lies in two blocks.
+    def partial_blocks(self) -> Iterator[TimeSpan]:
+        """Yield the time spans that every topic has covered since the last call.
 
-        What would be too short waits for more, unless its block ends. Of blocks given out
-        meanwhile, which take their time to be worked on, what was no piece yet comes first.
+        No span crosses a block boundary. A span that is too short waits for more messages unless
+        its block ends. Unread ends of blocks that were completed meanwhile come first.
         """
-        while self._left:
-            yield self._left.popleft()
+        while self._unread_ends:
+            yield self._unread_ends.popleft()
         until = self.streams.complete_until
-        while until is not None and (place := self._block()) is not None:
-            start = max(place[0], self._piece_from or place[0])
-            end = start // (length := place[1] - place[0]) * length + length
+        while until is not None and (bounds := self._open_bounds()) is not None:
+            start = max(bounds[0], self._unread_from or bounds[0])
+            end = start // (length := bounds[1] - bounds[0]) * length + length
             stop = min(until + 1, end)
-            if stop - start < (0 if stop == end else self._shortest_piece()):
+            if stop - start < (0 if stop == end else self._shortest_partial_block()):
                 return
-            self._piece_from = stop
-            yield self._stretch(start, stop, stop)
+            self._unread_from = stop
+            yield self._align(start, stop, stop)
 
-    def _leave(self, block: TimeSpan) -> None:
-        start = max(block.start, self._piece_from or block.start)
+    def _keep_unread_end(self, block: TimeSpan) -> None:
+        start = max(block.start, self._unread_from or block.start)
         if start < block.stop:
             segments = tuple(cut_to(block.segments, start, block.stop))
-            self._left.append(replace(block, start=start, segments=segments))
+            self._unread_ends.append(replace(block, start=start, segments=segments))
 
-    def rest(self) -> TimeSpan | None:
-        """Return what is open: all that has come since the last whole block."""
-        until, place = self.streams.complete_until, self._block()
-        if until is None or place is None or until < place[0]:
+    def open_block(self) -> TimeSpan | None:
+        """Return the open block: all messages since the last complete one."""
+        until, bounds = self.streams.complete_until, self._open_bounds()
+        if until is None or bounds is None or until < bounds[0]:
             return None
-        # Topics that are ahead help to interpolate up to the last instant, as in a bag.
-        return self._stretch(place[0], until + 1, until + 1 + LONGEST_MARGIN)
+        # Later messages of other topics allow interpolation up to the last stamp, as in a bag.
+        return self._align(bounds[0], until + 1, until + 1 + LONGEST_MARGIN)
 
-    def _block(self) -> tuple[int, int] | None:
-        """Return where the block begins and ends that is being filled, ns."""
-        if self.newest is None:  # messages without stamps have been dropped again
-            self._open_from = self._piece_from = self._period = None
+    def _open_bounds(self) -> tuple[int, int] | None:
+        """Return start and end of the block that is being filled, ns."""
+        if self.newest is None:  # messages without stamps were dropped
+            self._open_from = self._unread_from = self._period = None
         stamps = self.streams.joints.stamps
         if self._period is None:
             if len(stamps) < SHORTEST_SEGMENT:
                 return None
-            # Joints may come in parts, several messages of one stamp.
+            # Several messages with one stamp may each hold some of the joints.
             steps = np.diff(np.unique(stamps))
             if not len(steps):
                 return None
@@ -142,13 +142,13 @@ class BlockScheduler:
         start = self._open_from // length * length
         return start, start + length
 
-    def _shortest_piece(self) -> int:
+    def _shortest_partial_block(self) -> int:
         period = self._period or 1.0
         _, edge = prefilter(1e9 / period)
-        return int(EDGES * edge * period)
+        return int(MIN_EDGES * edge * period)
 
     def _margin_after(self, stop: int) -> int | None:
-        """Return what of the time after a block, ns, belongs to it; None while it is not whole."""
+        """Return how long after its end a block needs messages, ns; None while it is incomplete."""
         newest, complete = self.newest, self.streams.complete_until
         if newest is None or newest < stop:
             return None
@@ -157,10 +157,10 @@ class BlockScheduler:
         is_complete = complete is not None and complete >= stop + margin
         return margin if is_complete or newest >= stop + max(self._lag, margin) else None
 
-    def _stretch(self, start: int, stop: int, seen_until: int) -> TimeSpan:
+    def _align(self, start: int, stop: int, messages_until: int) -> TimeSpan:
         try:
             margin = resampling_margin(each.stamps for each in self.streams.buffers.values())
-            streams = self.streams.between(start - margin, seen_until)
+            streams = self.streams.between(start - margin, messages_until)
             segments = align_checked(streams, self._model)
         except SymbidError as error:
             return TimeSpan(start, stop, (), str(error))

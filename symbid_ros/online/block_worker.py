@@ -1,4 +1,4 @@
-"""Whole blocks, worked on beside everything else and without hurry."""
+"""Builds the rows of complete blocks in a background thread."""
 
 import time
 from collections.abc import Iterator, Sequence
@@ -11,69 +11,73 @@ from symbid_ros.signals.weak_form import RowBuilder, SampledRows
 
 
 class BlockWorker:
-    """Blocks in line for a thread that takes a bounded share of a core.
+    """A queue of blocks and the thread that processes them with a bounded share of a core.
 
-    A block's rows come at once every few seconds and would keep whoever reads the topics waiting.
+    Building a block's rows in the caller's thread would delay reading of the topics.
 
     Parameters
     ----------
     build : RowBuilder
-        Makes rows of readings.
+        Builds rows from sensor samples.
     windows : sequence of float
-        Lengths of windows, s.
+        Window lengths, s.
     share : float
-        Of a core, above 0 and at most 1.
-    whole : BlockAccumulator
-        What is known before the first block.
+        Share of a core, above 0 and at most 1.
+    accumulated : BlockAccumulator
+        Data from before the first block.
     """
 
     def __init__(
-        self, build: RowBuilder, windows: Sequence[float], share: float, whole: BlockAccumulator
+        self,
+        build: RowBuilder,
+        windows: Sequence[float],
+        share: float,
+        accumulated: BlockAccumulator,
     ) -> None:
         self._build, self._windows, self._share = build, tuple(windows), share
-        self._whole = whole
-        self._hurry = Event()
+        self._accumulated = accumulated
+        self._skip_pauses = Event()
         self._pool = ThreadPoolExecutor(1, "blocks")
-        self._line: list[Future[BlockAccumulator]] = []
+        self._queue: list[Future[BlockAccumulator]] = []
 
-    def put(self, block: TimeSpan) -> None:
-        """Put a block in line."""
-        self._line.append(self._pool.submit(self._worked, block))
+    def submit(self, block: TimeSpan) -> None:
+        """Queue a block."""
+        self._queue.append(self._pool.submit(self._add_rows, block))
 
-    def done(self) -> BlockAccumulator | None:
-        """Return what is known with the blocks that have been finished since the last time."""
-        whole = None
-        while self._line and self._line[0].done():
-            whole = self._line.pop(0).result()
-        return whole
+    def take_finished(self) -> BlockAccumulator | None:
+        """Return the accumulator if blocks were finished since the last call, else None."""
+        accumulated = None
+        while self._queue and self._queue[0].done():
+            accumulated = self._queue.pop(0).result()
+        return accumulated
 
     def finish(self) -> BlockAccumulator | None:
-        """Return the same once no block is in line any more, as soon as it can be had."""
-        self._hurry.set()
-        for future in self._line:
+        """Process all queued blocks without pauses and return the accumulator."""
+        self._skip_pauses.set()
+        for future in self._queue:
             future.result()
-        self._hurry.clear()
-        return self.done()
+        self._skip_pauses.clear()
+        return self.take_finished()
 
-    def begin(self, whole: BlockAccumulator) -> None:
-        """Go on from what is known, with no block in line."""
-        self._whole = whole
+    def restart(self, accumulated: BlockAccumulator) -> None:
+        """Continue from another accumulator; the queue must be empty."""
+        self._accumulated = accumulated
 
     def close(self) -> None:
-        """Give up what is in line."""
-        self._hurry.set()
+        """Discard queued blocks and stop the thread."""
+        self._skip_pauses.set()
         self._pool.shutdown(cancel_futures=True)
 
-    def _worked(self, block: TimeSpan) -> BlockAccumulator:
-        rows = build_block_rows(block, self._paced, self._windows)
-        # Nobody else touches it while blocks are in line, which are worked on one by one.
-        self._whole = self._whole.with_block(rows)
-        return self._whole
+    def _add_rows(self, block: TimeSpan) -> BlockAccumulator:
+        rows = build_block_rows(block, self._build_paced, self._windows)
+        # The only thread of the pool writes it, one block after the other.
+        self._accumulated = self._accumulated.with_block(rows)
+        return self._accumulated
 
-    def _paced(self, readings: SensorSamples) -> Iterator[SampledRows]:
-        began = time.thread_time()
-        for part in self._build(readings):
+    def _build_paced(self, samples: SensorSamples) -> Iterator[SampledRows]:
+        start = time.thread_time()
+        for part in self._build(samples):
             yield part
-            spent = time.thread_time() - began
-            self._hurry.wait(spent * (1 / self._share - 1))
-            began = time.thread_time()
+            spent = time.thread_time() - start
+            self._skip_pauses.wait(spent * (1 / self._share - 1))
+            start = time.thread_time()

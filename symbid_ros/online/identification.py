@@ -1,8 +1,8 @@
-"""The online job: messages in as they arrive, at any time an estimate out.
+"""Online identification: takes messages as they arrive and returns an estimate at any time.
 
-Whole blocks of the clock are worked on exactly as an offline run works on them, so that the two
-know the same at every block's end. What has come since then is taken in at once, for estimates
-that are up to date, and worked on again with its block.
+Complete blocks are processed exactly as in an offline run, so both hold the same data at the end
+of each block. Newer messages are added at once for an up-to-date estimate, and are processed again
+with their block.
 """
 
 import logging
@@ -41,17 +41,17 @@ RECENT_FAULTS = 10
 
 @dataclass(frozen=True)
 class Pace:
-    """How the past is forgotten and the present waited for.
+    """Forgetting, waiting and processor share of an online identification.
 
     Attributes
     ----------
     memory : float
-        Time in which a row loses all but 1/e of its weight, s.
+        Time constant of forgetting, s: after it a row has 1/e of its weight.
     lag : float
-        How long a topic may lag behind the joint states before a block is worked on without what
-        is missing, s.
+        How long to wait for a topic that lags behind the joint states, s. After that, its block
+        is processed without the missing messages.
     share : float
-        Of a core that the rows of whole blocks may take.
+        Share of a core for building the rows of complete blocks.
     """
 
     memory: float = np.inf
@@ -61,20 +61,20 @@ class Pace:
 
 @dataclass(frozen=True)
 class OnlineEstimate:
-    """An estimate and up to when it knows the robot.
+    """An estimate and the time of its newest data.
 
     Attributes
     ----------
     found : Identification
-        The estimate, with the observations behind it; its verdict only if solved exactly.
+        The estimate and its observations; has a verdict only if solved exactly.
     until : int
         Stamp of the newest data in it, ns.
     window : float
         Length of the rows' windows, s.
     alarms : tuple of str
-        What is wrong, one line each.
+        Problems of the estimate, one line each.
     change : Change or None
-        What the robot has changed in, if it has.
+        Detected change of the robot.
     """
 
     found: Identification
@@ -85,41 +85,41 @@ class OnlineEstimate:
 
 
 class OnlineIdentification:
-    """What is known of a robot, by the messages that have come.
+    """Identifies a robot from messages as they arrive.
 
     Parameters
     ----------
-    beginning : InitialState
-        The job, and what is known already.
+    initial_state : InitialState
+        Options, model, prior and data of an earlier run.
     selected : SelectedTopics
         The robot's sensors.
     pace : Pace
-        Of forgetting and waiting.
+        Forgetting, waiting and processor share.
 
     Attributes
     ----------
     faults : deque of str
-        What has been wrong with the latest faulty blocks.
+        Errors of the latest lost blocks.
     lost_blocks : int
-        How many brought nothing for it.
+        Number of blocks that could not be used.
     clock_jumps : int
-        How often a topic's clock has jumped back.
+        Number of times a topic's clock jumped back.
     checks : dict of Topic to MessageCheck
-        What they dropped, and why.
+        Validity check of each topic, which counts dropped messages.
     """
 
-    def __init__(self, beginning: InitialState, selected: SelectedTopics, pace: Pace) -> None:
-        self._beginning, self._pace = beginning, pace
-        self._options, self._parameters = beginning.options, beginning.problem.parameters
-        self._windows = tuple(one.window for one in beginning.observations)
+    def __init__(self, initial_state: InitialState, selected: SelectedTopics, pace: Pace) -> None:
+        self._initial_state, self._pace = initial_state, pace
+        self._options, self._parameters = initial_state.options, initial_state.problem.parameters
+        self._windows = tuple(one.window for one in initial_state.observations)
         self._build = equation_rows(self._parameters)
         topics = tuple(topic.name for topic in selected.all)
         self._problem = replace(
-            beginning.problem,
-            inputs=(*beginning.problem.inputs, *topics),
+            initial_state.problem,
+            inputs=(*initial_state.problem.inputs, *topics),
             has_wrenches=bool(selected.wrenches),
         )
-        self._timeline = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
+        self._scheduler = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
         self.lost_blocks = self.clock_jumps = 0
         model = self._parameters.model
@@ -127,152 +127,152 @@ class OnlineIdentification:
             topic: MessageCheck(topic, model, selected.frame_prefix) for topic in selected.all
         }
         self._posterior: Posterior | None = None
-        self._released: set[str] = set()
+        self._relaxed_links: set[str] = set()
         self._until = 0
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
-        # Those that suit the topics' rate, once it is known.
-        self._suited: tuple[float, ...] = ()
-        known = BlockAccumulator(beginning.observations, pace.memory)
+        # Windows that suit the topics' rate; empty until the rate is known.
+        self._usable_windows: tuple[float, ...] = ()
+        known = BlockAccumulator(initial_state.observations, pace.memory)
         self._accumulator = Accumulator(known, len(self._windows) // 2)
-        self._work = BlockWorker(self._build, self._windows, pace.share, known)
+        self._worker = BlockWorker(self._build, self._windows, pace.share, known)
 
     @property
     def streams(self) -> LiveStreams:
-        """What has come."""
-        return self._timeline.streams
+        """Buffered messages."""
+        return self._scheduler.streams
 
     @property
     def has_news(self) -> bool:
-        """Whether there is something that the last estimate did not know."""
+        """Whether data arrived that the last estimate does not include."""
         complete = self.streams.complete_until
         return complete is not None and complete > self._until
 
     @property
     def evidence(self) -> float:
-        """For a change at the last look, over what has been usual; nan before there was one."""
+        """Evidence for a change above its usual level; NaN before the first estimate."""
         return self._monitor.evidence
 
     @property
     def can_tell_change(self) -> bool:
-        """Whether what is usual is known well enough to tell a change from it."""
+        """Whether the usual level of evidence is known well enough to detect a change."""
         return self._monitor.is_ready
 
     def feed(self, topic: Topic, payload: bytes) -> None:
-        """Take a serialised message of one of the topics, whatever its bytes may be."""
+        """Add a serialised message of a topic; an invalid one is dropped and counted."""
         for stamp, usable in self.checks[topic].take(payload):
             self._feed(topic, stamp, usable)
 
     def _feed(self, topic: Topic, stamp: int, payload: bytes) -> None:
-        streams = self._timeline.streams
+        streams = self._scheduler.streams
         if streams.jumps_back(topic, stamp):
             logger.warning(
-                "%s: its clock jumps back from %.3f s; alignment begins again, nothing learnt is "
-                "lost",
+                "%s: its clock jumps back from %.3f s; alignment restarts and all processed data "
+                "are kept",
                 topic.name,
                 (streams.buffers[topic].newest or 0) * 1e-9,
             )
             self.clock_jumps += 1
-            self._put(self._timeline.restart())
-            self._settle(self._work.finish())
-            self._begin_time(self._accumulator.blocks.with_new_clock())
+            self._submit(self._scheduler.restart())
+            self._add_processed(self._worker.finish())
+            self._restart_clock(self._accumulator.blocks.with_new_clock())
         streams.add(topic, stamp, payload)
 
     def advance(self) -> None:
-        """Put blocks in line that are whole, take in those that have been worked on."""
-        for stretch in self._timeline.whole():
-            self._put(stretch)
-        self._settle(self._work.done())
+        """Queue complete blocks and add the rows of processed ones."""
+        for span in self._scheduler.complete_blocks():
+            self._submit(span)
+        self._add_processed(self._worker.take_finished())
 
     def solve(self, *, exactly: bool = False) -> OnlineEstimate | None:
-        """Return the estimate by what has come; None while that is too little.
+        """Return the estimate from the messages so far; None if there are too few.
 
         Parameters
         ----------
         exactly : bool
-            Do what an offline run up to now would do: wait for blocks that are in line, work on
-            the open one as on a log's last, and compare all windows.
+            Do what an offline run on the same messages does: wait for queued blocks, process the
+            open block like the last one of a log, and compare all windows.
 
         Raises
         ------
         DataError
-            When the measured forces do not carry the robot.
+            When the measured forces do not match the robot's weight.
         """
         self.advance()
-        known = self._accumulator.blocks.stop or 0  # by blocks that have been worked on
+        known = self._accumulator.blocks.stop or 0  # end of the processed blocks
         new = [
-            self._piece(stretch)
-            for stretch in self._timeline.pieces()
-            if stretch.segments and stretch.stop > known
+            self._partial_rows(span)
+            for span in self._scheduler.partial_blocks()
+            if span.segments and span.stop > known
         ]
         for piece in new:
             self._accumulator.add(piece)
             self._until = piece.stop - 1
-        return self._solve_exactly() if exactly else self._solve_roughly(new)
+        return self._solve_exactly() if exactly else self._solve_approximately(new)
 
     def _solve_exactly(self) -> OnlineEstimate | None:
-        self._settle(self._work.finish())
-        whole, rest = self._accumulator.blocks, self._timeline.rest()
-        if rest is not None and rest.segments:
-            self._suit(rest)
-            whole = whole.with_block(build_block_rows(rest, self._build, self._windows))
-            self._until = rest.stop - 1
-        problem = self._problem_of(whole)
+        self._add_processed(self._worker.finish())
+        blocks, open_block = self._accumulator.blocks, self._scheduler.open_block()
+        if open_block is not None and open_block.segments:
+            self._select_windows(open_block)
+            blocks = blocks.with_block(build_block_rows(open_block, self._build, self._windows))
+            self._until = open_block.stop - 1
+        problem = self._problem_with(blocks)
         if not problem.observations:
             return None
         self._check_weight(problem.observations[0])
-        return self._outcome(Solver.of(problem), with_verdict=True)
+        return self._estimate(Solver.of(problem), with_verdict=True)
 
-    def _solve_roughly(self, new: Sequence[BlockRows]) -> OnlineEstimate | None:
-        problem = self._problem_of(self._accumulator.blocks)
+    def _solve_approximately(self, new: Sequence[BlockRows]) -> OnlineEstimate | None:
+        problem = self._problem_with(self._accumulator.blocks)
         if problem.observations:
             self._choose_window(problem)
         now = self._accumulator.current
         if now.rows.samples == 0:
             return None
         self._check_weight(now)
-        near = self._posterior
-        start = None if near is None else near.mean
-        # Before the first whole block there is nothing to compare what has come with.
+        last = self._posterior
+        start = None if last is None else last.mean
+        # Before the first complete block the newest data are the only observations.
         problem = replace(problem, observations=problem.observations or (now,))
         solver = Solver.approximate(problem, now, start)
         self._posterior = solver.posterior
         if new:
             self._monitor.update(new, solver.posterior)
-            self._release()
-        return self._outcome(solver, with_verdict=False)
+            self._relax_priors()
+        return self._estimate(solver, with_verdict=False)
 
-    def _release(self) -> None:
-        """Relax the prior of every link that may have changed, if old data are forgotten too."""
+    def _relax_priors(self) -> None:
+        """Relax the prior of every link that may have changed, if old data are forgotten."""
         change = self._monitor.change
         if change is None or np.isinf(self._pace.memory):
             return
         for suspect in change.suspects:
-            if suspect.link not in self._released:
-                self._released.add(suspect.link)
+            if suspect.link not in self._relaxed_links:
+                self._relaxed_links.add(suspect.link)
                 prior = relaxed_prior(self._problem.prior, self._parameters, suspect.link)
                 self._problem = replace(self._problem, prior=prior)
 
-    def _problem_of(self, whole: BlockAccumulator) -> Problem:
-        told = tuple(
+    def _problem_with(self, blocks: BlockAccumulator) -> Problem:
+        observations = tuple(
             one
-            for one in whole.observations
-            if one.rows.samples > 0 and one.window in (self._suited or self._windows)
+            for one in blocks.observations
+            if one.rows.samples > 0 and one.window in (self._usable_windows or self._windows)
         )
-        return replace(self._problem, observations=told)
+        return replace(self._problem, observations=observations)
 
-    def _suit(self, stretch: TimeSpan) -> None:
-        """Use the windows that suit a stretch's rate, the middle one until they are compared.
+    def _select_windows(self, span: TimeSpan) -> None:
+        """Use the windows that suit the rate; start with the middle one until they are compared.
 
         Raises
         ------
         DataError
-            When the topics are too slow for all of them.
+            When the topics are too slow for every window.
         """
-        rate = stretch.segments[0].rate
+        rate = span.segments[0].rate
         check_windows(self._windows, rate, "live topics")
-        self._suited = suited_windows(self._windows, rate)
-        if self._windows[self._accumulator.window] not in self._suited:
-            middle = self._suited[len(self._suited) // 2]
+        self._usable_windows = suited_windows(self._windows, rate)
+        if self._windows[self._accumulator.window] not in self._usable_windows:
+            middle = self._usable_windows[len(self._usable_windows) // 2]
             self._accumulator.restart(self._accumulator.blocks, self._windows.index(middle))
 
     def _choose_window(self, problem: Problem) -> None:
@@ -284,62 +284,66 @@ class OnlineIdentification:
             self._accumulator.restart(self._accumulator.blocks, window)
             self._monitor.restart()
 
-    def _outcome(self, solver: Solver, *, with_verdict: bool) -> OnlineEstimate:
-        found = self._identified(solver, with_verdict=with_verdict)
+    def _estimate(self, solver: Solver, *, with_verdict: bool) -> OnlineEstimate:
+        found = self._identify(solver, with_verdict=with_verdict)
         window = solver.chosen.window
         return OnlineEstimate(found, self._until, window, solver.alarms, self._monitor.change)
 
     def reset(self) -> None:
-        """Forget all but the prior."""
-        self._settle(self._work.finish())
-        self._timeline.restart()
+        """Discard everything except the prior."""
+        self._add_processed(self._worker.finish())
+        self._scheduler.restart()
         self._posterior = None
-        self._released.clear()
-        self._problem = replace(self._problem, prior=self._beginning.problem.prior)
+        self._relaxed_links.clear()
+        self._problem = replace(self._problem, prior=self._initial_state.problem.prior)
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
-        self._begin_time(BlockAccumulator(self._beginning.nothing, self._pace.memory))
+        self._restart_clock(
+            BlockAccumulator(self._initial_state.no_observations, self._pace.memory)
+        )
 
-    def set_memory(self, span: float) -> None:
-        """Forget from now on with another memory, s; what is known keeps its present weight."""
-        self._settle(self._work.finish())
-        self._pace = replace(self._pace, memory=span)
-        whole = replace(self._accumulator.blocks, time_constant=span)
-        self._work.begin(whole)
-        self._accumulator.update_blocks(whole)
+    def set_memory(self, time_constant: float) -> None:
+        """Change the time constant of forgetting, s; older data keep their present weight."""
+        self._add_processed(self._worker.finish())
+        self._pace = replace(self._pace, memory=time_constant)
+        blocks = replace(self._accumulator.blocks, time_constant=time_constant)
+        self._worker.restart(blocks)
+        self._accumulator.update_blocks(blocks)
 
     def close(self) -> None:
-        """Give up blocks that are in line."""
-        self._work.close()
+        """Discard queued blocks."""
+        self._worker.close()
 
-    def _begin_time(self, whole: BlockAccumulator) -> None:
-        self._work.begin(whole)
-        self._accumulator.restart(whole, self._accumulator.window)
+    def _restart_clock(self, blocks: BlockAccumulator) -> None:
+        self._worker.restart(blocks)
+        self._accumulator.restart(blocks, self._accumulator.window)
         self._until = 0
 
-    def _put(self, stretch: TimeSpan | None) -> None:
-        if stretch is None:
+    def _submit(self, span: TimeSpan | None) -> None:
+        if span is None:
             return
-        if stretch.fault:
+        if span.fault:
             self.lost_blocks += 1
-            self.faults.append(stretch.fault)
-            logger.warning("%s; the block from %.0f s is lost", stretch.fault, stretch.start * 1e-9)
+            self.faults.append(span.fault)
+            logger.warning(
+                "%s; the block that starts at %.0f s is not used", span.fault, span.start * 1e-9
+            )
             return
-        self._work.put(stretch)
+        self._worker.submit(span)
 
-    def _settle(self, whole: BlockAccumulator | None) -> None:
-        if whole is not None:
-            self._accumulator.update_blocks(whole)
+    def _add_processed(self, blocks: BlockAccumulator | None) -> None:
+        if blocks is not None:
+            self._accumulator.update_blocks(blocks)
 
-    def _piece(self, stretch: TimeSpan) -> BlockRows:
-        self._suit(stretch)
-        # It is not searched for noise: that takes as long again, and its block will be.
-        return build_block_rows(stretch, self._build, [self._windows[self._accumulator.window]], ())
+    def _partial_rows(self, span: TimeSpan) -> BlockRows:
+        self._select_windows(span)
+        # The noise level is estimated later, with the complete block: it doubles the run time.
+        return build_block_rows(span, self._build, [self._windows[self._accumulator.window]], ())
 
     def _check_weight(self, shortest: Observations) -> None:
         if not self._options.unchecked:
             check_weight(shortest.rows, self._parameters, self._problem.prior)
 
-    def _identified(self, solver: Solver, *, with_verdict: bool) -> Identification:
+    def _identify(self, solver: Solver, *, with_verdict: bool) -> Identification:
         method = self._options.method
         if method == "map_lmi":
             return solver.map_lmi(with_verdict=with_verdict)

@@ -1,4 +1,4 @@
-"""What an online identification begins with: the robot, the prior, what an earlier run knew."""
+"""Initial state of an online identification: model, prior and data of an earlier run."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,13 +20,13 @@ from symbid_ros.model.tree import RobotModel
 
 @dataclass(frozen=True)
 class InitialState:
-    """Everything that is read and checked before the first message.
+    """Options, model, prior and data, read and checked before the first message.
 
     Attributes
     ----------
     options : IdentifyOptions
     problem : Problem
-        Everything but observations.
+        The problem without observations.
     layout : RowLayout
         Layout of the rows.
     observations : tuple of Observations
@@ -40,7 +40,7 @@ class InitialState:
 
     @classmethod
     def of(cls, robot: RobotModel, options: IdentifyOptions) -> "InitialState":
-        """Read what the options name.
+        """Read the files that the options name.
 
         Raises
         ------
@@ -60,43 +60,52 @@ class InitialState:
         )
         layout = RowLayout.of(parameters)
         windows = Processing.of(options).windows
-        nothing = tuple(Observations.empty(layout, window) for window in windows)
-        known = nothing if options.information is None else _resumed(options.information, nothing)
-        return cls(options, problem, layout, known)
+        no_observations = tuple(Observations.empty(layout, window) for window in windows)
+        observations = (
+            no_observations
+            if options.information is None
+            else _load_earlier(options.information, no_observations)
+        )
+        return cls(options, problem, layout, observations)
 
     @property
-    def nothing(self) -> tuple[Observations, ...]:
-        """Observations of no rows."""
+    def no_observations(self) -> tuple[Observations, ...]:
+        """Empty observations, one for each window length."""
         return tuple(Observations.empty(self.layout, one.window) for one in self.observations)
 
 
 def _check_online(options: IdentifyOptions) -> None:
-    """Refuse options that need a whole log."""
+    """Raise an error for options that need a complete log."""
     if options.row_filter != "weak":
-        raise OptionError("online, rows are averaged over windows; leave `filter` out", "E503")
+        raise OptionError(
+            "`filter` is not supported online, where rows are averaged over windows; remove it",
+            "E503",
+        )
     if options.sensor_error_kinds:
         raise OptionError(
-            "`tare` and `sensor_errors` need several passes over a log; record one and identify "
-            "offline",
+            "`tare` and `sensor_errors` need several passes over a log; remove them, or record a "
+            "bag and run `symbid identify`",
             "E503",
         )
     if options.validate is not None or options.sensor_std is not None:
-        raise OptionError(
-            "`validate` and `sensor_std` need a whole log; leave them out online", "E503"
-        )
+        raise OptionError("`validate` and `sensor_std` need a complete log; remove them", "E503")
 
 
-def _resumed(archive: Path, nothing: tuple[Observations, ...]) -> tuple[Observations, ...]:
-    """Return what an earlier run knew, window by window; other windows are not used."""
+def _load_earlier(
+    archive: Path, no_observations: tuple[Observations, ...]
+) -> tuple[Observations, ...]:
+    """Return the data of an earlier run, for each window of this one."""
     earlier = {one.window: one for one in load_archive(archive)}
     try:
-        known = tuple(earlier[one.window].merge(one) for one in nothing if one.window in earlier)
+        observations = tuple(
+            earlier[one.window].merge(one) for one in no_observations if one.window in earlier
+        )
     except DataError:
-        known = ()
-    if not known:
+        observations = ()
+    if not observations:
         raise EstimateError(
-            f"{archive}: of another robot, other columns or other windows; resume with the model "
-            "and the options it was written with",
+            f"{archive}: was written with another model, other parameters or other windows; resume "
+            "with the model and the options of that run",
             "E505",
         )
-    return known
+    return observations

@@ -1,4 +1,4 @@
-"""Live topics as one recording of which the newest seconds are at hand."""
+"""Buffers the newest seconds of live topics."""
 
 from array import array
 from collections.abc import Iterable
@@ -16,35 +16,35 @@ from symbid_ros.signals.defects import DefectCounts
 from symbid_ros.signals.stamps import CLOCK_JUMP, find_gaps, seconds
 from symbid_ros.signals.streams import Streams
 
-# Nobody works on data this much older than the topic's newest, ns, nor looks for it more often than
-# every so many messages.
-LONGEST_WAIT = 30_000_000_000
-TIDY = 4096
+# Messages this much older than the topic's newest, ns, are dropped; checked once every so many
+# messages.
+MAX_AGE = 30_000_000_000
+CLEANUP_INTERVAL = 4096
 
 
 @dataclass
 class TopicBuffer:
-    """Messages in order of arrival.
+    """Messages of one topic in order of arrival.
 
     Attributes
     ----------
     topic : Topic
     received : int
-        All messages that ever came.
+        All messages received so far.
     late : int
-        Of these, those whose time had already been worked on.
+        Messages that arrived after their block was released.
     unstamped : int
-        Of these, those left out because their stamp was zero.
+        Messages ignored because their stamp was zero.
     stale : int
-        Of these, those left out because the other topics' clock was at another time.
+        Messages ignored because their stamp was far from the other topics' clock.
     newest_stale : int
-        Stamp of the newest of these, ns.
+        Stamp of the newest ignored message of this kind, ns.
     newest : int or None
-        Largest stamp that waits or has been worked on, ns; None before the first.
+        Largest stamp so far, ns; None before the first message.
     missing : int
-        Messages that would fill the gaps between stamps, as far as `count_gaps` has gone.
+        Messages missing in gaps between stamps, as counted by `count_gaps`.
     disordered : int
-        Messages that were not later than the one before, likewise.
+        Messages whose stamp is not after the previous one, as counted by `count_gaps`.
     """
 
     topic: Topic
@@ -62,24 +62,24 @@ class TopicBuffer:
     _layouts: list[Layout] = field(default_factory=list)
 
     def add(self, stamp: int, payload: bytes) -> None:
-        """Append one message; its stamp is in nanoseconds."""
+        """Append one message with its stamp, ns."""
         self._stamps.append(stamp)
         self._payloads.append(payload)
         if self.newest is None or stamp > self.newest:
             self.newest = stamp
-        if len(self._payloads) % TIDY == 0:
-            self.drop_before(self.newest - LONGEST_WAIT)
+        if len(self._payloads) % CLEANUP_INTERVAL == 0:
+            self.drop_before(self.newest - MAX_AGE)
 
     @property
     def stamps(self) -> IntArray:
-        """(N,) stamps of what waits, in order of arrival."""
+        """(N,) stamps of the buffered messages in order of arrival, ns."""
         return np.array(self._stamps, dtype=np.int64)
 
     def decoder(self, source: str, start: int, stop: int) -> TopicDecoder:
         """Return the messages with stamps from ``start`` up to ``stop``, decoded."""
         stamps = self.stamps
-        places = np.flatnonzero((stamps >= start) & (stamps < stop))
-        payloads = [self._payloads[place] for place in places]
+        indices = np.flatnonzero((stamps >= start) & (stamps < stop))
+        payloads = [self._payloads[index] for index in indices]
         lengths = np.array([len(payload) for payload in payloads], dtype=np.int64)
         starts = np.cumsum(lengths) - lengths
         decoder = TopicDecoder(source, self.topic, layouts=self._layouts)
@@ -88,62 +88,62 @@ class TopicBuffer:
         return decoder
 
     def count_gaps(self, stop: int) -> None:
-        """Count what is missing between the last stamp so counted and ``stop``, ns."""
+        """Count missing messages from the end of the last call up to ``stop``, ns."""
         stamps = self.stamps
-        begun = stamps[stamps < stop]
+        counted = stamps[stamps < stop]
         if self._has_parts:
-            begun = np.unique(begun)  # several messages of one stamp are parts of one
+            counted = np.unique(counted)  # messages with one stamp hold different joints
         if self._counted is not None:
-            begun = begun[begun >= self._counted]
-        if len(begun):
-            gaps = find_gaps(begun)
+            counted = counted[counted >= self._counted]
+        if len(counted):
+            gaps = find_gaps(counted)
             self.missing += gaps.missing
             self.disordered += gaps.disordered
-            self._counted = int(begun.max())
+            self._counted = int(counted.max())
 
     @property
     def _has_parts(self) -> bool:
-        """Whether messages name different joints."""
+        """Whether messages list different joints."""
         return len({layout.text.get("name") for layout in self._layouts}) > 1
 
     def drop_before(self, stamp: int) -> None:
-        """Let go of messages older than ``stamp``."""
+        """Drop messages older than ``stamp``, ns."""
         self._keep(np.flatnonzero(self.stamps >= stamp))
 
     def clear(self) -> None:
-        """Let go of all messages and begin another time."""
+        """Drop all messages and restart the clock."""
         self._keep(())
         self.newest = self._counted = None
 
-    def _keep(self, places: Iterable[int]) -> None:
-        kept = list(places)
+    def _keep(self, indices: Iterable[int]) -> None:
+        kept = list(indices)
         if len(kept) < len(self._payloads):
-            self._stamps = array("q", [self._stamps[place] for place in kept])
-            self._payloads = [self._payloads[place] for place in kept]
+            self._stamps = array("q", [self._stamps[index] for index in kept])
+            self._payloads = [self._payloads[index] for index in kept]
 
 
 @dataclass
 class LiveStreams:
-    """Messages of a robot's sensor topics on one clock, their stamps'.
+    """Messages of a robot's sensor topics on the clock of their stamps.
 
-    Where a clock jumps back, by more than messages overtake each other, a new time begins: what
-    other topics still send of the old one is left out.
+    When a clock jumps back further than messages overtake each other, the clock restarts. Messages
+    that other topics still send on the old clock are ignored.
 
     Attributes
     ----------
     selected : SelectedTopics
-        Which they are.
+        The sensor topics.
     source : str
-        How messages to the user name them.
-    worked_until : int or None
-        End of the last block given out, ns: what comes before it is late.
+        Name of the topics in messages to the user.
+    released_until : int or None
+        End of the last released block, ns; messages with earlier stamps are late.
     buffers : dict of Topic to TopicBuffer
-        What waits.
+        Buffered messages.
     """
 
     selected: SelectedTopics
     source: str
-    worked_until: int | None = None
+    released_until: int | None = None
     buffers: dict[Topic, TopicBuffer] = field(init=False)
     _clock: int | None = None
 
@@ -152,44 +152,44 @@ class LiveStreams:
 
     @property
     def joints(self) -> TopicBuffer:
-        """The joint states, whose stamps are the clock."""
+        """Buffer of the joint states, whose stamps are the clock."""
         return self.buffers[self.selected.clock]
 
     def jumps_back(self, topic: Topic, stamp: int) -> bool:
-        """Tell whether a message of that stamp, ns, begins a new time."""
+        """Return whether a stamp, ns, shows that the topic's clock jumped back."""
         newest = self.buffers[topic].newest
         return stamp > 0 and newest is not None and stamp < newest - CLOCK_JUMP
 
     def restart(self) -> None:
-        """Begin a new time, for which nothing is at hand yet."""
-        self.worked_until = self._clock = None
+        """Drop all messages and restart the clock."""
+        self.released_until = self._clock = None
         for buffer in self.buffers.values():
             buffer.clear()
 
     def add(self, topic: Topic, stamp: int, payload: bytes) -> None:
-        """Take a message and its stamp, ns."""
+        """Add a message with its stamp, ns."""
         buffer = self.buffers[topic]
         buffer.received += 1
-        # A simulation may begin at zero; a second zero shows that the driver sets no stamps.
+        # A simulation may start at zero; a second zero shows that the driver sets no stamps.
         if stamp <= 0 and (buffer.newest is not None or buffer.unstamped):
             buffer.unstamped += 1
             if buffer.newest == 0:
-                self._forget(buffer)
+                self._drop_topic(buffer)
             return
-        # The first of this topic: of this time, or left over from the one before?
+        # The topic's first message may still have a stamp of the old clock.
         is_first = self._clock is not None and buffer.newest is None
         if is_first and abs(stamp - (self._clock or 0)) > CLOCK_JUMP:
             buffer.stale += 1
             buffer.newest_stale = stamp
             return
-        if self.worked_until is not None and stamp < self.worked_until:
+        if self.released_until is not None and stamp < self.released_until:
             buffer.late += 1
             return
         buffer.add(stamp, payload)
         self._clock = stamp if self._clock is None else max(self._clock, stamp)
 
-    def _forget(self, buffer: TopicBuffer) -> None:
-        """Drop what a topic has sent, and take the clock from the others."""
+    def _drop_topic(self, buffer: TopicBuffer) -> None:
+        """Drop a topic's messages and take the clock from the other topics."""
         buffer.clear()
         newest = [one.newest for one in self.buffers.values() if one.newest is not None]
         self._clock = max(newest, default=None)
@@ -201,7 +201,7 @@ class LiveStreams:
 
     @property
     def stale(self) -> int:
-        """Messages left out because they belonged to no time that is worth waiting for."""
+        """Number of messages ignored because their stamp was far from the clock."""
         return sum(buffer.stale for buffer in self.buffers.values())
 
     @property
@@ -212,12 +212,12 @@ class LiveStreams:
         return min(known) if len(known) == len(newest) else None
 
     def between(self, start: int, stop: int) -> Streams:
-        """Return the streams from ``start`` up to ``stop``, ns.
+        """Return the decoded streams from ``start`` up to ``stop``, ns.
 
         Raises
         ------
         DataError
-            When a topic has no message there, or an unusable one.
+            When a topic has no message in this time, or an unusable one.
         """
         decoders = {}
         for topic, buffer in self.buffers.items():
@@ -228,15 +228,15 @@ class LiveStreams:
                     f"{seconds(stop)}; check its driver",
                     "E313",
                 )
-        tallies = {topic: DefectCounts(self.source, topic.name) for topic in decoders}
-        streams = build_streams(self.source, self.selected, decoders, tallies)
+        defects = {topic: DefectCounts(self.source, topic.name) for topic in decoders}
+        streams = build_streams(self.source, self.selected, decoders, defects)
         streams = replace(streams, is_live=True)
-        for topic, tally in tallies.items():
-            tally.messages = decoders[topic].count
-            tally.report()
+        for topic, counts in defects.items():
+            counts.messages = decoders[topic].count
+            counts.report()
         return streams
 
-    def forget_before(self, stamp: int) -> None:
-        """Let go of what is older than ``stamp``, ns."""
+    def drop_before(self, stamp: int) -> None:
+        """Drop messages older than ``stamp``, ns."""
         for buffer in self.buffers.values():
             buffer.drop_before(stamp)

@@ -1,4 +1,4 @@
-"""What may enter an identification: valid messages of this robot, on its clock."""
+"""Drops invalid messages and those of other robots or clocks before an identification."""
 
 import logging
 import time
@@ -14,40 +14,39 @@ from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
 logger = logging.getLogger(__name__)
 
 WARNING_PERIOD = 60.0  # s between two warnings about one topic
-# rad, rad/s, Nm, N or m/s². No robot's sensor reads more, and one such value would outweigh all
-# that has been learnt.
-LARGEST = 1e6
+# rad, rad/s, Nm, N or m/s². No robot's sensor reads more, and one larger value would outweigh all
+# other data.
+LARGEST_VALUE = 1e6
 VALUES = {
     JOINT_STATE: ("position", "velocity", "effort"),
     IMU: ("angular_velocity", "linear_acceleration"),
     WRENCH: ("wrench.force", "wrench.torque"),
 }
-MOST_PATTERNS = 8  # layouts of a topic's messages that are recognised at once
-MOST_NAMES = 3  # of a foreign robot's joints, in a warning
+MAX_PATTERNS = 8  # layouts of a topic's messages that are decoded quickly
+MAX_NAMES = 3  # of another robot's joints, in a warning
 
 
 class MessageCheck:
-    """Checks the messages of one topic and drops those that cannot be this robot's.
+    """Checks the messages of one topic and drops the invalid ones.
 
-    Dropped are bytes that do not decode, joint states of other joints, messages of another
-    sensor's frame, values that no sensor reads, and single messages whose stamp lies far from
-    those before and behind.
+    A message is dropped if it cannot be decoded, has none of the robot's joints or another frame,
+    has a value beyond any sensor's range, or has a stamp far from both of its neighbours' stamps.
 
     Parameters
     ----------
     topic : Topic
         Name and type.
     model : RobotModel
-        Its joints and frames.
+        The robot's joints and frames.
     frame_prefix : str
-        What ``header.frame_id`` begins with and the model's frames do not.
+        Prefix of ``header.frame_id`` that the model's frames lack.
 
     Attributes
     ----------
     dropped : int
         Messages dropped so far.
     reason : str
-        Why the last of them was; empty before the first.
+        Why the last message was dropped; empty before the first.
     frame : str or None
         ``header.frame_id`` of the topic's sensor; None before its first message.
     """
@@ -66,10 +65,10 @@ class MessageCheck:
         self.frame: str | None = None
 
     def take(self, payload: bytes) -> tuple[tuple[int, bytes], ...]:
-        """Return what may be used now that a message has come, as stamps (ns) and payloads.
+        """Check a message and return the usable ones as stamps (ns) and payloads.
 
-        A message whose stamp leaps by more than a second waits for the next one, which shows
-        whether the clock has changed or that one stamp is wrong.
+        A message whose stamp jumps by more than a second is held until the next one, which shows
+        whether the clock changed or this stamp is wrong.
         """
         try:
             stamp = self._stamp(payload)
@@ -81,46 +80,48 @@ class MessageCheck:
             if abs(stamp - held[0]) < abs(stamp - self._reference(held[0])):
                 self._last = stamp
                 return (held, (stamp, payload))
-            self._drop(f"{self._topic.name}: the stamp {seconds(held[0])} is another clock's")
+            self._drop(
+                f"{self._topic.name}: the stamp {seconds(held[0])} is not on the topic's clock"
+            )
         if abs(stamp - self._reference(stamp)) > CLOCK_JUMP:
             self._held = stamp, payload
             return ()
         self._last = stamp
         return ((stamp, payload),)
 
-    def _reference(self, otherwise: int) -> int:
-        return otherwise if self._last is None else self._last
+    def _reference(self, default: int) -> int:
+        return default if self._last is None else self._last
 
     def _stamp(self, payload: bytes) -> int:
-        """Return the stamp of a message of this robot, ns."""
+        """Return the stamp of a valid message, ns."""
         pattern, numbers = self._read(payload)
         second, nanosecond = pattern.stamp(numbers)
         if nanosecond >= NANO:
             raise DataError(f"{self._topic.name}: header.stamp.nanosec is a second or more", "E323")
-        # NaN passes: what lacks a value is reported with its joint or axis later on.
-        field = pattern.field_beyond(numbers, LARGEST)
+        # NaN is accepted: missing values are reported later with their joint or axis.
+        field = pattern.field_beyond(numbers, LARGEST_VALUE)
         if field:
-            raise DataError(f"{self._topic.name}: {field} exceeds {LARGEST:g}", "E323")
+            raise DataError(f"{self._topic.name}: {field} exceeds {LARGEST_VALUE:g}", "E323")
         return second * NANO + nanosecond
 
     def _read(self, payload: bytes) -> tuple[MessagePattern, bytes]:
-        """Return the pattern of a message of this robot, and the message in little-endian bytes."""
+        """Return the pattern of a valid message, and the message in little-endian bytes."""
         for pattern in self._patterns:
             if pattern.matches(payload):
                 return pattern, payload
         layout, record = self._messages.decode(payload)
-        objection = self._objection(layout)
-        if objection:
-            raise DataError(f"{self._topic.name}: {objection}", "E323")
+        reason = self._rejection_reason(layout)
+        if reason:
+            raise DataError(f"{self._topic.name}: {reason}", "E323")
         pattern = MessagePattern(layout, VALUES[self._topic.msgtype])
         if pattern.matches(payload):
-            self._patterns = [pattern, *self._patterns[: MOST_PATTERNS - 1]]
+            self._patterns = [pattern, *self._patterns[: MAX_PATTERNS - 1]]
         return pattern, record.tobytes()
 
-    def _objection(self, layout: Layout) -> str:
-        """Return why messages of a layout are not this robot's; empty if they may be."""
+    def _rejection_reason(self, layout: Layout) -> str:
+        """Return why messages of this layout are invalid; empty if they are valid."""
         if self._topic.msgtype == JOINT_STATE:
-            return self._joint_objection(layout.text["name"])
+            return self._joint_rejection_reason(layout.text["name"])
         frame = layout.text["header.frame_id"][0]
         if self.frame is None and frame.removeprefix(self._prefix) in self._frames:
             self.frame = frame
@@ -130,12 +131,12 @@ class MessageCheck:
             return f"the model has no frame {frame!r}"
         return f"header.frame_id is {frame!r}, not {self.frame!r} as in its first message"
 
-    def _joint_objection(self, names: tuple[str, ...]) -> str:
+    def _joint_rejection_reason(self, names: tuple[str, ...]) -> str:
         if len(set(names)) != len(names):
-            return "a joint is named twice"
+            return "a joint is listed twice"
         if self._joints.isdisjoint(names):
-            others = ", ".join(names[:MOST_NAMES]) or "none at all"
-            return f"it names none of the model's joints ({others})"
+            others = ", ".join(names[:MAX_NAMES]) or "no joint"
+            return f"it has none of the model's joints ({others})"
         return ""
 
     def _drop(self, reason: str) -> None:
@@ -148,5 +149,5 @@ class MessageCheck:
 
 
 def known_frames(model: RobotModel) -> frozenset[str]:
-    """Return every ``header.frame_id`` that a model can place: its frames and links."""
+    """Return every valid ``header.frame_id`` of a model: its frames and links."""
     return frozenset([*(frame.name for frame in model.frames), *model.link_names])

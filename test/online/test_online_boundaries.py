@@ -38,12 +38,12 @@ def bag(simulated, tmp_path_factory) -> Path:
 
 def live(bag: Path, model):
     feed = feed_of(bag)
-    timeline = BlockScheduler(feed.selected, model, 0.5, "live")
+    scheduler = BlockScheduler(feed.selected, model, 0.5, "live")
     found = []
     for stamp, topic, payload in feed.messages:
-        timeline.streams.add(topic, stamp, payload)
-        found += timeline.whole()
-    found.append(timeline.rest())
+        scheduler.streams.add(topic, stamp, payload)
+        found += scheduler.complete_blocks()
+    found.append(scheduler.open_block())
     assert not [stretch.fault for stretch in found if stretch.fault]
     return [segment for stretch in found for segment in stretch.segments]
 

@@ -51,22 +51,22 @@ class Heard:
 
 
 def heard(feed, model, prefix="") -> Heard:
-    """Hand a feed to a timeline, taking blocks and pieces each second."""
-    timeline = BlockScheduler(
+    """Feed a scheduler and take its blocks each second."""
+    scheduler = BlockScheduler(
         replace(feed.selected, frame_prefix=prefix), model, 1.0, "live topics"
     )
     due = feed.messages[0][0]
     blocks, pieces = [], []
     for stamp, topic, payload in feed.messages:
         now = read_leading_stamp(payload)
-        assert not timeline.streams.jumps_back(topic, now)
-        timeline.streams.add(topic, now, payload)
+        assert not scheduler.streams.jumps_back(topic, now)
+        scheduler.streams.add(topic, now, payload)
         if stamp >= due:
-            blocks += timeline.whole()
-            pieces += timeline.pieces()
+            blocks += scheduler.complete_blocks()
+            pieces += scheduler.partial_blocks()
             due = stamp + 1_000_000_000
-    blocks.append(timeline.rest())
-    buffers = timeline.streams.buffers
+    blocks.append(scheduler.open_block())
+    buffers = scheduler.streams.buffers
     assert sum(buffer.stale + buffer.disordered for buffer in buffers.values()) == 0
     return Heard(
         joined(segment for block in blocks if block for segment in block.segments),
