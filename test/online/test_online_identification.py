@@ -331,7 +331,7 @@ def test_a_robot_whose_forces_do_not_carry_it_is_refused(feed) -> None:
 @pytest.mark.parametrize(
     ("chosen", "says"),
     [
-        ({"filter": "butterworth"}, "leave `filter` out"),
+        ({"filter": "butterworth"}, "`filter` is not supported online"),
         ({"sensor_errors": ("plate_offset",)}, "several passes"),
         ({"rank": 3}, "truncates no singular values"),
     ],

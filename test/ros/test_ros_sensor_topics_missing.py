@@ -123,9 +123,7 @@ def test_faults_and_their_end_are_reported_while_the_node_runs(arm: Robot) -> No
             cured.publish(message)
 
     clock = [100 * 10**9]
-    arm.wait_for(
-        "none of the model's joints (wrist)", meanwhile=lambda: publish(wrong, clock)
-    )
+    arm.wait_for("none of the model's joints (wrist)", meanwhile=lambda: publish(wrong, clock))
     assert not any("bag" in one or "silent" in one for one in arm.log)
     assert arm.is_alive
     arm.node.destroy_publisher(mistyped)
