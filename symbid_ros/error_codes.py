@@ -557,8 +557,40 @@ CODES: dict[str, Entry] = {
     ),
     # E7xx: studies and reports
     "E701": Entry(
-        "A study's file is invalid, or its folder holds results of another study.",
-        "Correct the file, or choose another folder.",
+        "A study is not one of those that ship, or its file cannot be opened.",
+        "Give the name of a study that ships, or the path of a .yaml file.",
+    ),
+    "E702": Entry(
+        "The file of a study is not valid YAML, or an entry of it is unknown or invalid.",
+        "Correct the entry that the message names; it suggests the most similar known name.",
+    ),
+    "E703": Entry(
+        "The output folder of a study is a file, or holds files of something else.",
+        "Give a new or empty folder as --out.",
+    ),
+    "E704": Entry(
+        "The output folder holds results of another plan or of another version.",
+        "Choose another folder as --out, or give --overwrite to replace the results.",
+    ),
+    "E705": Entry(
+        "An intermediate file of a study is missing or damaged.",
+        "Delete the file that the message names and start the study again.",
+    ),
+    "E706": Entry(
+        "A process of a study was killed, perhaps for lack of memory.",
+        "Start the study again to resume it, with fewer --workers.",
+    ),
+    "E707": Entry(
+        "A table or figure needs a draw of the prior that the study does not have.",
+        "Add the prior, filter and method to the plan.",
+    ),
+    "E708": Entry(
+        "The chosen sensors leave no row of the equation of motion to identify from.",
+        "Choose other sensors in the plan, or another robot or log.",
+    ),
+    "E709": Entry(
+        "The data of a table or figure of a study are missing or do not match in size.",
+        "Give one value for each parameter, link or run, and leave out what the study lacks.",
     ),
     "E750": Entry(
         "The estimates of one report have different parameters.",

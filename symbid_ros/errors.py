@@ -57,6 +57,3 @@ class SimulationError(SymbidError):
 
 class StudyError(SymbidError):
     """A study with an invalid file, or with a folder that holds results of another study."""
-
-    def __init__(self, message: str, code: str = "E701") -> None:
-        super().__init__(message, code)

@@ -40,13 +40,13 @@ def study(
     """
     from symbid_ros.study.plan_file import load_plan
     from symbid_ros.study.publication import publish
-    from symbid_ros.study.stages import stages
-    from symbid_ros.study.task_runner import Task, Workers
-    from symbid_ros.study.workspace import Workspace
+    from symbid_ros.study.stages import study_stages
+    from symbid_ros.study.study_folder import StudyFolder
+    from symbid_ros.study.task_runner import Task, WorkerPool
 
     wanted, _ = load_plan(plan)
-    space = Workspace(out)
-    space.claim(wanted, overwrite=overwrite)
+    folder = StudyFolder(out)
+    folder.reserve(wanted, overwrite=overwrite)
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
@@ -56,7 +56,7 @@ def study(
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    todo = stages(wanted, space)
+    todo = study_stages(wanted, folder)
     total = sum(task.cost for stage in todo for task in stage.tasks)
     with (
         Progress(
@@ -65,7 +65,7 @@ def study(
             disable=not console.is_terminal,
             speed_estimate_period=SPEED_PERIOD,
         ) as progress,
-        Workers(workers or min(8, os.cpu_count() or 1)) as team,
+        WorkerPool(workers or min(8, os.cpu_count() or 1)) as pool,
     ):
         bar = progress.add_task("", total=total)
 
@@ -75,10 +75,10 @@ def study(
         for stage in todo:
             progress.update(bar, description=stage.title)
             left, begun = sum(not task.output.exists() for task in stage.tasks), monotonic()
-            team.complete(stage.tasks, done)
+            pool.run(stage.tasks, done)
             took = f", {left} of them in {monotonic() - begun:.0f} s" if left else ", all there"
             if stage.tasks:
                 console.print(f"{stage.title}: {len(stage.tasks)} steps{took}", highlight=False)
         progress.update(bar, description="writing")
-        page = publish(wanted, space)
+        page = publish(wanted, folder)
     typer.echo(f"wrote {page}")

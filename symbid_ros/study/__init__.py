@@ -1,1 +1,1 @@
-"""Comparisons over data sets, priors and methods."""
+"""Simulation studies that compare methods, priors, filters and logs."""

@@ -1,8 +1,9 @@
-"""Checks of whole logs: the equation of motion, filtered accelerations, realistic predictions."""
+"""Checks on whole logs: equation of motion, filters, realistic predictions and closed loop."""
 
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,28 +25,36 @@ from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import sticking_left_out
 from symbid_ros.simulation.balance import BalanceResult, balance
 from symbid_ros.study.draws import load_draw
-from symbid_ros.study.logs import identified, truth
-from symbid_ros.study.plan import Accelerations, ClosedLoop, Figures, Log, Plan, Spread
+from symbid_ros.study.logs import nominal_parameters, true_parameters
+from symbid_ros.study.plan import (
+    AccelerationPlan,
+    ClosedLoopPlan,
+    FigurePlan,
+    Plan,
+    PriorSpread,
+    SimulatedLog,
+)
 from symbid_ros.study.scores import REFERENCE, Case
-from symbid_ros.study.workspace import Workspace
+from symbid_ros.study.study_folder import StudyFolder
 
-# Samples of a noisy log that are predicted: one in so many, as the motion is slow.
+# Every STRIDE-th sample of a noisy log is predicted, as the motion is slow.
 STRIDE = 20
 
-# Combinations of contact wrenches that ideal data tell apart, as a share of the best felt one.
-DEPENDENT = 1e-9
+# Singular values of J_g below this share of the largest count as zero: ideal data have no noise.
+RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
-class Closure:
-    """How well the equation of motion closes at the true parameters.
+class EquationResidual:
+    """How well the equation of motion holds at the true parameters; its fields are keys of a file.
 
     Attributes
     ----------
     robot, model, wrenches : str
-        With friction or not; which columns the model has; where contact forces come from.
+        Whether the robot has friction, which columns the model has, and the source of the
+        contact forces.
     rmse : float
-        Norm per sample of y - K φ, N and Nm; joints that may stick are left out.
+        RMS norm of y - K φ over the samples, N and Nm; joints that may stick are left out.
     """
 
     robot: str
@@ -54,80 +63,80 @@ class Closure:
     rmse: float
 
 
-def check_equation(log: Log, space: Workspace) -> None:
-    """Close the equation of motion on ideal logs, with friction and without (Eq. B.1)."""
+def check_equation(log: SimulatedLog, folder: StudyFolder) -> None:
+    """Evaluate the equation of motion on ideal logs, with and without friction (Eq. B.1)."""
     smooth, rubbing = (log.model_copy(update={"friction": on}) for on in (False, True))
     found = []
     for one, model, parameters in (
-        (smooth, "rigid links", truth(smooth, space)),
-        (rubbing, "rigid links, friction", truth(rubbing, space)),
-        (rubbing, "rigid links", identified(smooth)),
+        (smooth, "rigid links", true_parameters(smooth, folder)),
+        (rubbing, "rigid links, friction", true_parameters(rubbing, folder)),
+        (rubbing, "rigid links", nominal_parameters(smooth)),
     ):
-        motion = read_true_motion([space.log(one)], truth(one, space).model)
+        motion = read_true_motion([folder.log(one)], true_parameters(one, folder).model)
         robot = "with friction" if one.friction else "without friction"
-        for wrenches, rmse in _closures(parameters, motion).items():
-            found.append(Closure(robot, model, wrenches, rmse))
-    write_text(space.check("equation"), json.dumps([asdict(one) for one in found]) + "\n")
+        for wrenches, rmse in _equation_residuals(parameters, motion).items():
+            found.append(EquationResidual(robot, model, wrenches, rmse))
+    _write(folder.check("equation"), [asdict(one) for one in found])
 
 
-def _closures(parameters: ParameterSet, motion: TrueMotion) -> dict[str, float]:
-    """Return the root mean square of the residual with measured and with predicted wrenches."""
+def _equation_residuals(parameters: ParameterSet, motion: TrueMotion) -> dict[str, float]:
+    """Return the RMS residual with measured and with predicted contact wrenches."""
     squares, count = np.zeros(2), 0
     for block in motion.blocks():
         samples = block.samples
         valid = sticking_left_out(parameters, samples.velocity)
-        # Contact forces follow from all coordinates, so all of them have to hold.
-        whole = valid.all(axis=1)
+        # Predicted contact forces depend on all coordinates, so all of them must be valid.
+        complete = valid.all(axis=1)
         rows = equation_of_motion(parameters, samples)
         needed = rows.K @ parameters.values
         poses = link_poses(parameters.model, samples.position)
         jacobian = contact_jacobian(parameters.model, samples.wrench_frames, poses)
         unmet = needed + known_force(parameters, samples)
         unmet[:, 6 * parameters.model.floating :] -= samples.effort
-        wrenches = contact_wrenches(jacobian, unmet[:, None], DEPENDENT)[:, 0]
+        wrenches = contact_wrenches(jacobian, unmet[:, None], RANK_TOLERANCE)[:, 0]
         stacked = wrenches.reshape(len(samples), 1, -1)
         predicted = unmet - (stacked @ jacobian)[:, 0]
-        squares += [np.sum((rows.y - needed)[whole] ** 2), np.sum(predicted[whole] ** 2)]
-        count += int(whole.sum())
+        squares += [np.sum((rows.y - needed)[complete] ** 2), np.sum(predicted[complete] ** 2)]
+        count += int(complete.sum())
     measured, from_motion = np.sqrt(squares / max(count, 1)).tolist()
     return {"measured": measured, "by Eq. 4.1": from_motion}
 
 
-def load_closures(space: Workspace) -> list[Closure]:
-    """Read what :func:`check_equation` found."""
-    return [Closure(**one) for one in json.loads(space.check("equation").read_text())]
+def load_equation_residuals(folder: StudyFolder) -> list[EquationResidual]:
+    """Read the residuals that :func:`check_equation` wrote."""
+    return [EquationResidual(**one) for one in _read(folder.check("equation"))]
 
 
-def check_realistic(plan: Plan, figures: Figures, space: Workspace) -> None:
-    """Predict the noisy validation log as the robot could, with every method and draw."""
-    log, spread = plan.realistic_of(figures.data), figures.prior
-    true = truth(plan.data[figures.data], space)
-    motion = read_realistic_motion([space.log(log)], true.model)
-    thin = type(motion)(motion.measured[::STRIDE], motion.truth[::STRIDE])
+def check_realistic(plan: Plan, figures: FigurePlan, folder: StudyFolder) -> None:
+    """Predict the noisy validation log from its own sensors, with every method and draw."""
+    log, spread = plan.noisy_validation_log(figures.data), figures.prior
+    true = true_parameters(plan.data[figures.data], folder)
+    motion = read_realistic_motion([folder.log(log)], true.model)
+    thinned = type(motion)(motion.measured[::STRIDE], motion.truth[::STRIDE])
     candidates = {TRUTH: true.values}
     for iteration in range(plan.iterations):
-        draw = load_draw(space.draw(figures.data, spread, iteration))
-        for method in (REFERENCE, *plan.methods):
+        draw = load_draw(folder.draw(figures.data, spread, iteration))
+        for method in plan.compared:
             cutoff = None if method == REFERENCE or method in GAUSSIAN else figures.torque
-            outcome = draw[Case(figures.data, str(spread), method, cutoff)]
-            candidates[f"{method} {iteration}"] = np.array(outcome.values)
-    judged = evaluate_realistic(true, candidates, true.values, thin)
-    means: dict[str, dict[str, float]] = {TRUTH: asdict(judged[TRUTH])}
-    for method in (REFERENCE, *plan.methods):
-        each = [asdict(judged[f"{method} {i}"]) for i in range(plan.iterations)]
+            result = draw[Case(figures.data, str(spread), method, cutoff)]
+            candidates[f"{method} {iteration}"] = np.array(result.values)
+    metrics = evaluate_realistic(true, candidates, true.values, thinned)
+    means: dict[str, dict[str, float]] = {TRUTH: asdict(metrics[TRUTH])}
+    for method in plan.compared:
+        each = [asdict(metrics[f"{method} {i}"]) for i in range(plan.iterations)]
         means[method] = {name: float(np.mean([one[name] for one in each])) for name in each[0]}
-    write_text(space.check("realistic"), json.dumps(means) + "\n")
+    _write(folder.check("realistic"), means)
 
 
-def load_realistic(space: Workspace) -> dict[str, dict[str, float]]:
-    """Read the means that :func:`check_realistic` found, by method."""
-    found: dict[str, dict[str, float]] = json.loads(space.check("realistic").read_text())
-    return found
+def load_realistic(folder: StudyFolder) -> dict[str, dict[str, float]]:
+    """Read the mean errors that :func:`check_realistic` wrote, by method."""
+    means: dict[str, dict[str, float]] = _read(folder.check("realistic"))
+    return means
 
 
 @dataclass(frozen=True)
 class AccelerationCheck:
-    """Joint accelerations of one log, true and as a filter leaves them.
+    """True joint accelerations of one log, and the error of filtered ones.
 
     Attributes
     ----------
@@ -135,9 +144,10 @@ class AccelerationCheck:
     time : (N,) float64
         s.
     acceleration : (N, J) float64
-        True, rad/s².
+        True accelerations, rad/s².
     rms, error : float
-        Norms per sample of the true one, and of e_a (Eq. 4.2) behind the filter, rad/s².
+        RMS norms over the samples, rad/s²: of the true acceleration, and of the error e_a of the
+        filtered one (Eq. 4.2).
     """
 
     joint_names: tuple[str, ...]
@@ -148,15 +158,15 @@ class AccelerationCheck:
 
 
 def check_accelerations(
-    accelerations: Accelerations, name: str, space: Workspace
+    plan: AccelerationPlan, name: str, folder: StudyFolder
 ) -> AccelerationCheck:
     """Differentiate a noisy log's filtered positions as the thesis does, and compare."""
-    log = accelerations.logs[name]
-    bag = [Path(space.log(log))]
-    model = truth(log, space).model
+    log = plan.logs[name]
+    bag = [Path(folder.log(log))]
+    model = true_parameters(log, folder).model
     known = read_truth(bag)
     columns = joint_columns(known.joint_names, model, f"{known.source}: ground_truth/joints")
-    low_pass = LowPass(accelerations.cutoff, "thesis")
+    low_pass = LowPass(plan.cutoff, "thesis")
     true, found = [], []
     for segment in align(read_streams(bag), model):
         edge = low_pass.settling(segment.rate)
@@ -171,60 +181,71 @@ def check_accelerations(
         joint_names=model.joint_names,
         time=(known.stamp - known.stamp[0]) * 1e-9,
         acceleration=acceleration,
-        rms=_rms(acceleration),
-        error=_rms(error),
+        rms=_rms_norm(acceleration),
+        error=_rms_norm(error),
     )
 
 
-def _rms(vectors: FloatArray) -> float:
+def _rms_norm(vectors: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
-def believers(plan: Plan) -> list[str]:
-    """Return whose models the controller is given, beside the truth."""
-    return [REFERENCE, *plan.methods]
-
-
-def run_loop(
-    loop: ClosedLoop, space: Workspace, spread: Spread, iteration: int, method: str
+def run_closed_loop(
+    loop: ClosedLoopPlan, folder: StudyFolder, spread: PriorSpread, iteration: int, method: str
 ) -> None:
-    """Let the controller believe one estimate."""
+    """Run the balance controller with one estimate as its model."""
     cutoff = None if method == REFERENCE or method in GAUSSIAN else loop.filter
-    draw = load_draw(space.draw(loop.data, spread, iteration))
+    draw = load_draw(folder.draw(loop.data, spread, iteration))
     values = np.array(draw[Case(loop.data, str(spread), method, cutoff)].values)
-    parameters = identified(Log())
+    parameters = nominal_parameters(SimulatedLog())
     inertias = dict(zip(parameters.link_names, parameters.link_phi(values), strict=True))
-    _write(
-        balance(inertias, moves=loop.moves, motion_seed=loop.motion_seed),
-        space.loop(spread, iteration, method),
-    )
+    run = balance(inertias, moves=loop.moves, motion_seed=loop.motion_seed)
+    _write(folder.loop(spread, iteration, method), asdict(run))
 
 
-def run_truth(loop: ClosedLoop, space: Workspace) -> None:
-    """Let the controller know the truth."""
-    _write(balance(None, moves=loop.moves, motion_seed=loop.motion_seed), space.check(TRUTH))
+def run_true_closed_loop(loop: ClosedLoopPlan, folder: StudyFolder) -> None:
+    """Run the balance controller with the true model."""
+    run = balance(None, moves=loop.moves, motion_seed=loop.motion_seed)
+    _write(folder.check(TRUTH), asdict(run))
 
 
-def load_runs(plan: Plan, space: Workspace, spread: Spread) -> dict[str, list[BalanceResult]]:
-    """Read the runs of one kind of prior, by method; the truth comes last."""
+def load_closed_loop_runs(
+    plan: Plan, folder: StudyFolder, spread: PriorSpread
+) -> dict[str, list[BalanceResult]]:
+    """Read the runs with one kind of prior, by method; the true model comes last."""
     loop = plan.closed_loop
     if loop is None:
         return {}
     runs = {
         method: [
-            _read(space.loop(spread, iteration, method)) for iteration in range(loop.iterations)
+            _read_run(folder.loop(spread, iteration, method))
+            for iteration in range(loop.iterations)
         ]
-        for method in believers(plan)
+        for method in plan.compared
     }
-    return runs | {TRUTH: [_read(space.check(TRUTH))]}
+    return runs | {TRUTH: [_read_run(folder.check(TRUTH))]}
 
 
-def _write(run: BalanceResult, file: Path) -> None:
-    write_text(file, json.dumps(asdict(run)) + "\n")
+def _write(file: Path, content: object) -> None:
+    write_text(file, json.dumps(content) + "\n")
 
 
-def _read(file: Path) -> BalanceResult:
+def _read(file: Path) -> Any:
     try:
-        return BalanceResult(**json.loads(file.read_text(encoding="utf-8")))
-    except (OSError, ValueError, TypeError) as error:
-        raise StudyError(f"{file}: cannot be read ({error}); delete it and start again") from None
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise _unreadable(file, error) from None
+
+
+def _read_run(file: Path) -> BalanceResult:
+    content = _read(file)
+    try:
+        return BalanceResult(**content)
+    except TypeError as error:
+        raise _unreadable(file, error) from None
+
+
+def _unreadable(file: Path, error: Exception) -> StudyError:
+    return StudyError(
+        f"{file}: cannot be read ({error}); delete it and start the study again", "E705"
+    )

@@ -16,14 +16,13 @@ from symbid_ros.study.evidence import (
     TIE,
     Conclusion,
     Evidence,
-    Examination,
-    leads,
-    listed,
-    order,
-    share,
-    unless,
+    compare,
+    enumerate_words,
+    explain,
+    holds_by_order,
+    holds_by_share,
 )
-from symbid_ros.study.plan import Plan, Spread
+from symbid_ros.study.plan import Plan
 from symbid_ros.study.scores import METRICS, REFERENCE, Scores
 from symbid_ros.study.thesis import TITLES
 
@@ -39,7 +38,7 @@ CLAIMS = (
     claims.better_than_prior,
     claims.growing_gap,
     claims.absolute_errors,
-    claims.ours,
+    claims.map_lmi_is_best,
 )
 # Errors of one prior differ less than this between links, whatever the draw.
 LARGE = 2.0
@@ -69,34 +68,22 @@ class Links:
         if len(self.depth) != len(self.errors.links):
             raise StudyError(
                 f"link errors: {len(self.depth)} depths for {len(self.errors.links)} links; "
-                "give one for each link"
+                "give one for each link",
+                "E709",
             )
 
 
-def conclusions(
-    scores: Scores,
-    data: str,
-    priors: Sequence[Spread],
-    evidence: Evidence | None = None,
-    links: Links | None = None,
-) -> tuple[Conclusion, ...]:
-    """Examine every claim for which there are numbers on one data set.
+def conclusions(evidence: Evidence, links: Links | None = None) -> tuple[Conclusion, ...]:
+    """Check every claim for which there are numbers on one data set.
 
     Parameters
     ----------
-    scores : Scores
-        Means of the study.
-    data : str
-        The data set.
-    priors : sequence of Spread
-        How priors were drawn.
-    evidence : Evidence, optional
-        What tells why a claim fails.
+    evidence : Evidence
+        The means on one data set.
     links : Links, optional
-        For what is said of single links.
+        For the claim on single links.
     """
-    seen = Examination(scores, data, tuple(priors), evidence or Evidence())
-    found = [claim(seen) for claim in CLAIMS]
+    found = [claim(evidence) for claim in CLAIMS]
     if links is not None:
         found.append(link_accuracy(links))
     return tuple(one for one in found if one is not None)
@@ -118,20 +105,20 @@ def link_accuracy(links: Links) -> Conclusion | None:
     }
     as_claimed = [m for m in percent if ranges[m] >= LARGE and ratios[m] > 1 + TIE]
     spans, slopes = (
-        listed(f"{TITLES[method]} {significant(found[method], 2)}" for method in percent)
+        enumerate_words(f"{TITLES[method]} {significant(found[method], 2)}" for method in percent)
         for found in (ranges, ratios)
     )
     prior = links.errors.percent.get(REFERENCE)
-    holds = share(len(as_claimed), len(percent))
+    holds = holds_by_share(len(as_claimed), len(percent))
     return Conclusion(
         "Estimation accuracy differs greatly over the links, as distal ones are almost stationary "
         "(section VI-A, Fig. 6).",
         holds,
         f"Largest parameter error of a link over the smallest: {spans}; mean of the outer links "
         f"over that of the inner ones: {slopes}.",
-        unless(
+        explain(
             holds,
-            f"not with {listed(TITLES[m] for m in percent if m not in as_claimed)}"
+            f"not with {enumerate_words(TITLES[m] for m in percent if m not in as_claimed)}"
             if holds is not True
             else "",
             f"largest over smallest of the prior itself: {significant(_range(prior), 2)}"
@@ -163,10 +150,10 @@ def realistic_conclusion(
         return None
     before, after = ideal[REFERENCE], realistic[REFERENCE]
     # The thesis compares two drawings, in which a gain may be seen as a difference or a factor.
-    by_difference = sum(order(before - ideal[m], after - realistic[m]) == 1 for m in methods)
-    by_factor = sum(order(before / ideal[m], after / realistic[m]) == 1 for m in methods)
-    holds = share(by_difference + by_factor, 2 * len(methods))
-    told = listed(
+    by_difference = sum(compare(before - ideal[m], after - realistic[m]) == 1 for m in methods)
+    by_factor = sum(compare(before / ideal[m], after / realistic[m]) == 1 for m in methods)
+    holds = holds_by_share(by_difference + by_factor, 2 * len(methods))
+    told = enumerate_words(
         f"{TITLES.get(name, name)} {significant(ideal[name])} and {significant(realistic[name])} Nm"
         for name in both
     )
@@ -177,7 +164,7 @@ def realistic_conclusion(
         "From prior to estimate the torque error falls further with realistic signals in "
         f"{by_difference} of {len(methods)} cases by difference and in {by_factor} by factor "
         f"(ideal and realistic: {told}).",
-        unless(
+        explain(
             holds,
             "with realistic signals even the true parameters err by "
             f"{significant(realistic[TRUTH])} Nm, which no estimate takes away"
@@ -210,8 +197,8 @@ def _balanced(
     prior: Sequence[BalanceResult],
     truth: Sequence[BalanceResult],
 ) -> Conclusion:
-    orders = [order(_failed(own), _failed(prior))]
-    stood = listed(
+    orders = [compare(_failed(own), _failed(prior))]
+    stood = enumerate_words(
         f"{sum(not run.failure for run in found)} of {len(found)} runs with {who}"
         for who, found in ((name, own), ("the prior", prior), ("the truth", truth))
         if found
@@ -225,8 +212,8 @@ def _balanced(
     ]
     if paired:
         with_own, with_prior = zip(*paired, strict=True)
-        orders.append(order(_com(with_own), _com(with_prior)))
-        orders.append(order(_feedback(with_own), _feedback(with_prior)))
+        orders.append(compare(_com(with_own), _com(with_prior)))
+        orders.append(compare(_feedback(with_own), _feedback(with_prior)))
         lasting = [run for run in truth if not run.failure]
         com, forward = (
             ", ".join(
@@ -241,14 +228,16 @@ def _balanced(
             f"the feed-forward share of the torques was {forward}."
         )
     # To fall more often is no part of serving better.
-    holds = False if orders[0] < 0 else leads(orders)
+    holds = False if orders[0] < 0 else holds_by_order(orders)
     causes = sorted({run.failure for run in own if run.failure})
     return Conclusion(
         f"{name} serves centroidal dynamics control better than the prior "
         "(the thesis's third objective, section 1.1).",
         holds,
         text,
-        unless(holds, f"runs with {name} ended because {listed(causes)}" if causes else ""),
+        explain(
+            holds, f"runs with {name} ended because {enumerate_words(causes)}" if causes else ""
+        ),
     )
 
 

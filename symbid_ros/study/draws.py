@@ -1,4 +1,4 @@
-"""One draw of the prior, given to every method behind every filter."""
+"""Draws of the prior: identification by every method and filter, and the results of all draws."""
 
 import json
 from collections.abc import Mapping
@@ -29,58 +29,58 @@ from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.package_paths import config_file
-from symbid_ros.study.logs import identified, truth
-from symbid_ros.study.plan import Log, Plan, Spread
-from symbid_ros.study.scores import RANK, REFERENCE, Case, Outcome, Scores
-from symbid_ros.study.workspace import Workspace
+from symbid_ros.study.logs import nominal_parameters, true_parameters
+from symbid_ros.study.plan import Plan, PriorSpread, SimulatedLog
+from symbid_ros.study.scores import RANK, REFERENCE, Case, DrawResult, Scores
+from symbid_ros.study.study_folder import StudyFolder
 
 WEIGHING_STD = 0.02  # kg
 
-Found = dict[Case, tuple[FloatArray, int | None]]
+# Parameters, and the number of singular values of truncated methods.
+Estimates = dict[Case, tuple[FloatArray, int | None]]
 
 
-def solve_draw(plan: Plan, space: Workspace, data: str, spread: Spread, iteration: int) -> None:
-    """Identify with one prior by every method and filter, and judge the results."""
-    true = truth(plan.data[data], space)
-    prior = drawn_prior(plan, true, spread, iteration)
-    found: Found = {Case(data, str(spread), REFERENCE): (prior.mean, None)}
-    found |= _truncated(plan, space, data, spread, prior)
-    found |= _gaussian(plan, space, data, spread, prior)
-    motion = _judge(plan, space, data)
-    judged = motion.metrics({str(case): values for case, (values, _) in found.items()})
-    outcomes = [
-        vars(case) | vars(_outcome(true, vars(judged[str(case)]), values, rank))
-        for case, (values, rank) in found.items()
+def solve_draw(
+    plan: Plan, folder: StudyFolder, data: str, spread: PriorSpread, iteration: int
+) -> None:
+    """Identify from one prior by every method and filter, evaluate the estimates, write them."""
+    true = true_parameters(plan.data[data], folder)
+    prior = draw_prior(true, spread.kind, spread.amount, plan.prior_seed + iteration)
+    estimates: Estimates = {Case(data, str(spread), REFERENCE): (prior.mean, None)}
+    estimates |= _truncated_estimates(plan, folder, data, spread, prior)
+    estimates |= _gaussian_estimates(plan, folder, data, spread, prior)
+    judge = _judge(folder, plan.validation_log(data), plan.judged_every)
+    metrics = judge.metrics({str(case): values for case, (values, _) in estimates.items()})
+    results = [
+        vars(case) | vars(_result(true, vars(metrics[str(case)]), values, rank))
+        for case, (values, rank) in estimates.items()
     ]
-    write_text(space.draw(data, spread, iteration), json.dumps(outcomes) + "\n")
+    write_text(folder.draw(data, spread, iteration), json.dumps(results) + "\n")
 
 
-def load_draw(file: Path) -> dict[Case, Outcome]:
-    """Read what :func:`solve_draw` wrote.
+def load_draw(file: Path) -> dict[Case, DrawResult]:
+    """Read the results that :func:`solve_draw` wrote.
 
     Raises
     ------
     StudyError
-        When the file is not whole.
+        If the file is damaged.
     """
     try:
         return {
-            Case(one["data"], one["prior"], one["method"], one["filter"]): Outcome(
+            Case(one["data"], one["prior"], one["method"], one["filter"]): DrawResult(
                 one["metrics"], tuple(one["links"]), one["impossible"], tuple(one["values"])
             )
             for one in json.loads(file.read_text(encoding="utf-8"))
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StudyError(f"{file}: cannot be read ({error}); delete it and start again") from None
-
-
-def drawn_prior(plan: Plan, true: ParameterSet, spread: Spread, iteration: int) -> Prior:
-    """Return one draw about the truth."""
-    return draw_prior(true, spread.kind, spread.amount, plan.prior_seed + iteration)
+        raise StudyError(
+            f"{file}: cannot be read ({error}); delete it and start the study again", "E705"
+        ) from None
 
 
 @dataclass(frozen=True)
-class _Filtered:
+class _FilteredRows:
     """Rows behind one filter, of the data and of the validation log."""
 
     training: Observations
@@ -88,52 +88,61 @@ class _Filtered:
     validation: Information | None
 
 
-def _truncated(plan: Plan, space: Workspace, data: str, spread: Spread, prior: Prior) -> Found:
-    found: Found = {}
+def _truncated_estimates(
+    plan: Plan, folder: StudyFolder, data: str, spread: PriorSpread, prior: Prior
+) -> Estimates:
+    estimates: Estimates = {}
+    log, ideal = plan.data[data], plan.validation_log(data)
     for cutoff in plan.filters:
-        rows = _filtered(plan, space, data, cutoff)
+        validation = folder.rows(ideal, log.sensors, cutoff)
+        rows = _filtered_rows(
+            folder.rows(log, log.sensors, cutoff),
+            validation if plan.z.using == "validation" else None,
+        )
         solver = None
         if rows.validation is None:
-            solver = Solver.of(Problem((rows.training,), identified(plan.data[data]), prior))
+            solver = Solver.of(Problem((rows.training,), nominal_parameters(log), prior))
         for method in TRUNCATED:
             if method not in plan.methods:
                 continue
             case = Case(data, str(spread), method, cutoff)
             if solver is not None:
                 estimate = solver.truncated(method, Truncation()).estimate
-                found[case] = estimate.value, estimate.rank
+                estimates[case] = estimate.value, estimate.rank
             elif rows.validation is not None:
                 problem = rows.least_squares.scaled(prior, method)
                 z = select_rank(problem, rows.validation, plan.z.by)
-                found[case] = problem.solution(z), z
-    return found
+                estimates[case] = problem.solution(z), z
+    return estimates
 
 
-def _gaussian(plan: Plan, space: Workspace, data: str, spread: Spread, prior: Prior) -> Found:
-    wanted = [method for method in GAUSSIAN if method in plan.methods]
-    if not wanted:
+def _gaussian_estimates(
+    plan: Plan, folder: StudyFolder, data: str, spread: PriorSpread, prior: Prior
+) -> Estimates:
+    methods = [method for method in GAUSSIAN if method in plan.methods]
+    if not methods:
         return {}
     log = plan.data[data]
     if log.cure:
-        weighed = np.random.default_rng(prior.seed).normal(_mass(space, log), WEIGHING_STD)
-        problem, tare = _loaded(space, log), space.tare(log)
+        weighed = np.random.default_rng(prior.seed).normal(_mass(folder, log), WEIGHING_STD)
+        problem, tare = _loaded(folder, log), folder.tare(log)
         options = replace(
             problem.options, total_mass=weighed, total_mass_std=WEIGHING_STD, tare=(tare,)
         )
         solver = problem.with_prior(prior, options, _tares(tare)).solver
     else:
-        rows = _archive(space.rows(log, log.sensors, None))
-        solver = Solver.of(Problem(rows, identified(log), prior))
+        rows = _archive(folder.rows(log, log.sensors, None))
+        solver = Solver.of(Problem(rows, nominal_parameters(log), prior))
     solve = {"map": lambda: solver.posterior.mean, "map_lmi": solver.consistent_unknowns}
-    count = len(identified(log))
-    return {Case(data, str(spread), method): (solve[method]()[:count], None) for method in wanted}
+    count = len(nominal_parameters(log))
+    return {Case(data, str(spread), method): (solve[method]()[:count], None) for method in methods}
 
 
-def _outcome(
+def _result(
     true: ParameterSet, metrics: Mapping[str, float], values: FloatArray, rank: int | None
-) -> Outcome:
+) -> DrawResult:
     possible = [is_consistent(phi) for phi in true.link_phi(values)]
-    return Outcome(
+    return DrawResult(
         metrics=dict(metrics) | ({} if rank is None else {RANK: rank}),
         links=tuple(link_errors(true, values, true.values).tolist()),
         impossible=len(possible) - sum(possible),
@@ -141,7 +150,7 @@ def _outcome(
     )
 
 
-# What all draws of a data set share stays in each process that works on them.
+# All draws of a data set share these, so each process keeps them.
 
 
 @lru_cache(maxsize=16)
@@ -149,44 +158,29 @@ def _archive(file: Path) -> tuple[Observations, ...]:
     return load_archive(file)
 
 
-def _filtered(plan: Plan, space: Workspace, data: str, cutoff: float) -> _Filtered:
-    log, ideal = plan.data[data], plan.validation_of(data)
-    place = space.rows(log, log.sensors, cutoff)
-    other = space.rows(ideal, log.sensors, cutoff)
-    return _filtered_rows(place, other if plan.z.using == "validation" else None)
-
-
 @lru_cache(maxsize=16)
-def _filtered_rows(training: Path, validation: Path | None) -> _Filtered:
+def _filtered_rows(training: Path, validation: Path | None) -> _FilteredRows:
     (rows,) = _archive(training)
     other = None if validation is None else _archive(validation)[0].rows
-    return _Filtered(rows, LeastSquares(rows.rows, counts=rows.counts.diagonal()), other)
-
-
-def _judge(plan: Plan, space: Workspace, data: str) -> MotionEvaluator:
-    return _motion_judge(space, plan.validation_of(data), plan.judged_every)
+    return _FilteredRows(rows, LeastSquares(rows.rows, counts=rows.counts.diagonal()), other)
 
 
 @lru_cache(maxsize=2)
-def _motion_judge(space: Workspace, ideal: Log, every: float) -> MotionEvaluator:
-    true = truth(ideal, space)
-    motion = read_true_motion([space.log(ideal)], true.model)
+def _judge(folder: StudyFolder, ideal: SimulatedLog, interval: float) -> MotionEvaluator:
+    true = true_parameters(ideal, folder)
+    motion = read_true_motion([folder.log(ideal)], true.model)
     stamp = motion.samples.stamp
-    stride = max(1, round(every * 1e9 / float(np.median(np.diff(stamp)))))
+    stride = max(1, round(interval * 1e9 / float(np.median(np.diff(stamp)))))
     return MotionEvaluator(true, true.values, motion[::stride])
 
 
 @lru_cache(maxsize=1)
-def _loaded(space: Workspace, log: Log) -> LoadedProblem:
-    bag = space.log(log)
-    # In a tare the hoist carries the robot, which is no sensor of this log.
+def _loaded(folder: StudyFolder, log: SimulatedLog) -> LoadedProblem:
+    # Unchecked, as in a tare the overhead support carries the robot, and no sensor measures it.
     options = IdentifyOptions(
-        prior_percent=25.0,
-        friction=log.friction,
-        armature=log.friction,
-        unchecked=True,
+        prior_percent=25.0, friction=log.friction, armature=log.friction, unchecked=True
     )
-    return BagRequest((bag,), config_file("symbitron.xml"), options).load()
+    return BagRequest((folder.log(log),), config_file("symbitron.xml"), options).load()
 
 
 @lru_cache(maxsize=4)
@@ -195,93 +189,93 @@ def _tares(bag: Path) -> dict[str, Tare]:
 
 
 @lru_cache(maxsize=4)
-def _mass(space: Workspace, log: Log) -> float:
-    true = truth(log, space)
+def _mass(folder: StudyFolder, log: SimulatedLog) -> float:
+    true = true_parameters(log, folder)
     return float(true.values[: true.inertial : 10].sum())
 
 
 @dataclass(frozen=True)
-class Results:
-    """What every draw gave.
+class StudyResults:
+    """The results of all draws.
 
     Attributes
     ----------
     plan : Plan
-    space : Workspace
-    outcomes : dict of Case to list of Outcome
+    folder : StudyFolder
+    draws : dict of Case to list of DrawResult
         In the order of the draws.
     """
 
     plan: Plan
-    space: Workspace
-    outcomes: dict[Case, list[Outcome]]
+    folder: StudyFolder
+    draws: dict[Case, list[DrawResult]]
 
     @classmethod
-    def read(cls, plan: Plan, space: Workspace) -> "Results":
+    def read(cls, plan: Plan, folder: StudyFolder) -> "StudyResults":
         """Read all draws.
 
         Raises
         ------
         StudyError
-            When one is missing or not whole.
+            If a draw is missing or damaged.
         """
-        outcomes: dict[Case, list[Outcome]] = {}
+        draws: dict[Case, list[DrawResult]] = {}
         for data in plan.data:
             for spread in plan.priors:
                 for iteration in range(plan.iterations):
-                    draw = load_draw(space.draw(data, spread, iteration))
-                    for case, outcome in draw.items():
-                        outcomes.setdefault(case, []).append(outcome)
-        return cls(plan, space, outcomes)
+                    draw = load_draw(folder.draw(data, spread, iteration))
+                    for case, result in draw.items():
+                        draws.setdefault(case, []).append(result)
+        return cls(plan, folder, draws)
 
     @cached_property
     def scores(self) -> Scores:
         """Means over the draws."""
-        return Scores.of(self.outcomes)
+        return Scores.of(self.draws)
 
-    def parameters(self, data: str) -> ParameterSet:
-        """Return the columns of one data set with the true values."""
-        return truth(self.plan.data[data], self.space)
+    def true_parameters(self, data: str) -> ParameterSet:
+        """Return the parameters of one data set with their true values."""
+        return true_parameters(self.plan.data[data], self.folder)
 
-    def cutoff(self, method: str, wanted: float) -> float | None:
-        """Return the filter to look a method up with: some have none."""
-        return wanted if method in self.plan.truncated else None
+    def cutoff(self, method: str, cutoff: float) -> float | None:
+        """Return the filter of a method's `Case`: None for methods without a filter."""
+        return cutoff if method in self.plan.truncated_methods else None
 
-    def values(
-        self, data: str, spread: Spread, method: str, cutoff: float, iteration: int = 0
+    def estimate(
+        self, data: str, spread: PriorSpread, method: str, cutoff: float, iteration: int = 0
     ) -> FloatArray:
-        """Return the parameters (p,) that one method found in one draw.
+        """Return the parameters (p,) that one method estimated in one draw.
 
         Raises
         ------
         StudyError
-            When the study has no such draw.
+            If the study has no such draw.
         """
         case = Case(data, str(spread), method, self.cutoff(method, cutoff))
         try:
-            return np.array(self.outcomes[case][iteration].values)
+            return np.array(self.draws[case][iteration].values)
         except (KeyError, IndexError):
             raise StudyError(
-                f"{self.space.out}: no draw {iteration} of {case}; add it to the plan"
+                f"{self.folder.out}: no draw {iteration} of {case}; add it to the plan", "E707"
             ) from None
 
-    def link_errors(self, data: str, spread: Spread, cutoff: float) -> dict[str, FloatArray]:
-        """Return each method's mean error of every link (L,), %, by method."""
-        found = {}
-        for method in (REFERENCE, *self.plan.methods):
+    def link_errors(self, data: str, spread: PriorSpread, cutoff: float) -> dict[str, FloatArray]:
+        """Return each method's mean error of every link (L,), %."""
+        errors = {}
+        for method in self.plan.compared:
             case = Case(data, str(spread), method, self.cutoff(method, cutoff))
-            found[method] = np.mean([one.links for one in self.outcomes[case]], axis=0)
-        return found
+            errors[method] = np.mean([one.links for one in self.draws[case]], axis=0)
+        return errors
 
     def row_errors(self, data: str) -> dict[float, float]:
-        """Return by cutoff the norm per sample of y - K φ at the true parameters, N and Nm."""
+        """Return the RMS norm of y - K φ at the true parameters, N and Nm, by cutoff."""
         log = self.plan.data[data]
-        true = self.parameters(data).values
-        if not self.plan.truncated:
+        true = self.true_parameters(data).values
+        if not self.plan.truncated_methods:
             return {}
-        found = {}
+        errors = {}
         for cutoff in self.plan.filters:
-            (rows,) = load_archive(self.space.rows(log, log.sensors, cutoff))
+            (rows,) = load_archive(self.folder.rows(log, log.sensors, cutoff))
             squares = [error**2 for error in rows.rows.residual_rmse(true).values()]
-            found[cutoff] = float(np.sqrt(sum(squares)))
-        return found
+            errors[cutoff] = float(np.sqrt(sum(squares)))
+        return errors

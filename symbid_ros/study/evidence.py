@@ -1,4 +1,4 @@
-"""What a claim is examined on, and what comes of it."""
+"""The numbers on which the thesis's conclusions are checked, and how they are put into words."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -8,11 +8,11 @@ import numpy as np
 
 from symbid_ros.report.content import METRICS as TITLED
 from symbid_ros.report.formatting import significant
-from symbid_ros.study.plan import Spread
+from symbid_ros.study.plan import PriorSpread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Scores
 from symbid_ros.study.thesis import TITLES
 
-# Means over twenty priors scatter by a few percent: what differs by less is called a tie.
+# Relative difference below which two errors tie: means over twenty priors scatter by a few percent.
 TIE = 0.05
 MARGIN = f"{100 * TIE:g} %"
 NOUNS = dict(
@@ -23,41 +23,75 @@ NOUNS = dict(
     )
 )
 FORCE, COM, PARAMETERS = "gen_force_rmse", "com_position_rmse_mm", "parameter_error_pct"
+# The thesis's methods.
+FOUR = ("ols", "wls_r", "wls_c", "wls_rc")
+# Mean error of a prior's parameters above which it scales the columns badly, %.
+MISLEADING = 100.0
 
 
-def order(own: float, other: float) -> int:
-    """Return 1 where own is the smaller one, -1 where it is the larger, 0 where they tie."""
+@dataclass(frozen=True)
+class Conclusion:
+    """A claim, and whether the numbers of a study support it.
+
+    Attributes
+    ----------
+    claim : str
+        The claim and its source.
+    holds : bool or None
+        Whether the claim holds; None: in part.
+    finding : str
+        What the numbers show.
+    explanation : str
+        For a claim that does not hold throughout: what the numbers show of the reason.
+    """
+
+    claim: str
+    holds: bool | None
+    finding: str
+    explanation: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """`holds` in words."""
+        return {True: "holds", False: "does not hold", None: "holds in part"}[self.holds]
+
+
+def compare(own: float, other: float) -> int:
+    """Return 1 if own is smaller, -1 if it is larger, 0 if they tie."""
     return int(own * (1 + TIE) < other) - int(other * (1 + TIE) < own)
 
 
-def share(supporting: int, examined: int) -> bool | None:
-    """Return True where all support a claim, None where at least half do, otherwise False."""
-    if supporting == examined:
+def holds_by_share(supporting: int, total: int) -> bool | None:
+    """Return True if all cases support a claim, None if at least half do, otherwise False."""
+    if supporting == total:
         return True
-    return None if 2 * supporting >= examined and supporting else False
+    return None if 2 * supporting >= total and supporting else False
 
 
-def leads(orders: Sequence[int]) -> bool | None:
-    """Return True if ahead or tied throughout, None in at least half, False if ahead nowhere."""
+def holds_by_order(orders: Sequence[int]) -> bool | None:
+    """Return True if never behind, None if in at least half, False if behind more or never ahead.
+
+    The orders are those of :func:`compare`.
+    """
     if 1 not in orders:
         return False
-    return share(len(orders) - orders.count(-1), len(orders))
+    return holds_by_share(len(orders) - orders.count(-1), len(orders))
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One error of one method beside another figure.
+    """One error of a method compared with another value.
 
     Attributes
     ----------
     place : str
-        Where, such as the prior.
+        Where they are compared, such as the prior.
     metric : str
-        Which error.
+        The error's name.
     own, other : float
-        The two figures.
+        The two values.
     rival : str
-        Whose the other one is.
+        The method of the other value.
     """
 
     place: str
@@ -68,178 +102,61 @@ class Comparison:
 
     @property
     def order(self) -> int:
-        """1 where own is the smaller one, -1 where it is the larger, 0 where they tie."""
-        return order(self.own, self.other)
+        """1 if own is smaller, -1 if it is larger, 0 if they tie."""
+        return compare(self.own, self.other)
 
 
 @dataclass(frozen=True)
-class Tally:
-    """Comparisons, sorted by their outcome."""
+class ComparisonSet:
+    """Comparisons that decide one claim."""
 
     comparisons: tuple[Comparison, ...]
 
     def __len__(self) -> int:
         return len(self.comparisons)
 
-    def of(self, order: int) -> tuple[Comparison, ...]:
-        """Return those with this outcome."""
+    def with_order(self, order: int) -> tuple[Comparison, ...]:
+        """Return those of one order."""
         return tuple(one for one in self.comparisons if one.order == order)
 
     @property
     def holds(self) -> bool | None:
-        """Whether own is better, as `leads` says."""
-        return leads([one.order for one in self.comparisons])
-
-
-def factors(values: Iterable[float]) -> str:
-    """Return a range of factors in words."""
-    found = sorted(values)
-    low, high = significant(found[0], 2), significant(found[-1], 2)
-    return low if low == high else f"{low} to {high}"
-
-
-def mean_factor(values: Iterable[float]) -> float:
-    """Return the geometric mean."""
-    return float(np.exp(np.mean(np.log(list(values)))))
-
-
-def quantity(metric: str, value: float) -> str:
-    """Return an error with its unit."""
-    unit = TITLED[METRICS.index(metric)].unit.replace(",", " &")
-    return f"{significant(value)} {unit}"
-
-
-def filtered(cutoff: float) -> str:
-    """Return a filter in words."""
-    return f"filtered at {cutoff:g} Hz" if cutoff else "unfiltered"
-
-
-def listed(words: Iterable[str]) -> str:
-    """Return words as an enumeration."""
-    found = list(words)
-    return found[0] if len(found) == 1 else f"{', '.join(found[:-1])} and {found[-1]}"
-
-
-def unless(holds: bool | None, *reasons: str) -> str:
-    """Return the reasons that there are as one sentence, none for a claim that holds."""
-    found = "" if holds else "; ".join(filter(None, reasons))
-    return f"{found[0].upper()}{found[1:]}." if found else ""
-
-
-def errors_at(comparisons: Iterable[Comparison], with_rival: bool = False) -> str:
-    """Return which errors in which places, those of one prior (and rival) together."""
-    groups: dict[tuple[str, str], list[str]] = {}
-    for one in comparisons:
-        key = (one.place, one.rival if with_rival else "")
-        groups.setdefault(key, []).append(one.metric)
-    alike: dict[tuple[tuple[str, ...], str], list[str]] = {}
-    for (place, rival), metrics in groups.items():
-        alike.setdefault((tuple(metrics), rival), []).append(place)
-    parts = []
-    for (names, rival), places in alike.items():
-        what = "every error" if len(names) == len(METRICS) else listed(NOUNS[m] for m in names)
-        lead = f"{TITLES[rival]} in " if rival else ""
-        parts.append(f"{lead}{what} at {listed(places)}")
-    return ", ".join(parts)
-
-
-def standing(name: str, place: str, tally: Tally) -> str:
-    """Return how often a method has a place, where it ties, and where another has it."""
-    better, tied, worse = tally.of(1), tally.of(0), tally.of(-1)
-    text = f"{name} is {place} in {len(better) or 'none'} of {len(tally)} errors"
-    if tied:
-        text += f", within {MARGIN} in {len(tied)}"
-    return text + (f", behind {errors_at(worse, with_rival=True)}" if worse else "")
-
-
-# The thesis's methods of estimation.
-FOUR = ("ols", "wls_r", "wls_c", "wls_rc")
-# %: priors further off than the parameters are large scale columns at random.
-MISLEADING = 100.0
-
-
-@dataclass(frozen=True)
-class Conclusion:
-    """One claim, and what the numbers say of it.
-
-    Attributes
-    ----------
-    claim : str
-        What is claimed, and where.
-    holds : bool or None
-        Whether it does; None: in part.
-    sentence : str
-        What the numbers say.
-    because : str
-        Where it does not hold throughout, what the numbers show of the reason.
-    """
-
-    claim: str
-    holds: bool | None
-    sentence: str
-    because: str = ""
-
-    @property
-    def verdict(self) -> str:
-        """The outcome in words."""
-        return {True: "holds", False: "does not hold", None: "holds in part"}[self.holds]
+        """Whether own is smaller, as :func:`holds_by_order` decides."""
+        return holds_by_order([one.order for one in self.comparisons])
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Measurements on the rows that tell why a method fails.
-
-    Attributes
-    ----------
-    row_error : dict of float to float
-        By cutoff in Hz, rms over rows of y - K φ at the true parameters, N and Nm: how far noise
-        and filtering make the training rows inconsistent.
-    """
-
-    row_error: Mapping[float, float] = field(default_factory=dict)
-
-    @property
-    def words(self) -> str:
-        """The best and the worst of the filters, empty without measurements."""
-        finite = {cutoff: e for cutoff, e in self.row_error.items() if math.isfinite(e)}
-        if not finite:
-            return ""
-        ends = sorted({min(finite, key=finite.__getitem__), max(finite, key=finite.__getitem__)})
-        parts = [f"{significant(finite[cutoff])} N & Nm rms {filtered(cutoff)}" for cutoff in ends]
-        return f"with the true parameters the rows are off by {listed(parts)}"
-
-
-@dataclass(frozen=True)
-class Examination:
-    """The means on one data set.
+    """The mean errors on one data set, and what else was measured on it.
 
     Attributes
     ----------
     scores : Scores
-        All means.
+        Means of the study.
     data : str
         The data set.
-    priors : tuple of Spread
+    priors : tuple of PriorSpread
         How priors were drawn.
-    evidence : Evidence
-        What else was measured.
+    row_errors : dict of float to float
+        By cutoff in Hz, the RMS over rows of y - K φ at the true parameters, N and Nm: noise and
+        filtering make the rows inconsistent.
     """
 
     scores: Scores
     data: str
-    priors: tuple[Spread, ...]
-    evidence: Evidence
+    priors: tuple[PriorSpread, ...]
+    row_errors: Mapping[float, float] = field(default_factory=dict)
 
     def best(self, prior: str, method: str) -> Mapping[str, float]:
-        """Return the least errors over the filters; empty where one is missing or not finite."""
+        """Return the smallest errors over the filters; empty if one is missing or not finite."""
         return _complete(self.scores.best(self.data, prior, method))
 
     def at(self, prior: str, method: str, cutoff: float) -> Mapping[str, float]:
-        """Return the errors with one filter; empty where one is missing or not finite."""
+        """Return the errors with one filter; empty if one is missing or not finite."""
         return _complete(self.scores.at(self.data, prior, method, cutoff))
 
-    def with_prior(self, absolute: bool, *methods: str) -> list[str]:
-        """Return the priors of one kind, ascending, with which all these methods have errors."""
+    def priors_with(self, absolute: bool, *methods: str) -> list[str]:
+        """Return the priors of one kind, ascending, for which all these methods have errors."""
         kind = "absolute" if absolute else "percent"
         spreads = sorted(
             (spread for spread in self.priors if spread.kind == kind), key=lambda one: one.amount
@@ -250,80 +167,92 @@ class Examination:
             if all(self.best(str(spread), method) for method in methods)
         ]
 
-    def against(
+    def compare(
         self,
         own: str,
         rivals: Sequence[str],
         priors: Iterable[str],
         *,
-        figures: Callable[[str, str], Mapping[str, float]] | None = None,
+        errors: Callable[[str, str], Mapping[str, float]] | None = None,
         metrics: Sequence[str] = METRICS,
-    ) -> Tally:
-        """Compare a method's errors with the least of its rivals'.
+    ) -> ComparisonSet:
+        """Compare a method's errors with the smallest of its rivals'.
 
         Parameters
         ----------
         own, rivals : str, sequence of str
             The methods.
         priors : iterable of str
-            Where; all of the methods have their errors there.
-        figures : callable, optional
-            Errors by prior and method; the least over the filters by default.
+            Priors for which all of the methods have errors.
+        errors : callable, optional
+            Returns errors by prior and method; default: the smallest over the filters.
         metrics : sequence of str, optional
-            Which errors.
+            The errors to compare.
         """
-        found = []
-        take = figures or self.best
+        comparisons = []
+        errors = errors or self.best
         for prior in priors:
-            mine = take(prior, own)
-            theirs = {rival: take(prior, rival) for rival in rivals}
+            mine = errors(prior, own)
+            theirs = {rival: errors(prior, rival) for rival in rivals}
             for metric in metrics:
                 rival = min(theirs, key=lambda one: theirs[one][metric])
-                found.append(Comparison(prior, metric, mine[metric], theirs[rival][metric], rival))
-        return Tally(tuple(found))
+                comparison = Comparison(prior, metric, mine[metric], theirs[rival][metric], rival)
+                comparisons.append(comparison)
+        return ComparisonSet(tuple(comparisons))
 
-    def figures(self, prior: str, methods: Iterable[str], metric: str = COM) -> str:
+    def describe_errors(self, prior: str, methods: Iterable[str], metric: str = COM) -> str:
         """Return one error of several methods, such as "CoM position at ±25 %: OLS 20 mm, …"."""
-        told = [
-            f"{TITLES[method]} {quantity(metric, self.best(prior, method)[metric])}"
+        errors = [
+            f"{TITLES[method]} {format_error(metric, self.best(prior, method)[metric])}"
             for method in methods
         ]
-        return f"{NOUNS[metric]} at {prior}: {', '.join(told)}"
+        return f"{NOUNS[metric]} at {prior}: {', '.join(errors)}"
 
-    def ranks(self, prior: str, methods: Iterable[str]) -> str:
-        """Return how many singular values methods keep, empty where that is not known."""
-        told = [
-            f"{TITLES[method]} {significant(found[RANK])}"
+    def describe_ranks(self, prior: str, methods: Iterable[str]) -> str:
+        """Return how many singular values methods keep, empty if that is unknown."""
+        ranks = [
+            f"{TITLES[method]} {significant(errors[RANK])}"
             for method in methods
-            if RANK in (found := self.best(prior, method))
+            if RANK in (errors := self.best(prior, method))
         ]
-        return f"singular values kept at {prior}: {', '.join(told)}" if told else ""
+        return f"singular values kept at {prior}: {', '.join(ranks)}" if ranks else ""
 
-    def bought(self, prior: str, methods: Iterable[str]) -> str:
-        """Return :meth:`ranks`, and whether more of them serve the force alone, that chose them."""
-        found = {method: self.best(prior, method) for method in methods}
-        kept = sorted((f for f in found.values() if RANK in f), key=lambda one: one[RANK])
-        text = self.ranks(prior, found)
-        if len(kept) > 1:
-            few, many = kept[0], kept[-1]
+    def describe_rank_effect(self, prior: str, methods: Iterable[str]) -> str:
+        """Return the ranks, and whether a higher rank improves only the force that selects it."""
+        errors = {method: self.best(prior, method) for method in methods}
+        ranked = sorted((e for e in errors.values() if RANK in e), key=lambda one: one[RANK])
+        text = self.describe_ranks(prior, errors)
+        if len(ranked) > 1:
+            few, many = ranked[0], ranked[-1]
             if many[FORCE] < few[FORCE] and many[COM] > few[COM]:
                 text += (
-                    f"; from the fewest to the most of them the {NOUNS[FORCE]}, which chose them, "
-                    f"improves from {quantity(FORCE, few[FORCE])} to "
-                    f"{quantity(FORCE, many[FORCE])}, while the {NOUNS[COM]} worsens from "
-                    f"{quantity(COM, few[COM])} to {quantity(COM, many[COM])}"
+                    f"; from the fewest to the most, the {NOUNS[FORCE]}, by which the number is "
+                    f"selected, improves from {format_error(FORCE, few[FORCE])} to "
+                    f"{format_error(FORCE, many[FORCE])}, while the {NOUNS[COM]} worsens from "
+                    f"{format_error(COM, few[COM])} to {format_error(COM, many[COM])}"
                 )
         return text
 
-    def wrong_scales(self, prior: str) -> str:
-        """Return how far priors are off that scale the columns, empty where that is little."""
-        off = self.best(prior, REFERENCE).get(PARAMETERS, 0.0)
-        if off < MISLEADING:
+    def describe_column_scales(self, prior: str) -> str:
+        """Return how far off the priors are that scale the columns, empty if they are close."""
+        error = self.best(prior, REFERENCE).get(PARAMETERS, 0.0)
+        if error < MISLEADING:
             return ""
         return (
-            f"the prior's parameters are off by {quantity(PARAMETERS, off)} on average, and so are "
-            "the scales of the columns"
+            f"the prior's parameters are off by {format_error(PARAMETERS, error)} on average, and "
+            "so are the column scales"
         )
+
+    def describe_row_errors(self) -> str:
+        """Return the filters with the smallest and largest row errors, empty without any."""
+        finite = {cutoff: e for cutoff, e in self.row_errors.items() if math.isfinite(e)}
+        if not finite:
+            return ""
+        ends = sorted({min(finite, key=finite.__getitem__), max(finite, key=finite.__getitem__)})
+        parts = [
+            f"{significant(finite[cutoff])} N & Nm RMS {describe_filter(cutoff)}" for cutoff in ends
+        ]
+        return f"at the true parameters the rows are off by {enumerate_words(parts)}"
 
 
 def _complete(means: Mapping[str, float]) -> Mapping[str, float]:
@@ -331,5 +260,67 @@ def _complete(means: Mapping[str, float]) -> Mapping[str, float]:
 
 
 def middle(priors: Sequence[str]) -> str:
-    """Return the prior whose figures are told as an example."""
+    """Return the prior of medium width, whose errors serve as an example."""
     return priors[len(priors) // 2]
+
+
+def format_range(values: Iterable[float]) -> str:
+    """Return the smallest and the largest value in words."""
+    ordered = sorted(values)
+    low, high = significant(ordered[0], 2), significant(ordered[-1], 2)
+    return low if low == high else f"{low} to {high}"
+
+
+def geometric_mean(values: Iterable[float]) -> float:
+    """Return the geometric mean."""
+    return float(np.exp(np.mean(np.log(list(values)))))
+
+
+def format_error(metric: str, value: float) -> str:
+    """Return an error with its unit."""
+    unit = TITLED[METRICS.index(metric)].unit.replace(",", " &")
+    return f"{significant(value)} {unit}"
+
+
+def describe_filter(cutoff: float) -> str:
+    """Return a filter in words."""
+    return f"filtered at {cutoff:g} Hz" if cutoff else "unfiltered"
+
+
+def enumerate_words(words: Iterable[str]) -> str:
+    """Return words as "A, B and C"."""
+    items = list(words)
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
+
+
+def explain(holds: bool | None, *reasons: str) -> str:
+    """Return the nonempty reasons as one sentence; empty for a claim that holds."""
+    text = "" if holds else "; ".join(filter(None, reasons))
+    return f"{text[0].upper()}{text[1:]}." if text else ""
+
+
+def enumerate_errors(comparisons: Iterable[Comparison], with_rival: bool = False) -> str:
+    """Return the errors and where they occur, grouped by prior (and rival)."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for one in comparisons:
+        key = (one.place, one.rival if with_rival else "")
+        groups.setdefault(key, []).append(one.metric)
+    places_of: dict[tuple[tuple[str, ...], str], list[str]] = {}
+    for (place, rival), metrics in groups.items():
+        places_of.setdefault((tuple(metrics), rival), []).append(place)
+    parts = []
+    for (names, rival), places in places_of.items():
+        every = len(names) == len(METRICS)
+        errors = "every error" if every else enumerate_words(NOUNS[m] for m in names)
+        lead = f"{TITLES[rival]} in " if rival else ""
+        parts.append(f"{lead}{errors} at {enumerate_words(places)}")
+    return ", ".join(parts)
+
+
+def describe_lead(name: str, place: str, compared: ComparisonSet) -> str:
+    """Return how often a method is in a place, how often it ties, and where others are ahead."""
+    better, tied, worse = (compared.with_order(order) for order in (1, 0, -1))
+    text = f"{name} is {place} in {len(better) or 'none'} of {len(compared)} errors"
+    if tied:
+        text += f", within {MARGIN} in {len(tied)}"
+    return text + (f", behind {enumerate_errors(worse, with_rival=True)}" if worse else "")

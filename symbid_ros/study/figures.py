@@ -156,7 +156,7 @@ def closed_loop_drawing(runs: Mapping[str, Sequence[BalanceResult]], about: str)
     """
     for label, own in runs.items():
         if not own:
-            raise StudyError(f"closed loop of {label}: no runs; leave it out of the figure")
+            raise StudyError(f"closed loop of {label}: no runs; leave it out of the figure", "E709")
     styles = looks(runs)
     errors = {k: np.array([run.com_rmse_mm for run in own]) for k, own in runs.items()}
     shares = {k: np.array([100 * run.feed_forward_share for run in own]) for k, own in runs.items()}
@@ -280,7 +280,9 @@ def comparison_drawing(
     }
     drawn = [method for method in methods if any(found[name, method] for name in data)]
     if not drawn:
-        raise StudyError(f"no scores of {prior} for {', '.join(data)}; draw what the study has")
+        raise StudyError(
+            f"no scores of {prior} for {', '.join(data)}; draw what the study has", "E709"
+        )
     styles = looks(LABELS[method] for method in drawn)
     shift = np.linspace(-0.3, 0.3, len(drawn)) if len(drawn) > 1 else np.zeros(1)
     height = 0.6 + max(0.3, 0.05 * len(drawn)) * len(data)
@@ -347,7 +349,7 @@ def grid_drawing(
     """
     drawn = [method for method in methods if scores.filters(data, prior, method)]
     if not drawn:
-        raise StudyError(f"no scores of {prior} for {data}; draw what the study has")
+        raise StudyError(f"no scores of {prior} for {data}; draw what the study has", "E709")
     tried = {c for m in drawn for c in scores.filters(data, prior, m) if c is not None}
     # Without a filter nothing is cut off: that lies beyond the highest cutoff.
     cutoffs = [*sorted(tried - {0.0}), *sorted(tried & {0.0})]

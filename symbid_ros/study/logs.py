@@ -1,4 +1,4 @@
-"""Simulated logs of a study, and the robots in them."""
+"""Simulated logs, the robots in them, and their rows behind each filter."""
 
 import shutil
 from functools import lru_cache
@@ -17,44 +17,66 @@ from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.study.plan import Log
-from symbid_ros.study.sensor_subsets import Sensing, observe_sensed
-from symbid_ros.study.workspace import Workspace
+from symbid_ros.study.plan import SimulatedLog
+from symbid_ros.study.sensor_subsets import SensorSubset, observe_subset
+from symbid_ros.study.study_folder import StudyFolder
 
-# Between the seeds of a log's noise and its tare's: one and the same noise would cancel.
-TARE_APART = 100_000
+# Distance between the noise seeds of a log and its tare; equal noise would cancel.
+TARE_SEED_OFFSET = 100_000
 
 
-def record_log(log: Log, space: Workspace) -> None:
-    """Simulate a log and write its bag, and the robot as simulated beside it."""
+def record_log(log: SimulatedLog, folder: StudyFolder) -> None:
+    """Simulate a log, and write its bag and the simulated robot."""
     simulator = Simulator(log.scenario, moves=log.moves, **_options(log))
-    write_text(space.robot(log), simulator.robot)
-    _record_whole(simulator, space.log(log))
+    write_text(folder.robot(log), simulator.robot)
+    _record_atomically(simulator, folder.log(log))
 
 
-def record_tare(log: Log, space: Workspace) -> None:
-    """Let the same robot hang still."""
-    options = _options(log) | {"noise_seed": log.noise_seed + TARE_APART}
-    _record_whole(Simulator("tare", **options), space.tare(log))
+def record_tare(log: SimulatedLog, folder: StudyFolder) -> None:
+    """Simulate the same robot hanging still, and write its bag."""
+    options = _options(log) | {"noise_seed": log.noise_seed + TARE_SEED_OFFSET}
+    _record_atomically(Simulator("tare", **options), folder.tare(log))
+
+
+def fold_rows(
+    log: SimulatedLog,
+    folder: StudyFolder,
+    sensors: SensorSubset,
+    cutoff: float | None,
+    channels: Channels,
+) -> None:
+    """Write a log's rows behind one filter; cutoff None: averaged over windows."""
+    low_pass = None if cutoff is None else LowPass(cutoff, channels)
+    parameters = nominal_parameters(log)
+    bag = folder.log(log)
+    dataset = fold_dataset(_segments(bag, log), str(bag), parameters, Processing(low_pass))
+    write_archive(folder.rows(log, sensors, cutoff), observe_subset(dataset, parameters, sensors))
+
+
+# One log after the other: all filters of a log use the same reading of its bag.
+@lru_cache(maxsize=1)
+def _segments(bag: Path, log: SimulatedLog) -> tuple[Segment, ...]:
+    model = nominal_parameters(log).model
+    return AlignedLog(bag_log([bag], model), model).contiguous_segments()
 
 
 @lru_cache(maxsize=4)
-def identified(log: Log) -> ParameterSet:
-    """Return the columns to identify: kinematics and inertias of the file that ships."""
+def nominal_parameters(log: SimulatedLog) -> ParameterSet:
+    """Return the parameters to identify, of the robot model that ships with the package."""
     return ParameterSet(load_model(config_file("symbitron.xml")), _terms(log))
 
 
 @lru_cache(maxsize=4)
-def truth(log: Log, space: Workspace) -> ParameterSet:
-    """Return the same columns of the robot that was simulated."""
-    return ParameterSet(load_model(space.robot(log)), _terms(log))
+def true_parameters(log: SimulatedLog, folder: StudyFolder) -> ParameterSet:
+    """Return the same parameters of the simulated robot."""
+    return ParameterSet(load_model(folder.robot(log)), _terms(log))
 
 
-def _terms(log: Log) -> tuple[Term, ...]:
+def _terms(log: SimulatedLog) -> tuple[Term, ...]:
     return ("viscous", "coulomb", "armature") if log.friction else ()
 
 
-def _options(log: Log) -> dict[str, Any]:
+def _options(log: SimulatedLog) -> dict[str, Any]:
     return {
         "motion_seed": log.motion_seed,
         "noise_seed": log.noise_seed,
@@ -66,29 +88,11 @@ def _options(log: Log) -> dict[str, Any]:
     }
 
 
-def _record_whole(simulator: Simulator, bag: Path) -> None:
-    """Write a bag beside its place, then move it there: what is in its place is whole."""
-    begun = bag.parent / ".begun" / bag.name  # by which its file is named, too
-    shutil.rmtree(begun, ignore_errors=True)
-    begun.parent.mkdir(parents=True, exist_ok=True)
-    record(simulator, begun)
-    begun.rename(bag)
-
-
-def fold_rows(
-    log: Log, space: Workspace, sensing: Sensing, cutoff: float | None, channels: Channels
-) -> None:
-    """Write a log's rows behind one filter; None: averaged over windows."""
-    smoothing = None if cutoff is None else LowPass(cutoff, channels)
-    parameters = identified(log)
-    bag = space.log(log)
-    record = fold_dataset(_segments(bag, log), str(bag), parameters, Processing(smoothing))
-    observations = observe_sensed(record, parameters, sensing)
-    write_archive(space.rows(log, sensing, cutoff), observations)
-
-
-# One log after the other: all filters of one see what was read once.
-@lru_cache(maxsize=1)
-def _segments(bag: Path, log: Log) -> tuple[Segment, ...]:
-    model = identified(log).model
-    return AlignedLog(bag_log([bag], model), model).contiguous_segments()
+def _record_atomically(simulator: Simulator, bag: Path) -> None:
+    """Write a bag to a temporary folder and then move it, so that existing bags are complete."""
+    # The bag's file is named after its folder, which therefore has the final name already.
+    unfinished = bag.parent / ".begun" / bag.name
+    shutil.rmtree(unfinished, ignore_errors=True)
+    unfinished.parent.mkdir(parents=True, exist_ok=True)
+    record(simulator, unfinished)
+    unfinished.rename(bag)

@@ -1,38 +1,45 @@
-"""What a study compares, checked entry by entry."""
+"""The schema of a study's file: logs, priors, filters, methods and figures."""
 
 import difflib
-from typing import Annotated, Any, Literal, Self, get_args
+from collections.abc import Iterable
+from typing import Annotated, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from symbid_ros.choices import GAUSSIAN, METHODS, Channels, Criterion, Method
 from symbid_ros.estimation.prior import Kind
-from symbid_ros.study.scores import METRICS
-from symbid_ros.study.sensor_subsets import Sensing
+from symbid_ros.study.scores import METRICS, REFERENCE
+from symbid_ros.study.sensor_subsets import SensorSubset
 
 Seed = Annotated[int, Field(ge=0)]
 Count = Annotated[int, Field(ge=1, le=1000)]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]*$", max_length=40)]
+Amount = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Frequency = Annotated[float, Field(ge=0, lt=500, allow_inf_nan=False)]
+
+Metric = Literal["gen_force", "torque", "com", "momentum", "parameters"]
+METRIC_KEYS: dict[Metric, str] = dict(zip(get_args(Metric), METRICS, strict=True))
 
 
-class Part(BaseModel):
-    """An entry of the file; what it does not know is an error."""
+class PlanEntry(BaseModel):
+    """An entry of the file; an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
-class Log(Part):
-    """A simulated log.
+class SimulatedLog(PlanEntry):
+    """A log to simulate.
 
     Attributes
     ----------
     scenario : {"smooth", "vibrating", "squat", "suspended"}
-        What the robot does.
+        The robot's motion.
     moves : int
-        Number of moves: the log's length.
+        Number of moves, which sets the length of the log.
     motion_seed, noise_seed, error_seed : int
-        Of the motion, the sensors' noise, and their systematic errors.
+        Seeds of the motion, of the sensor noise and of the systematic errors.
     noise : float
-        Factor on the deviations of noise.yaml; 0 leaves ideal sensors.
+        Factor on the standard deviations of noise.yaml; 0: ideal sensors.
     friction : bool
         Whether the joints have friction and armature.
     errors : str
@@ -50,7 +57,7 @@ class Log(Part):
 
     @property
     def identity(self) -> str:
-        """What tells its bag from other logs': equal logs are one."""
+        """The name of its bag; equal logs have equal names and are simulated once."""
         parts = [f"{self.scenario} of {self.moves} moves {self.motion_seed}"]
         parts.append(f"noise {self.noise:g} x {self.noise_seed}" if self.noise else "no noise")
         parts += ["friction"] if self.friction else []
@@ -58,46 +65,38 @@ class Log(Part):
         return ", ".join(parts)
 
 
-class DataSet(Log):
+class DataSet(SimulatedLog):
     """A log to identify from.
 
     Attributes
     ----------
     sensors : {"all", "base_rows", "joint_rows", "no_plates"}
-        Which rows of the equation of motion there are.
+        The rows of the equation of motion that are used.
     cure : bool
-        Let `map` and `map_lmi` find the sensors' errors, with a tare and a weighing.
+        Whether `map` and `map_lmi` estimate the sensor errors, with a tare and a weighing.
     """
 
-    sensors: Sensing = "all"
+    sensors: SensorSubset = "all"
     cure: bool = False
 
     @model_validator(mode="after")
-    def _possible(self) -> Self:
+    def _check_usable(self) -> Self:
         if self.noise == 0:
-            raise ValueError("data without any noise decide everything; give noise above 0")
+            raise ValueError("data to identify from need noise; set noise above 0")
         if self.cure and self.sensors != "all":
-            raise ValueError("cure needs all sensors")
+            raise ValueError("cure needs all sensors; set sensors to all")
         return self
 
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._+-]*$", max_length=40)]
-Amount = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Frequency = Annotated[float, Field(ge=0, lt=500, allow_inf_nan=False)]
-
-Metric = Literal["gen_force", "torque", "com", "momentum", "parameters"]
-METRIC_KEYS: dict[Metric, str] = dict(zip(get_args(Metric), METRICS, strict=True))
-
-
-class Spread(Part):
-    """How priors are drawn about the truth: one of three ways (see `symbid prior`)."""
+class PriorSpread(PlanEntry):
+    """How far priors are drawn from the truth, in one of three ways (see `symbid prior`)."""
 
     percent: Amount | None = None
     absolute: Amount | None = None
     consistent: Amount | None = None
 
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _check_single(self) -> Self:
         if len(self.model_fields_set) != 1:
             raise ValueError("give one of percent, absolute and consistent")
         return self
@@ -113,43 +112,43 @@ class Spread(Part):
         return self.percent or self.absolute or self.consistent or 0.0
 
     def __str__(self) -> str:
-        """Return what a table says of it."""
+        """Return its label in tables."""
         unit = {"percent": " %", "absolute": "", "consistent": " % (possible links)"}[self.kind]
         return f"±{self.amount:g}{unit}"
 
 
-class Selection(Part):
-    """How the truncated methods choose z.
+class RankSelection(PlanEntry):
+    """How the truncated methods choose z, the number of singular values.
 
     Attributes
     ----------
     by : {"gen_force", "torque", "com"}
-        What to predict well.
+        The prediction error to minimise.
     using : {"validation", "itself"}
-        The ideal validation log, or the log itself: no data kept apart.
+        The ideal validation log, or the log itself, without validation data.
     """
 
     by: Criterion = "gen_force"
     using: Literal["validation", "itself"] = "validation"
 
 
-class Figures(Part):
-    """What the thesis's figures are drawn of.
+class FigurePlan(PlanEntry):
+    """Data and filters of the thesis's figures.
 
     Attributes
     ----------
     data : str
         The data set identified from.
-    prior : Spread
-        Of Fig. 3 to 6.
+    prior : PriorSpread
+        The prior of Fig. 3 to 6.
     com, torque, momentum : float
-        Hz, cutoffs of the WLS-RC estimates in Fig. 3, 4 and 5.
+        Cutoffs of the WLS-RC estimates in Fig. 3, 4 and 5, Hz.
     links, parameters : float
-        Hz, those of Fig. 6 and of Table D.1.
+        Cutoffs for Fig. 6 and Table D.1, Hz.
     """
 
     data: Name
-    prior: Spread
+    prior: PriorSpread
     com: Frequency
     torque: Frequency
     momentum: Frequency
@@ -157,152 +156,159 @@ class Figures(Part):
     parameters: Frequency
 
 
-class Accelerations(Part):
-    """What a filter does to joint accelerations (thesis, Eq. 4.2 and Fig. 4.3)."""
+class AccelerationPlan(PlanEntry):
+    """Logs whose joint accelerations are filtered (thesis, Eq. 4.2 and Fig. 4.3)."""
 
     cutoff: Annotated[float, Field(gt=0, lt=500)]
-    logs: dict[Name, Log]
+    logs: dict[Name, SimulatedLog]
 
 
-class ClosedLoop(Part):
-    """The balance controller at work with priors, estimates and the truth.
+class ClosedLoopPlan(PlanEntry):
+    """Runs of the balance controller with priors, estimates and the true model.
 
     Attributes
     ----------
-    priors : list of Spread
+    priors : list of PriorSpread
     iterations : int
-        Priors of each kind.
+        Number of draws of each prior.
     data : str
         The data set identified from.
     filter : float
-        Hz, of the truncated methods' rows.
+        Cutoff of the truncated methods' rows, Hz.
     moves, motion_seed : int
-        The motion the controller is to follow.
+        The motion that the controller follows.
     """
 
     data: Name
-    priors: list[Spread]
+    priors: list[PriorSpread]
     iterations: Count = 5
     filter: Frequency = 30.0
     moves: Count = 6
     motion_seed: Seed = 7
 
 
-class Plan(Part):
+class Plan(PlanEntry):
     """One study.
 
     Attributes
     ----------
     title, about : str
-        What the page says at its head.
+        Heading and introduction of the page.
     thesis : bool
-        Whether the thesis's own figures stand beside ours, and its conclusions are examined.
+        Whether to show the thesis's values next to ours and to check its conclusions.
     data : dict of str to DataSet
-        What to identify from.
-    validation : Log
-        Ideal, of other moves: z is chosen and all are judged by it.
+        Logs to identify from.
+    validation : SimulatedLog
+        Ideal log of another motion, on which z is chosen and all estimates are evaluated.
     judged_every : float
-        s, between the instants at which predictions are judged.
-    priors : list of Spread
+        Interval between evaluated samples, s.
+    priors : list of PriorSpread
     iterations : int
-        Priors drawn of each.
+        Number of draws of each prior.
     prior_seed : int
-        Of the first draw; the others follow.
+        Seed of the first draw; the following draws count up from it.
     filters : list of float
-        Hz, cutoffs of the rows of the truncated methods; 0: unfiltered.
+        Cutoffs of the truncated methods' rows, Hz; 0: unfiltered.
     channels : {"all", "thesis"}
-        Which channels are filtered.
+        Filtered channels.
     methods : list of str
-        Beside the prior itself.
-    z : Selection
+        Methods to compare with the prior.
+    z : RankSelection
     metrics : list of str
-        What tables and figures show; all of them are worked out.
-    figures : Figures or None
-    accelerations : Accelerations or None
-    equation : Log or None
-        Motion on which the equation of motion is checked, with friction and without (Appendix B).
-    closed_loop : ClosedLoop or None
+        Errors shown in tables and figures; all are computed.
+    figures : FigurePlan or None
+    accelerations : AccelerationPlan or None
+    equation : SimulatedLog or None
+        Motion on which the equation of motion is checked, with and without friction (Appendix B).
+    closed_loop : ClosedLoopPlan or None
     """
 
     title: str
     about: str = ""
     thesis: bool = False
     data: dict[Name, DataSet] = Field(min_length=1)
-    validation: Log = Log(motion_seed=2, noise=0.0)
+    validation: SimulatedLog = SimulatedLog(motion_seed=2, noise=0.0)
     judged_every: Annotated[float, Field(ge=0.001, le=1.0)] = 0.01
-    priors: list[Spread] = Field(min_length=1)
+    priors: list[PriorSpread] = Field(min_length=1)
     iterations: Count = 20
     prior_seed: Seed = 0
     filters: list[Frequency] = Field(default=[30.0], min_length=1)
     channels: Channels = "all"
     methods: list[Method] = Field(default=list(METHODS), min_length=1)
-    z: Selection = Selection()
+    z: RankSelection = RankSelection()
     metrics: list[Metric] = Field(default=list(METRIC_KEYS), min_length=1)
-    figures: Figures | None = None
-    accelerations: Accelerations | None = None
-    equation: Log | None = None
-    closed_loop: ClosedLoop | None = None
+    figures: FigurePlan | None = None
+    accelerations: AccelerationPlan | None = None
+    equation: SimulatedLog | None = None
+    closed_loop: ClosedLoopPlan | None = None
 
     @model_validator(mode="after")
-    def _consistent(self) -> Self:
-        for where, repeated in (
+    def _check_consistent(self) -> Self:
+        for where, values in (
             ("priors", [str(spread) for spread in self.priors]),
             ("filters", self.filters),
             ("methods", self.methods),
             ("metrics", self.metrics),
         ):
-            if len(set(repeated)) != len(repeated):
-                raise ValueError(f"{where} repeat; name each once")
+            if len(set(values)) != len(values):
+                raise ValueError(f"{where} repeat an entry; list each once")
         for where, log in (("validation", self.validation), ("equation", self.equation)):
             if log is not None and (log.noise or log.errors):
-                raise ValueError(f"{where}: what others are judged by is ideal; noise 0, no errors")
+                raise ValueError(f"{where}: must be an ideal log; set noise to 0 and errors to ''")
         for where, part in (("figures", self.figures), ("closed_loop", self.closed_loop)):
             if part is not None and part.data not in self.data:
                 raise ValueError(
-                    f"{where}: no data set {part.data!r}{nearest(part.data, self.data)}"
+                    f"{where}: unknown data set {part.data!r}{did_you_mean(part.data, self.data)}"
                 )
         if self.figures is not None:
-            self._drawn(self.figures)
+            self._check_figures(self.figures)
         if self.closed_loop is not None:
             for spread in self.closed_loop.priors:
-                self._included("closed_loop", spread, [self.closed_loop.filter])
+                self._check_included("closed_loop", spread, [self.closed_loop.filter])
             if self.closed_loop.iterations > self.iterations:
-                raise ValueError("closed_loop has more iterations than the study; lower them")
+                raise ValueError(
+                    f"closed_loop.iterations is more than the study's {self.iterations}; lower it"
+                )
         return self
 
-    def validation_of(self, data: str) -> Log:
-        """Return the ideal log by which estimates from one data set are judged."""
+    def validation_log(self, data: str) -> SimulatedLog:
+        """Return the ideal log on which estimates from one data set are evaluated."""
         return self.validation.model_copy(update={"friction": self.data[data].friction})
 
-    def realistic_of(self, data: str) -> Log:
-        """Return the same log seen through noisy sensors, as a robot would."""
-        return self.validation_of(data).model_copy(update={"noise": 1.0})
+    def noisy_validation_log(self, data: str) -> SimulatedLog:
+        """Return the same log with sensor noise, as a real robot would record it."""
+        return self.validation_log(data).model_copy(update={"noise": 1.0})
 
     @property
-    def shown(self) -> tuple[str, ...]:
-        """The metrics shown, by their names in scores."""
+    def shown_metrics(self) -> tuple[str, ...]:
+        """The metrics to show, by their names in `Scores`."""
         return tuple(METRIC_KEYS[name] for name in METRIC_KEYS if name in self.metrics)
 
     @property
-    def truncated(self) -> list[Method]:
-        """The thesis's methods among those compared."""
+    def compared(self) -> list[str]:
+        """The prior, under its name in `Scores`, and all methods."""
+        return [REFERENCE, *self.methods]
+
+    @property
+    def truncated_methods(self) -> list[Method]:
+        """Those of the methods that truncate singular values: the thesis's."""
         return [method for method in self.methods if method not in GAUSSIAN]
 
-    def _drawn(self, figures: Figures) -> None:
+    def _check_figures(self, figures: FigurePlan) -> None:
         cutoffs = [figures.com, figures.torque, figures.momentum, figures.links, figures.parameters]
-        self._included("figures", figures.prior, cutoffs)
+        self._check_included("figures", figures.prior, cutoffs)
         if "wls_rc" not in self.methods:
-            raise ValueError("figures show wls_rc, which is not among the methods; add it")
+            raise ValueError("figures show wls_rc, which is missing from methods; add it")
 
-    def _included(self, where: str, spread: Spread, cutoffs: list[float]) -> None:
+    def _check_included(self, where: str, spread: PriorSpread, cutoffs: list[float]) -> None:
         if spread not in self.priors:
-            raise ValueError(f"{where}: a prior of {spread} is not among priors; add it there")
+            raise ValueError(f"{where}: prior {spread} is missing from priors; add it there")
         missing = [cutoff for cutoff in cutoffs if cutoff not in self.filters]
         if missing:
-            raise ValueError(f"{where}: {missing[0]:g} Hz is not among filters; add it there")
+            raise ValueError(f"{where}: {missing[0]:g} Hz is missing from filters; add it there")
 
 
-def nearest(name: str, known: Any) -> str:
-    """Return a suggestion for a misspelt name, empty where nothing comes near."""
-    close = difflib.get_close_matches(str(name), [str(one) for one in known], n=1)
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """Return a suggestion for a misspelt name, empty if no known name is similar."""
+    close = difflib.get_close_matches(name, list(known), n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""

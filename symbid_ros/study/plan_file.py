@@ -1,7 +1,6 @@
-"""Plans as YAML files: those that ship, and a user's own."""
+"""Plans as YAML files: those that ship with the package, and a user's own."""
 
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
@@ -9,16 +8,16 @@ from symbid_ros.errors import StudyError
 from symbid_ros.package_paths import config_file, share_directory
 from symbid_ros.safe_yaml import load_yaml
 from symbid_ros.study.plan import (
-    Accelerations,
-    ClosedLoop,
+    AccelerationPlan,
+    ClosedLoopPlan,
     DataSet,
-    Figures,
-    Log,
-    Part,
+    FigurePlan,
     Plan,
-    Selection,
-    Spread,
-    nearest,
+    PlanEntry,
+    PriorSpread,
+    RankSelection,
+    SimulatedLog,
+    did_you_mean,
 )
 
 
@@ -29,77 +28,77 @@ def load_plan(name: str) -> tuple[Plan, Path]:
     -------
     plan : Plan
     path : Path
-        Where it was read.
+        The file that was read.
 
     Raises
     ------
     StudyError
-        When there is no such study or file, or an entry of it is wrong; the message names the
-        entry and, where one comes near, what may have been meant.
+        If the study or file does not exist, or an entry is invalid. The message names the entry
+        and suggests the most similar known name.
     """
     path = Path(name)
     if path.suffix not in (".yaml", ".yml"):
-        known = {file.stem.removeprefix("study_"): file.name for file in studies()}
+        known = {file.stem.removeprefix("study_"): file.name for file in shipped_studies()}
         if name not in known:
             raise StudyError(
-                f"no study {name!r}{nearest(name, known)}; choose one of "
-                f"{', '.join(sorted(known))}, or name a YAML file"
+                f"unknown study {name!r}{did_you_mean(name, known)}; choose one of "
+                f"{', '.join(sorted(known))}, or give a .yaml file",
+                "E701",
             )
         path = config_file(known[name])
     try:
         content = load_yaml(path)
     except OSError as error:
         raise StudyError(
-            f"{path}: cannot be read ({error.strerror}); name an existing file"
+            f"{path}: cannot be read ({error.strerror}); give an existing file", "E701"
         ) from None
     except ValueError as error:
-        raise StudyError(f"{path}: {error}; correct that line") from None
+        raise StudyError(f"{path}: {error}; correct that line", "E702") from None
     if not isinstance(content, dict):
-        raise StudyError(f"{path}: no study; begin with title, data and priors")
+        raise StudyError(f"{path}: not a study; start with title, data and priors", "E702")
     try:
         return Plan.model_validate(content), path
     except ValidationError as error:
         # A key of the file may hold a line break.
-        fault = " ".join(_first_fault(error, content).split())
-        raise StudyError(f"{path}: {fault}") from None
+        fault = " ".join(_first_fault(error).split())
+        raise StudyError(f"{path}: {fault}", "E702") from None
 
 
-def studies() -> list[Path]:
-    """Return the studies that ship with the package."""
+def shipped_studies() -> list[Path]:
+    """Return the files of the studies that ship with the package."""
     return sorted((share_directory() / "config").glob("study_*.yaml"))
 
 
-def _first_fault(error: ValidationError, content: dict[str, Any]) -> str:
-    """Return the first thing that is wrong, where it is and what may have been meant."""
+def _first_fault(error: ValidationError) -> str:
+    """Return the first fault: the entry, the reason and a suggestion."""
     faults = error.errors(include_url=False)
-    # A misspelt key makes another one missing, too.
+    # A misspelt key also makes the correct one missing, so it is reported first.
     fault = next((one for one in faults if one["type"] == "extra_forbidden"), faults[0])
     where = ".".join(str(step) for step in fault["loc"])
     if fault["type"] == "extra_forbidden":
-        fields = _fields_at(fault["loc"][:-1])
-        return f"unknown key {where}{nearest(str(fault['loc'][-1]), fields)}; known are " + (
-            ", ".join(fields)
-        )
-    # Of an error that a check of ours raised, pydantic's message begins with "Value error, ".
+        fields = _known_keys(fault["loc"][:-1])
+        suggestion = did_you_mean(str(fault["loc"][-1]), fields)
+        return f"unknown key {where}{suggestion}; known keys are {', '.join(fields)}"
+    # Pydantic puts "Value error, " before the messages of our own validators.
     message = str(fault.get("ctx", {}).get("error", fault["msg"]))
     return f"{where}: {message}" if where else message
 
 
-def _fields_at(loc: tuple[int | str, ...]) -> list[str]:
-    """Return the keys that an entry may have."""
-    names: dict[str, type[Part]] = {
+def _known_keys(loc: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that the entry at ``loc`` may have."""
+    names: dict[str, type[PlanEntry]] = {
         "data": DataSet,
-        "validation": Log,
-        "equation": Log,
-        "logs": Log,
-        "priors": Spread,
-        "prior": Spread,
-        "z": Selection,
-        "figures": Figures,
-        "accelerations": Accelerations,
-        "closed_loop": ClosedLoop,
+        "validation": SimulatedLog,
+        "equation": SimulatedLog,
+        "logs": SimulatedLog,
+        "priors": PriorSpread,
+        "prior": PriorSpread,
+        "z": RankSelection,
+        "figures": FigurePlan,
+        "accelerations": AccelerationPlan,
+        "closed_loop": ClosedLoopPlan,
     }
-    found: type[Part] = Plan
+    found: type[PlanEntry] = Plan
     for step in loc:
         found = names.get(str(step), found)
     return list(found.model_fields)

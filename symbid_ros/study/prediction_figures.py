@@ -25,8 +25,8 @@ from symbid_ros.report.figures import (
 )
 from symbid_ros.report.formatting import significant
 from symbid_ros.signals.filters import CausalLowPass
-from symbid_ros.study.draws import Results
-from symbid_ros.study.plan import Figures
+from symbid_ros.study.draws import StudyResults
+from symbid_ros.study.plan import FigurePlan
 from symbid_ros.study.plotting import LABELS, Drawing, curve, legend, looks, stack
 from symbid_ros.study.scores import REFERENCE
 
@@ -244,7 +244,8 @@ def _errors(
     if TRUTH not in vectors:
         raise StudyError(
             f"predictions of {', '.join(vectors) or 'nothing'}: no {TRUTH!r} among them; add the "
-            "true parameters' to compare with"
+            "true parameters' to compare with",
+            "E709",
         )
     truth = vectors.pop(TRUTH)
     return {
@@ -264,10 +265,10 @@ STRIDE = 10
 SHOWN = (REFERENCE, "wls_rc", "map_lmi")
 
 
-def ideal_drawings(results: Results, figures: Figures) -> tuple[Drawing, ...]:
+def ideal_drawings(results: StudyResults, figures: FigurePlan) -> tuple[Drawing, ...]:
     """Draw predictions along the ideal validation motion."""
-    parameters = results.parameters(figures.data)
-    ideal = results.space.log(results.plan.validation_of(figures.data))
+    parameters = results.true_parameters(figures.data)
+    ideal = results.folder.log(results.plan.validation_log(figures.data))
     motion = read_true_motion([ideal], parameters.model)[::STRIDE]
 
     def series(cutoff: float) -> list[PredictionSeries]:
@@ -279,11 +280,11 @@ def ideal_drawings(results: Results, figures: Figures) -> tuple[Drawing, ...]:
     return _drawings(figures, parameters.model.joint_names, series, None)
 
 
-def realistic_drawings(results: Results, figures: Figures) -> tuple[Drawing, ...]:
+def realistic_drawings(results: StudyResults, figures: FigurePlan) -> tuple[Drawing, ...]:
     """Draw the same as the robot itself could have predicted it from noisy sensors."""
-    parameters = results.parameters(figures.data)
+    parameters = results.true_parameters(figures.data)
     low_pass = CausalLowPass()
-    log = results.space.log(results.plan.realistic_of(figures.data))
+    log = results.folder.log(results.plan.noisy_validation_log(figures.data))
     whole = read_realistic_motion([log], parameters.model, low_pass)
     motion = RealisticMotion(whole.measured[::STRIDE], whole.truth[::STRIDE])
 
@@ -299,7 +300,7 @@ def realistic_drawings(results: Results, figures: Figures) -> tuple[Drawing, ...
 
 
 def _drawings(
-    figures: Figures,
+    figures: FigurePlan,
     joint_names: Sequence[str],
     series: Callable[[float], list[PredictionSeries]],
     velocity_cutoff: float | None,
@@ -314,10 +315,10 @@ def _drawings(
     )
 
 
-def _shown(results: Results, figures: Figures, cutoff: float) -> dict[str, FloatArray]:
+def _shown(results: StudyResults, figures: FigurePlan, cutoff: float) -> dict[str, FloatArray]:
     """Return the truth and what the first draw's prior and estimates are, by label."""
-    values = {TRUTH: results.parameters(figures.data).values}
+    values = {TRUTH: results.true_parameters(figures.data).values}
     for method in SHOWN:
         if method == REFERENCE or method in results.plan.methods:
-            values[LABELS[method]] = results.values(figures.data, figures.prior, method, cutoff)
+            values[LABELS[method]] = results.estimate(figures.data, figures.prior, method, cutoff)
     return values

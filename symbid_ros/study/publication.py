@@ -12,14 +12,14 @@ import symbid_ros.report
 from symbid_ros.atomic_write import write_text
 from symbid_ros.package_paths import package_version
 from symbid_ros.study.conclusions import headline
-from symbid_ros.study.draws import Results
+from symbid_ros.study.draws import StudyResults
 from symbid_ros.study.plan import Plan
 from symbid_ros.study.plotting import inline, save
 from symbid_ros.study.sections import Section, sections
-from symbid_ros.study.workspace import Workspace
+from symbid_ros.study.study_folder import StudyFolder
 
 
-def publish(plan: Plan, space: Workspace) -> Path:
+def publish(plan: Plan, folder: StudyFolder) -> Path:
     """Write report.html, tables/ and figures/ and return the page's place.
 
     Raises
@@ -27,18 +27,18 @@ def publish(plan: Plan, space: Workspace) -> Path:
     SymbidError
         When something that the plan asks for has not been worked out, or cannot be written.
     """
-    results = Results.read(plan, space)
+    results = StudyResults.read(plan, folder)
     made = sections(results)
-    for folder in ("tables", "figures"):
-        shutil.rmtree(space.out / folder, ignore_errors=True)
+    for name in ("tables", "figures"):
+        shutil.rmtree(folder.out / name, ignore_errors=True)
     for section in made:
-        for sheet in section.sheets:
-            write_text(space.out / "tables" / f"{sheet.name}.md", sheet.markdown)
-            write_text(space.out / "tables" / f"{sheet.name}.csv", sheet.csv)
+        for table in section.tables:
+            write_text(folder.out / "tables" / f"{table.name}.md", table.markdown)
+            write_text(folder.out / "tables" / f"{table.name}.csv", table.csv)
         for drawing in section.drawings:
-            save(drawing, space.out / "figures")
-    write_text(space.out / "conclusions.md", _in_words(plan, made))
-    place = space.out / "report.html"
+            save(drawing, folder.out / "figures")
+    write_text(folder.out / "conclusions.md", _in_words(plan, made))
+    place = folder.out / "report.html"
     page = Page(
         title=plan.title,
         about=plan.about,
@@ -61,8 +61,8 @@ def _in_words(plan: Plan, made: tuple[Section, ...]) -> str:
             continue
         lines += [f"## {section.title}", ""]
         for one in section.conclusions:
-            reason = f" {one.because}" if one.because else ""
-            lines += [f"- {one.claim} **{one.verdict.capitalize()}.** {one.sentence}{reason}"]
+            reason = f" {one.explanation}" if one.explanation else ""
+            lines += [f"- {one.claim} **{one.verdict.capitalize()}.** {one.finding}{reason}"]
         lines += [*(f"- {sentence}" for sentence in section.sentences), ""]
     return "\n".join(lines)
 
@@ -76,7 +76,7 @@ def _facts(plan: Plan) -> dict[str, str]:
         "Judged along": f"{plan.validation.identity}, every {1e3 * plan.judged_every:g} ms",
         "Priors": f"{plan.iterations} of each: {', '.join(map(str, plan.priors))}",
     }
-    if plan.truncated:
+    if plan.truncated_methods:
         facts["Filters"] = f"{filters}; second-order Butterworth, zero phase"
         facts["z"] = f"chosen {chosen}, to predict {plan.z.by}"
     return facts

@@ -1,4 +1,4 @@
-"""What every method achieved in every draw, and what that is on average."""
+"""Errors of each method: of single draws, and means over the draws."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ REFERENCE = "ref"
 
 @dataclass(frozen=True)
 class Case:
-    """What one mean is of.
+    """One combination that a study evaluates; its fields are keys of the files of draws.
 
     Attributes
     ----------
@@ -26,8 +26,8 @@ class Case:
     method : str
         "ref" for the prior itself, or one of `symbid_ros.identification.problem.METHODS`.
     filter : float or None
-        Hz, cutoff of its rows, 0 unfiltered; None for the prior and for methods whose rows are
-        averaged over windows instead.
+        Cutoff of the rows' filter, Hz; 0: unfiltered. None for the prior, and for methods that
+        average rows over windows.
     """
 
     data: str
@@ -37,19 +37,19 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What one method made of one draw.
+class DrawResult:
+    """One method's result for one draw of the prior; its fields are keys of the files of draws.
 
     Attributes
     ----------
     metrics : dict of str to float
-        By the names in `METRICS`, and `RANK` for truncated methods.
+        Errors by the names in `METRICS`, and `RANK` for truncated methods.
     links : tuple of float
         Mean relative parameter error of each link, %.
     impossible : int
-        Links that no body can have.
+        Number of links that are not physically possible.
     values : tuple of float
-        The parameters.
+        The estimated parameters.
     """
 
     metrics: Mapping[str, float]
@@ -65,13 +65,13 @@ class Scores:
     Attributes
     ----------
     means : dict of Case to dict of str to float
-        By the names in `METRICS`, and `RANK` for truncated methods.
+        Mean errors by the names in `METRICS`, and `RANK` for truncated methods.
     """
 
     means: Mapping[Case, Mapping[str, float]]
 
     @classmethod
-    def of(cls, outcomes: Mapping[Case, list[Outcome]]) -> "Scores":
+    def of(cls, results: Mapping[Case, list[DrawResult]]) -> "Scores":
         """Average over the draws."""
         return cls(
             {
@@ -79,34 +79,34 @@ class Scores:
                     name: float(np.mean([one.metrics[name] for one in found]))
                     for name in found[0].metrics
                 }
-                for case, found in outcomes.items()
+                for case, found in results.items()
             }
         )
 
     def filters(self, data: str, prior: str, method: str) -> list[float | None]:
-        """Return the cutoffs tried for one method, ascending."""
-        tried = [
+        """Return the cutoffs evaluated for one method, ascending."""
+        cutoffs = [
             case.filter
             for case in self.means
             if (case.data, case.prior, case.method) == (data, prior, method)
         ]
-        return sorted(tried, key=lambda cutoff: -1.0 if cutoff is None else cutoff)
+        return sorted(cutoffs, key=lambda cutoff: -1.0 if cutoff is None else cutoff)
 
     def at(self, data: str, prior: str, method: str, cutoff: float | None) -> Mapping[str, float]:
-        """Return one method's means with one filter; empty where it was not tried."""
+        """Return one method's mean errors with one filter; empty if it was not evaluated."""
         return self.means.get(Case(data, prior, method, cutoff), {})
 
     def best(self, data: str, prior: str, method: str) -> dict[str, float]:
-        """Return each metric's least mean over the filters (thesis, Table II).
+        """Return the smallest mean of each error over the filters (thesis, Table II).
 
-        Of the number of singular values it is the mean over the filters.
+        The number of singular values is averaged over the filters instead.
         """
-        tried = [
+        means = [
             self.at(data, prior, method, cutoff) for cutoff in self.filters(data, prior, method)
         ]
-        if not tried:
+        if not means:
             return {}
         return {
-            name: float((np.mean if name == RANK else np.min)([means[name] for means in tried]))
-            for name in tried[0]
+            name: float((np.mean if name == RANK else np.min)([one[name] for one in means]))
+            for name in means[0]
         }

@@ -7,7 +7,12 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.report.content import TRUTH, LinkErrors
 from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import thesis
-from symbid_ros.study.checks import check_accelerations, load_closures, load_realistic, load_runs
+from symbid_ros.study.checks import (
+    check_accelerations,
+    load_closed_loop_runs,
+    load_equation_residuals,
+    load_realistic,
+)
 from symbid_ros.study.conclusions import (
     Links,
     closed_loop_conclusions,
@@ -15,7 +20,7 @@ from symbid_ros.study.conclusions import (
     data_sentences,
     realistic_conclusion,
 )
-from symbid_ros.study.draws import Results
+from symbid_ros.study.draws import StudyResults
 from symbid_ros.study.evidence import Conclusion, Evidence
 from symbid_ros.study.figures import (
     AccelerationLog,
@@ -25,16 +30,15 @@ from symbid_ros.study.figures import (
     grid_drawing,
     link_drawing,
 )
-from symbid_ros.study.plan import Accelerations, ClosedLoop, Figures
+from symbid_ros.study.plan import AccelerationPlan, ClosedLoopPlan, FigurePlan
 from symbid_ros.study.plotting import LABELS, Drawing
 from symbid_ros.study.prediction_figures import Setting, ideal_drawings, realistic_drawings
-from symbid_ros.study.scores import REFERENCE
-from symbid_ros.study.table import Sheet
+from symbid_ros.study.table import Table
 from symbid_ros.study.tables import (
     Draw,
     acceleration_table,
     balance_table,
-    closure_table,
+    equation_table,
     realistic_table,
     tables,
 )
@@ -56,7 +60,7 @@ class Section:
     conclusions : tuple of Conclusion
     sentences : tuple of str
         What the numbers say beside these.
-    sheets : tuple of Sheet
+    tables : tuple of Table
     drawings : tuple of Drawing
     folded : bool
         Whether its tables open only when asked for: long ones.
@@ -67,12 +71,12 @@ class Section:
     caption: str = ""
     conclusions: tuple[Conclusion, ...] = ()
     sentences: tuple[str, ...] = ()
-    sheets: tuple[Sheet, ...] = ()
+    tables: tuple[Table, ...] = ()
     drawings: tuple[Drawing, ...] = ()
     folded: bool = False
 
 
-def sections(results: Results) -> tuple[Section, ...]:
+def sections(results: StudyResults) -> tuple[Section, ...]:
     """Return everything that the plan asks for, worked out already.
 
     Raises
@@ -89,9 +93,8 @@ def sections(results: Results) -> tuple[Section, ...]:
     if plan.accelerations is not None:
         parts.append(_accelerated(results, plan.accelerations))
     if plan.equation is not None:
-        parts.append(
-            _tabled("equation", "Equation of motion", [closure_table(load_closures(results.space))])
-        )
+        residuals = load_equation_residuals(results.folder)
+        parts.append(_tabled("equation", "Equation of motion", [equation_table(residuals)]))
     if plan.closed_loop is not None:
         parts.append(_balanced(results, plan.closed_loop))
     if plan.thesis:
@@ -102,22 +105,19 @@ def sections(results: Results) -> tuple[Section, ...]:
     return tuple(parts)
 
 
-def _tabled(anchor: str, title: str, made: list[Sheet], *, folded: bool = False) -> Section:
-    return Section(anchor, title, sheets=tuple(made), folded=folded)
+def _tabled(anchor: str, title: str, made: list[Table], *, folded: bool = False) -> Section:
+    return Section(anchor, title, tables=tuple(made), folded=folded)
 
 
-def _concluding(results: Results) -> Iterator[Section]:
+def _concluding(results: StudyResults) -> Iterator[Section]:
     """Examine the thesis's conclusions on each data set."""
     plan = results.plan
     for data in plan.data:
+        evidence = Evidence(results.scores, data, tuple(plan.priors), results.row_errors(data))
         links = None
         if plan.figures is not None and plan.figures.data == data:
             links = _links(results, plan.figures)
-        found: list[Conclusion | None] = [
-            *conclusions(
-                results.scores, data, plan.priors, Evidence(results.row_errors(data)), links
-            )
-        ]
+        found: list[Conclusion | None] = [*conclusions(evidence, links)]
         if plan.figures is not None and plan.figures.data == data:
             found.append(_realistic_conclusion(results, plan.figures))
         yield Section(
@@ -129,9 +129,9 @@ def _concluding(results: Results) -> Iterator[Section]:
         )
 
 
-def _links(results: Results, figures: Figures) -> Links:
+def _links(results: StudyResults, figures: FigurePlan) -> Links:
     errors = results.link_errors(figures.data, figures.prior, figures.links)
-    parameters = results.parameters(figures.data)
+    parameters = results.true_parameters(figures.data)
     return Links(LinkErrors(parameters.link_names, errors), _depth(parameters.model))
 
 
@@ -143,8 +143,8 @@ def _depth(model: RobotModel) -> tuple[int, ...]:
     return tuple(depth[i] for i, link in enumerate(model.links) if not link.virtual)
 
 
-def _realistic_conclusion(results: Results, figures: Figures) -> Conclusion | None:
-    means = load_realistic(results.space)
+def _realistic_conclusion(results: StudyResults, figures: FigurePlan) -> Conclusion | None:
+    means = load_realistic(results.folder)
     ideal = {TRUTH: 0.0}
     for method in means:
         at = results.scores.at(
@@ -155,10 +155,10 @@ def _realistic_conclusion(results: Results, figures: Figures) -> Conclusion | No
     return realistic_conclusion(ideal, {name: one["torque_rmse"] for name, one in means.items()})
 
 
-def _comparing(results: Results) -> Iterator[Section]:
+def _comparing(results: StudyResults) -> Iterator[Section]:
     """Compare data sets where the thesis has no say."""
     plan = results.plan
-    methods = (REFERENCE, *plan.methods)
+    methods = plan.compared
     cutoff = plan.filters[0] if len(plan.filters) == 1 else None
     for index, spread in enumerate(map(str, plan.priors)):
         yield Section(
@@ -167,33 +167,35 @@ def _comparing(results: Results) -> Iterator[Section]:
             sentences=data_sentences(results.scores, [*plan.data], spread, plan.methods),
             drawings=(
                 comparison_drawing(
-                    results.scores, [*plan.data], spread, methods, cutoff, shown=plan.shown
+                    results.scores, [*plan.data], spread, methods, cutoff, shown=plan.shown_metrics
                 ),
             ),
         )
 
 
-def _gridded(results: Results) -> Section:
+def _gridded(results: StudyResults) -> Section:
     plan = results.plan
-    methods = (REFERENCE, *plan.methods)
+    methods = plan.compared
     printed = thesis.table_c1()
     return Section(
         "filters",
         "Filters",
         "Each error against the cutoff of the filter; hollow: the thesis’s (Table C.1).",
         drawings=tuple(
-            grid_drawing(results.scores, data, str(spread), methods, printed, shown=plan.shown)
+            grid_drawing(
+                results.scores, data, str(spread), methods, printed, shown=plan.shown_metrics
+            )
             for data in plan.data
             for spread in plan.priors
         ),
     )
 
 
-def _draw(results: Results) -> Draw | None:
+def _draw(results: StudyResults) -> Draw | None:
     figures = results.plan.figures
     if figures is None:
         return None
-    parameters = results.parameters(figures.data)
+    parameters = results.true_parameters(figures.data)
     return Draw(
         data=figures.data,
         prior=figures.prior,
@@ -202,13 +204,13 @@ def _draw(results: Results) -> Draw | None:
         units=parameters.units,
         real=parameters.values,
         estimates={
-            method: results.values(figures.data, figures.prior, method, figures.parameters)
-            for method in (REFERENCE, *results.plan.methods)
+            method: results.estimate(figures.data, figures.prior, method, figures.parameters)
+            for method in results.plan.compared
         },
     )
 
 
-def _predicted(results: Results, figures: Figures) -> Iterator[Section]:
+def _predicted(results: StudyResults, figures: FigurePlan) -> Iterator[Section]:
     """Show what single estimates predict, and how accurate links are."""
     links = _links(results, figures).errors
     percent = {LABELS[method]: found for method, found in links.percent.items()}
@@ -227,14 +229,15 @@ def _predicted(results: Results, figures: Figures) -> Iterator[Section]:
         "realistic",
         "Realistic predictions",
         "The same estimates and the same motion, from what the robot itself could measure.",
-        sheets=(realistic_table(load_realistic(results.space)),),
+        tables=(realistic_table(load_realistic(results.folder)),),
         drawings=realistic_drawings(results, figures),
     )
 
 
-def _accelerated(results: Results, accelerations: Accelerations) -> Section:
+def _accelerated(results: StudyResults, accelerations: AccelerationPlan) -> Section:
     checks = {
-        name: check_accelerations(accelerations, name, results.space) for name in accelerations.logs
+        name: check_accelerations(accelerations, name, results.folder)
+        for name in accelerations.logs
     }
     printed = thesis.ACCELERATION_ERRORS
     logs = [
@@ -245,14 +248,15 @@ def _accelerated(results: Results, accelerations: Accelerations) -> Section:
     return Section(
         "accelerations",
         "Vibration and the filter",
-        sheets=(acceleration_table(checks, accelerations.cutoff),),
+        tables=(acceleration_table(checks, accelerations.cutoff),),
         drawings=(acceleration_drawing(logs, names, accelerations.cutoff),),
     )
 
 
-def _balanced(results: Results, loop: ClosedLoop) -> Section:
+def _balanced(results: StudyResults, loop: ClosedLoopPlan) -> Section:
     by_prior = {
-        str(spread): load_runs(results.plan, results.space, spread) for spread in loop.priors
+        str(spread): load_closed_loop_runs(results.plan, results.folder, spread)
+        for spread in loop.priors
     }
     together: dict[str, list[BalanceResult]] = {}
     for runs in by_prior.values():
@@ -266,7 +270,7 @@ def _balanced(results: Results, loop: ClosedLoop) -> Section:
         "The balance controller moves the true robot, believing the prior, an estimate or the "
         f"truth: {about}",
         conclusions=closed_loop_conclusions(together),
-        sheets=tuple(balance_table(prior, runs) for prior, runs in by_prior.items()),
+        tables=tuple(balance_table(prior, runs) for prior, runs in by_prior.items()),
         drawings=(
             closed_loop_drawing(
                 {RUN_LABELS[method]: runs for method, runs in together.items()}, about

@@ -1,8 +1,8 @@
-"""Robots with fewer sensors, and the rows of the equation of motion that they are left with.
+"""The rows of the equation of motion that remain when a robot lacks sensors.
 
-The base's rows need no torque sensor, for the motors act between links (Eq. 4). Without wrench
-sensors the contact wrenches f_e are unknown at every instant, and what is left are the rows
-N(q) K φ = N(q) Sᵀ f_a with N(q) J_gᵀ(q) = 0, in which no wrench on a contact shows.
+The base's rows need no torque sensor, as the motors act between links (Eq. 4). Without wrench
+sensors the contact wrenches f_e are unknown at every instant. The rows
+N(q) K φ = N(q) Sᵀ f_a with N(q) J_gᵀ(q) = 0 remain, which no contact wrench enters.
 """
 
 from collections.abc import Iterator
@@ -26,36 +26,36 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import CHUNK, SampledRows, sticking_left_out
 
-Sensing = Literal["all", "base_rows", "joint_rows", "no_plates"]
+SensorSubset = Literal["all", "base_rows", "joint_rows", "no_plates"]
 
-# A wrench that the coordinates feel less than this share of the best felt one damps the rows that
-# are left: which of them it leaves alone turns ever faster as it fades, down to encoder noise.
-# With the legs in parallel planes the feet twisted against each other are felt at 1e-3 and less.
-FAINT = 3e-4
-# Instants at which the directions are looked at that stay free of contact wrenches.
+# ε over the largest singular value of J_g. Directions of J_g weaker than this share are damped:
+# as they weaken, the directions free of contact wrenches rotate ever faster, up to encoder noise.
+# With the legs in parallel planes, twisting the feet against each other has a share below 1e-3.
+DAMPING = 3e-4
+# Number of postures from which the directions free of contact wrenches are chosen.
 PROBES = 1000
 
 
 @dataclass(frozen=True)
 class Annihilator:
-    """N(q) = d(q) N₀ᵀ P(q), through which no wrench on the contacts passes.
+    """N(q) = d(q) N₀ᵀ P(q), which eliminates the contact wrenches from the equation of motion.
 
-    P projects onto the complement of the range of J_gᵀ. Averages over windows need an N that
-    is smooth in time; P is not where J_g loses rank, and d = det(J Jᵀ) / det(J Jᵀ + ε²), which
-    vanishes there, makes it so: det(J Jᵀ) P = det(J Jᵀ) - Jᵀ adj(J Jᵀ) J is a polynomial of J.
-    Newtons and newton metres may stand side by side: other units give other combinations of the
-    same rows, and rows are weighted by the covariance of their residuals.
+    P projects onto the orthogonal complement of the range of J_gᵀ. Averages over windows need an N
+    that is smooth in time, and P is not smooth where J_g loses rank. The factor
+    d = det(J Jᵀ) / det(J Jᵀ + ε²) vanishes there, and det(J Jᵀ) P = det(J Jᵀ) - Jᵀ adj(J Jᵀ) J is
+    a polynomial of J. Units may be mixed: other units give other combinations of the same rows,
+    and rows are weighted by the covariance of their residuals.
 
     Attributes
     ----------
     model : RobotModel
         The robot, of n coordinates.
     frames : tuple of str
-        Where unknown wrenches act.
+        Frames at which unknown wrenches act.
     components : (r,) int64
-        Those of the wrenches' 6 F components, angular first, whose effects are independent:
-        two frames may sit on one link.
-    faint : float
+        Independent ones among the wrenches' 6 F components, angular first: two frames may be on
+        one link.
+    damping : float
         ε, in J's units.
     basis : (n, n - r) float64
         N₀.
@@ -64,71 +64,76 @@ class Annihilator:
     model: RobotModel
     frames: tuple[str, ...]
     components: IntArray
-    faint: float
+    damping: float
     basis: FloatArray
 
     @classmethod
     def of(cls, model: RobotModel, samples: Samples) -> "Annihilator":
-        """Find N₀ for the wrench frames and the postures of some samples.
+        """Compute N₀ from the wrench frames and the postures of some samples.
 
         Raises
         ------
         StudyError
-            When there is no wrench sensor, or unknown wrenches leave no row.
+            If there is no wrench sensor, or if unknown wrenches leave no row.
         """
         frames = samples.wrench_frames
         if not frames:
             raise StudyError(
-                f"no_plates: the log of {model.source} has no wrench topic whose frame would tell "
-                "where contacts act; record them, or study other rows"
+                f"no_plates: the log of {model.source} has no wrench topic whose frame shows where "
+                "contacts act; record one, or choose other sensors",
+                "E708",
             )
-        anywhere = _contacts(model, frames, random_motions(model, 1).position)[0]
-        _, R, order = qr(anywhere.T, mode="economic", pivoting=True)
+        generic = _contact_jacobian(model, frames, random_motions(model, 1).position)[0]
+        _, R, order = qr(generic.T, mode="economic", pivoting=True)
         size = np.abs(R.diagonal())
         rank = int(np.sum(size > RANK_TOLERANCE * size.max(initial=0.0)))
         if rank == model.dof:
             raise StudyError(
                 f"no_plates: unknown wrenches at {', '.join(frames)} explain any motion of "
-                f"{model.source}; leave one of their topics out, or study other rows"
+                f"{model.source}; leave out one of their topics, or choose other sensors",
+                "E708",
             )
         probes = samples[:: max(1, len(samples) // PROBES)]
-        largest = np.linalg.norm(_contacts(model, frames, probes.position), 2, axis=(1, 2)).max()
+        jacobians = _contact_jacobian(model, frames, probes.position)
+        largest = np.linalg.norm(jacobians, 2, axis=(1, 2)).max()
         components = np.sort(order[:rank])
-        whole = cls(model, frames, components, FAINT * float(largest), np.eye(model.dof))
-        # Directions that the contacts leave free in most postures lose least by projection.
-        _, directions = np.linalg.eigh(whole.at(probes.position).mean(axis=0))
-        return replace(whole, basis=directions[:, rank:])
+        full = cls(model, frames, components, DAMPING * float(largest), np.eye(model.dof))
+        # The projection keeps most of the directions that contacts leave free in most postures.
+        _, directions = np.linalg.eigh(full.at(probes.position).mean(axis=0))
+        return replace(full, basis=directions[:, rank:])
 
     def at(self, position: FloatArray) -> FloatArray:
         """Return N (N, n - r, n) at joint positions (N, J)."""
-        J = _contacts(self.model, self.frames, position)[:, self.components]
+        J = _contact_jacobian(self.model, self.frames, position)[:, self.components]
         Q, R = np.linalg.qr(J.transpose(0, 2, 1), mode="complete")
-        felt = np.prod(np.diagonal(R, axis1=1, axis2=2) ** 2, axis=1)
+        determinant = np.prod(np.diagonal(R, axis1=1, axis2=2) ** 2, axis=1)
         rank = len(self.components)
-        damped = np.linalg.det(J @ J.transpose(0, 2, 1) + self.faint**2 * np.eye(rank))
+        damped = np.linalg.det(J @ J.transpose(0, 2, 1) + self.damping**2 * np.eye(rank))
         free = Q[:, :, rank:]
         N: FloatArray = (self.basis.T @ free) @ free.transpose(0, 2, 1)
-        N *= (felt / damped)[:, None, None]
+        N *= (determinant / damped)[:, None, None]
         return N
 
 
-def _contacts(model: RobotModel, frames: tuple[str, ...], position: FloatArray) -> FloatArray:
+def _contact_jacobian(
+    model: RobotModel, frames: tuple[str, ...], position: FloatArray
+) -> FloatArray:
     """Return J_g (N, 6 F, n) at joint positions (N, J)."""
     return contact_jacobian(model, frames, link_poses(model, position))
 
 
 @dataclass(frozen=True)
-class SensedRows:
-    """The rows of the equation of motion that a robot's sensors leave it with.
+class SubsetRows:
+    """The rows of the equation of motion that some sensors provide.
 
     Attributes
     ----------
     parameters : ParameterSet
         The robot's p columns.
     layout : RowLayout
-        Of the rows that are there; the others have neither place nor weight in it.
+        Layout of the remaining rows.
     selection : slice or Annihilator
-        Coordinates whose rows are there, or what eliminates the contact wrenches.
+        The coordinates whose rows remain, or what eliminates the contact wrenches.
     """
 
     parameters: ParameterSet
@@ -136,50 +141,52 @@ class SensedRows:
     selection: slice | Annihilator
 
     @classmethod
-    def of(cls, parameters: ParameterSet, sensing: Sensing, samples: Samples) -> "SensedRows":
-        """Return the rows left by some sensors.
+    def of(cls, parameters: ParameterSet, sensors: SensorSubset, samples: Samples) -> "SubsetRows":
+        """Return the rows that some sensors provide.
 
-        Without wrench sensors, rows are combined as suits the wrench frames and postures of these
-        samples. Records to be merged should share one such choice, for their residuals get one
+        Without wrench sensors, the wrench frames and postures of the samples determine how rows
+        are combined. Logs to be merged need the same combination, as their residuals share one
         covariance.
 
         Raises
         ------
         StudyError
-            When no row is left.
+            If no row remains.
         """
-        model, every = parameters.model, RowLayout.of(parameters)
-        if sensing == "no_plates":
+        model, full = parameters.model, RowLayout.of(parameters)
+        if sensors == "no_plates":
             annihilator = Annihilator.of(model, samples)
             names = tuple(f"unloaded/{index}" for index in range(annihilator.basis.shape[1]))
-            structure = np.tile(every.structure.any(axis=0), (len(names), 1))
-            return cls(parameters, RowLayout(names, every.parameters, structure), annihilator)
+            structure = np.tile(full.structure.any(axis=0), (len(names), 1))
+            return cls(parameters, RowLayout(names, full.parameters, structure), annihilator)
         first_joint = 6 * model.floating
-        there = {
+        kept = {
             "all": slice(0, model.dof),
             "base_rows": slice(0, first_joint),
             "joint_rows": slice(first_joint, model.dof),
-        }[sensing]
-        if there.start == there.stop:
-            lacks = "a fixed base" if sensing == "base_rows" else "no joint"
-            raise StudyError(f"{sensing}: {model.source} has {lacks}; study other rows of it")
-        layout = RowLayout(every.coordinates[there], every.parameters, every.structure[there])
-        return cls(parameters, layout, there)
+        }[sensors]
+        if kept.start == kept.stop:
+            reason = "a fixed base" if sensors == "base_rows" else "no joint"
+            raise StudyError(
+                f"{sensors}: {model.source} has {reason}; choose other sensors", "E708"
+            )
+        layout = RowLayout(full.coordinates[kept], full.parameters, full.structure[kept])
+        return cls(parameters, layout, kept)
 
     def at(self, samples: Samples) -> SampledRows:
-        """Return the rows at single instants; where a joint may stick, its rows are not valid."""
+        """Return the rows at single instants; rows of joints that may stick are invalid."""
         valid = sticking_left_out(self.parameters, samples.velocity)
         if isinstance(self.selection, slice):
-            rows, there = equation_of_motion(self.parameters, samples), self.selection
-            chosen = Rows(rows.K[:, there], rows.y[:, there])
-            return SampledRows(samples.stamp, chosen, valid[:, there])
+            rows, kept = equation_of_motion(self.parameters, samples), self.selection
+            chosen = Rows(rows.K[:, kept], rows.y[:, kept])
+            return SampledRows(samples.stamp, chosen, valid[:, kept])
         unmeasured = replace(samples, wrenches=np.zeros_like(samples.wrenches))
         rows = equation_of_motion(self.parameters, unmeasured)
         N = self.selection.at(samples.position)
-        left = Rows(N @ rows.K, np.einsum("nij,nj->ni", N, rows.y))
-        # Each of them combines all joints.
+        combined = Rows(N @ rows.K, np.einsum("nij,nj->ni", N, rows.y))
+        # Each row combines all joints, so it is valid only if none of them may stick.
         slipping: BoolArray = np.repeat(valid.all(axis=1, keepdims=True), N.shape[1], axis=1)
-        return SampledRows(samples.stamp, left, slipping)
+        return SampledRows(samples.stamp, combined, slipping)
 
     def build(self, readings: SensorSamples) -> Iterator[SampledRows]:
         """Yield the rows of readings: a :data:`symbid_ros.signals.weak_form.RowBuilder`."""
@@ -187,24 +194,24 @@ class SensedRows:
             yield self.at(at_base(readings[start : start + CHUNK], self.parameters.model))
 
 
-def observe_sensed(
-    record: Dataset, parameters: ParameterSet, sensing: Sensing
+def observe_subset(
+    dataset: Dataset, parameters: ParameterSet, sensors: SensorSubset
 ) -> tuple[Observations, ...]:
-    """Return what a record says to a robot with fewer sensors.
+    """Return the observations that some of the sensors of a log provide.
 
-    Rows are windowed or taken at single instants as those of the record were.
+    Rows are averaged over windows or taken at single instants, as in the log's own observations.
 
     Raises
     ------
     StudyError
-        When no row is left.
+        If no row remains.
     """
-    if sensing == "all":
-        return record.observations
-    rows = SensedRows.of(parameters, sensing, record.samples)
-    windows = [one.window for one in record.observations]
+    if sensors == "all":
+        return dataset.observations
+    rows = SubsetRows.of(parameters, sensors, dataset.samples)
+    windows = [one.window for one in dataset.observations]
     if 0.0 in windows:
-        (at_instants,) = record.observations
-        blocks = map(rows.at, record.samples.blocks(SAMPLES_AT_ONCE))
+        (at_instants,) = dataset.observations
+        blocks = map(rows.at, dataset.samples.blocks(SAMPLES_AT_ONCE))
         return (Observations.unwindowed(rows.layout, blocks, at_instants.inflation),)
-    return observe(record.segments, rows.build, rows.layout, windows)
+    return observe(dataset.segments, rows.build, rows.layout, windows)

@@ -1,4 +1,8 @@
-"""A table of figures, ours beside those of the thesis, as Markdown, CSV and cells of a page."""
+"""Tables of values next to the thesis's, as Markdown, as CSV and for the page.
+
+Not pandas data frames: a cell holds a value, the thesis's value and a mark, and pandas is no
+dependency of studies.
+"""
 
 import csv
 import io
@@ -8,58 +12,58 @@ from dataclasses import dataclass
 
 from symbid_ros.report.formatting import ABSENT, significant
 
-BESIDE = " Second, where it has one, the thesis's figure and the ratio of ours to it."
+REFERENCE_NOTE = " The second value, if any, is the thesis's, followed by the ratio of ours to it."
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One figure or a few words.
+    """One value or a few words.
 
     Attributes
     ----------
     value : float or None
-        Ours; None where there is none.
+        Our value, if there is one.
     reference : float or None
-        The thesis's; None where it has none.
-    words : str
-        Shown instead of the figure.
+        The thesis's value, if it has one.
+    text : str
+        Shown in place of the value.
     best : bool
-        The least of its group.
-    rated : bool
-        Whether the ratio of ours to the thesis's means anything: of errors it does, of estimates
-        it does not.
+        Whether it is the smallest of its group.
+    has_ratio : bool
+        Whether to show the ratio of ours to the thesis's: useful for errors, but not for
+        estimates.
     """
 
     value: float | None = None
     reference: float | None = None
-    words: str = ""
+    text: str = ""
     best: bool = False
-    rated: bool = True
+    has_ratio: bool = True
 
     @property
-    def text(self) -> str:
-        """Ours, as a reader wants it."""
-        return self.words or significant(self.value)
+    def display(self) -> str:
+        """Our value, rounded for a reader."""
+        return self.text or significant(self.value)
 
     @property
     def ratio(self) -> float | None:
-        """Ours over the thesis's; None where one is missing or the thesis's is zero."""
-        if not self.rated or self.value is None or not self.reference:
+        """Ours over the thesis's; None if one is missing or the thesis's is zero."""
+        if not self.has_ratio or self.value is None or not self.reference:
             return None
         return self.value / self.reference
 
     @property
-    def beside(self) -> str:
-        """The thesis's figure and the ratio, empty where the thesis has none."""
+    def reference_display(self) -> str:
+        """The thesis's value and the ratio, empty if the thesis has none."""
         if self.reference is None:
             return ""
-        figure = significant(self.reference)
-        return figure if self.ratio is None else f"{figure}, ×{significant(self.ratio, 2)}"
+        value = significant(self.reference)
+        return value if self.ratio is None else f"{value}, ×{significant(self.ratio, 2)}"
 
 
 @dataclass(frozen=True)
 class Column:
-    """What a column holds, and in which unit; no unit for words and counts."""
+    """A column's title and unit; text and counts have no unit."""
 
     title: str
     unit: str = ""
@@ -70,12 +74,12 @@ class Column:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a table.
+    """One row of a table.
 
     Attributes
     ----------
     labels : tuple of Cell
-        What the line is about, such as prior, method and filter.
+        What the row is about, such as prior, method and filter.
     cells : tuple of Cell
         One for each column.
     """
@@ -85,7 +89,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class Table:
     """One table.
 
     Attributes
@@ -93,15 +97,15 @@ class Sheet:
     name : str
         Stem of its files.
     title, caption : str
-        The heading and the sentence under it.
+        The heading and the sentence below it.
     headings : tuple of Column
-        Of the labels.
+        Headers of the labels.
     columns : tuple of Column
-        Of the cells.
+        Headers of the cells.
     rows : tuple of Row
         In the order shown.
     notes : tuple of str
-        Sentences under the table.
+        Sentences below the table.
     """
 
     name: str
@@ -113,85 +117,84 @@ class Sheet:
     notes: tuple[str, ...] = ()
 
     @property
-    def worded(self) -> tuple[bool, ...]:
-        """Which of the columns hold words."""
+    def is_text(self) -> tuple[bool, ...]:
+        """Whether each column holds text."""
         return tuple(
-            any(row.cells[index].words for row in self.rows) for index in range(len(self.columns))
+            any(row.cells[index].text for row in self.rows) for index in range(len(self.columns))
         )
 
     @property
     def markdown(self) -> str:
-        """The table with heading, caption and notes; the best in bold, the thesis's in brackets."""
+        """The table with heading, caption and notes: best in bold, the thesis's in parentheses."""
         titles = [str(column) for column in (*self.headings, *self.columns)]
-        sides = [":--" for _ in self.headings] + [
-            ":--" if worded else "--:" for worded in self.worded
-        ]
+        sides = [":--" for _ in self.headings]
+        sides += [":--" if is_text else "--:" for is_text in self.is_text]
         lines = [titles, sides]
-        lines += [[_marked(cell) for cell in (*row.labels, *row.cells)] for row in self.rows]
+        lines += [[_markdown_cell(cell) for cell in (*row.labels, *row.cells)] for row in self.rows]
         table = "\n".join(f"| {' | '.join(line)} |" for line in lines)
         notes = "\n".join(f"- {note}" for note in self.notes)
         return "\n\n".join(filter(None, (f"## {self.title}", self.caption, table, notes))) + "\n"
 
     @property
     def csv(self) -> str:
-        """The table with all digits under one line of headers, no figure rounded.
+        """The table with all digits, under one line of headers.
 
-        What has a figure of the thesis in any row has two more columns: the thesis's, and the
-        ratio of ours to it.
+        A column with a value of the thesis in any row is followed by two columns: the thesis's
+        value, and the ratio of ours to it.
         """
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([*map(_header, self.headings), *self._headers()])
+        writer.writerow([*map(_csv_header, self.headings), *self._csv_headers()])
         for row in self.rows:
-            writer.writerow([*map(_exact, row.labels), *self._figures(row)])
+            writer.writerow([*map(_csv_cell, row.labels), *self._csv_values(row)])
         return text.getvalue()
 
-    def _headers(self) -> Iterator[str]:
+    def _csv_headers(self) -> Iterator[str]:
         for index, column in enumerate(self.columns):
-            yield _header(column)
-            if self._compared(index):
-                yield _header(Column(f"{column.title} of the thesis", column.unit))
-            if self._rated(index):
+            yield _csv_header(column)
+            if self._has_reference(index):
+                yield _csv_header(Column(f"{column.title} of the thesis", column.unit))
+            if self._has_ratio(index):
                 yield f"{column.title} ratio"
 
-    def _figures(self, row: Row) -> Iterator[str]:
+    def _csv_values(self, row: Row) -> Iterator[str]:
         for index, cell in enumerate(row.cells):
-            yield _exact(cell)
-            if self._compared(index):
-                yield _number(cell.reference)
-            if self._rated(index):
-                yield _number(cell.ratio)
+            yield _csv_cell(cell)
+            if self._has_reference(index):
+                yield _csv_number(cell.reference)
+            if self._has_ratio(index):
+                yield _csv_number(cell.ratio)
 
-    def _compared(self, index: int) -> bool:
+    def _has_reference(self, index: int) -> bool:
         return any(row.cells[index].reference is not None for row in self.rows)
 
-    def _rated(self, index: int) -> bool:
+    def _has_ratio(self, index: int) -> bool:
         return any(row.cells[index].ratio is not None for row in self.rows)
 
 
-def beside(rows: Iterable[Row]) -> str:
-    """Return what a caption says of the thesis's figures, empty where no row has any."""
+def reference_note(rows: Iterable[Row]) -> str:
+    """Return the caption's sentence on the thesis's values, empty if no row has any."""
     known = any(cell.reference is not None for row in rows for cell in row.cells)
-    return BESIDE if known else ""
+    return REFERENCE_NOTE if known else ""
 
 
-def _header(column: Column) -> str:
+def _markdown_cell(cell: Cell) -> str:
+    text = cell.display.replace("|", "\\|")
+    if cell.best:
+        text = f"**{text}**"
+    return f"{text} ({cell.reference_display})" if cell.reference_display else text
+
+
+def _csv_header(column: Column) -> str:
     return f"{column.title} [{column.unit}]" if column.unit else column.title
 
 
-def _marked(cell: Cell) -> str:
-    text = cell.text.replace("|", "\\|")
-    if cell.best:
-        text = f"**{text}**"
-    return f"{text} ({cell.beside})" if cell.beside else text
-
-
-def _exact(cell: Cell) -> str:
-    """Return the figure with all its digits, or the words of a cell that has none."""
+def _csv_cell(cell: Cell) -> str:
+    """Return the value with all digits, or the text of a cell without a value."""
     if cell.value is not None:
-        return _number(cell.value)
-    return "" if cell.words == ABSENT else cell.words
+        return _csv_number(cell.value)
+    return "" if cell.text == ABSENT else cell.text
 
 
-def _number(value: float | None) -> str:
+def _csv_number(value: float | None) -> str:
     return "" if value is None or not math.isfinite(value) else repr(float(value))

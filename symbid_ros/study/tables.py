@@ -12,12 +12,12 @@ from symbid_ros.report.content import REALISTIC_METRICS, TRUTH
 from symbid_ros.report.formatting import ABSENT
 from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import thesis
-from symbid_ros.study.checks import AccelerationCheck, Closure
-from symbid_ros.study.evidence import filtered, listed
-from symbid_ros.study.plan import Plan, Spread
+from symbid_ros.study.checks import AccelerationCheck, EquationResidual
+from symbid_ros.study.evidence import describe_filter, enumerate_words
+from symbid_ros.study.plan import Plan, PriorSpread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Scores
-from symbid_ros.study.table import Cell, Column, Row, Sheet, beside
-from symbid_ros.study.thesis import ACCELERATION_ERRORS, CLOSURES, TITLES
+from symbid_ros.study.table import Cell, Column, Row, Table, reference_note
+from symbid_ros.study.thesis import ACCELERATION_ERRORS, EQUATION_RESIDUALS, TITLES
 
 COUNT = Column("Singular values")
 COLUMNS = (*(Column(metric.title, metric.unit) for metric in TITLED), COUNT)
@@ -48,7 +48,7 @@ class Draw:
     ----------
     data : str
         The data set.
-    prior : Spread
+    prior : PriorSpread
         How the prior was drawn.
     filter : float
         Hz, cutoff of the truncated methods' rows.
@@ -66,7 +66,7 @@ class Draw:
     """
 
     data: str
-    prior: Spread
+    prior: PriorSpread
     filter: float
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -80,11 +80,12 @@ class Draw:
             if size != len(self.names):
                 raise StudyError(
                     f"draw on {self.data}: {what} has {size} entries for {len(self.names)} "
-                    "parameters; give one for each"
+                    "parameters; give one for each",
+                    "E709",
                 )
 
 
-def tables(plan: Plan, scores: Scores, draw: Draw | None = None) -> tuple[Sheet, ...]:
+def tables(plan: Plan, scores: Scores, draw: Draw | None = None) -> tuple[Table, ...]:
     """Return all tables that a study has the figures for.
 
     Parameters
@@ -102,15 +103,15 @@ def tables(plan: Plan, scores: Scores, draw: Draw | None = None) -> tuple[Sheet,
             if any((spread.kind == "absolute") == absolute for spread in plan.priors):
                 made += [best_over_filters(plan, scores, data, absolute) for data in plan.data]
         made += [every_filter(plan, scores, data) for data in plan.data]
-    made = [_with_metrics(sheet, plan.shown) for sheet in made]
+    made = [_with_metrics(sheet, plan.shown_metrics) for sheet in made]
     if draw is not None:
         made.append(parameters(draw))
     return tuple(made)
 
 
-def techniques(methods: Iterable[str]) -> Sheet:
+def techniques(methods: Iterable[str]) -> Table:
     """Return Table I: what each method scales, and what it does where the data say nothing."""
-    return Sheet(
+    return Table(
         name="table_1",
         title="Table I: solution techniques",
         caption="The thesis's five, and ours.",
@@ -122,14 +123,14 @@ def techniques(methods: Iterable[str]) -> Sheet:
             Column("Possible links guaranteed"),
         ),
         rows=tuple(
-            Row((Cell(words=TITLES[method]),), tuple(Cell(words=word) for word in words))
+            Row((Cell(text=TITLES[method]),), tuple(Cell(text=word) for word in words))
             for method, words in TECHNIQUES.items()
             if method in _shown(methods)
         ),
     )
 
 
-def best_over_filters(plan: Plan, scores: Scores, data: str, absolute: bool) -> Sheet:
+def best_over_filters(plan: Plan, scores: Scores, data: str, absolute: bool) -> Table:
     """Return Table II or, of absolute priors, Table 4.1: the least errors over the filters."""
     printed = thesis.table_4_1() if absolute else thesis.table_2()
     rows = []
@@ -137,23 +138,23 @@ def best_over_filters(plan: Plan, scores: Scores, data: str, absolute: bool) -> 
         means = {method: scores.best(data, spread, method) for method in _shown(plan.methods)}
         rows += [
             Row(
-                (Cell(words=spread), Cell(words=TITLES[method])),
+                (Cell(text=spread), Cell(text=TITLES[method])),
                 _figures(found, printed.best(thesis.DATA, spread, method), _least(means.values())),
             )
             for method, found in means.items()
             if found
         ]
-    return Sheet(
+    return Table(
         name=f"table_{'4_1' if absolute else '2'}_{_stem(data)}",
         title=f"Table {'4.1' if absolute else 'II'}: best over the filters, {data}",
-        caption=BEST.format(draws=plan.iterations) + beside(rows),
+        caption=BEST.format(draws=plan.iterations) + reference_note(rows),
         headings=(Column("Prior"), Column("Method")),
         columns=COLUMNS,
         rows=tuple(rows),
     )
 
 
-def every_filter(plan: Plan, scores: Scores, data: str) -> Sheet:
+def every_filter(plan: Plan, scores: Scores, data: str) -> Table:
     """Return Table C.1: every prior, method and filter."""
     rows = []
     for spread in map(str, plan.priors):
@@ -164,7 +165,7 @@ def every_filter(plan: Plan, scores: Scores, data: str) -> Sheet:
         }
         rows += [
             Row(
-                (Cell(words=spread), Cell(words=TITLES[method]), _filter(method, cutoff)),
+                (Cell(text=spread), Cell(text=TITLES[method]), _filter(method, cutoff)),
                 _figures(
                     means,
                     thesis.table_c1().at(thesis.DATA, spread, method, cutoff),
@@ -173,18 +174,18 @@ def every_filter(plan: Plan, scores: Scores, data: str) -> Sheet:
             )
             for (method, cutoff), means in tried.items()
         ]
-    return Sheet(
+    return Table(
         name=f"table_c1_{_stem(data)}",
         title=f"Table C.1: every filter, {data}",
         caption=f"Means over {plan.iterations} priors. Bold: the least of one prior."
-        + beside(rows),
+        + reference_note(rows),
         headings=(Column("Prior"), Column("Method"), Column("Filter", "Hz")),
         columns=COLUMNS,
         rows=tuple(rows),
     )
 
 
-def comparison(plan: Plan, scores: Scores) -> Sheet:
+def comparison(plan: Plan, scores: Scores) -> Table:
     """Return the errors of every data set, prior and method."""
     rows = []
     for data in plan.data:
@@ -192,22 +193,22 @@ def comparison(plan: Plan, scores: Scores) -> Sheet:
             means = {method: scores.best(data, spread, method) for method in _shown(plan.methods)}
             rows += [
                 Row(
-                    (Cell(words=data), Cell(words=spread), Cell(words=TITLES[method])),
+                    (Cell(text=data), Cell(text=spread), Cell(text=TITLES[method])),
                     _figures(found, {}, _least(means.values())),
                 )
                 for method, found in means.items()
                 if found
             ]
     filters = ""
-    if plan.truncated:
-        names = listed(TITLES[method] for method in _shown(plan.truncated)[1:])
-        filters = f"; rows of {names} {filtered(plan.filters[0])}"
-    return Sheet(
+    if plan.truncated_methods:
+        names = enumerate_words(TITLES[method] for method in _shown(plan.truncated_methods)[1:])
+        filters = f"; rows of {names} {describe_filter(plan.filters[0])}"
+    return Table(
         name="comparison",
         title="Comparison",
         caption=(
             BEST.format(draws=plan.iterations)
-            if plan.truncated and len(plan.filters) > 1
+            if plan.truncated_methods and len(plan.filters) > 1
             else f"Means over {plan.iterations} priors{filters}. Bold: the least of one prior."
         ),
         headings=(Column("Data"), Column("Prior"), Column("Method")),
@@ -216,7 +217,7 @@ def comparison(plan: Plan, scores: Scores) -> Sheet:
     )
 
 
-def _with_metrics(sheet: Sheet, shown: Sequence[str]) -> Sheet:
+def _with_metrics(sheet: Table, shown: Sequence[str]) -> Table:
     """Return a sheet of errors with some of them alone; any other as it is."""
     if sheet.columns != COLUMNS:
         return sheet
@@ -256,15 +257,15 @@ def _figures(
 
 def _filter(method: str, cutoff: float | None) -> Cell:
     if cutoff is not None:
-        return Cell(cutoff, words=f"{cutoff:g}" if cutoff else "none")
-    return Cell(words=ABSENT if method == REFERENCE else "windows")
+        return Cell(cutoff, text=f"{cutoff:g}" if cutoff else "none")
+    return Cell(text=ABSENT if method == REFERENCE else "windows")
 
 
 def _stem(data: str) -> str:
     return data.replace(" ", "_")
 
 
-def parameters(draw: Draw) -> Sheet:
+def parameters(draw: Draw) -> Table:
     """Return Table D.1: every parameter, what each method made of it, and how far off that is."""
     printed = thesis.table_d1()
     methods = [method for method in TITLES if method in draw.estimates]
@@ -281,17 +282,17 @@ def parameters(draw: Draw) -> Sheet:
                 if known and method in printed.estimates
                 else None
             )
-            cells += [Cell(own, theirs, rated=False), Cell(_off(own, real), _off(theirs, real))]
-        rows.append(Row((Cell(words=name), Cell(words=unit)), tuple(cells)))
+            cells += [Cell(own, theirs, has_ratio=False), Cell(_off(own, real), _off(theirs, real))]
+        rows.append(Row((Cell(text=name), Cell(text=unit)), tuple(cells)))
     columns = [Column("Real")]
     for method in methods:
         columns += [Column(TITLES[method]), Column(f"{TITLES[method]} error", "%")]
-    return Sheet(
+    return Table(
         name="table_d1",
         title=f"Table D.1: parameters, {draw.data}",
         caption=(
             f"One draw of a {draw.prior} prior, rows of the truncated methods filtered at "
-            f"{draw.filter:g} Hz; errors relative to the real value." + beside(rows)
+            f"{draw.filter:g} Hz; errors relative to the real value." + reference_note(rows)
         ),
         headings=(Column("Parameter"), Column("Unit")),
         columns=tuple(columns),
@@ -300,7 +301,7 @@ def parameters(draw: Draw) -> Sheet:
             "The thesis's figures are one draw of a ±25 % prior at 50 Hz, another one than ours: "
             "single ratios tell of the draws as much as of the methods.",
         )
-        if beside(rows)
+        if reference_note(rows)
         else (),
     )
 
@@ -312,9 +313,9 @@ def _off(value: float | None, real: float) -> float | None:
 LABELS = {**TITLES, TRUTH: "Truth"}
 
 
-def closure_table(closures: Sequence[Closure]) -> Sheet:
+def equation_table(residuals: Sequence[EquationResidual]) -> Table:
     """Return Appendix B's check of the equation of motion."""
-    return Sheet(
+    return Table(
         name="appendix_b",
         title="Appendix B: does the equation of motion close?",
         caption=(
@@ -326,10 +327,10 @@ def closure_table(closures: Sequence[Closure]) -> Sheet:
         columns=(Column("RMSE", "N, Nm"),),
         rows=tuple(
             Row(
-                (Cell(words=one.robot), Cell(words=one.model), Cell(words=one.wrenches)),
-                (Cell(one.rmse, CLOSURES.get((one.robot, one.model, one.wrenches))),),
+                (Cell(text=one.robot), Cell(text=one.model), Cell(text=one.wrenches)),
+                (Cell(one.rmse, EQUATION_RESIDUALS.get((one.robot, one.model, one.wrenches))),),
             )
-            for one in closures
+            for one in residuals
         ),
         notes=(
             "The thesis reaches 1e-14 with friction in Simscape, whose contact forces are exact; "
@@ -339,9 +340,9 @@ def closure_table(closures: Sequence[Closure]) -> Sheet:
     )
 
 
-def acceleration_table(checks: Mapping[str, AccelerationCheck], cutoff: float) -> Sheet:
+def acceleration_table(checks: Mapping[str, AccelerationCheck], cutoff: float) -> Table:
     """Return what a filter does to joint accelerations (Eq. 4.2)."""
-    return Sheet(
+    return Table(
         name="accelerations",
         title="Filtered joint accelerations",
         caption=(
@@ -352,7 +353,7 @@ def acceleration_table(checks: Mapping[str, AccelerationCheck], cutoff: float) -
         columns=(Column("Acceleration", "rad/s²"), Column("e_a", "rad/s²")),
         rows=tuple(
             Row(
-                (Cell(words=name),),
+                (Cell(text=name),),
                 (Cell(one.rms), Cell(one.error, ACCELERATION_ERRORS.get(name))),
             )
             for name, one in checks.items()
@@ -360,14 +361,14 @@ def acceleration_table(checks: Mapping[str, AccelerationCheck], cutoff: float) -
     )
 
 
-def realistic_table(means: Mapping[str, Mapping[str, float]]) -> Sheet:
+def realistic_table(means: Mapping[str, Mapping[str, float]]) -> Table:
     """Return the errors of predictions as a robot could make them, by method."""
     judged = {method: found for method, found in means.items() if method != TRUTH}
     least = {
         metric.key: min(found[metric.key] for found in judged.values())
         for metric in REALISTIC_METRICS
     }
-    return Sheet(
+    return Table(
         name="realistic",
         title="Errors of realistic predictions",
         caption=(
@@ -379,7 +380,7 @@ def realistic_table(means: Mapping[str, Mapping[str, float]]) -> Sheet:
         columns=tuple(Column(metric.title, metric.unit) for metric in REALISTIC_METRICS),
         rows=tuple(
             Row(
-                (Cell(words=LABELS[method]),),
+                (Cell(text=LABELS[method]),),
                 tuple(
                     Cell(
                         means[method][metric.key],
@@ -394,9 +395,9 @@ def realistic_table(means: Mapping[str, Mapping[str, float]]) -> Sheet:
     )
 
 
-def balance_table(prior: str, runs: Mapping[str, Sequence[BalanceResult]]) -> Sheet:
+def balance_table(prior: str, runs: Mapping[str, Sequence[BalanceResult]]) -> Table:
     """Return how the balance controller did with each method's models."""
-    return Sheet(
+    return Table(
         name=f"closed_loop_{prior.replace(' ', '').replace('%', 'percent').replace('±', '')}",
         title=f"Closed loop, priors {prior}",
         caption=(
@@ -425,12 +426,12 @@ def _balanced(name: str, runs: Sequence[BalanceResult]) -> Row:
     share = [100 * run.feed_forward_share for run in lasting]
     causes = sorted({run.failure for run in runs if run.failure})
     return Row(
-        (Cell(words=name),),
+        (Cell(text=name),),
         (
-            Cell(words=f"{len(lasting)} of {len(runs)}"),
+            Cell(text=f"{len(lasting)} of {len(runs)}"),
             Cell(float(np.median(tracking)) if tracking else None),
             Cell(max(tracking) if tracking else None),
             Cell(float(np.median(share)) if share else None),
-            Cell(words="; ".join(causes) or "—"),
+            Cell(text="; ".join(causes) or "—"),
         ),
     )

@@ -1,4 +1,8 @@
-"""Work that can be stopped and gone on with: every task leaves a file, and with it is done."""
+"""Tasks that run in processes and resume: a task whose output file exists is done.
+
+joblib.Parallel would replace the process pool of the standard library, but not what is added to it
+here: skipping tasks whose output exists, and ending the processes together with the study.
+"""
 
 import multiprocessing
 import os
@@ -22,13 +26,13 @@ class Task:
     Attributes
     ----------
     output : Path
-        The file or folder that the step leaves, whole or not at all.
+        The file or folder that the step writes atomically.
     run : callable
-        At a module's top level: it runs in another process.
+        A function at a module's top level, as another process calls it.
     arguments : tuple
-        What it is given.
+        Its arguments.
     cost : float
-        About how many seconds it takes.
+        Approximate duration, s.
     """
 
     output: Path
@@ -37,8 +41,8 @@ class Task:
     cost: float
 
 
-class Workers:
-    """Processes that do tasks, in a ``with`` block that none of them survives.
+class WorkerPool:
+    """Processes that run tasks; all of them end with the ``with`` block.
 
     Parameters
     ----------
@@ -47,11 +51,11 @@ class Workers:
     """
 
     def __init__(self, count: int) -> None:
-        # Not forked: threads of this process, such as a progress bar's, would be left hanging.
+        # A forked process could hang on locks held by threads, such as a progress bar's.
         context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
+        self._pool = ProcessPoolExecutor(count, mp_context=context, initializer=_initialize_worker)
 
-    def __enter__(self) -> "Workers":
+    def __enter__(self) -> "WorkerPool":
         return self
 
     def __exit__(
@@ -62,24 +66,24 @@ class Workers:
     ) -> None:
         self._pool.shutdown(wait=error is None, cancel_futures=True)
         if error is not None:
-            # What they have begun is not kept, and nobody waits for it.
+            # Outputs are written atomically, so unfinished tasks leave nothing behind.
             for process in multiprocessing.active_children():
                 process.terminate()
 
-    def complete(self, tasks: Sequence[Task], done: Callable[[Task], None]) -> None:
-        """Do what is not done yet, and call ``done`` with every task that is.
+    def run(self, tasks: Sequence[Task], on_done: Callable[[Task], None]) -> None:
+        """Run the tasks whose output is missing, and call ``on_done`` for each task once done.
 
         Raises
         ------
         SymbidError
-            The first that a task raised.
+            The first error that a task raised.
         StudyError
-            When a process was killed.
+            If a process was killed.
         """
         running: dict[Future[None], Task] = {}
         for task in tasks:
             if task.output.exists():
-                done(task)
+                on_done(task)
             else:
                 running[self._pool.submit(task.run, *task.arguments)] = task
         while running:
@@ -90,21 +94,22 @@ class Workers:
                     future.result()
                 except BrokenProcessPool:
                     raise StudyError(
-                        f"{task.output}: the process at work on it was killed, perhaps for want of "
-                        "memory; start the study again to go on, with fewer --workers"
+                        f"{task.output}: its process was killed, perhaps for lack of memory; "
+                        "start the study again to resume it, with fewer --workers",
+                        "E706",
                     ) from None
-                done(task)
+                on_done(task)
 
 
-def _begin() -> None:
-    """Leave Ctrl-C to the process that waits, and BLAS to one thread; do not outlive it."""
+def _initialize_worker() -> None:
+    """Ignore Ctrl-C, which the parent handles, limit BLAS to one thread, and follow the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    Thread(target=_end_with_parent, daemon=True).start()
+    Thread(target=_exit_with_parent, daemon=True).start()
     os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 
 
-def _end_with_parent() -> None:
-    """End this process once its parent has been killed, which the pool would wait for for ever."""
+def _exit_with_parent() -> None:
+    """End this process if its parent was killed; the pool would wait for work forever."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

@@ -1,8 +1,7 @@
-"""The figures that the thesis prints, under the names of ours.
+"""Values printed in the thesis, under the names that studies use.
 
 N. van der Gaag, "Least Squares Inertial Parameter Identification of Bipedal Systems": Tables II
-(chapter 3), 4.1, C.1 and D.1. All of them are means over twenty priors but Table D.1, which is one
-draw.
+(chapter 3), 4.1, C.1 and D.1. Table D.1 is one draw of the prior; the others are means over twenty.
 """
 
 import json
@@ -17,19 +16,19 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.compose import METHOD_TITLES
-from symbid_ros.study.plan import Spread
+from symbid_ros.study.plan import PriorSpread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case, Scores
 
-# Of the data set, in the thesis's own scores.
+# Name of the data set in the thesis's scores.
 DATA = "thesis"
-# In the order in which the tables show them.
+# Labels in tables and figures, in the order shown.
 TITLES: Mapping[str, str] = {REFERENCE: "Ref.", **METHOD_TITLES}
-PRIORS = (Spread(percent=12.5), Spread(percent=25))
-ABSOLUTE_PRIOR = Spread(absolute=0.125)
-# Section 4.2.2, of logs as Fig. 4.3 has them: e_a at 70 Hz, rad/s² (the text says Nm).
+PRIORS = (PriorSpread(percent=12.5), PriorSpread(percent=25))
+ABSOLUTE_PRIOR = PriorSpread(absolute=0.125)
+# Section 4.2.2: e_a of the logs of Fig. 4.3, filtered at 70 Hz, rad/s² (the text says Nm).
 ACCELERATION_ERRORS: Mapping[str, float] = {"vibrating": 57.0, "floating": 5.0}
-# Appendix B, orders of magnitude in N and Nm, by robot, model and source of the contact forces.
-CLOSURES: Mapping[tuple[str, str, str], float] = {
+# Appendix B: orders of magnitude in N and Nm, by robot, model and source of the contact forces.
+EQUATION_RESIDUALS: Mapping[tuple[str, str, str], float] = {
     ("with friction", "rigid links", "measured"): 1.0,
     ("with friction", "rigid links, friction", "by Eq. 4.1"): 1e-5,
     ("without friction", "rigid links", "by Eq. 4.1"): 5e-6,
@@ -41,13 +40,13 @@ _METHODS = {title: method for method, title in TITLES.items()}
 
 @dataclass(frozen=True)
 class PrintedParameters:
-    """Table D.1: one draw of a ±25 % prior, rows filtered at 50 Hz.
+    """Table D.1: one draw of a ±25 % prior, with rows filtered at 50 Hz.
 
     Attributes
     ----------
     real : (110,) float64
-        Ten parameters of each of the eleven links, body first, then the right leg and the left one
-        from the hip down, in the order of `ParameterSet`: kg, kg m, kg m².
+        True values: ten parameters of each of the eleven links in the order of `ParameterSet`,
+        first the body, then the right and the left leg from the hip down; kg, kg m, kg m².
     estimates : dict of str to (110,) float64
         By method.
     """
@@ -58,13 +57,13 @@ class PrintedParameters:
 
 @cache
 def table_2() -> Scores:
-    """Return Table II: each metric's least mean over the filters, which are not told."""
+    """Return Table II: the smallest mean of each error over the filters, which it does not name."""
     return Scores(dict(_means(_read("table_2")["rows"], PRIORS)))
 
 
 @cache
 def table_4_1() -> Scores:
-    """Return Table 4.1: the same as Table II with priors off by an absolute amount."""
+    """Return Table 4.1: like Table II, with priors off by an absolute amount."""
     return Scores(dict(_means(_read("table_4_1")["rows"], (ABSOLUTE_PRIOR,))))
 
 
@@ -76,7 +75,7 @@ def table_c1() -> Scores:
 
 @cache
 def published() -> Scores:
-    """Return Tables C.1 and 4.1 as the means of one study."""
+    """Return Tables C.1 and 4.1 together, as the means of one study."""
     return Scores({**table_c1().means, **table_4_1().means})
 
 
@@ -99,14 +98,14 @@ def _read(name: str) -> dict[str, Any]:
 
 
 def _means(
-    rows: list[dict[str, Any]], priors: Iterable[Spread]
+    rows: list[dict[str, Any]], priors: Iterable[PriorSpread]
 ) -> Iterable[tuple[Case, dict[str, float]]]:
-    """Yield what each row of a table says, under its case."""
+    """Yield the case and the means of each row of a table."""
     labels = {one.percent / 100 if one.percent else one.amount: str(one) for one in priors}
     for row in rows:
         method = _METHODS[row["method"]]
         prior = labels[row["prior"] if "prior" in row else row["prior_absolute"]]
-        # A prior has no singular values; Table 4.1 gives it 0 of them, the others a dash.
+        # The prior has no singular values: 0 in Table 4.1, a dash in the other tables.
         names = METRICS if method == REFERENCE else (*METRICS, RANK)
         case = Case(DATA, prior, method, row.get("filter_hz"))
         yield case, {name: float(row[name]) for name in names}

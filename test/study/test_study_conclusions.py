@@ -17,18 +17,20 @@ from symbid_ros.study.conclusions import (
     link_accuracy,
     realistic_conclusion,
 )
-from symbid_ros.study.evidence import Conclusion, Evidence, Examination
-from symbid_ros.study.plan import Spread
+from symbid_ros.study.evidence import Conclusion, Evidence
+from symbid_ros.study.plan import PriorSpread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case, Scores
 
 PRIORS = (*thesis.PRIORS, thesis.ABSOLUTE_PRIOR)
 FOUR = ("ols", "wls_r", "wls_c", "wls_rc")
 REVERSED = dict(zip(FOUR, reversed(FOUR), strict=True))
-Claim = Callable[[Examination], Conclusion | None]
+Claim = Callable[[Evidence], Conclusion | None]
 
 
-def examined(claim: Claim, scores: Scores, evidence: Evidence | None = None) -> Conclusion:
-    found = claim(Examination(scores, thesis.DATA, PRIORS, evidence or Evidence()))
+def checked(
+    claim: Claim, scores: Scores, row_errors: Mapping[float, float] | None = None
+) -> Conclusion:
+    found = claim(Evidence(scores, thesis.DATA, PRIORS, row_errors or {}))
     assert found is not None
     return found
 
@@ -50,7 +52,7 @@ def without(drop: Callable[[Case], bool]) -> Scores:
 
 
 def claimed(scores: Scores) -> set[str]:
-    return {one.claim for one in conclusions(scores, thesis.DATA, PRIORS)}
+    return {one.claim for one in conclusions(Evidence(scores, thesis.DATA, PRIORS))}
 
 
 @pytest.mark.parametrize(
@@ -68,33 +70,33 @@ def claimed(scores: Scores) -> set[str]:
     ],
 )
 def test_what_the_thesis_concludes_holds_in_its_own_tables(claim: Claim) -> None:
-    found = examined(claim, thesis.published())
-    assert found.holds is True, found.sentence
+    found = checked(claim, thesis.published())
+    assert found.holds is True, found.finding
     assert found.verdict == "holds"
-    assert not found.because
+    assert not found.explanation
 
 
 def test_row_scaling_of_the_thesis_helps_with_scaled_columns_only() -> None:
-    found = examined(claims.row_scaling, thesis.published())
+    found = checked(claims.row_scaling, thesis.published())
     assert found.verdict == "holds in part"
     # Counted by hand in Table C.1; momentum and CoM position at ±25 % are the two.
-    assert "8 of 8 prediction errors where the columns are scaled too" in found.sentence
-    assert "2 of 8 where they are not" in found.sentence
+    assert "8 of 8 prediction errors where the columns are scaled too" in found.finding
+    assert "2 of 8 where they are not" in found.finding
 
 
 def test_nowhere_in_the_thesis_are_there_four_times_as_many_singular_values() -> None:
-    found = examined(claims.singular_values, thesis.published())
+    found = checked(claims.singular_values, thesis.published())
     assert found.holds is None
     # 11.9 / 4.3 at ±12.5 % and 50 Hz is the largest.
-    assert "1.1 to 2.8 times as many as WLS-C" in found.sentence
-    assert "16 of 16" in found.sentence
-    assert "unfiltered in 1 of 4" in found.sentence
+    assert "1.1 to 2.8 times as many as WLS-C" in found.finding
+    assert "16 of 16" in found.finding
+    assert "unfiltered in 1 of 4" in found.finding
 
 
 def test_figures_of_a_sentence_are_those_of_the_table() -> None:
-    found = examined(claims.best_of_four, thesis.published())
+    found = checked(claims.best_of_four, thesis.published())
     assert "CoM position at ±25 %: OLS 20.4 mm, WLS-R 18.5 mm, WLS-C 3.28 mm, WLS-RC 0.996 mm" in (
-        found.sentence
+        found.finding
     )
 
 
@@ -111,24 +113,24 @@ def test_figures_of_a_sentence_are_those_of_the_table() -> None:
     ],
 )
 def test_reversed_order_reverses_the_sentences(claim: Claim, said: str) -> None:
-    found = examined(claim, renamed(REVERSED))
-    assert said in found.sentence
+    found = checked(claim, renamed(REVERSED))
+    assert said in found.finding
     assert found.holds is not True
-    assert found.because
+    assert found.explanation
 
 
 def test_row_scaling_that_only_helps_lowers_no_performance() -> None:
-    found = examined(claims.row_scaling_alone, renamed({"wls_r": "wls_c", "wls_c": "wls_r"}))
+    found = checked(claims.row_scaling_alone, renamed({"wls_r": "wls_c", "wls_c": "wls_r"}))
     assert found.holds is False
-    assert "Scaling the rows alone lowers every error at ±12.5 % and ±25 % (" in found.sentence
-    assert "raises" not in found.sentence
+    assert "Scaling the rows alone lowers every error at ±12.5 % and ±25 % (" in found.finding
+    assert "raises" not in found.finding
 
 
 def test_unfiltered_order_follows_the_unfiltered_means() -> None:
     swapped = {"wls_c": "wls_rc", "wls_rc": "wls_c"}
-    found = examined(claims.unfiltered_order, renamed(swapped))
+    found = checked(claims.unfiltered_order, renamed(swapped))
     assert found.holds is False
-    assert "behind WLS-RC in generalised force" in found.sentence
+    assert "behind WLS-RC in generalised force" in found.finding
     # With the filtered means exchanged as well, WLS-C is always ahead and nothing reverses.
     unreversed = changed(
         lambda case, means: (
@@ -136,9 +138,9 @@ def test_unfiltered_order_follows_the_unfiltered_means() -> None:
             means,
         )
     )
-    same = examined(claims.unfiltered_order, unreversed)
+    same = checked(claims.unfiltered_order, unreversed)
     assert same.holds is None
-    assert "with the best filter WLS-RC is ahead in 0 of 10" in same.sentence
+    assert "with the best filter WLS-RC is ahead in 0 of 10" in same.finding
 
 
 def test_gap_that_shrinks_is_said_to_shrink() -> None:
@@ -149,10 +151,10 @@ def test_gap_that_shrinks_is_said_to_shrink() -> None:
             means,
         )
     )
-    found = examined(claims.growing_gap, scores)
+    found = checked(claims.growing_gap, scores)
     assert found.holds is False
-    assert "0 of 5 steps" in found.sentence
-    assert "does not in every error at ±12.5 % to ±25 %" in found.because
+    assert "0 of 5 steps" in found.finding
+    assert "does not grow in every error at ±12.5 % to ±25 %" in found.explanation
 
 
 def test_near_ties_are_no_lead() -> None:
@@ -164,10 +166,10 @@ def test_near_ties_are_no_lead() -> None:
             {name: float(generator.uniform(1.0, 1.02)) for name in means},
         )
     )
-    found = examined(claims.best_of_four, scores)
+    found = checked(claims.best_of_four, scores)
     assert found.holds is False
-    assert "none of 10 errors, within 5 % in 10" in found.sentence
-    assert examined(claims.row_scaling_alone, scores).holds is False
+    assert "none of 10 errors, within 5 % in 10" in found.finding
+    assert checked(claims.row_scaling_alone, scores).holds is False
 
 
 @pytest.mark.parametrize("factor", [1e-3, 0.7, 1e4])
@@ -180,8 +182,8 @@ def test_units_do_not_decide(factor: float, names: dict[str, str]) -> None:
             for case, means in plain.means.items()
         }
     )
-    before = conclusions(plain, thesis.DATA, PRIORS)
-    after = conclusions(scaled, thesis.DATA, PRIORS)
+    before = conclusions(Evidence(plain, thesis.DATA, PRIORS))
+    after = conclusions(Evidence(scaled, thesis.DATA, PRIORS))
     assert [one.holds for one in before] == [one.holds for one in after]
     assert [one.claim for one in before] == [one.claim for one in after]
 
@@ -202,7 +204,7 @@ def test_missing_numbers_leave_claims_out() -> None:
     no_prior = everything - claimed(without(lambda case: case.method == REFERENCE))
     assert all("prior" in claim for claim in no_prior)
     assert not claimed(without(lambda case: case.method in FOUR))
-    assert conclusions(thesis.published(), "another log", PRIORS) == ()
+    assert conclusions(Evidence(thesis.published(), "another log", PRIORS)) == ()
 
 
 def test_error_that_is_not_finite_counts_as_missing() -> None:
@@ -225,25 +227,25 @@ def ours(factor: float) -> Scores:
 
 
 def test_our_lead_is_told_in_factors() -> None:
-    found = examined(claims.ours, ours(5.0))
+    found = checked(claims.map_lmi_is_best, ours(5.0))
     assert found.holds is True
-    assert "at least 5.0 (generalised force), 5.0 (joint torque)" in found.sentence
-    behind = examined(claims.ours, ours(0.5))
+    assert "at least 5.0 (generalised force), 5.0 (joint torque)" in found.finding
+    behind = checked(claims.map_lmi_is_best, ours(0.5))
     assert behind.holds is False
-    assert "at least 0.50 (generalised force)" in behind.sentence
-    assert "Not 5 % ahead of WLS-RC in every error" in behind.because
-    assert examined(claims.ours, ours(1.01)).holds is False
+    assert "at least 0.50 (generalised force)" in behind.finding
+    assert "MAP-LMI is not 5 % ahead of WLS-RC in every error" in behind.explanation
+    assert checked(claims.map_lmi_is_best, ours(1.01)).holds is False
 
 
 def test_evidence_is_told_where_a_claim_fails_and_only_there() -> None:
-    evidence = Evidence({0.0: 40.0, 30.0: 12.5, 70.0: 20.0})
-    failed = examined(claims.best_of_four, renamed(REVERSED), evidence)
+    row_errors = {0.0: 40.0, 30.0: 12.5, 70.0: 20.0}
+    failed = checked(claims.best_of_four, renamed(REVERSED), row_errors)
     assert (
-        "with the true parameters the rows are off by 40.0 N & Nm rms unfiltered and "
-        "12.5 N & Nm rms filtered at 30 Hz"
-    ) in failed.because
-    assert failed.because.startswith("Singular values kept at ±25 %: ")
-    assert not examined(claims.best_of_four, thesis.published(), evidence).because
+        "at the true parameters the rows are off by 40.0 N & Nm RMS unfiltered and "
+        "12.5 N & Nm RMS filtered at 30 Hz"
+    ) in failed.explanation
+    assert failed.explanation.startswith("Singular values kept at ±25 %: ")
+    assert not checked(claims.best_of_four, thesis.published(), row_errors).explanation
 
 
 def links(outer: float, inner: float) -> Links:
@@ -261,17 +263,18 @@ def test_outer_links_are_compared_with_inner_ones() -> None:
     assert found.holds is True
     assert (
         "mean of the outer links over that of the inner ones: OLS 3.8 and WLS-RC 3.8"
-        in found.sentence
+        in found.finding
     )
     alike = link_accuracy(links(12.0, 12.0))
     assert alike is not None
     assert alike.holds is False
-    assert "largest over smallest of the prior itself: 1.0" in alike.because
+    assert "largest over smallest of the prior itself: 1.0" in alike.explanation
     inverse = link_accuracy(links(3.0, 12.0))
     assert inverse is not None
     assert inverse.holds is False
     assert not any(
-        "links" in one.claim for one in conclusions(thesis.published(), thesis.DATA, PRIORS)
+        "links" in one.claim
+        for one in conclusions(Evidence(thesis.published(), thesis.DATA, PRIORS))
     )
     with pytest.raises(StudyError, match="3 depths for 4 links"):
         Links(links(1.0, 1.0).errors, (0, 1, 2))
@@ -282,12 +285,12 @@ def test_realistic_gain_is_told_by_difference_and_factor() -> None:
     more = realistic_conclusion(ideal, {"ref": 9.0, "wls_rc": 3.0, "truth": 0.5})
     assert more is not None
     assert more.holds is True
-    assert "WLS-RC 1.80 and 3.00 Nm" in more.sentence
+    assert "WLS-RC 1.80 and 3.00 Nm" in more.finding
     # By 3 instead of 1.8 Nm, but by a factor of 1.5 instead of 2.
     in_part = realistic_conclusion(ideal, {"ref": 9.0, "wls_rc": 6.0, "truth": 5.5})
     assert in_part is not None
     assert in_part.holds is None
-    assert "even the true parameters err by 5.50 Nm" in in_part.because
+    assert "even the true parameters err by 5.50 Nm" in in_part.explanation
     less = realistic_conclusion(ideal, {"ref": 4.0, "wls_rc": 3.9})
     assert less is not None
     assert less.holds is False
@@ -313,14 +316,14 @@ def test_balance_is_compared_over_the_draws_in_which_both_stood() -> None:
     better = by_method["WLS-RC"]
     assert better.holds is True
     assert "3 of 3 runs with WLS-RC, 2 of 3 runs with the prior and 1 of 1 runs with the truth" in (
-        better.sentence
+        better.finding
     )
     # The run that only one of them lasted is in no mean.
-    assert "4.00 mm with WLS-RC, 10.0 mm with the prior, 2.00 mm with truth" in better.sentence
-    assert "91.0 % with WLS-RC, 75.0 % with the prior, 99.0 % with truth" in better.sentence
+    assert "4.00 mm with WLS-RC, 10.0 mm with the prior, 2.00 mm with truth" in better.finding
+    assert "91.0 % with WLS-RC, 75.0 % with the prior, 99.0 % with truth" in better.finding
     worse = by_method["OLS"]
     assert worse.holds is False
-    assert "joint R_hfe ran into its end stop and the robot fell" in worse.because
+    assert "joint R_hfe ran into its end stop and the robot fell" in worse.explanation
 
 
 def test_balance_with_better_tracking_and_less_feed_forward_holds_in_part() -> None:
@@ -335,6 +338,10 @@ def test_balance_with_better_tracking_and_less_feed_forward_holds_in_part() -> N
 
 def test_priors_are_taken_in_the_order_of_their_width() -> None:
     scores = thesis.published()
-    assert conclusions(scores, thesis.DATA, PRIORS) == conclusions(
-        scores, thesis.DATA, [thesis.ABSOLUTE_PRIOR, Spread(percent=25.0), Spread(percent=12.5)]
+    assert conclusions(Evidence(scores, thesis.DATA, PRIORS)) == conclusions(
+        Evidence(
+            scores,
+            thesis.DATA,
+            (thesis.ABSOLUTE_PRIOR, PriorSpread(percent=25.0), PriorSpread(percent=12.5)),
+        )
     )

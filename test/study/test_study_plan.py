@@ -10,14 +10,14 @@ from hypothesis import strategies as st
 from symbid_ros.choices import METHODS
 from symbid_ros.errors import StudyError, SymbidError
 from symbid_ros.package_paths import config_file
-from symbid_ros.study.plan import Plan, Spread
-from symbid_ros.study.plan_file import load_plan, studies
+from symbid_ros.study.plan import Plan, PriorSpread
+from symbid_ros.study.plan_file import load_plan, shipped_studies
 
 NAMES = ("thesis", "excitation", "sensors", "noise", "length", "errors")
 
 
 def test_all_that_ship_are_known_by_name():
-    assert {file.stem for file in studies()} == {f"study_{name}" for name in NAMES}
+    assert {file.stem for file in shipped_studies()} == {f"study_{name}" for name in NAMES}
     for name in NAMES:
         plan, path = load_plan(name)
         assert path == config_file(f"study_{name}.yaml")
@@ -57,16 +57,16 @@ def changed(text: str, old: str, new: str) -> str:
         ("- { percent: 12.5 }", "- { percent: -12.5 }", "priors.0.percent"),
         ("- { percent: 12.5 }", "- { percent: .nan }", "priors.0.percent"),
         ("- { percent: 12.5 }", "- { percent: 25.0 }", "priors repeat"),
-        ("com: 70.0", "com: 71.0", "71 Hz is not among filters"),
+        ("com: 70.0", "com: 71.0", "71 Hz is missing from filters"),
         ("[0.0, 30.0", "[0.0, 0.0", "filters repeat"),
         ("  data: smooth\n  prior:", "  data: smoth\n  prior:", "(did you mean 'smooth'?)"),
         ("wls_rc, map, map_lmi]", "wls_r, map, map_lmi]", "methods repeat"),
         ("wls_rc, map, map_lmi]", "map, map_lmi]", "figures show wls_rc"),
         ("noise_seed: 11", "noise_seed: true", "data.smooth.noise_seed"),
         ("  smooth:", "  ../smooth:", "data.../smooth"),
-        ("  iterations: 5", "  iterations: 50", "more iterations than the study"),
-        ("21, noise: 0.0", "21, noise: 0.1", "validation: what others are judged by is ideal"),
-        ("31, noise: 0.0", "31", "equation: what others are judged by is ideal"),
+        ("  iterations: 5", "  iterations: 50", "closed_loop.iterations is more"),
+        ("21, noise: 0.0", "21, noise: 0.1", "validation: must be an ideal log"),
+        ("31, noise: 0.0", "31", "equation: must be an ideal log"),
         ("title:", "title: [", "not valid YAML"),
     ],
 )
@@ -104,7 +104,7 @@ def test_cure_needs_every_sensor():
     ("spread", "text"), [({"percent": 12.5}, "±12.5 %"), ({"absolute": 0.125}, "±0.125")]
 )
 def test_priors_are_called_as_the_tables_call_them(spread, text):
-    assert str(Spread(**spread)) == text
+    assert str(PriorSpread(**spread)) == text
 
 
 SCALARS = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
@@ -141,7 +141,7 @@ def test_estimates_are_judged_by_the_robot_they_are_of():
     content = {"title": "A", "priors": [{"percent": 25.0}]}
     plan = Plan.model_validate(content | {"data": {"dry": {}, "rubbing": {"friction": True}}})
     for name, friction in (("dry", False), ("rubbing", True)):
-        ideal, noisy = plan.validation_of(name), plan.realistic_of(name)
+        ideal, noisy = plan.validation_log(name), plan.noisy_validation_log(name)
         assert (ideal.friction, ideal.noise) == (friction, 0.0)
         assert (noisy.friction, noisy.noise) == (friction, 1.0)
         assert noisy.motion_seed == ideal.motion_seed

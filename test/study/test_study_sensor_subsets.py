@@ -23,7 +23,7 @@ from symbid_ros.model.tree import Frame
 from symbid_ros.offline.bags import read_true_motion
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
-from symbid_ros.study.sensor_subsets import Annihilator, SensedRows, Sensing, observe_sensed
+from symbid_ros.study.sensor_subsets import Annihilator, SensorSubset, SubsetRows, observe_subset
 
 PARTS = {"base_rows": slice(0, 6), "joint_rows": slice(6, 16)}
 
@@ -87,8 +87,8 @@ def test_rows_without_plates_hold_whatever_the_contacts_do(kind):
     parameters = robot_on_contacts(kind, rng)
     model = parameters.model
     samples = driven_by(parameters, random_samples(model, 60, rng), parameters.values, rng)
-    sensed = SensedRows.of(parameters, "no_plates", samples)
-    rows = sensed.at(samples).rows
+    subset = SubsetRows.of(parameters, "no_plates", samples)
+    rows = subset.at(samples).rows
     left = model.dof - np.linalg.matrix_rank(jacobian(model, samples)).max()
     assert rows.y.shape == (len(samples), left)
     assert 0 < left < model.dof
@@ -97,16 +97,16 @@ def test_rows_without_plates_hold_whatever_the_contacts_do(kind):
     assert np.abs(rows.K @ (1.1 * parameters.values) - rows.y).max() > 1e-3 * scale
     # The readings of the wrench sensors that are not there are not looked at.
     other = replace(samples, wrenches=rng.normal(size=samples.wrenches.shape))
-    np.testing.assert_array_equal(sensed.at(other).rows.y, rows.y)
-    through = sensed.selection.at(samples.position) @ jacobian(model, samples).transpose(0, 2, 1)
+    np.testing.assert_array_equal(subset.at(other).rows.y, rows.y)
+    through = subset.selection.at(samples.position) @ jacobian(model, samples).transpose(0, 2, 1)
     assert np.abs(through).max() < 1e-12 * np.abs(jacobian(model, samples)).max()
 
 
-@pytest.mark.parametrize("sensing", get_args(Sensing))
-def test_rows_hold_at_the_truth_of_an_ideal_bag(sensing, motion, symbitron):
-    rows = SensedRows.of(symbitron, sensing, motion).at(motion).rows
+@pytest.mark.parametrize("sensors", get_args(SensorSubset))
+def test_rows_hold_at_the_truth_of_an_ideal_bag(sensors, motion, symbitron):
+    rows = SubsetRows.of(symbitron, sensors, motion).at(motion).rows
     expected = {"all": 16, "base_rows": 6, "joint_rows": 10, "no_plates": 4}
-    assert rows.K.shape[1] == expected[sensing]
+    assert rows.K.shape[1] == expected[sensors]
     assert np.abs(rows.K @ symbitron.values - rows.y).max() < 1e-6
     assert np.abs(rows.y).max() > 1
 
@@ -144,10 +144,10 @@ def test_rows_stay_smooth_where_contacts_lose_rank(motion, symbitron):
     assert largest_step(4001) < 0.6 * largest_step(2001) < 0.36 * largest_step(1001)
 
 
-@pytest.mark.parametrize("sensing", PARTS)
-def test_chosen_rows_are_those_of_the_equation_of_motion(sensing, motion, symbitron):
-    part = PARTS[sensing]
-    rows = SensedRows.of(symbitron, sensing, motion)
+@pytest.mark.parametrize("sensors", PARTS)
+def test_chosen_rows_are_those_of_the_equation_of_motion(sensors, motion, symbitron):
+    part = PARTS[sensors]
+    rows = SubsetRows.of(symbitron, sensors, motion)
     information = Observations.unwindowed(rows.layout, [rows.at(motion)], 1.0).rows
     every = equation_of_motion(symbitron, motion)
     names = symbitron.model.coordinates[part]
@@ -161,10 +161,10 @@ def test_chosen_rows_are_those_of_the_equation_of_motion(sensing, motion, symbit
     np.testing.assert_allclose(factor.T @ factor, moment, atol=1e-10 * np.abs(moment).max())
 
 
-@pytest.mark.parametrize("sensing", PARTS)
-def test_chosen_windows_are_those_of_the_equation_of_motion(sensing, record, symbitron):
-    segment, part = next(iter(record.segments)).cut(0, 4000), PARTS[sensing]
-    build = SensedRows.of(symbitron, sensing, record.samples).build
+@pytest.mark.parametrize("sensors", PARTS)
+def test_chosen_windows_are_those_of_the_equation_of_motion(sensors, record, symbitron):
+    segment, part = next(iter(record.segments)).cut(0, 4000), PARTS[sensors]
+    build = SubsetRows.of(symbitron, sensors, record.samples).build
     every = windowed_rows(segment, equation_rows(symbitron), [0.161])
     some = windowed_rows(segment, build, [0.161])
     for (whole,), (chosen,) in zip(every, some, strict=True):
@@ -175,7 +175,7 @@ def test_chosen_windows_are_those_of_the_equation_of_motion(sensing, record, sym
 
 
 def test_without_torque_sensors_efforts_are_not_looked_at(motion, symbitron):
-    rows = SensedRows.of(symbitron, "base_rows", motion)
+    rows = SubsetRows.of(symbitron, "base_rows", motion)
     other = replace(motion, effort=motion.effort + 1.0)
     np.testing.assert_array_equal(rows.at(other).rows.y, rows.at(motion).rows.y)
 
@@ -189,18 +189,18 @@ def test_every_row_tells_something(record, simulated, symbitron):
     )
     for log in (record, filtered):
         gains = {}
-        for sensing in get_args(Sensing):
-            observations = observe_sensed(log, symbitron, sensing)
+        for sensors in get_args(SensorSubset):
+            observations = observe_subset(log, symbitron, sensors)
             assert [one.window for one in observations] == [one.window for one in log.observations]
             solver = Solver.of(Problem(observations, symbitron, prior))
-            gains[sensing] = solver.posterior.gain(len(symbitron))
+            gains[sensors] = solver.posterior.gain(len(symbitron))
         assert min(gains.values()) > 20
         assert gains["all"] == max(gains.values())
-    assert observe_sensed(record, symbitron, "all") is record.observations
+    assert observe_subset(record, symbitron, "all") is record.observations
 
 
 def test_estimates_without_plates_cover_the_truth(record, symbitron):
-    observations = observe_sensed(record, symbitron, "no_plates")
+    observations = observe_subset(record, symbitron, "no_plates")
     distances = []
     for seed in range(4):
         prior = draw_prior(symbitron, "percent", 25.0, seed)
@@ -216,24 +216,24 @@ def test_combinations_of_sticking_joints_are_not_valid():
     parameters = ParameterSet(model, ("viscous", "coulomb", "armature"))
     samples = driven_by(parameters, random_samples(model, 40, rng), parameters.values, rng)
     samples.velocity[::2, 4] = 0.0
-    for sensing, where in (("no_plates", slice(None)), ("joint_rows", 4)):
-        valid = SensedRows.of(parameters, sensing, samples).at(samples).valid
+    for sensors, where in (("no_plates", slice(None)), ("joint_rows", 4)):
+        valid = SubsetRows.of(parameters, sensors, samples).at(samples).valid
         assert not valid[::2, where].any()
-    base = SensedRows.of(parameters, "base_rows", samples).at(samples)
+    base = SubsetRows.of(parameters, "base_rows", samples).at(samples)
     assert base.valid.all()
 
 
 def test_a_robot_left_without_rows_is_refused(symbitron):
     fixed = ParameterSet(random_robot(1, floating=False))
     rng = np.random.default_rng(7)
-    with pytest.raises(StudyError, match="base_rows: random has a fixed base; study other"):
-        SensedRows.of(fixed, "base_rows", random_samples(fixed.model, 5, rng))
+    with pytest.raises(StudyError, match="base_rows: random has a fixed base; choose other"):
+        SubsetRows.of(fixed, "base_rows", random_samples(fixed.model, 5, rng))
     frames = ("left_sole", "right_sole", "suspension")
     hung = random_samples(symbitron.model, 5, rng, frames)
     with pytest.raises(StudyError, match="left_sole, right_sole, suspension explain any motion"):
-        SensedRows.of(symbitron, "no_plates", hung)
+        SubsetRows.of(symbitron, "no_plates", hung)
     with pytest.raises(StudyError, match="no wrench topic"):
-        SensedRows.of(symbitron, "no_plates", random_samples(symbitron.model, 5, rng, ()))
+        SubsetRows.of(symbitron, "no_plates", random_samples(symbitron.model, 5, rng, ()))
     rigid = ParameterSet(random_robot(1, links=1))
     with pytest.raises(StudyError, match="joint_rows: random has no joint"):
-        SensedRows.of(rigid, "joint_rows", random_samples(rigid.model, 5, rng))
+        SubsetRows.of(rigid, "joint_rows", random_samples(rigid.model, 5, rng))

@@ -28,9 +28,9 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.study.stages import stages
-from symbid_ros.study.task_runner import Workers
-from symbid_ros.study.workspace import Workspace
+from symbid_ros.study.stages import study_stages
+from symbid_ros.study.study_folder import StudyFolder
+from symbid_ros.study.task_runner import WorkerPool
 
 KINDS = {"±25 %": ("percent", 25.0), "±0.125": ("absolute", 0.125)}
 COLUMNS = {
@@ -141,7 +141,7 @@ def test_started_again_it_does_nothing_over_and_writes_the_same(small: SmallStud
 
 
 def test_lost_steps_are_made_good_to_the_last_digit(small: SmallStudy):
-    space = Workspace(small.out)
+    folder = StudyFolder(small.out)
     lost = [
         small.out / "work/draws/smooth, percent 25, 1.json",
         small.out / "work/rows/smooth of 2 moves 5, noise 1 x 6, all, 30 Hz.npz",
@@ -149,9 +149,9 @@ def test_lost_steps_are_made_good_to_the_last_digit(small: SmallStudy):
     before = json.loads(lost[0].read_text())
     for file in lost:
         file.unlink()
-    with Workers(2) as team:
-        for stage in stages(small.plan, space):
-            team.complete(stage.tasks, lambda _: None)
+    with WorkerPool(2) as pool:
+        for stage in study_stages(small.plan, folder):
+            pool.run(stage.tasks, lambda _: None)
     assert all(file.exists() for file in lost)
     assert json.loads(lost[0].read_text()) == before
 

@@ -10,12 +10,12 @@ import pytest
 from symbid_ros.errors import StudyError
 from symbid_ros.study import thesis
 from symbid_ros.study.figures import grid_drawing
-from symbid_ros.study.plan import DataSet, Plan, Spread
+from symbid_ros.study.plan import DataSet, Plan, PriorSpread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case, Scores
-from symbid_ros.study.table import Cell, Column, Row, Sheet
+from symbid_ros.study.table import Cell, Column, Row, Table
 from symbid_ros.study.tables import Draw, comparison, parameters, tables
 
-PERCENT, ABSOLUTE = Spread(percent=25.0), Spread(absolute=0.125)
+PERCENT, ABSOLUTE = PriorSpread(percent=25.0), PriorSpread(absolute=0.125)
 METHODS = ["map_lmi", "ols", "wls_rc"]
 
 
@@ -52,11 +52,11 @@ def scores(study: Plan) -> Scores:
     )
 
 
-def read(sheet: Sheet) -> list[dict[str, str]]:
+def read(sheet: Table) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(sheet.csv)))
 
 
-def by_name(sheets: tuple[Sheet, ...]) -> dict[str, Sheet]:
+def by_name(sheets: tuple[Table, ...]) -> dict[str, Table]:
     return {sheet.name: sheet for sheet in sheets}
 
 
@@ -115,7 +115,7 @@ def test_best_over_filters_stands_beside_the_thesis(name: str, prior: str, print
 
 
 def test_priors_that_the_thesis_did_not_print_stand_alone() -> None:
-    study = plan(priors=[Spread(percent=50.0)])
+    study = plan(priors=[PriorSpread(percent=50.0)])
     sheet = by_name(tables(study, scores(study)))["table_2_smooth"]
     assert all(cell.reference is None for row in sheet.rows for cell in row.cells)
     assert "ratio" not in sheet.csv
@@ -139,8 +139,8 @@ def test_least_error_of_a_prior_is_marked_in_one_row() -> None:
     study = plan()
     for name in ("table_2_smooth", "table_4_1_smooth", "table_c1_smooth"):
         sheet = by_name(tables(study, scores(study)))[name]
-        for prior in {row.labels[0].text for row in sheet.rows}:
-            rows = [row for row in sheet.rows if row.labels[0].text == prior]
+        for prior in {row.labels[0].display for row in sheet.rows}:
+            rows = [row for row in sheet.rows if row.labels[0].display == prior]
             for column in range(len(METRICS)):
                 values = [row.cells[column].value for row in rows]
                 marked = [row.cells[column].value for row in rows if row.cells[column].best]
@@ -182,21 +182,21 @@ def test_comparison_names_its_one_filter_or_says_that_it_is_the_best() -> None:
     assert "rows of OLS and WLS-RC filtered at 30 Hz" in sheet.caption
     ours_alone = plan(thesis=False, methods=["map_lmi"])
     assert "filter" not in comparison(ours_alone, scores(ours_alone)).caption
-    assert [row.labels[0].text for row in sheet.rows] == ["a"] * 8 + ["b"] * 8
+    assert [row.labels[0].display for row in sheet.rows] == ["a"] * 8 + ["b"] * 8
     several = plan(thesis=False)
     assert "least over the filters" in comparison(several, scores(several)).caption
 
 
 def test_markdown_has_ours_first_and_the_thesis_in_brackets() -> None:
-    sheet = Sheet(
+    sheet = Table(
         "name",
         "Title",
         "Caption.",
         (Column("Method"),),
         (Column("CoM", "mm"), Column("Count")),
         (
-            Row((Cell(words="a|b"),), (Cell(2.0, 4.0, best=True), Cell(7.0))),
-            Row((Cell(words="c"),), (Cell(1234.5678), Cell())),
+            Row((Cell(text="a|b"),), (Cell(2.0, 4.0, best=True), Cell(7.0))),
+            Row((Cell(text="c"),), (Cell(1234.5678), Cell())),
         ),
         ("A note.",),
     )
@@ -221,5 +221,5 @@ def test_metrics_left_out_of_the_plan_are_left_out_of_tables_and_figures() -> No
         for row, full in zip(tables_of_few[name].rows, every[name].rows, strict=True):
             assert row.cells == (full.cells[1], full.cells[2], full.cells[5])
     assert tables_of_few["table_1"] == every["table_1"]
-    drawing = grid_drawing(made, "smooth", str(PERCENT), METHODS, shown=few.shown)
+    drawing = grid_drawing(made, "smooth", str(PERCENT), METHODS, shown=few.shown_metrics)
     assert len(drawing.figure.axes) == 2

@@ -13,8 +13,8 @@ import study_tasks
 
 from symbid_ros.errors import StudyError
 from symbid_ros.study.plan import Plan
-from symbid_ros.study.task_runner import Task, Workers
-from symbid_ros.study.workspace import Workspace
+from symbid_ros.study.study_folder import StudyFolder
+from symbid_ros.study.task_runner import Task, WorkerPool
 
 
 def task(place: Path, run=study_tasks.write, *more) -> Task:
@@ -25,8 +25,8 @@ def test_what_is_there_is_not_done_again(tmp_path):
     old, new = tmp_path / "old", tmp_path / "new"
     old.write_text("as it was")
     finished = []
-    with Workers(2) as team:
-        team.complete(
+    with WorkerPool(2) as pool:
+        pool.run(
             [task(old, study_tasks.write, "again"), task(new, study_tasks.write, "new")],
             finished.append,
         )
@@ -37,10 +37,11 @@ def test_what_is_there_is_not_done_again(tmp_path):
 
 def test_a_tasks_error_arrives_and_what_was_done_stays(tmp_path):
     done, bad = tmp_path / "done", tmp_path / "bad"
-    with pytest.raises(StudyError, match="refused; ask for something else"), Workers(1) as team:
-        team.complete(
+    with pytest.raises(StudyError, match="refused") as caught, WorkerPool(1) as pool:
+        pool.run(
             [task(done, study_tasks.write, "kept"), task(bad, study_tasks.refuse)], lambda _: None
         )
+    assert caught.value.code == "E701"
     assert done.read_text() == "kept"
     # Not join(): it returns at once if another thread is collecting the process's status.
     running = [process.sentinel for process in multiprocessing.active_children()]
@@ -50,8 +51,8 @@ def test_a_tasks_error_arrives_and_what_was_done_stays(tmp_path):
 
 
 def test_a_killed_process_is_told_of(tmp_path):
-    with pytest.raises(StudyError, match="start the study again to go on"), Workers(1) as team:
-        team.complete([task(tmp_path / "never", study_tasks.die)], lambda _: None)
+    with pytest.raises(StudyError, match="start the study again to resume"), WorkerPool(1) as pool:
+        pool.run([task(tmp_path / "never", study_tasks.die)], lambda _: None)
 
 
 def test_a_killed_study_leaves_no_process(tmp_path):
@@ -62,11 +63,11 @@ import sys
 from pathlib import Path
 sys.path.append({str(Path(study_tasks.__file__).parent)!r})
 import study_tasks
-from symbid_ros.study.task_runner import Task, Workers
+from symbid_ros.study.task_runner import Task, WorkerPool
 if __name__ == "__main__":
     working, waiting = map(Path, {list(map(str, places))!r})
-    with Workers(2) as team:
-        team.complete([
+    with WorkerPool(2) as pool:
+        pool.run([
             Task(working, study_tasks.stay, (working,), 1.0),
             Task(waiting, study_tasks.tell, (waiting,), 1.0),
         ], lambda _: None)
@@ -102,30 +103,30 @@ def plan(**other) -> Plan:
     return Plan.model_validate(content | other)
 
 
-class TestWorkspace:
+class TestStudyFolder:
     def test_is_claimed_once_and_found_again(self, tmp_path):
-        space = Workspace(tmp_path / "out")
-        space.claim(plan())
-        mark = (space.work / "plan.json").read_bytes()
-        space.claim(plan())
-        assert (space.work / "plan.json").read_bytes() == mark
+        folder = StudyFolder(tmp_path / "out")
+        folder.reserve(plan())
+        mark = (folder.work / "plan.json").read_bytes()
+        folder.reserve(plan())
+        assert (folder.work / "plan.json").read_bytes() == mark
 
     def test_another_plans_results_stay_unless_given_up(self, tmp_path):
-        space = Workspace(tmp_path / "out")
-        space.claim(plan())
-        result = space.work / "result"
+        folder = StudyFolder(tmp_path / "out")
+        folder.reserve(plan())
+        result = folder.work / "result"
         result.write_text("of the first")
         with pytest.raises(StudyError, match="another plan"):
-            space.claim(plan(iterations=3))
+            folder.reserve(plan(iterations=3))
         assert result.exists()
-        space.claim(plan(iterations=3), overwrite=True)
+        folder.reserve(plan(iterations=3), overwrite=True)
         assert not result.exists()
 
     @pytest.mark.parametrize("overwrite", [False, True])
     def test_what_is_no_study_is_never_touched(self, tmp_path, overwrite):
         (tmp_path / "thesis.doc").write_text("mine")
-        with pytest.raises(StudyError, match="something else"):
-            Workspace(tmp_path).claim(plan(), overwrite=overwrite)
+        with pytest.raises(StudyError, match="not the folder of a study"):
+            StudyFolder(tmp_path).reserve(plan(), overwrite=overwrite)
         assert [file.name for file in tmp_path.iterdir()] == ["thesis.doc"]
-        with pytest.raises(StudyError, match="something else"):
-            Workspace(tmp_path / "thesis.doc").claim(plan())
+        with pytest.raises(StudyError, match="not the folder of a study"):
+            StudyFolder(tmp_path / "thesis.doc").reserve(plan())

@@ -6,10 +6,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from symbid_ros.study.draws import Results
+from symbid_ros.study.draws import StudyResults
 from symbid_ros.study.plan import Plan
 from symbid_ros.study.plan_file import load_plan
-from symbid_ros.study.workspace import Workspace
+from symbid_ros.study.study_folder import StudyFolder
 
 PLAN = """\
 title: A small study
@@ -49,8 +49,8 @@ class SmallStudy:
         return load_plan(str(self.file))[0]
 
     @property
-    def results(self) -> Results:
-        return Results.read(self.plan, Workspace(self.out))
+    def results(self) -> StudyResults:
+        return StudyResults.read(self.plan, StudyFolder(self.out))
 
 
 def symbid(*arguments: object) -> subprocess.CompletedProcess[str]:

@@ -13,7 +13,7 @@ def write(place: Path, text: str) -> None:
 
 
 def refuse(place: Path) -> None:
-    raise StudyError(f"{place}: refused; ask for something else")
+    raise StudyError(f"{place}: refused; ask for something else", "E701")
 
 
 def die(place: Path) -> None:

@@ -1,4 +1,4 @@
-"""A study's folder: what has been worked out so far, and where it lies."""
+"""The layout of a study's folder, by which an interrupted study resumes."""
 
 import shutil
 from dataclasses import dataclass
@@ -7,34 +7,34 @@ from pathlib import Path
 from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import StudyError
 from symbid_ros.package_paths import package_version
-from symbid_ros.study.plan import Log, Plan, Spread
-from symbid_ros.study.sensor_subsets import Sensing
+from symbid_ros.study.plan import Plan, PriorSpread, SimulatedLog
+from symbid_ros.study.sensor_subsets import SensorSubset
 
 
 @dataclass(frozen=True)
-class Workspace:
+class StudyFolder:
     """The folder of one study.
 
     Attributes
     ----------
     out : Path
-        Results for people lie here, what they are made of in ``work/``.
+        Holds the page, tables and figures; intermediate files are in its ``work/``.
     """
 
     out: Path
 
     @property
     def work(self) -> Path:
-        """Logs, rows and draws."""
+        """Folder of logs, rows and draws."""
         return self.out / "work"
 
-    def claim(self, plan: Plan, *, overwrite: bool = False) -> None:
-        """Make the folder this study's own, or find that it is.
+    def reserve(self, plan: Plan, *, overwrite: bool = False) -> None:
+        """Mark the folder as this plan's, or check that an earlier run has done so.
 
         Raises
         ------
         StudyError
-            When it holds something else, or another study's results.
+            If it holds other files, or results of another plan or version.
         """
         mark = self.work / "plan.json"
         text = plan.model_dump_json(indent=1) + f"\n{package_version()}\n"
@@ -44,38 +44,42 @@ class Workspace:
             if mark.read_text(encoding="utf-8") != text:
                 raise StudyError(
                     f"{self.out}: holds results of another plan or version; choose another --out, "
-                    "or --overwrite"
+                    "or give --overwrite to replace them",
+                    "E704",
                 )
             return
         if self.out.exists() and (not self.out.is_dir() or any(self.out.iterdir())):
-            raise StudyError(f"{self.out}: holds something else; choose an empty or new folder")
+            raise StudyError(
+                f"{self.out}: is not the folder of a study; choose a new or empty folder as --out",
+                "E703",
+            )
         write_text(mark, text)
 
-    def log(self, log: Log) -> Path:
+    def log(self, log: SimulatedLog) -> Path:
         """Return the bag of a simulated log."""
         return self.work / "logs" / log.identity
 
-    def tare(self, log: Log) -> Path:
+    def tare(self, log: SimulatedLog) -> Path:
         """Return the bag of the same robot hanging still."""
         return self.work / "logs" / f"tare, {log.identity}"
 
-    def robot(self, log: Log) -> Path:
-        """Return the MJCF of the robot as simulated."""
+    def robot(self, log: SimulatedLog) -> Path:
+        """Return the MJCF file of the simulated robot."""
         return self.work / "logs" / f"{log.identity}.xml"
 
-    def rows(self, log: Log, sensing: Sensing, cutoff: float | None) -> Path:
-        """Return the rows of a log behind one filter; None: averaged over windows."""
+    def rows(self, log: SimulatedLog, sensors: SensorSubset, cutoff: float | None) -> Path:
+        """Return the file of a log's filtered rows; cutoff None: averaged over windows."""
         kind = "windows" if cutoff is None else f"{cutoff:g} Hz"
-        return self.work / "rows" / f"{log.identity}, {sensing}, {kind}.npz"
+        return self.work / "rows" / f"{log.identity}, {sensors}, {kind}.npz"
 
-    def draw(self, data: str, spread: Spread, iteration: int) -> Path:
-        """Return the file with what all methods made of one prior."""
+    def draw(self, data: str, spread: PriorSpread, iteration: int) -> Path:
+        """Return the file of all methods' results for one draw of the prior."""
         return self.work / "draws" / f"{data}, {spread.kind} {spread.amount:g}, {iteration}.json"
 
-    def loop(self, spread: Spread, iteration: int, method: str) -> Path:
-        """Return the file of one run of the controller."""
+    def loop(self, spread: PriorSpread, iteration: int, method: str) -> Path:
+        """Return the file of one closed-loop run."""
         return self.work / "loops" / f"{spread.kind} {spread.amount:g}, {iteration}, {method}.json"
 
     def check(self, name: str) -> Path:
-        """Return the file with what one check found."""
+        """Return the file of one check's results."""
         return self.work / "checks" / f"{name}.json"
