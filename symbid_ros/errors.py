@@ -1,5 +1,8 @@
 """Errors that a user can cause: what went wrong, where, and how to fix it, in one line."""
 
+import copyreg
+from typing import Any
+
 
 class SymbidError(Exception):
     """An error that the user can fix.
@@ -17,6 +20,13 @@ class SymbidError(Exception):
     def __init__(self, message: str, code: str) -> None:
         super().__init__(message)
         self.code = code
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle without calling ``__init__``, whose arguments differ from ``args``.
+
+        Processes send their errors to their parent in this way.
+        """
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
     @property
     def labelled(self) -> str:

@@ -1,11 +1,13 @@
 """Every error that a user can cause has a code, and every code its entry."""
 
+import pickle
 import re
 from pathlib import Path
 
 import symbid_ros
 from symbid_ros.error_codes import CODES
 from symbid_ros.errors import SymbidError
+from symbid_ros.signals.defects import Defect, DefectError
 
 PACKAGE = Path(symbid_ros.__file__).parent
 
@@ -20,3 +22,10 @@ def test_the_codes_in_use_are_those_that_are_documented() -> None:
 
 def test_an_error_shows_its_code() -> None:
     assert SymbidError("bag: missing; give another", "E201").code == "E201"
+
+
+def test_an_error_of_another_process_arrives_with_its_code() -> None:
+    error = DefectError("joints", Defect.DUPLICATE, "joints: 3 stamps repeat", "E301")
+    copy = pickle.loads(pickle.dumps(error))
+    assert isinstance(copy, DefectError)
+    assert (str(copy), vars(copy)) == (str(error), vars(error))
