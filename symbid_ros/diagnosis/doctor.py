@@ -1,4 +1,4 @@
-"""One look at a log, slice by slice, and the verdict on it."""
+"""Diagnoses a log slice by slice."""
 
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
 from symbid_ros.diagnosis.model_checks import ModelChecks, check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
-from symbid_ros.diagnosis.stream_checks import StreamChecks, beyond_mending, unusable
+from symbid_ros.diagnosis.stream_checks import StreamChecks, fatal_finding, unusable
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align_checked, warn_once
@@ -16,42 +16,42 @@ from symbid_ros.signals.segments import cut_to
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 from symbid_ros.signals.weak_form import BLOCK
 
-SPAN = 15 * BLOCK  # ns of a log that are in memory at a time
+SPAN = 15 * BLOCK  # ns of a log that are held in memory at once
 
 
 def diagnose(log: Log, model: RobotModel | None = None) -> Diagnosis:
-    """Judge a log.
+    """Check a log for faults.
 
     Parameters
     ----------
     log : Log
     model : RobotModel, optional
-        The robot as its maker describes it, inertias to ±25 %; streams alone are judged without.
+        The robot with inertias known to ±25 %; without it only the streams are checked.
 
     Raises
     ------
     BagError
-        When there is nothing to judge: no bag, or none of the topics.
+        When there is no bag, or the bag has none of the topics.
     """
-    judged = _LogDiagnoser(model)
+    diagnoser = _LogDiagnoser(model)
     try:
         for piece in log.slices(SPAN, warn=False):
-            judged.take(piece)
+            diagnoser.take(piece)
     except DefectError as error:
-        judged.fatal.append(beyond_mending(error))
+        diagnoser.fatal.append(fatal_finding(error))
     except DataError as error:
-        judged.fatal.append(Finding(Kind.UNREADABLE, "", Severity.UNUSABLE, str(error)))
-    return judged.diagnosis(log.source)
+        diagnoser.fatal.append(Finding(Kind.UNREADABLE, "", Severity.UNUSABLE, str(error)))
+    return diagnoser.diagnosis(log.source)
 
 
 @dataclass
 class _LogDiagnoser:
-    """Everything that is checked of a log."""
+    """Accumulates the checks of a log."""
 
     model: RobotModel | None
     streams: StreamChecks = field(init=False)
     fatal: list[Finding] = field(default_factory=list)
-    watch: ModelStatistics | None = None
+    statistics: ModelStatistics | None = None
     first: Streams | None = None
 
     def __post_init__(self) -> None:
@@ -60,24 +60,24 @@ class _LogDiagnoser:
     def take(self, piece: Slice) -> None:
         self.streams.take(piece)
         if self.model is not None and piece.streams is not None:
-            self._hold_against(self.model, piece, piece.streams)
+            self._add_to_statistics(self.model, piece, piece.streams)
 
-    def _hold_against(self, model: RobotModel, piece: Slice, streams: Streams) -> None:
+    def _add_to_statistics(self, model: RobotModel, piece: Slice, streams: Streams) -> None:
         if self.first is None:
             self.first = streams
             if not unusable(self.streams.named):
-                self.watch = ModelStatistics(
+                self.statistics = ModelStatistics(
                     model,
                     [one.frame_id for one in streams.wrenches],
                     [one.frame_id for one in streams.imus],
                 )
-        if self.watch is None:
+        if self.statistics is None:
             return
         _check_frames(self.first, streams)
-        # What is too short or shares no time is seen in the streams' own figures.
+        # Slices that are too short or have no common time appear in the streams' figures.
         with suppress(DataError), warn_once(muted=True):
             for segment in cut_to(align_checked(streams, model), piece.start, piece.stop):
-                self.watch.add(segment)
+                self.statistics.add(segment)
 
     def diagnosis(self, source: str) -> Diagnosis:
         checks = self._checks(self.streams.unit_findings())
@@ -92,14 +92,14 @@ class _LogDiagnoser:
 
     def _checks(self, units: list[Finding]) -> ModelChecks:
         if self.model is None:
-            return ModelChecks(left_out=["all checks against a model: none is given"])
-        if self.fatal or self.watch is None or self.first is None:
-            return ModelChecks(left_out=["all checks against the model: the streams do not serve"])
+            return ModelChecks(left_out=["all checks against a model: no model is given"])
+        if self.fatal or self.statistics is None or self.first is None:
+            return ModelChecks(left_out=["all checks against the model: the streams are unusable"])
         if wrong := unusable(units):
             kinds = ", ".join(dict.fromkeys(one.kind.value for one in wrong))
-            return ModelChecks(left_out=[f"all checks against the model: they rest on {kinds}"])
+            return ModelChecks(left_out=[f"all checks against the model: they depend on {kinds}"])
         return check_model(
-            self.watch,
+            self.statistics,
             self.first.joints.topic,
             [one.topic for one in self.first.imus],
             {one.frame_id: one.topic for one in self.first.wrenches},
@@ -107,7 +107,7 @@ class _LogDiagnoser:
 
 
 def _check_frames(first: Streams, later: Streams) -> None:
-    """Refuse a sensor that changes its frame from one slice to the next."""
+    """Raise an error if a sensor's frame changes between slices."""
     before: list[ImuStream | WrenchStream] = [*first.imus, *first.wrenches]
     after: list[ImuStream | WrenchStream] = [*later.imus, *later.wrenches]
     for old, new in zip(before, after, strict=True):
@@ -116,6 +116,6 @@ def _check_frames(first: Streams, later: Streams) -> None:
                 new.topic,
                 Defect.OTHER_FRAME,
                 f"{later.source}: {new.topic}: header.frame_id changes from {old.frame_id} to "
-                f"{new.frame_id}; give every sensor a topic of its own",
+                f"{new.frame_id}; publish every sensor on its own topic",
                 "E309",
             )

@@ -1,4 +1,4 @@
-"""What is wrong with a log, one thing at a time."""
+"""Findings about a log, their severity and the diagnosis that holds them."""
 
 import math
 from collections.abc import Mapping
@@ -11,7 +11,7 @@ import numpy as np
 
 
 class Severity(IntEnum):
-    """How bad it is; the value is the doctor's exit status."""
+    """Severity of a finding; the value is the doctor's exit status."""
 
     CLEAN = 0
     WARNING = 1
@@ -19,7 +19,7 @@ class Severity(IntEnum):
 
 
 class Kind(Enum):
-    """What can be wrong; the value is a stable identifier."""
+    """Kind of a finding; the value is a stable identifier."""
 
     # Of one stream by itself.
     RATE = "rate"
@@ -57,18 +57,18 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong.
+    """One fault of a log.
 
     Attributes
     ----------
     kind : Kind
     stream : str
-        Topic; empty where it is about all of them.
+        Topic; empty if the finding concerns all topics.
     severity : Severity
     message : str
-        What, where, how much and what to do, in one line.
+        One line: what, where, how much and how to fix it.
     figures : mapping of str to float
-        The numbers behind it, units in their names.
+        Measured values, with units in their names.
     """
 
     kind: Kind
@@ -86,7 +86,7 @@ class Finding:
         figures: Mapping[str, float],
         severity: Severity = Severity.UNUSABLE,
     ) -> "Finding":
-        """Return one about a topic, with whose name its message begins."""
+        """Return a finding about a topic; its message starts with the topic's name."""
         return cls(kind, topic, severity, f"{topic}: {what}", figures)
 
     def as_dict(self) -> dict[str, Any]:
@@ -101,7 +101,7 @@ class Finding:
 
 
 def json_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return figures as JSON can hold them: Python's own numbers, null for NaN and infinity."""
+    """Return figures as JSON values: Python numbers, null for NaN and infinity."""
     return {name: _json_value(value) for name, value in figures.items()}
 
 
@@ -113,21 +113,21 @@ def _json_value(value: Any) -> Any:
 
 @dataclass(frozen=True)
 class StreamFigures:
-    """One topic in numbers.
+    """Statistics of one topic.
 
     Attributes
     ----------
     topic : str
     messages : int
-        Stamped in the part of the log that was judged.
+        Messages with a stamp in the checked part of the log.
     duration_s : float
-        From the first stamp to the last.
+        Time from the first stamp to the last.
     rate_hz : float
-        Of the median period; 0 below two messages.
+        Inverse of the median period; 0 below two messages.
     jitter : float
-        Standard deviation of the periods that are no gaps, as a share of their median.
+        Standard deviation of the periods without gaps, relative to their median.
     gaps, missing : int
-        Periods 1.5 times too long and more, and the messages that would fill them.
+        Periods of at least 1.5 medians, and the messages missing in them.
     longest_gap_s : float
         Longest period.
     """
@@ -144,7 +144,7 @@ class StreamFigures:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a log is worth.
+    """Findings and statistics of a log.
 
     Attributes
     ----------
@@ -153,11 +153,11 @@ class Diagnosis:
     streams : tuple of StreamFigures
         Joint states first.
     findings : tuple of Finding
-        What is wrong, worst first.
+        Findings, worst first.
     figures : mapping of str to float
-        What the checks against the model measured, units in the names.
+        Values measured by the checks against the model, with units in their names.
     left_out : tuple of str
-        Checks that could not be made, and why.
+        Skipped checks and their reasons.
     """
 
     source: str
@@ -168,11 +168,11 @@ class Diagnosis:
 
     @property
     def severity(self) -> Severity:
-        """The worst of the findings'."""
+        """Severity of the worst finding."""
         return max((one.severity for one in self.findings), default=Severity.CLEAN)
 
     def of(self, topic: str) -> tuple[Finding, ...]:
-        """Return what is wrong with one topic; with an empty name, with all of them together."""
+        """Return the findings of one topic; an empty name returns those of all topics together."""
         return tuple(one for one in self.findings if one.stream == topic)
 
     def as_dict(self) -> dict[str, Any]:

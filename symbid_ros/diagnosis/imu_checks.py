@@ -1,4 +1,4 @@
-"""An IMU by itself: gravity in its acceleration, its rate of turn against its orientation."""
+"""Checks of a single IMU: gravity, unit quaternions, angular velocity against orientation."""
 
 from dataclasses import dataclass, field
 
@@ -9,21 +9,21 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.signals.streams import ImuStream, Slice
 
-# Four decimals of a quaternion, the fewest that drivers print, leave its norm this near to one.
+# Rounding to four decimals, the fewest that drivers use, changes the norm by less than this.
 TOLERANCE = 1e-3
 
 
 @dataclass
 class QuaternionCheck:
-    """The quaternions of one IMU's topic.
+    """Counts orientations of one IMU that are not unit quaternions.
 
     Attributes
     ----------
     topic : str
     messages, wrong : int
-        With an orientation, and with one whose norm is not one.
+        Messages with an orientation, and those whose norm is not one.
     worst : float
-        Norm furthest from one.
+        Norm that differs most from one.
     """
 
     topic: str
@@ -32,7 +32,7 @@ class QuaternionCheck:
     worst: float = 1.0
 
     def add(self, piece: Slice) -> None:
-        """Take a slice in which no topic was silent."""
+        """Add a slice of the log."""
         for imu in () if piece.streams is None else piece.streams.imus:
             if imu.topic != self.topic or imu.orientation is None:
                 continue
@@ -45,7 +45,7 @@ class QuaternionCheck:
                 self.worst = float(norm[np.nanargmax(off)])
 
     def findings(self) -> list[Finding]:
-        """Return whether some are no rotations."""
+        """Return a finding if some orientations are not unit quaternions."""
         if not self.wrong:
             return []
         return [
@@ -53,9 +53,9 @@ class QuaternionCheck:
                 Kind.QUATERNION_NORM,
                 self.topic,
                 Severity.WARNING,
-                f"{self.topic}: {self.wrong} of {self.messages} orientations are no unit "
-                f"quaternions, the worst has norm {self.worst:.4g}; normalise them, or mark the "
-                "orientation absent by a covariance of -1",
+                f"{self.topic}: {self.wrong} of {self.messages} orientations are not unit "
+                f"quaternions, the worst has norm {self.worst:.4g}; normalize them, or set the "
+                "first element of orientation_covariance to -1",
                 {"messages": self.wrong, "worst_norm": self.worst},
             )
         ]
@@ -63,59 +63,59 @@ class QuaternionCheck:
 
 GRAVITY = 9.81
 DEGREES = 180 / np.pi
-# A robot that stands, walks, hangs or is shaken feels this many times gravity on average.
-FELT = 0.5, 5.0
-# A unit is recognised within this factor of its size.
+# Mean specific force of a robot that stands, walks or hangs, in multiples of gravity.
+GRAVITY_RANGE = 0.5, 5.0
+# A wrong unit is recognized if the ratio is within this factor of the conversion.
 ALIKE = 1.3
-# s over which turns are compared: fused orientations come late by less.
+# s over which rotations are compared; fused orientations lag by less.
 SPAN = 0.05
-# rad/s; a slower robot does not tell its axes from noise.
+# rad/s; slower rotations cannot be distinguished from noise.
 SLOWEST = 0.03
-# Share of the orientation's rate that an honest gyroscope may leave over.
-MOST_LEFT = 0.5
-# Another reading of the quaternion is right that leaves so many times less.
+# Largest unexplained share of the orientation's rate for a valid gyroscope.
+MAX_UNEXPLAINED = 0.5
+# Another interpretation of the quaternion must leave so many times less.
 BETTER = 3.0
 
 
 @dataclass
 class RateComparison:
-    """Moments of the rates that a quaternion and a gyroscope tell."""
+    """Moments of the angular rates from orientation and from the gyroscope."""
 
     cross: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     told: float = 0.0
 
     def add(
-        self, before: FloatArray, after: FloatArray, seconds: FloatArray, read: FloatArray
+        self, before: FloatArray, after: FloatArray, seconds: FloatArray, gyro: FloatArray
     ) -> None:
-        """Take xyzw (N, 4) at both ends of N spans of so many s (N,), and mean rates (N, 3)."""
+        """Add quaternions xyzw (N, 4) at both ends of N intervals (s) and mean rates (N, 3)."""
         turn = Rotation.from_quat(before).inv() * Rotation.from_quat(after)
         rate = turn.as_rotvec() / seconds[:, None]
         rate -= rate.mean(axis=0)
-        self.cross += rate.T @ read
+        self.cross += rate.T @ gyro
         self.told += float(np.sum(rate**2))
 
     @property
     def angle(self) -> float:
-        """Degrees between the axes of the two."""
+        """Angle between the axes of both rates, degrees."""
         U, _, Vt = np.linalg.svd(self.cross)
         rotation = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
         return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
 
-    def left(self, read: float, *, mirrored: bool = False, turned: bool = True) -> float:
-        """Return the share of the rate that is left over at the best scale, and rotation."""
+    def unexplained(self, gyro: float, *, mirrored: bool = False, turned: bool = True) -> float:
+        """Return the unexplained share of the rate at the best scale and rotation."""
         if turned:
             singular = np.linalg.svd(self.cross, compute_uv=False)
             proper = np.sign(np.linalg.det(self.cross)) * (-1 if mirrored else 1)
             followed = float(singular[0] + singular[1] + proper * singular[2])
         else:
             followed = float(np.trace(self.cross))
-        share = max(followed, 0.0) ** 2 / max(read * self.told, 1e-30)
+        share = max(followed, 0.0) ** 2 / max(gyro * self.told, 1e-30)
         return float(np.sqrt(max(1 - share, 0.0)))
 
 
 @dataclass
 class ImuCheck:
-    """What one IMU says of itself, slice by slice.
+    """Checks one IMU without a model, slice by slice.
 
     Attributes
     ----------
@@ -127,12 +127,12 @@ class ImuCheck:
     _size: float = 0.0
     _seconds: float = 0.0
     _count: int = 0
-    _read: float = 0.0
-    _plain: RateComparison = field(default_factory=RateComparison)
-    _rolled: RateComparison = field(default_factory=RateComparison)
+    _gyro_square: float = 0.0
+    _rates: RateComparison = field(default_factory=RateComparison)
+    _wxyz_rates: RateComparison = field(default_factory=RateComparison)
 
     def add(self, imu: ImuStream) -> None:
-        """Take messages in the order of their stamps."""
+        """Add messages in the order of their stamps."""
         norm = np.linalg.norm(imu.linear_acceleration, axis=1)
         norm = norm[np.isfinite(norm)]
         self._messages += len(norm)
@@ -152,42 +152,41 @@ class ImuCheck:
             return
         first = np.arange(0, len(stamp) - lag, lag)
         seconds = time[first + lag] - time[first]
-        read = (turned[first + lag] - turned[first]) / seconds[:, None]
-        read -= read.mean(axis=0)
+        gyro = (turned[first + lag] - turned[first]) / seconds[:, None]
+        gyro -= gyro.mean(axis=0)
         orientation = imu.orientation[known]
         before, after = orientation[first], orientation[first + lag]
-        self._plain.add(before, after, seconds, read)
-        # What is called x is w, and so on.
-        self._rolled.add(np.roll(before, -1, 1), np.roll(after, -1, 1), seconds, read)
-        self._read += float(np.sum(read**2))
-        self._count += len(read)
+        self._rates.add(before, after, seconds, gyro)
+        # The driver may publish w, x, y, z.
+        self._wxyz_rates.add(np.roll(before, -1, 1), np.roll(after, -1, 1), seconds, gyro)
+        self._gyro_square += float(np.sum(gyro**2))
+        self._count += len(gyro)
 
     def findings(self) -> list[Finding]:
-        """Return what is wrong with it, whatever the robot."""
-        return [*self._of_gravity(), *self._of_turning()]
+        """Return the findings of this IMU."""
+        return [*self._gravity_findings(), *self._gyro_findings()]
 
-    def _of_gravity(self) -> list[Finding]:
-        felt = self._size / max(self._messages, 1)
-        figures = {"mean_m_s2": felt}
-        if not self._messages or FELT[0] * GRAVITY < felt < FELT[1] * GRAVITY:
+    def _gravity_findings(self) -> list[Finding]:
+        mean = self._size / max(self._messages, 1)
+        figures = {"mean_m_s2": mean}
+        if not self._messages or GRAVITY_RANGE[0] * GRAVITY < mean < GRAVITY_RANGE[1] * GRAVITY:
             return []
-        if 1 / ALIKE < felt < ALIKE:
+        if 1 / ALIKE < mean < ALIKE:
             return [
                 Finding.of(
                     self.topic,
                     Kind.UNIT,
-                    f"linear_acceleration is {felt:.3g} on average, as if in g; give m/s² "
-                    "(REP-145)",
+                    f"linear_acceleration is {mean:.3g} on average, as if in g; use m/s² (REP-145)",
                     figures,
                 )
             ]
-        if felt < FELT[0] * GRAVITY:
+        if mean < GRAVITY_RANGE[0] * GRAVITY:
             return [
                 Finding.of(
                     self.topic,
                     Kind.GRAVITY,
-                    f"linear_acceleration is {felt:.3g} m/s² on average, gravity is not in it; "
-                    "give the raw specific force, +9.81 upwards at rest (REP-145)",
+                    f"linear_acceleration is {mean:.3g} m/s² on average, it lacks gravity; "
+                    "publish the raw specific force, +9.81 upwards at rest (REP-145)",
                     figures,
                 )
             ]
@@ -195,52 +194,54 @@ class ImuCheck:
             Finding.of(
                 self.topic,
                 Kind.UNIT,
-                f"linear_acceleration is {felt:.3g} on average, not {GRAVITY} m/s²; check its "
+                f"linear_acceleration is {mean:.3g} on average, not {GRAVITY} m/s²; check its "
                 "unit and range",
                 figures,
             )
         ]
 
-    def _of_turning(self) -> list[Finding]:
-        told = np.sqrt(self._plain.told / max(self._count, 1))
-        read = np.sqrt(self._read / max(self._count, 1))
-        if min(told, read) < SLOWEST:
+    def _gyro_findings(self) -> list[Finding]:
+        told = np.sqrt(self._rates.told / max(self._count, 1))
+        gyro = np.sqrt(self._gyro_square / max(self._count, 1))
+        if min(told, gyro) < SLOWEST:
             return []
-        plain = self._plain.left(self._read, turned=False)
-        figures = {"left": plain, "rate_ratio": float(read / told)}
-        if plain < MOST_LEFT:
-            if 1 / ALIKE < read / told / DEGREES < ALIKE:
+        plain = self._rates.unexplained(self._gyro_square, turned=False)
+        figures = {"left": plain, "rate_ratio": float(gyro / told)}
+        if plain < MAX_UNEXPLAINED:
+            if 1 / ALIKE < gyro / told / DEGREES < ALIKE:
                 return [
                     Finding.of(
                         self.topic,
                         Kind.UNIT,
-                        f"angular_velocity is {read / told:.3g} times the rate at which the "
-                        "orientation turns, as if in degrees; give rad/s",
+                        f"angular_velocity is {gyro / told:.3g} times the rate at which the "
+                        "orientation changes, as if in degrees; use rad/s",
                         figures,
                     )
                 ]
             return []
-        if self._rolled.left(self._read, turned=False) * BETTER < plain:
+        if self._wxyz_rates.unexplained(self._gyro_square, turned=False) * BETTER < plain:
             return [
                 Finding.of(
                     self.topic,
                     Kind.ORIENTATION,
-                    "the orientation follows angular_velocity only as w, x, y, z; fill x, y, z "
-                    "and w each by its name",
+                    "the orientation matches angular_velocity only if read as w, x, y, z; assign "
+                    "x, y, z and w by name",
                     figures,
                     Severity.WARNING,
                 )
             ]
         for mirrored in (False, True):
-            if self._plain.left(self._read, mirrored=mirrored) < min(MOST_LEFT, plain / BETTER):
-                angle = self._plain.angle
-                how = "an axis reversed" if mirrored else f"its axes turned by {angle:.0f} degrees"
+            if self._rates.unexplained(self._gyro_square, mirrored=mirrored) < min(
+                MAX_UNEXPLAINED, plain / BETTER
+            ):
+                angle = self._rates.angle
+                how = "an axis reversed" if mirrored else f"its axes rotated by {angle:.0f} degrees"
                 return [
                     Finding.of(
                         self.topic,
                         Kind.IMU_MOUNTING,
-                        f"angular_velocity follows the orientation only with {how}; give both in "
-                        "the axes of header.frame_id",
+                        f"angular_velocity matches the orientation only with {how}; publish both "
+                        "in the axes of header.frame_id",
                         figures | ({} if mirrored else {"angle_deg": angle}),
                     )
                 ]

@@ -1,4 +1,4 @@
-"""Joint positions against the velocities beside them and against the model's limits."""
+"""Compares joint positions with their velocities and with the model's limits."""
 
 from dataclasses import dataclass, field
 
@@ -13,22 +13,22 @@ from symbid_ros.signals.streams import JointStream
 DEGREES = 180 / np.pi
 # s over which positions are compared with the mean of the velocities.
 SPAN = 0.04
-# rad/s or m/s; a joint that hardly moves says nothing.
+# rad/s or m/s; slower joints are not checked.
 SLOWEST = 0.02
-# Velocities belong to positions that follow them so well,
-FOLLOWED = 0.9
-# and those are filtered, or scaled, that differ by more.
+# Velocities match positions above this correlation.
+LEAST_CORRELATION = 0.9
+# Matching velocities outside this range of scales are filtered or wrongly scaled.
 SCALES = 0.5, 2.0
 ALIKE = 1.3
-# Beyond its limits by more, rad, and the joint is elsewhere.
-BEYOND = 0.35
-# A joint whose position is missing in this share of the messages cannot be placed.
+# A position further outside the limits, rad, is not the joint's.
+LIMIT_MARGIN = 0.35
+# A joint without a position in this share of the messages makes a log unusable.
 MOST_MISSING = 0.5
 
 
 @dataclass
 class JointCheck:
-    """Moments of velocities and of positions' changes, and the positions' range.
+    """Moments of velocities and position changes, and the range of positions.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class JointCheck:
     _has_effort: BoolArray = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin without data."""
+        """Allocate empty moments."""
         joints = len(self.names)
         self._both = np.zeros((3, joints))
         self._low, self._high = np.full(joints, np.inf), np.full(joints, -np.inf)
@@ -58,9 +58,9 @@ class JointCheck:
         self._has_effort = np.zeros(joints, dtype=bool)
 
     def add(self, joints: JointStream, during: tuple[int, int] = ALWAYS) -> None:
-        """Take messages in the order of their stamps; those of other joints are left out.
+        """Add messages in the order of their stamps; messages of other joints are ignored.
 
-        What they lack is counted from the first stamp of ``during`` up to the second, ns.
+        Missing values are counted from the first stamp of ``during`` up to the second, ns.
         """
         if joints.names != self.names or len(joints.stamp) < 3:
             return
@@ -84,7 +84,7 @@ class JointCheck:
         steps = 0.5 * (joints.velocity[1:] + joints.velocity[:-1]) * np.diff(time)[:, None]
         path = np.vstack([np.zeros((1, len(self.names))), np.cumsum(steps, axis=0)])
         velocity = (path[first + lag] - path[first]) / seconds
-        # A driver that leaves velocities out, or sometimes, says nothing of them.
+        # Intervals without a velocity are not compared.
         known = np.isfinite(velocity) & np.isfinite(change)
         change, velocity = np.where(known, change, 0.0), np.where(known, velocity, 0.0)
         self._both += [
@@ -95,12 +95,12 @@ class JointCheck:
         self._count += len(change)
 
     def findings(self, model: RobotModel | None) -> list[Finding]:
-        """Return what is wrong with positions or velocities."""
-        found = self._of_degrees(model) if model is not None else []
-        return [*self._missing(model), *(found or self._of_velocity())]
+        """Return the findings about positions, velocities and efforts."""
+        found = self._degree_findings(model) if model is not None else []
+        return [*self._missing_value_findings(model), *(found or self._velocity_findings())]
 
-    def _missing(self, model: RobotModel | None) -> list[Finding]:
-        """Tell which joints lack positions or efforts, of those that need them."""
+    def _missing_value_findings(self, model: RobotModel | None) -> list[Finding]:
+        """Return findings for joints that lack required positions or efforts."""
         if not self._messages:
             return []
         joints = {} if model is None else {joint.name: joint for joint in model.joints}
@@ -108,7 +108,7 @@ class JointCheck:
         driven = [i for i in known if model is None or joints[self.names[i]].effort > 0]
         found = []
         for index in known:
-            # Without a model nobody knows whether a joint that never has one needs one.
+            # Without a model, a joint that never has a position may not need one.
             most = self._messages if model is not None else self._messages - 1
             if 0 < self._without_position[index] <= most:
                 share = float(self._without_position[index] / self._messages)
@@ -125,7 +125,7 @@ class JointCheck:
                     )
                 )
         silent = [i for i in driven if not self._has_effort[i]]
-        # The base's rows tell of a floating robot without any effort.
+        # The rows of a floating base are usable without any effort.
         is_fatal = len(silent) == len(driven) and (model is None or not model.floating)
         if model is None and not is_fatal:
             silent = []  # they may be passive
@@ -137,7 +137,7 @@ class JointCheck:
                     Finding.of(
                         self.topic,
                         Kind.MISSING_JOINT,
-                        f"the effort of {self._of(places)} is "
+                        f"the effort of {self._list_names(places)} is "
                         f"{'always zero' if is_zero else 'in no message'}, {rows} of the equation "
                         "of motion cannot be used; let the driver fill JointState.effort",
                         {"joints": len(places)},
@@ -161,25 +161,25 @@ class JointCheck:
         ]
         return found
 
-    def _of_velocity(self) -> list[Finding]:
-        change, both, velocity = self._both / max(self._count, 1)
+    def _velocity_findings(self) -> list[Finding]:
+        change, product, velocity = self._both / max(self._count, 1)
         moves = (np.sqrt(change) > SLOWEST) & (velocity > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            follows = both / np.sqrt(change * velocity)
-            scale = both / change
+            correlation = product / np.sqrt(change * velocity)
+            scale = product / change
         found = []
-        wrong = np.flatnonzero(moves & (follows < -FOLLOWED)).tolist()
+        wrong = np.flatnonzero(moves & (correlation < -LEAST_CORRELATION)).tolist()
         if wrong:
             found.append(
                 Finding.of(
                     self.topic,
                     Kind.VELOCITY,
-                    f"position and velocity of {self._of(wrong)} have opposite signs; count both "
-                    "along the joint's axis",
+                    f"position and velocity of {self._list_names(wrong)} have opposite signs; "
+                    "measure both along the joint's axis",
                     {f"{self.names[i]}/scale": float(scale[i]) for i in wrong},
                 )
             )
-        off = moves & (follows > FOLLOWED)
+        off = moves & (correlation > LEAST_CORRELATION)
         for factor, what in ((1 / DEGREES, "positions"), (DEGREES, "velocities")):
             like = off & (scale / factor > 1 / ALIKE) & (scale / factor < ALIKE)
             if like.any():
@@ -188,8 +188,8 @@ class JointCheck:
                     Finding.of(
                         self.topic,
                         Kind.UNIT,
-                        f"{what} of {self._of(places)} are {DEGREES:.1f} times what the others "
-                        "tell, as if in degrees; give rad and rad/s",
+                        f"{what} of {self._list_names(places)} are {DEGREES:.1f} times what the "
+                        "other quantity implies, as if in degrees; use rad and rad/s",
                         {f"{self.names[i]}/scale": float(scale[i]) for i in places},
                         Severity.UNUSABLE if what == "positions" else Severity.WARNING,
                     )
@@ -201,18 +201,18 @@ class JointCheck:
                 Finding.of(
                     self.topic,
                     Kind.VELOCITY,
-                    f"velocity of {self._of(places)} is "
-                    f"{float(np.median(scale[places])):.3g} of how the position changes; check "
-                    "units and gear ratios of both",
+                    f"velocity of {self._list_names(places)} is "
+                    f"{float(np.median(scale[places])):.3g} times the rate of change of the "
+                    "position; check units and gear ratios of both",
                     {f"{self.names[i]}/scale": float(scale[i]) for i in places},
                     Severity.WARNING,
                 )
             )
         return found
 
-    def _of_degrees(self, model: RobotModel) -> list[Finding]:
-        """Tell whether positions are within the limits only if they are degrees."""
-        asked = outside = 0
+    def _degree_findings(self, model: RobotModel) -> list[Finding]:
+        """Return a finding if positions are within the limits only when read as degrees."""
+        checked = outside = 0
         for index, name in enumerate(self.names):
             if name not in model.joint_names or self._low[index] > self._high[index]:
                 continue
@@ -220,26 +220,26 @@ class JointCheck:
             if joint.kind != "revolute" or not np.isfinite(joint.upper - joint.lower):
                 continue
             low, high = self._low[index], self._high[index]
-            asked += 1
-            if min(low / DEGREES - joint.lower, joint.upper - high / DEGREES) < -BEYOND:
+            checked += 1
+            if min(low / DEGREES - joint.lower, joint.upper - high / DEGREES) < -LIMIT_MARGIN:
                 return []
-            outside += int(min(low - joint.lower, joint.upper - high) < -BEYOND)
+            outside += int(min(low - joint.lower, joint.upper - high) < -LIMIT_MARGIN)
         reached = np.abs([self._low, self._high])
         largest = float(np.max(reached[np.isfinite(reached)], initial=0.0))
-        # One joint may spin, or have its limits wrong.
-        if not outside or 2 * outside < asked or largest <= 2 * np.pi:
+        # One joint may rotate continuously or have wrong limits.
+        if not outside or 2 * outside < checked or largest <= 2 * np.pi:
             return []
         return [
             Finding.of(
                 self.topic,
                 Kind.UNIT,
                 f"positions of {outside} joints leave their limits in {model.source} and reach "
-                f"{largest:.3g}, as if in degrees; give rad",
+                f"{largest:.3g}, as if in degrees; use rad",
                 {"joints": outside, "largest": largest},
             )
         ]
 
-    def _of(self, places: list[int]) -> str:
+    def _list_names(self, places: list[int]) -> str:
         if len(places) > 2 and len(places) == len(self.names):
             return "all joints"
         return ", ".join(self.names[i] for i in places)

@@ -1,4 +1,4 @@
-"""The checks of a log's streams, each by itself, slice by slice as the log is read."""
+"""Checks of single streams, slice by slice while a log is read."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -16,20 +16,20 @@ from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 
 @dataclass
 class StreamChecks:
-    """Everything that is checked of streams without the equation of motion.
+    """All checks of streams that need no equation of motion.
 
     Attributes
     ----------
     model : RobotModel or None
-        Whose names and limits they are compared with.
+        Model whose names and limits the streams are compared with.
     timings : dict of str to TimingCheck
-        By topic.
+        Timing check of each topic.
     named : tuple of Finding
-        What is wrong with names and frames under the model.
+        Findings about names and frames that do not match the model.
     has_streams : bool
-        Whether there was a slice in which no topic was silent.
+        Whether every topic had messages in at least one slice.
     joint_topic, imu_topics, wrench_topics : str and tuples of str
-        The topics of that slice.
+        Topics of the first such slice.
     """
 
     model: RobotModel | None
@@ -39,17 +39,17 @@ class StreamChecks:
     joint_topic: str = ""
     imu_topics: tuple[str, ...] = ()
     wrench_topics: tuple[str, ...] = ()
-    _orientations: dict[str, QuaternionCheck] = field(default_factory=dict)
-    _inertials: dict[str, ImuCheck] = field(default_factory=dict)
-    _motion: JointCheck | None = None
-    _freezing: FreezeDetector = field(default_factory=FreezeDetector)
-    _saturation: SaturationDetector = field(default_factory=SaturationDetector)
-    _tallies: tuple[DefectCounts, ...] = ()
+    _quaternion_checks: dict[str, QuaternionCheck] = field(default_factory=dict)
+    _imu_checks: dict[str, ImuCheck] = field(default_factory=dict)
+    _joint_check: JointCheck | None = None
+    _freeze_detector: FreezeDetector = field(default_factory=FreezeDetector)
+    _saturation_detector: SaturationDetector = field(default_factory=SaturationDetector)
+    _defects: tuple[DefectCounts, ...] = ()
     _faults: list[str] = field(default_factory=list)
 
     def take(self, piece: Slice) -> None:
-        """Check the slice of the log that follows."""
-        self._tallies = piece.tallies
+        """Check the next slice of the log."""
+        self._defects = piece.tallies
         for topic, stamps in piece.stamps.items():
             self.timings.setdefault(topic, TimingCheck(topic)).add(stamps)
         if piece.streams is None:
@@ -57,13 +57,13 @@ class StreamChecks:
             return
         streams, during = piece.streams, (piece.start, piece.stop)
         for imu in streams.imus:
-            self._orientations.setdefault(imu.topic, QuaternionCheck(imu.topic)).add(piece)
-            self._inertials.setdefault(imu.topic, ImuCheck(imu.topic)).add(imu)
-        if self._motion is None:
-            self._motion = JointCheck(streams.joints.topic, streams.joints.names)
-        self._motion.add(streams.joints, during)
-        self._freezing.add(streams, during)
-        self._saturation.add(streams, during)
+            self._quaternion_checks.setdefault(imu.topic, QuaternionCheck(imu.topic)).add(piece)
+            self._imu_checks.setdefault(imu.topic, ImuCheck(imu.topic)).add(imu)
+        if self._joint_check is None:
+            self._joint_check = JointCheck(streams.joints.topic, streams.joints.names)
+        self._joint_check.add(streams.joints, during)
+        self._freeze_detector.add(streams, during)
+        self._saturation_detector.add(streams, during)
         if self.model is not None and not self.has_streams:
             self.named = tuple(check_names(streams, self.model))
         if not self.has_streams:
@@ -73,28 +73,28 @@ class StreamChecks:
         self.has_streams = True
 
     def unit_findings(self) -> list[Finding]:
-        """Return what is wrong with units, gravity, velocities and what joints leave out."""
-        units = [one for each in self._inertials.values() for one in each.findings()]
-        return units + (self._motion.findings(self.model) if self._motion else [])
+        """Return findings about units, gravity, velocities and missing joint values."""
+        units = [one for each in self._imu_checks.values() for one in each.findings()]
+        return units + (self._joint_check.findings(self.model) if self._joint_check else [])
 
     def findings(self, source: str) -> list[Finding]:
-        """Return all that is wrong with the streams of a log of that name."""
+        """Return all findings about the streams of a log."""
         known = [timing for timing in self.timings.values() if timing.first is not None]
         first = min((timing.first or 0 for timing in known), default=0)
         last = max((timing.last or 0 for timing in known), default=0)
-        limited = {(topic, name) for topic, name, _ in self._saturation.limits}
+        limited = {(topic, name) for topic, name, _ in self._saturation_detector.limits}
         return [
-            *self._silent(source),
-            *mended(self._tallies),
+            *self._silence_findings(source),
+            *repair_findings(self._defects),
             *(one for timing in self.timings.values() for one in timing.findings(first, last)),
-            *self._freezing.findings(limited),
-            *self._saturation.findings(),
-            *(one for each in self._orientations.values() for one in each.findings()),
+            *self._freeze_detector.findings(limited),
+            *self._saturation_detector.findings(),
+            *(one for each in self._quaternion_checks.values() for one in each.findings()),
             *self.unit_findings(),
             *self.named,
         ]
 
-    def _silent(self, source: str) -> list[Finding]:
+    def _silence_findings(self, source: str) -> list[Finding]:
         if not self._faults:
             return []
         return [
@@ -102,7 +102,7 @@ class StreamChecks:
                 Kind.SILENT,
                 "",
                 Severity.WARNING if self.has_streams else Severity.UNUSABLE,
-                f"{self._faults[0] or source}; {len(self._faults)} slices of the log are left out, "
+                f"{self._faults[0] or source}; {len(self._faults)} slices of the log are not used; "
                 "check the driver and its clock",
                 {"slices": len(self._faults)},
             )
@@ -115,7 +115,7 @@ def unusable(findings: Iterable[Finding]) -> Sequence[Finding]:
 
 
 def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
-    """Compare joint names and frames with a model's."""
+    """Return findings for joint names and frames that do not match the model."""
     joints = streams.joints
     found = []
     missing = [name for name in model.measured_joint_names if name not in joints.names]
@@ -126,7 +126,7 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
                 joints.topic,
                 Severity.UNUSABLE,
                 f"{joints.topic}: lacks {', '.join(missing)} of model {model.source}; record all "
-                "of its joints or give the model of this robot",
+                "of its joints or use the model of this robot",
                 {"joints": len(missing)},
             )
         )
@@ -137,8 +137,8 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
                 Kind.UNKNOWN_JOINT,
                 joints.topic,
                 Severity.WARNING,
-                f"{joints.topic}: names {', '.join(unknown)}, which model {model.source} does not "
-                "have: taken to be rigid; give a model that has what moves",
+                f"{joints.topic}: has {', '.join(unknown)}, which model {model.source} lacks and "
+                "treats as rigid; use a model with all moving joints",
                 {"joints": len(unknown)},
             )
         )
@@ -162,7 +162,7 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
                 "",
                 Severity.UNUSABLE,
                 f"{streams.source}: the base of {model.source} floats, but no topic is of type "
-                "sensor_msgs/msg/Imu; record the IMU, or give `base` fixed if it is bolted down",
+                "sensor_msgs/msg/Imu; record the IMU, or set `base` to fixed if it is bolted down",
             )
         )
     return found
@@ -185,34 +185,34 @@ KINDS = {
     Defect.NAMED_TWICE: Kind.UNKNOWN_JOINT,
 }
 REMEDIES = {
-    Defect.DISORDER: "let one publisher speak for one sensor",
-    Defect.DUPLICATE: "let the driver stamp every message anew",
+    Defect.DISORDER: "use one publisher for each sensor",
+    Defect.DUPLICATE: "set a new stamp on every message in the driver",
     Defect.NOT_FINITE: "repair the driver",
-    Defect.UNKNOWN_JOINT: "let one driver speak for all joints",
-    Defect.OTHER_JOINTS: "if the robot has these too, let one driver speak for all joints",
-    Defect.REORDERED_JOINTS: "let one driver speak for all joints",
-    Defect.NO_ORIENTATION: "let the driver fill it always or mark it absent always",
-    Defect.LATE: "stop the clocks from drifting apart, or record the topics together",
-    Defect.OTHER_LAYOUT: "none is lost; reading is slow",
+    Defect.UNKNOWN_JOINT: "publish all joints from one driver",
+    Defect.OTHER_JOINTS: "if the robot has these too, publish all joints from one driver",
+    Defect.REORDERED_JOINTS: "publish all joints from one driver",
+    Defect.NO_ORIENTATION: "fill it in every message, or mark it absent in every message",
+    Defect.LATE: "synchronize the clocks, or record the topics together",
+    Defect.OTHER_LAYOUT: "all are used, but reading is slow",
 }
 
 
-def mended(tallies: Iterable[DefectCounts]) -> list[Finding]:
-    """Return what was mended in each topic."""
+def repair_findings(defects: Iterable[DefectCounts]) -> list[Finding]:
+    """Return a warning for each kind of repaired or skipped message, by topic."""
     return [
         Finding(
             KINDS[defect],
-            tally.topic,
+            counts.topic,
             Severity.WARNING,
-            f"{tally.topic}: {count} of {tally.messages} messages {tally.description(defect)}; "
+            f"{counts.topic}: {count} of {counts.messages} messages {counts.description(defect)}; "
             f"{REMEDIES[defect]}",
-            {"messages": count, "share": count / max(tally.messages, 1)},
+            {"messages": count, "share": count / max(counts.messages, 1)},
         )
-        for tally in tallies
-        for defect, count in tally.counts.items()
+        for counts in defects
+        for defect, count in counts.counts.items()
     ]
 
 
-def beyond_mending(error: DefectError) -> Finding:
-    """Return the finding that ended the reading of a log."""
+def fatal_finding(error: DefectError) -> Finding:
+    """Return the finding for an error that stopped the reading of a log."""
     return Finding(KINDS[error.defect], error.topic, Severity.UNUSABLE, str(error))

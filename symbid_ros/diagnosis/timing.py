@@ -1,4 +1,4 @@
-"""A topic's stamps, judged slice by slice in memory that does not grow."""
+"""Checks the stamps of a topic slice by slice in constant memory."""
 
 from dataclasses import dataclass, field
 
@@ -8,25 +8,25 @@ from symbid_ros.arrays import IntArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity, StreamFigures
 from symbid_ros.signals.stamps import find_gaps
 
-# Periods that vary by more than this share of themselves are arrival times, no sampling times.
+# Stamps whose periods vary more are arrival times instead of sampling times.
 JITTER = 0.25
-# Hz; below it the windows over which rows are averaged are too long for brisk motion.
+# Hz; below it the averaging windows are too long for fast motion.
 SLOWEST = 50.0
-# A recorder finds its topics one after the other; what begins or ends so much apart, s, is a fault.
-APART = 1.0
-# A topic of which more than this share is missing is none.
+# A recorder subscribes to topics one by one; larger differences of start or end, s, are faults.
+MAX_OFFSET = 1.0
+# A topic with a larger share of missing messages is unusable.
 MOST_MISSING = 0.5
 
 
 @dataclass
 class TimingCheck:
-    """The stamps of one topic.
+    """Statistics of the stamps of one topic.
 
     Attributes
     ----------
     topic : str
     first, last : int or None
-        Stamps, ns.
+        First and last stamp, ns.
     """
 
     topic: str
@@ -41,7 +41,7 @@ class TimingCheck:
     _steps: int = 0
 
     def add(self, stamps: IntArray) -> None:
-        """Take the stamps (N,), ns, of the slice that follows; sorted or not."""
+        """Add the stamps (N,), ns, of the next slice, in any order."""
         self.messages += len(stamps)
         if not len(stamps):
             return
@@ -69,7 +69,7 @@ class TimingCheck:
 
     @property
     def figures(self) -> StreamFigures:
-        """The topic in numbers."""
+        """Statistics of the topic."""
         first, last = self.first or 0, self.last or 0
         return StreamFigures(
             topic=self.topic,
@@ -83,8 +83,8 @@ class TimingCheck:
         )
 
     def findings(self, first: int, last: int) -> list[Finding]:
-        """Return what is wrong, given where the recording begins and ends, ns."""
-        told, found = self.figures, []
+        """Return the findings, given the start and end of the recording, ns."""
+        figures, found = self.figures, []
         if self.missing:
             share = self.missing / (self.missing + self.messages)
             found.append(
@@ -92,35 +92,35 @@ class TimingCheck:
                     Kind.GAP,
                     self.topic,
                     Severity.UNUSABLE if share > MOST_MISSING else Severity.WARNING,
-                    f"{self.topic}: {self.missing} messages are missing in {self.gaps} gaps, "
-                    f"{100 * share:.2g} % of them, the longest gap lasts {told.longest_gap_s:.3g} "
-                    "s; record closer to the sensor, with a deeper queue",
+                    f"{self.topic}: {self.missing} messages ({100 * share:.2g} %) are missing in "
+                    f"{self.gaps} gaps, the longest lasts {figures.longest_gap_s:.3g} s; record "
+                    "closer to the sensor, with a deeper queue",
                     {
                         "gaps": self.gaps,
                         "missing": self.missing,
-                        "longest_gap_s": told.longest_gap_s,
+                        "longest_gap_s": figures.longest_gap_s,
                     },
                 )
             )
         late = max((self.first or first) - first, 0) * 1e-9
         early = max(last - (self.last or last), 0) * 1e-9
-        if max(late, early) > max(APART, 5 * self.period):
+        if max(late, early) > max(MAX_OFFSET, 5 * self.period):
             found.append(
                 Finding(
                     Kind.GAP,
                     self.topic,
                     Severity.WARNING,
                     f"{self.topic}: begins {late:.3g} s after and ends {early:.3g} s before the "
-                    "other topics, what they tell alone is left out; start and stop all together",
+                    "other topics, whose data outside it are not used; start and stop all together",
                     {"late_s": late, "early_s": early},
                 )
             )
-        slow, unsteady = 0 < told.rate_hz < SLOWEST, told.jitter > JITTER
+        slow, unsteady = 0 < figures.rate_hz < SLOWEST, figures.jitter > JITTER
         if slow or unsteady:
             what = (
-                f"comes at {told.rate_hz:.3g} Hz, below {SLOWEST:g} Hz; raise the driver's rate"
+                f"comes at {figures.rate_hz:.3g} Hz, below {SLOWEST:g} Hz; raise the driver's rate"
                 if slow
-                else f"has periods that vary by {100 * told.jitter:.0f} %, more than "
+                else f"has periods that vary by {100 * figures.jitter:.0f} %, more than "
                 f"{100 * JITTER:.0f} %; stamp messages when they are sampled, not when they arrive"
             )
             found.append(
@@ -129,7 +129,7 @@ class TimingCheck:
                     self.topic,
                     Severity.WARNING,
                     f"{self.topic}: {what}",
-                    {"rate_hz": told.rate_hz, "jitter": told.jitter},
+                    {"rate_hz": figures.rate_hz, "jitter": figures.jitter},
                 )
             )
         return found
