@@ -1,15 +1,14 @@
-"""Rows of the equation of motion in which the sensors' gains are unknowns.
+"""Rows of the equation of motion with the sensors' gains and delays as unknowns.
 
-A gain is what readings must be multiplied by to become what the robot felt: a 3×3 matrix A on
-both vectors of a wrench, M on an IMU's specific force, a number g on a joint's effort. With the
-delay d of each of them against the joints' positions, x(t) = gain x'(t + d) for a reading x',
-and the equation of motion
+A gain maps readings to true values: a 3×3 matrix A for both vectors of a wrench, M for an IMU's
+specific force, a scalar g for a joint's effort. With the delay d of each sensor relative to the
+joint positions, x(t) = gain x'(t + d) for a reading x', and the equation of motion
 
-    K φ + Σ ∂(K φ)/∂a (M - 1) a' = Σ Jᵀ A f' + g τ' + delays times what changes
+    K φ + Σ ∂(K φ)/∂a (M - 1) a' = Σ Jᵀ A f' + g τ' + delays times derivatives
 
-is linear in φ, A - 1, M - 1, g - 1 and the delays together, but for the product of the errors of
-φ and M: a sign, a wrong frame and a wrong unit are as exact in it as a small error. What the
-model's inertias and its joints' friction may be wrong by is φ's to say, not theirs.
+is linear in φ, A - 1, M - 1, g - 1 and the delays together, except for the product of the errors
+of φ and M. A wrong sign, frame or unit is therefore as exact as a small error. Errors of inertias
+and joint friction are part of φ.
 """
 
 from collections.abc import Callable, Iterator
@@ -36,16 +35,16 @@ PER_SENSOR = 10  # unknowns of a wrench sensor or an IMU: its matrix row by row,
 
 @dataclass(frozen=True)
 class GainLayout:
-    """The unknowns of a log's sensors: wrenches, IMUs, efforts of driven joints, their delay.
+    """Order of the unknowns of wrenches, IMUs, efforts of driven joints, and their delays.
 
     Attributes
     ----------
     wrench_frames, imu_frames : tuple of str
         F and I sensors.
     driven : tuple of int
-        Which D of the model's joints are driven.
+        Indices of the D driven joints in the model.
     joint_names : tuple of str
-        Theirs.
+        Names of the driven joints.
     """
 
     wrench_frames: tuple[str, ...]
@@ -57,7 +56,7 @@ class GainLayout:
     def of(
         cls, model: RobotModel, wrench_frames: tuple[str, ...], imu_frames: tuple[str, ...]
     ) -> "GainLayout":
-        """Return those of the sensors that a log has; a fixed base needs no IMU."""
+        """Return the layout for a log's sensors; a fixed base needs no IMU."""
         driven = tuple(place for place, joint in enumerate(model.joints) if joint.effort > 0)
         names = tuple(model.joint_names[place] for place in driven)
         return cls(wrench_frames, imu_frames if model.floating else (), driven, names)
@@ -66,22 +65,22 @@ class GainLayout:
         return self.effort_delay + 1
 
     def wrench(self, index: int) -> slice:
-        """Return the places of a wrench sensor's A."""
+        """Return the indices of a wrench sensor's A."""
         return slice(PER_SENSOR * index, PER_SENSOR * index + 9)
 
     def imu(self, index: int) -> slice:
-        """Return the places of an IMU's M."""
+        """Return the indices of an IMU's M."""
         return self.wrench(len(self.wrench_frames) + index)
 
     @property
     def efforts(self) -> slice:
-        """The places of the driven joints' g."""
+        """The indices of the driven joints' g."""
         first = PER_SENSOR * (len(self.wrench_frames) + len(self.imu_frames))
         return slice(first, first + len(self.driven))
 
     @property
     def effort_delay(self) -> int:
-        """The place of the delay of all efforts."""
+        """The index of the delay of all efforts."""
         return int(self.efforts.stop)
 
     @cached_property
@@ -100,25 +99,25 @@ class GainLayout:
         return is_imu
 
     def structure(self, model: RobotModel) -> BoolArray:
-        """Return which coordinates (n, r) each unknown can reach."""
+        """Return which coordinates (n, r) each unknown affects."""
         first = 6 * model.floating
-        reach = np.zeros((model.dof, len(self)), dtype=bool)
+        affects = np.zeros((model.dof, len(self)), dtype=bool)
         for index, frame in enumerate(self.wrench_frames):
             columns = slice(PER_SENSOR * index, PER_SENSOR * (index + 1))
-            reach[:first, columns] = True
-            reach[first:, columns] = model.ancestors[:, model.frame(frame).link][:, None]
-        reach[:, PER_SENSOR * len(self.wrench_frames) : self.efforts.start] = True
+            affects[:first, columns] = True
+            affects[first:, columns] = model.ancestors[:, model.frame(frame).link][:, None]
+        affects[:, PER_SENSOR * len(self.wrench_frames) : self.efforts.start] = True
         rows, columns_ = self._efforts(model)
-        reach[rows, columns_] = reach[rows, self.effort_delay] = True
-        return reach
+        affects[rows, columns_] = affects[rows, self.effort_delay] = True
+        return affects
 
     def _efforts(self, model: RobotModel) -> tuple[IntArray, IntArray]:
-        """Return the coordinates of the driven joints and the places of their gains."""
+        """Return the coordinates of the driven joints and the indices of their gains."""
         driven = np.array(self.driven, dtype=np.int64)
         return 6 * model.floating + driven, self.efforts.start + np.arange(len(driven))
 
     def columns(self, parameters: ParameterSet, readings: SensorSamples) -> FloatArray:
-        """Return C (N, n, r): what a unit of each unknown adds to y."""
+        """Return C (N, n, r), the derivative of y by each unknown."""
         model, count, sensors = parameters.model, len(readings), len(self.wrench_frames)
         C = np.zeros((count, model.dof, len(self)))
         poses = link_poses(model, readings.position)
@@ -138,14 +137,14 @@ class GainLayout:
                 "tnfci,tfci->tnf", felt, slope(read), optimize=True
             )
         if self.imu_frames:
-            pulled = pull(parameters, poses)
+            force_jacobian = specific_force_jacobian(parameters, poses)
             for index, frame in enumerate(self.imu_frames):
                 mount = model.frame(frame)
                 axes = poses.rotation[:, mount.link] @ mount.rotation / len(self.imu_frames)
                 read = readings.imus[index].specific_force
-                matrix = np.einsum("tnc,tci,tk->tnik", pulled, axes, read, optimize=True)
+                matrix = np.einsum("tnc,tci,tk->tnik", force_jacobian, axes, read, optimize=True)
                 parts[:, :, sensors + index, :9] = -matrix.reshape(count, model.dof, 9)
-                late = _late_imu(readings, index, slope)
+                late = _imu_derivative(readings, index, slope)
                 rows = equation_of_motion(parameters, at_base(late, model))
                 parts[:, :, sensors + index, 9] = -rows.K @ parameters.values
         C[:, :, : self.efforts.start] = parts.reshape(count, model.dof, -1)
@@ -156,11 +155,11 @@ class GainLayout:
         return C
 
 
-def pull(parameters: ParameterSet, poses: LinkPoses) -> FloatArray:
-    """Return ∂(K φ)/∂a (N, n, 3): what a unit of specific force, in base axes, asks for.
+def specific_force_jacobian(parameters: ParameterSet, poses: LinkPoses) -> FloatArray:
+    """Return ∂(K φ)/∂a (N, n, 3) by the specific force a in base axes.
 
-    A joint carries masses M with first moment c about the base's origin: its axis (s; v) feels
-    s·(c × a) + M v·a.
+    For a joint with axis (s; v) that carries mass M with first moment c about the base's origin,
+    the generalized force is s·(c × a) + M v·a.
     """
     model = parameters.model
     mass = model.phi[:, 0]
@@ -178,20 +177,20 @@ def pull(parameters: ParameterSet, poses: LinkPoses) -> FloatArray:
     return np.concatenate([moment, mass.sum() * unit, felt], axis=1)
 
 
-def _late_imu(
+def _imu_derivative(
     readings: SensorSamples, index: int, slope: Callable[[FloatArray], FloatArray]
 ) -> SensorSamples:
-    """Return what changes in a second of an IMU's accelerations, all else at rest."""
-    nothing = np.zeros_like(readings.position)
-    still = np.zeros_like(readings.imus[index].specific_force)
-    imus = [BaseMotion(still, still, still)] * len(readings.imus)
+    """Return the time derivative of one IMU's accelerations, with zero for all other motion."""
+    zeros = np.zeros_like(readings.position)
+    at_rest = np.zeros_like(readings.imus[index].specific_force)
+    imus = [BaseMotion(at_rest, at_rest, at_rest)] * len(readings.imus)
     imu = readings.imus[index]
-    imus[index] = BaseMotion(still, slope(imu.angular_acceleration), slope(imu.specific_force))
-    return replace(readings, velocity=nothing, acceleration=nothing, imus=tuple(imus))
+    imus[index] = BaseMotion(at_rest, slope(imu.angular_acceleration), slope(imu.specific_force))
+    return replace(readings, velocity=zeros, acceleration=zeros, imus=tuple(imus))
 
 
 def gain_rows(parameters: ParameterSet, gains: GainLayout) -> RowBuilder:
-    """Return what builds rows of [K, -C] [φ; θ] = y from readings."""
+    """Return a builder of rows [K, -C] [φ; θ] = y from sensor samples."""
     model = parameters.model
 
     def build(readings: SensorSamples) -> Iterator[SampledRows]:
@@ -214,7 +213,7 @@ class CoordinateRows:
     coordinates : tuple of str
         Their names.
     structure : (n, q) bool
-        Which of q unknowns each of them feels.
+        Which of q unknowns affect each coordinate.
     samples : int
         Rows folded into each factor.
     """
@@ -226,25 +225,25 @@ class CoordinateRows:
     _factors: list[FloatArray] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Begin without data."""
+        """Allocate empty factors."""
         self._columns = [np.flatnonzero(row) for row in self.structure]
         widths = [len(columns) + 1 for columns in self._columns]
         self._factors = [np.zeros((width, width), order="F") for width in widths]
 
     def fold(self, rows: Rows) -> None:
-        """Take N more rows of every coordinate."""
+        """Add N rows of every coordinate."""
         for index, columns in enumerate(self._columns):
             block = np.empty((len(rows.y), len(columns) + 1), order="F")
             block[:, :-1] = rows.K[:, index, columns]
             block[:, -1] = rows.y[:, index]
-            # LAPACK's tpqrt leaves the zeros of the triangle alone.
+            # LAPACK's tpqrt exploits the zeros of the triangle.
             self._factors[index], _, _, _ = lapack.dtpqrt(
                 0, min(32, len(columns) + 1), self._factors[index], block, True, True
             )
         self.samples += len(rows.y)
 
     def whitened(self, deviation: FloatArray) -> FloatArray:
-        """Return the triangle (q + 1, q + 1) of all rows over deviations (n,)."""
+        """Return the triangular factor (q + 1, q + 1) of all rows divided by deviations (n,)."""
         q = self.structure.shape[1]
         stacked = np.zeros((sum(map(len, self._factors)), q + 1))
         first = 0

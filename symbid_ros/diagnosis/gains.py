@@ -1,4 +1,4 @@
-"""The sensors' gains from rows in which they are unknowns, under a model that may be wrong."""
+"""Estimates the sensors' gains and delays under a model with uncertain inertias."""
 
 from dataclasses import dataclass
 
@@ -13,34 +13,33 @@ from symbid_ros.estimation.information import stacked_factor
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import INFLATION
 
-# Share of a load below which nothing is asked of the rows. Gains that all shrink together with
-# the inertias explain any log but for its noise; what is left of that must count for nothing.
+# Residuals below this share of the load count as zero. Gains that shrink together with the inertias
+# explain any log up to its noise, and such residuals must have no weight.
 FLOOR = 0.02
-# How far off the model's inertias make its loads, roughly: weights of the very first solution.
-OFF = 0.3
-TURNS = 3
-# Before the data: an element of A or M, and g, may be off by several times themselves and a
-# stream be late by a tenth of a second.
+# Rough relative error of the model's loads, for the weights of the first solution.
+LOAD_ERROR = 0.3
+ITERATIONS = 3
+# Prior standard deviations of g and of the elements of A and M, and of delays, s.
 GAIN_STD, DELAY_STD = 2.0, 0.1
-PINNED = 1e-6  # standard deviation of what is held at its prior
-# Standard deviation to which gains are held where delays alone are asked for.
+PINNED = 1e-6  # standard deviation of unknowns that are held at their prior
+# Standard deviation of the gains when only delays are estimated.
 NEARLY_PINNED = 1e-2
-# Share of a load below which a residual is rounding.
+# Residuals below this share of the load are rounding errors.
 LEAST = 1e-4
 
 
 @dataclass(frozen=True)
 class GainProblem:
-    """Rows of [K, -C] [φ; θ] = y and what is believed of the unknowns.
+    """Rows of [K, -C] [φ; θ] = y and the prior of the unknowns.
 
     Attributes
     ----------
     rows : CoordinateRows
-        Of n coordinates.
+        Rows of n coordinates.
     mean, std : (p,) float64
-        Of the parameters φ alone.
+        Prior of the parameters φ.
     gains : GainLayout
-        What the r unknowns θ after them are.
+        Layout of the r unknowns θ that follow φ.
     """
 
     rows: CoordinateRows
@@ -52,7 +51,7 @@ class GainProblem:
     def of(
         cls, rows: CoordinateRows, parameters: ParameterSet, std: FloatArray, gains: GainLayout
     ) -> "GainProblem":
-        """Believe inertias to deviations (inertial,), and of drives that they are no load."""
+        """Return the problem for given deviations of the inertias and small drive loads."""
         mean = parameters.values
         std = np.concatenate([std, np.zeros(len(mean) - len(std))])
         first = parameters.model.dof - len(parameters.model.joints)
@@ -66,7 +65,7 @@ class GainProblem:
 
     @property
     def expected(self) -> FloatArray:
-        """(p + r,) unknowns of the model with gains of one."""
+        """(p + r,) prior mean: the model's parameters and gains of one."""
         return np.append(self.mean, np.zeros(len(self.gains)))
 
     def solve(self, std: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -75,9 +74,9 @@ class GainProblem:
         Parameters
         ----------
         std : (r,) float64
-            Deviations of the gains and delays.
+            Prior deviations of the gains and delays.
         left : (n,) float64
-            Mean squares by which the rows may miss.
+            Mean square residual of each coordinate.
         """
         scale = np.append(self.std, std)
         mean, q = self.expected, len(scale)
@@ -93,21 +92,21 @@ class GainProblem:
 
 @dataclass(frozen=True)
 class GainEstimate:
-    """Gains, delays and inertias that make the equation of motion hold.
+    """Most probable gains and delays.
 
     Attributes
     ----------
     sensors : GainLayout
-        What the unknowns are.
+        Layout of the unknowns.
     mean : (r,) float64
-        Each unknown, less what it should be.
+        Each unknown minus its nominal value.
     covariance : (r, r) float64
-        Of these, whatever the inertias are.
+        Covariance of the unknowns, marginalized over the inertias.
     left : (n,) float64
-        Mean squares of what is left of each coordinate.
+        Mean square residual of each coordinate.
     before, after : float
-        Root mean square of what is left of the base's force, N: of the model itself with
-        all gains one, and with these.
+        Root mean square residual of the base's force, N, with all gains at one and with the
+        estimated gains.
     """
 
     sensors: GainLayout
@@ -122,7 +121,7 @@ class GainEstimate:
         return self.mean[place].reshape(3, 3) + np.eye(3), self.covariance[place, place]
 
     def delay(self, place: int) -> tuple[float, float]:
-        """Return how late a sensor is and the standard deviation of that, s."""
+        """Return the delay of a sensor and its standard deviation, s."""
         return float(self.mean[place]), float(np.sqrt(self.covariance[place, place]))
 
     def effort(self, index: int) -> tuple[float, float]:
@@ -132,58 +131,58 @@ class GainEstimate:
 
 
 def estimate_gains(problem: GainProblem) -> GainEstimate:
-    """Return the most probable gains of wrenches and efforts; IMUs are believed.
+    """Return the most probable gains of wrenches and efforts, with trusted IMUs.
 
-    Rows of one coordinate are weighed by what is left of them, no less than `FLOOR` of the load:
-    the first time with gains of one, so that what does not fit at all says little.
+    Rows are weighted by the residual of their coordinate, at least `FLOOR` of the load. The first
+    residuals are those with gains of one, so that inconsistent rows get little weight.
     """
     rows, gains = problem.rows, problem.gains
     scale = loads(rows, problem.expected)
     pinned = np.full(len(gains), PINNED)
-    at, _ = problem.solve(pinned, (OFF * scale) ** 2)
+    at, _ = problem.solve(pinned, (LOAD_ERROR * scale) ** 2)
     left = rows.residual_squares(at)
-    free = np.where(gains.is_imu, PINNED, _free(gains))
-    for _ in range(TURNS):
+    free = np.where(gains.is_imu, PINNED, _prior_std(gains))
+    for _ in range(ITERATIONS):
         at, deviation = problem.solve(free, left + (FLOOR * scale) ** 2)
         left = rows.residual_squares(at)
-    return _gains(problem, at, deviation, left)
+    return _estimate(problem, at, deviation, left)
 
 
 def estimate_delays(problem: GainProblem) -> GainEstimate:
-    """Return the most probable delays with gains that are one.
+    """Return the most probable delays with gains of one.
 
-    As no gain can shrink, what is left weighs the rows as it is.
+    The gains cannot shrink, so the residuals weight the rows without a floor.
     """
     rows, gains = problem.rows, problem.gains
     std = np.where(gains.is_delay, DELAY_STD, np.where(gains.is_imu, PINNED, NEARLY_PINNED))
     scale = loads(rows, problem.expected)
-    left = (OFF * scale) ** 2
-    for _ in range(TURNS):
+    left = (LOAD_ERROR * scale) ** 2
+    for _ in range(ITERATIONS):
         at, deviation = problem.solve(std, left + (LEAST * scale) ** 2)
         left = rows.residual_squares(at)
-    return _gains(problem, at, deviation, left)
+    return _estimate(problem, at, deviation, left)
 
 
 def fit_imu_rotation(problem: GainProblem, gains: GainEstimate, index: int) -> RotationFit:
     """Return the rotation, or its reverse, of an IMU that explains the forces best.
 
-    How long its readings are is known from gravity, and left as it is: gains that all shrink
-    together, this one among them, would explain anything.
+    The scale of its readings is known from gravity and is held, because gains that all shrink
+    together explain any log.
     """
     scale = loads(problem.rows, problem.expected)
     place = problem.gains.imu(index)
-    free = _free(problem.gains)
+    free = _prior_std(problem.gains)
     pinned = problem.gains.is_imu.copy()
     pinned[place] = False
     std = np.where(pinned, PINNED, free)
     left = gains.left
-    for _ in range(TURNS):
+    for _ in range(ITERATIONS):
         at, deviation = problem.solve(std, left + (FLOOR * scale) ** 2)
-        own = _gains(problem, at, deviation, left)
+        own = _estimate(problem, at, deviation, left)
         turn = fit_rotation(*own.matrix(place), is_scaled=False)
         held = at.copy()
         held[len(problem.mean) :][place] = (turn.sign * turn.rotation - np.eye(3)).ravel()
-        # What the others are if the IMU is turned like that.
+        # Condition the other unknowns on this rotation of the IMU.
         theta = np.arange(len(at))[len(problem.mean) :][place]
         spread = deviation @ deviation[theta].T
         gain = np.linalg.solve(spread[theta], held[theta] - at[theta])
@@ -192,10 +191,10 @@ def fit_imu_rotation(problem: GainProblem, gains: GainEstimate, index: int) -> R
 
 
 def loads(rows: CoordinateRows, expected: FloatArray) -> FloatArray:
-    """Return the largest root mean square (n,) of what acts on coordinates of one kind.
+    """Return the largest root mean square load (n,) among coordinates of the same kind.
 
-    What acts is what is measured, or what unknowns (q,) expect beyond that: a force that nobody
-    measured is one all the same.
+    The load is the measured one, or the one that the unknowns (q,) imply if that is larger, because
+    a force may lack a sensor.
     """
     names = rows.coordinates
     kinds = np.array([name.split("_")[0] if name.startswith("base/") else "" for name in names])
@@ -205,11 +204,11 @@ def loads(rows: CoordinateRows, expected: FloatArray) -> FloatArray:
     return np.sqrt(mean) if mean.any() else np.ones(len(mean))
 
 
-def _free(gains: GainLayout) -> FloatArray:
+def _prior_std(gains: GainLayout) -> FloatArray:
     return np.where(gains.is_delay, DELAY_STD, GAIN_STD)
 
 
-def _gains(
+def _estimate(
     problem: GainProblem, at: FloatArray, deviation: FloatArray, left: FloatArray
 ) -> GainEstimate:
     p = len(problem.mean)
@@ -225,17 +224,17 @@ def _gains(
     )
 
 
-# Squared deviations that a delay must explain, and what share of all that there is to explain.
+# A delay must explain this many squared deviations, and this share of the total.
 EVIDENCE = 25.0
 SHARE = 0.1
 
 
 def find_late_streams(delays: GainEstimate) -> dict[int, tuple[float, float]]:
-    """Return places of the delays that are not zero, and each with its standard deviation, s.
+    """Return the indices of non-zero delays, each with its delay and standard deviation, s.
 
-    Delays are known against each other better than by themselves, so that one late stream may
-    look like all others early. One after the other those are taken that explain most of the
-    estimate, until little of it is left.
+    Relative delays are known better than absolute ones, so one late stream may look like all
+    others early. Delays are selected greedily, the one that explains most first, until little of
+    the estimate is left.
     """
     free = np.flatnonzero(delays.sensors.is_delay)
     mean = delays.mean[free]
@@ -259,8 +258,8 @@ def find_late_streams(delays: GainEstimate) -> dict[int, tuple[float, float]]:
         size = np.linalg.solve(precision[own], moment[chosen])
         std = np.sqrt(np.diag(np.linalg.inv(precision[own])))
         found = {
-            int(free[place]): (float(one), float(doubt))
-            for place, one, doubt in zip(chosen, size, std, strict=True)
+            int(free[place]): (float(one), float(error))
+            for place, one, error in zip(chosen, size, std, strict=True)
         }
     return found
 

@@ -1,7 +1,7 @@
-"""The checks against a model in an order in which one fault is not taken for another.
+"""Checks against a model, ordered so that one fault is not reported as another.
 
-An IMU's mounting is seen by kinematics alone, so it comes first. Signs, frames and gains of
-forces are found together. Delays and excitation are asked of what is right so far.
+An IMU's mounting follows from kinematics alone and is checked first. Signs, frames and gains of
+forces are estimated together. Delays and excitation are checked last, if no fault was found.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,11 +12,11 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.forces import (
-    FURTHEST,
-    PLAINER,
+    MAX_ROTATION_COST,
+    MIN_EVIDENCE,
     check_forces,
-    reversed_finding,
-    turned_finding,
+    reversed_imu_finding,
+    rotated_imu_finding,
 )
 from symbid_ros.diagnosis.gains import (
     GainEstimate,
@@ -32,33 +32,33 @@ from symbid_ros.diagnosis.stance_gyro_check import (
     DEVIATIONS,
     LARGEST_ANGLE,
     fit_gyro,
-    is_told,
+    is_usable,
     mounting_findings,
 )
 from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.signals.weak_form import INFLATION
 
-# Identification's windows see no shift below this, s.
+# Identification is insensitive to smaller delays, s.
 LARGEST_DELAY = 3e-3
 
-# Share of a load that a good sensor cannot tell: what moves less is no motion, noise or none.
+# Sensor resolution as a share of the load; smaller changes do not count as motion.
 RESOLUTION = 5e-3
-# So few directions beyond those of a single pose are next to nothing.
+# Fewest determined directions beyond those of a single pose.
 FEWEST_DIRECTIONS = 3
 
 
 @dataclass(frozen=True)
 class Excitation:
-    """What a log determines.
+    """Information of a log about the parameters.
 
     Attributes
     ----------
     determined : int
-        Directions of the parameters of which more than half the prior's variance goes.
+        Directions of the parameters whose prior variance is reduced by more than half.
     at_rest : int
-        As many of them as the mean pose tells without any motion.
+        Directions determined by the mean pose alone.
     gain : float
-        Information over the prior, bit.
+        Information gain over the prior, bit.
     """
 
     determined: int
@@ -66,17 +66,17 @@ class Excitation:
     gain: float
 
 
-def excitation(watch: ModelStatistics, left: FloatArray) -> Excitation:
-    """Judge rows of which (n,) variances are left when their gains are known."""
-    rows_, prior = watch.rows, watch.prior
+def excitation(statistics: ModelStatistics, left: FloatArray) -> Excitation:
+    """Return the excitation, given the residual variances (n,) of the rows with known gains."""
+    rows_, prior = statistics.rows, statistics.prior
     p = len(prior.names)
-    scale = loads(rows_, watch.problem.expected)
+    scale = loads(rows_, statistics.problem.expected)
     deviation = np.sqrt(INFLATION * (left + (RESOLUTION * scale) ** 2))
     L = prior.covariance_factor()
     rows = rows_.whitened(deviation)[:, :p] @ L
-    at_rest = np.sqrt(rows_.samples) * (watch.mean_row / deviation[:, None]) @ L
+    at_rest = np.sqrt(rows_.samples) * (statistics.mean_row / deviation[:, None]) @ L
     singular = np.linalg.svd(rows, compute_uv=False)
-    # Rows s and a prior of one leave a deviation of 1/√(1 + s²).
+    # A singular value s and a prior deviation of one leave a deviation of 1/√(1 + s²).
     least = np.sqrt(1 / DETERMINED**2 - 1)
     return Excitation(
         determined=int(np.sum(singular > least)),
@@ -85,17 +85,17 @@ def excitation(watch: ModelStatistics, left: FloatArray) -> Excitation:
     )
 
 
-# Delays that differ by no more than this share of themselves are one delay.
+# Delays that differ by less than this share of their mean count as equal.
 ALIKE = 0.5
-REST_ON_IMU = (
-    "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation: they rest on the "
+DEPEND_ON_IMU = (
+    "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation: they depend on the "
     "IMU, whose mounting or unit is wrong"
 )
 
 
 @dataclass
 class ModelChecks:
-    """Findings, figures and what was left out and why."""
+    """Findings, figures, and skipped checks with their reasons."""
 
     findings: list[Finding] = field(default_factory=list)
     figures: dict[str, float] = field(default_factory=dict)
@@ -103,14 +103,14 @@ class ModelChecks:
 
 
 def check_model(
-    watch: ModelStatistics, joints: str, imus: Sequence[str], wrenches: Mapping[str, str]
+    statistics: ModelStatistics, joints: str, imus: Sequence[str], wrenches: Mapping[str, str]
 ) -> ModelChecks:
-    """Judge what was gathered.
+    """Check the accumulated statistics of a log.
 
     Parameters
     ----------
-    watch : ModelStatistics
-        Of a whole log.
+    statistics : ModelStatistics
+        Statistics of the complete log.
     joints : str
         Topic of the joint states.
     imus : sequence of str
@@ -119,47 +119,48 @@ def check_model(
         Topic of each wrench frame.
     """
     checks = ModelChecks()
-    _check_imus(checks, watch, imus)
+    _check_imus(checks, statistics, imus)
     if any(one.kind in (Kind.IMU_MOUNTING, Kind.UNIT) for one in checks.findings):
-        checks.left_out.append(REST_ON_IMU)
+        checks.left_out.append(DEPEND_ON_IMU)
         return checks
-    if watch.rows.samples < 1:
+    if statistics.rows.samples < 1:
         checks.left_out.append(
-            "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation: no stretch "
-            "without a gap is long enough"
+            "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation: every "
+            "part of the log without a gap is too short"
         )
         return checks
-    problem = watch.problem
+    problem = statistics.problem
     gains = estimate_gains(problem)
-    judged = check_forces(watch, gains, joints, imus, wrenches)
-    if judged.findings and checks.findings:
+    verdict = check_forces(statistics, gains, joints, imus, wrenches)
+    if verdict.findings and checks.findings:
         checks.left_out.append(
-            "wrench_sign, wrench_frame, torque_sign, torque_gain, excitation: they rest on the "
+            "wrench_sign, wrench_frame, torque_sign, torque_gain, excitation: they depend on the "
             "IMU, which is late or early"
         )
         return checks
-    if judged.findings:
-        _check_turns(checks, problem, gains, imus)
+    if verdict.findings:
+        _check_imu_rotations(checks, problem, gains, imus)
         if any(one.kind is Kind.IMU_MOUNTING for one in checks.findings):
-            checks.left_out.append(REST_ON_IMU)
+            checks.left_out.append(DEPEND_ON_IMU)
             return checks
-    checks.findings += judged.findings
-    checks.figures |= judged.figures
-    checks.left_out += judged.left_out
-    if judged.blamed:
-        checks.left_out.append(f"delay, excitation: they would repeat {judged.blamed}")
+    checks.findings += verdict.findings
+    checks.figures |= verdict.figures
+    checks.left_out += verdict.left_out
+    if verdict.blamed:
+        checks.left_out.append(f"delay, excitation: they would only repeat {verdict.blamed}")
         return checks
-    _check_delays(checks, watch, joints, imus, wrenches)
-    _check_excitation(checks, watch, gains)
+    _check_delays(checks, statistics, joints, imus, wrenches)
+    _check_excitation(checks, statistics, gains)
     return checks
 
 
-def _check_imus(checks: ModelChecks, watch: ModelStatistics, imus: Sequence[str]) -> None:
-    for topic, rates in zip(imus, watch.standing, strict=False):
+def _check_imus(checks: ModelChecks, statistics: ModelStatistics, imus: Sequence[str]) -> None:
+    for topic, rates in zip(imus, statistics.standing, strict=False):
         found = fit_gyro(rates)
-        if found is None or not is_told(found):
+        if found is None or not is_usable(found):
             checks.left_out.append(
-                f"imu_mounting of {topic} by its rate of turn: no foot stands that turns"
+                f"imu_mounting of {topic} from its angular velocity: no foot stands while the "
+                "robot turns"
             )
             continue
         checks.figures |= {
@@ -177,35 +178,35 @@ def _check_imus(checks: ModelChecks, watch: ModelStatistics, imus: Sequence[str]
             )
 
 
-def _check_turns(
+def _check_imu_rotations(
     checks: ModelChecks, problem: GainProblem, gains: GainEstimate, imus: Sequence[str]
 ) -> None:
-    """Judge the accelerometers' axes by the forces that seem wrong."""
+    """Check whether rotated accelerometers explain the force findings."""
     for index in range(len(problem.gains.imu_frames)):
-        turn = fit_imu_rotation(problem, gains, index)
-        topic, told = imus[index], turn.plain - turn.cost
-        checks.figures[f"{topic}/force_angle_deg"] = float(np.degrees(turn.angle))
-        if told <= PLAINER or turn.cost > FURTHEST:
+        fit = fit_imu_rotation(problem, gains, index)
+        topic, evidence = imus[index], fit.plain - fit.cost
+        checks.figures[f"{topic}/force_angle_deg"] = float(np.degrees(fit.angle))
+        if evidence <= MIN_EVIDENCE or fit.cost > MAX_ROTATION_COST:
             continue
-        if turn.sign < 0 and turn.angle < LARGEST_ANGLE:
-            checks.findings.append(reversed_finding([topic]))
-        elif turn.sign > 0 and turn.angle > LARGEST_ANGLE:
-            checks.findings.append(turned_finding(topic, turn, told))
+        if fit.sign < 0 and fit.angle < LARGEST_ANGLE:
+            checks.findings.append(reversed_imu_finding([topic]))
+        elif fit.sign > 0 and fit.angle > LARGEST_ANGLE:
+            checks.findings.append(rotated_imu_finding(topic, fit, evidence))
 
 
 def _check_delays(
     checks: ModelChecks,
-    watch: ModelStatistics,
+    statistics: ModelStatistics,
     joints: str,
     imus: Sequence[str],
     wrenches: Mapping[str, str],
 ) -> None:
-    """Judge the delays of efforts, IMUs and of wrench sensors that carry something."""
-    delays, gains = estimate_delays(watch.problem), watch.gains
+    """Check the delays of efforts, IMUs and loaded wrench sensors."""
+    delays, gains = estimate_delays(statistics.problem), statistics.gains
     late = find_late_streams(delays)
     streams = {joints: ("the efforts", gains.effort_delay)} if gains.driven else {}
     for index in range(len(gains.imu_frames)):
-        # Above a foot that stands the rates of turn tell it better.
+        # Above a standing foot the angular velocity gives a better delay.
         if f"{imus[index]}/delay_ms" not in checks.figures:
             streams[imus[index]] = ("", gains.imu(index).stop)
     for topic, (what, place) in streams.items():
@@ -214,11 +215,11 @@ def _check_delays(
         checks.figures |= {f"{name}_ms": 1e3 * delay, f"{name}_std_ms": 1e3 * std}
         if place in late:
             checks.findings += delay_finding(topic, *late[place], "motion and forces", what)
-    for index, frame in enumerate(watch.gains.wrench_frames):
-        if not watch.is_loaded[index]:
+    for index, frame in enumerate(statistics.gains.wrench_frames):
+        if not statistics.is_loaded[index]:
             checks.left_out.append(
                 f"wrench_sign, wrench_frame, delay of {wrenches[frame]}: it carries "
-                f"{watch.loads[index]:.2g} N of {watch.weight:.0f} N"
+                f"{statistics.loads[index]:.2g} N of {statistics.weight:.0f} N"
             )
             continue
         place = gains.wrench(index).stop
@@ -226,14 +227,14 @@ def _check_delays(
         checks.figures |= {f"{frame}/delay_ms": 1e3 * delay, f"{frame}/delay_std_ms": 1e3 * std}
         if place in late:
             checks.findings += delay_finding(wrenches[frame], *late[place], "efforts and motion")
-    _blame_the_joints(checks, joints, {*imus, *wrenches.values()})
+    _attribute_to_joints(checks, joints, {*imus, *wrenches.values()})
 
 
-def _blame_the_joints(checks: ModelChecks, joints: str, others: set[str]) -> None:
-    """Replace findings that all say it is the joint states that are late.
+def _attribute_to_joints(checks: ModelChecks, joints: str, others: set[str]) -> None:
+    """Replace delay findings that are all due to late or early joint states.
 
-    Those of all other streams, early alike, or of an IMU's rates against positions and of
-    forces against efforts.
+    These are equal delays of all other streams, or of the IMU against positions and of efforts
+    against forces.
     """
     found = {
         one.stream: one.figures["delay_ms"] * (1 if one.stream == joints else -1)
@@ -251,8 +252,10 @@ def _blame_the_joints(checks: ModelChecks, joints: str, others: set[str]) -> Non
     )
 
 
-def _check_excitation(checks: ModelChecks, watch: ModelStatistics, gains: GainEstimate) -> None:
-    found = excitation(watch, gains.left)
+def _check_excitation(
+    checks: ModelChecks, statistics: ModelStatistics, gains: GainEstimate
+) -> None:
+    found = excitation(statistics, gains.left)
     checks.figures |= {
         "directions_determined": found.determined,
         "directions_at_rest": found.at_rest,
@@ -265,8 +268,8 @@ def _check_excitation(checks: ModelChecks, watch: ModelStatistics, gains: GainEs
                 Kind.EXCITATION,
                 "",
                 Severity.WARNING,
-                f"{found.determined} directions of the parameters would be determined beyond "
-                f"±25 %, {found.at_rest} of them by the mean pose alone; move all joints and turn "
+                f"{found.determined} directions of the parameters are determined better than "
+                f"±25 %, {found.at_rest} of them by the mean pose alone; move all joints and fit "
                 "the base",
                 {"determined": found.determined, "at_rest": found.at_rest},
             )
@@ -276,7 +279,7 @@ def _check_excitation(checks: ModelChecks, watch: ModelStatistics, gains: GainEs
 def delay_finding(
     topic: str, delay: float, std: float, others: str, what: str = ""
 ) -> Iterator[Finding]:
-    """Yield whether a stream, or what of it is named, is late or early, s."""
+    """Yield a finding if a stream or a part of it is late or early."""
     if abs(delay) <= LARGEST_DELAY or abs(delay) <= DEVIATIONS * std:
         return
     which = "late" if delay > 0 else "early"
@@ -285,6 +288,6 @@ def delay_finding(
         topic,
         Severity.WARNING,
         f"{topic}: {f'{what} are' if what else 'is'} {1e3 * abs(delay):.1f} ± {1e3 * std:.1g} ms "
-        f"{which} against {others}; let drivers stamp the time of the measurement",
+        f"{which} relative to {others}; set stamps to the time of the measurement",
         {"delay_ms": 1e3 * delay, "delay_std_ms": 1e3 * std},
     )

@@ -1,4 +1,4 @@
-"""What a log's streams say together under a model, gathered stretch by stretch."""
+"""Accumulates the statistics of a log for the checks against a model."""
 
 import math
 from collections.abc import Sequence
@@ -24,40 +24,40 @@ from symbid_ros.signals.weak_form import (
     windowed_rows,
 )
 
-# The first that suits the rate is used: long enough to average a vibration away, short enough for
-# the shortest of logs.
+# The first that suits the rate is used. It is long enough to average out vibration and short enough
+# for short logs.
 WINDOWS = ALL_WINDOWS[1:]
-# Rate that those windows make do with, Hz, and the share of it that is let through.
+# Rate, Hz, that is sufficient for these windows, and its share that the low-pass keeps.
 RATE, PASSED = 250.0, 0.2
-# A wrench sensor carries something if it is this share, in the mean square, of what the most loaded
-# one does, and of the weight.
+# A wrench sensor is loaded if its root mean square force exceeds these shares of the most loaded
+# sensor's and of the weight.
 LEAST_LOAD, LEAST_SHARE = 0.1, 0.01
-# Blocks of which rows are built: all of the first, and of a long log ever fewer.
+# Rows are built from all of the first blocks, and from ever fewer of the later ones.
 DENSE = 25
 
 
 class ModelStatistics:
-    """Gathers what the checks against a model need, in memory that does not grow.
+    """Accumulates the statistics for the checks against a model in constant memory.
 
     Parameters
     ----------
     model : RobotModel
-        The robot as its maker describes it.
+        The robot with nominal inertias.
     wrench_frames, imu_frames : sequence of str
-        The log's sensors.
+        Frames of the log's sensors.
 
     Attributes
     ----------
     parameters : ParameterSet
-        Of the model's links, and of its joints' drives: friction, rotors and offsets.
+        Parameters of links and drives: inertias, friction, rotor inertias and offsets.
     prior : Prior
-        Of the links: the model's values, each to ±25 %.
+        Prior of the links: the model's values ±25 %.
     gains : GainLayout
-        Unknowns beside them.
+        Layout of the unknown gains and delays.
     rows : CoordinateRows
-        In which all are unknown.
+        Accumulated rows in all unknowns.
     standing : tuple of StanceGyroMoments
-        One for each IMU.
+        Moments of each IMU.
     """
 
     def __init__(
@@ -77,19 +77,19 @@ class ModelStatistics:
         )
         self._build = gain_rows(self.parameters, self.gains)
         self._row_sum = np.zeros((model.dof, len(self.prior.names)))
-        self._instants = self._blocks = 0
+        self._samples = self._blocks = 0
         self._force_square = np.zeros(len(wrench_frames))
         self._force_sum = np.zeros((len(wrench_frames), 3))
 
     def add(self, segment: Segment) -> None:
-        """Take a stretch; stretches must be cut at multiples of a block."""
+        """Add a segment; segments must be cut at multiples of a block."""
         for one in self.standing:
             one.add(segment)
         force = segment.wrenches[:, :, 3:]
-        self._instants += len(segment)
+        self._samples += len(segment)
         self._force_square += np.sum(force**2, axis=(0, 2))
         self._force_sum += force.sum(axis=0)
-        segment = _decimated(segment)
+        segment = _downsample(segment)
         length = block_length(segment.rate)
         windows = suited_windows(WINDOWS, segment.rate)[:1]
         if not windows:
@@ -105,24 +105,24 @@ class ModelStatistics:
 
     @property
     def problem(self) -> GainProblem:
-        """What there is to solve."""
+        """The estimation problem of the gains and delays."""
         return GainProblem.of(self.rows, self.parameters, self.prior.std, self.gains)
 
     @property
     def weight(self) -> float:
-        """What the model weighs, N."""
+        """Weight of the model, N."""
         return float(np.linalg.norm(self.model.gravity) * self.model.phi[:, 0].sum())
 
     @property
     def loads(self) -> FloatArray:
         """Root mean square force (F,) of each wrench sensor, N."""
-        return np.sqrt(self._force_square / max(self._instants, 1))
+        return np.sqrt(self._force_square / max(self._samples, 1))
 
     @property
     def is_loaded(self) -> BoolArray:
-        """Which of F wrench sensors carry enough to be judged.
+        """Which of F wrench sensors carry enough load to be checked.
 
-        In the wrong unit all of them may seem to carry little.
+        The limit is relative to the sensors as well, because of wrong units.
         """
         largest = min(float(self.loads.max(initial=0.0)), self.weight)
         return np.asarray(self.loads > max(LEAST_LOAD * largest, LEAST_SHARE * self.weight))
@@ -130,38 +130,38 @@ class ModelStatistics:
     @property
     def mean_forces(self) -> FloatArray:
         """Mean force (F, 3) of each wrench sensor in its frame, N."""
-        return self._force_sum / max(self._instants, 1)
+        return self._force_sum / max(self._samples, 1)
 
     @property
     def mean_row(self) -> FloatArray:
-        """Mean (n, p) of the regressor: all that a robot would tell that never moved."""
+        """Mean regressor (n, p): the information of a robot at rest."""
         return self._row_sum / max(self.rows.samples, 1)
 
 
-def _decimated(segment: Segment) -> Segment:
-    """Return a stretch at a rate that windows of this length make do with."""
+def _downsample(segment: Segment) -> Segment:
+    """Return a segment at the lower rate that is sufficient for the windows."""
     stride = int(segment.rate / RATE)
     if stride < 2:
         return segment
     low_pass = LowPass(PASSED * segment.rate / stride)
 
-    def few(signal: FloatArray) -> FloatArray:
+    def downsample(signal: FloatArray) -> FloatArray:
         return low_pass(signal, segment.rate)[::stride]
 
     return replace(
         segment,
         stamp=segment.stamp[::stride],
         rate=segment.rate / stride,
-        position=few(segment.position),
-        effort=few(segment.effort),
-        angular_velocity=few(segment.angular_velocity),
-        linear_acceleration=few(segment.linear_acceleration),
-        wrenches=few(segment.wrenches),
+        position=downsample(segment.position),
+        effort=downsample(segment.effort),
+        angular_velocity=downsample(segment.angular_velocity),
+        linear_acceleration=downsample(segment.linear_acceleration),
+        wrenches=downsample(segment.wrenches),
     )
 
 
 def _is_taken(block: int) -> bool:
-    """Tell whether rows are built of a block, counted from 1."""
+    """Return whether rows are built from a block, counted from 1."""
     return _taken_before(block + 1) > _taken_before(block)
 
 

@@ -1,4 +1,4 @@
-"""Which sign and rotation a wrench sensor's gain matrix is nearest to."""
+"""Fits a sign, scale and rotation to a sensor's gain matrix."""
 
 from dataclasses import dataclass
 from itertools import permutations, product
@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray
 
-STARTS = 4  # of the 24 rotations of a cube, those that fit best are refined
-# Squared deviations by which an explanation may be worse than the best and still be as good.
+STARTS = 4  # number of the cube's 24 rotations that are refined, the best first
+# A fit within this many squared deviations of the best is equally good.
 ALIKE = 9.0
 
 
@@ -25,13 +25,13 @@ class RotationFit:
     rotation : (3, 3) float64
         From the axes in which the sensor reports to those of its frame in the model.
     angle : float
-        Of that rotation, rad.
+        Angle of the rotation, rad.
     scale : float
-        What readings are to be multiplied by.
+        Factor that maps readings to true values.
     cost : float
         Squared distance to A in standard deviations.
     plain : float
-        The same of the sensor as it is named, turned not at all.
+        Cost without sign change and rotation.
     """
 
     sign: int
@@ -45,9 +45,9 @@ class RotationFit:
 def fit_rotation(
     matrix: FloatArray, covariance: FloatArray, *, is_scaled: bool = True
 ) -> RotationFit:
-    """Return the rotation and sign nearest to A (3, 3) under its rows' covariance (9, 9).
+    """Return the rotation and sign closest to A (3, 3) given the covariance (9, 9) of its rows.
 
-    And the scale, unless it is known to be one.
+    The scale is fitted too if ``is_scaled``, else it is one.
     """
     weight = np.linalg.inv(np.linalg.cholesky(covariance))
     target = weight @ matrix.ravel()
@@ -65,7 +65,7 @@ def fit_rotation(
     scale, cost = scaled(-np.eye(3))
     found.append(RotationFit(-1, np.eye(3), 0.0, scale, cost, plain))
     for sign in (1, -1):
-        starts = sorted(_cube(), key=lambda turn: scaled(sign * turn)[1])[:STARTS]
+        starts = sorted(_cube_rotations(), key=lambda turn: scaled(sign * turn)[1])[:STARTS]
         for start in starts:
             guess = np.append(np.zeros(3), np.log(scaled(sign * start)[0]))[: 3 + is_scaled]
 
@@ -80,13 +80,13 @@ def fit_rotation(
             size = float(np.exp(fit.x[3])) if is_scaled else 1.0
             angle = float(Rotation.from_matrix(turn).magnitude())
             found.append(RotationFit(sign, turn, angle, size, 2 * float(fit.cost), plain))
-    # The plainest of those that explain the data alike: what the data do not tell is not turned.
+    # Of equally good fits the simplest is taken, so no rotation is reported without evidence.
     best = min(one.cost for one in found)
-    alike = [one for one in found if one.cost < best + ALIKE]
-    return min(alike, key=lambda one: (one.angle > 1e-6, one.sign < 0, one.cost))
+    equally_good = [one for one in found if one.cost < best + ALIKE]
+    return min(equally_good, key=lambda one: (one.angle > 1e-6, one.sign < 0, one.cost))
 
 
-def _cube() -> list[FloatArray]:
+def _cube_rotations() -> list[FloatArray]:
     """Return the 24 rotations that map axes to axes."""
     found = []
     for order in permutations(range(3)):

@@ -1,4 +1,4 @@
-"""Readings that stay the same, bit for bit, while the rest of the robot goes on moving."""
+"""Detects frozen and saturated readings and masks their messages."""
 
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterator, Sequence
@@ -12,31 +12,31 @@ from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
-# A reading is frozen that stays the same for so long, and for so many messages,
+# A reading is frozen if it stays bitwise equal for this time and this many messages,
 SHORTEST = 0.1  # s
 FEWEST_REPEATS = 20
-# though it changes with this share of all other messages: neither encoders that count slow
-# steps nor a channel that nothing drives are asked,
-LIVELY = 0.9
-# and while some other reading changes with this share of its messages: a simulation without
-# noise may come to rest altogether.
-MOVING = 0.5
+# although it changes with this share of all other messages, which exempts slow encoders and
+# channels without a signal,
+LEAST_CHANGES = 0.9
+# and while another reading changes with this share of its messages, because a simulation without
+# noise may come to rest.
+LEAST_MOTION = 0.5
 
 
 @dataclass(frozen=True)
 class ChannelChanges:
-    """What one sensor reads.
+    """Changes of one reading.
 
     Attributes
     ----------
     topic, name : str
-        Where it is found; the name is empty where it is the whole message.
+        Topic and channel; the name is empty if the reading is the whole message.
     stamp : (N,) int64
         Nanoseconds.
     changed : (N,) bool
-        Whether a bit of it differs from the message before.
+        Whether the reading differs from the previous message.
     is_blank : (N,) bool
-        Whether it is exactly zero, which a simulated sensor may read for as long as it likes.
+        Whether the reading is exactly zero or NaN, which is not frozen.
     """
 
     topic: str
@@ -48,16 +48,16 @@ class ChannelChanges:
 
 @dataclass
 class ChangeCounts:
-    """How often one reading changed, and when it did not although others did.
+    """How often one reading changed, and when it was constant while others changed.
 
     Attributes
     ----------
     messages, changes : int
-        In all, and those that differ from the one before.
+        All messages, and those that differ from the previous one.
     frozen_messages : int
-        In the runs.
+        Messages in the runs.
     runs : list of (int, int)
-        First and last stamp, ns, of every stretch without a change.
+        First and last stamp, ns, of every run without a change.
     """
 
     messages: int = 0
@@ -67,59 +67,59 @@ class ChangeCounts:
 
     @property
     def is_frozen(self) -> bool:
-        """Whether some of its runs are none of its habits."""
+        """Whether the reading changes often enough outside the runs to call them frozen."""
         others = self.messages - self.frozen_messages
-        return bool(self.runs) and self.changes >= max(LIVELY * others, FEWEST_REPEATS)
+        return bool(self.runs) and self.changes >= max(LEAST_CHANGES * others, FEWEST_REPEATS)
 
 
 @dataclass
 class FreezeDetector:
-    """Looks for frozen readings, slice by slice."""
+    """Detects frozen readings, slice by slice."""
 
     readings: dict[tuple[str, str], ChangeCounts] = field(default_factory=dict)
 
     def add(self, streams: Streams, during: tuple[int, int] = ALWAYS) -> None:
         """Take what was stamped from the first up to the second, ns."""
-        readings = list(_readings(streams, during))
+        readings = list(_all_changes(streams, during))
         for reading in readings:
-            still = self.readings.setdefault((reading.topic, reading.name), ChangeCounts())
-            still.messages += len(reading.stamp)
-            still.changes += int(np.count_nonzero(reading.changed))
-            for first, stop in _runs(reading):
-                begin, end = int(reading.stamp[first]), int(reading.stamp[stop - 1])
-                if _others_move(readings, reading, begin, end):
-                    still.frozen_messages += stop - first
-                    still.runs.append((begin, end))
+            counts = self.readings.setdefault((reading.topic, reading.name), ChangeCounts())
+            counts.messages += len(reading.stamp)
+            counts.changes += int(np.count_nonzero(reading.changed))
+            for first, stop in _constant_runs(reading):
+                start, end = int(reading.stamp[first]), int(reading.stamp[stop - 1])
+                if _others_move(readings, reading, start, end):
+                    counts.frozen_messages += stop - first
+                    counts.runs.append((start, end))
 
     def findings(self, limited: Container[tuple[str, str]]) -> list[Finding]:
-        """Return what froze, but for channels (topic, name) that stand still at a limit."""
+        """Return the frozen readings, except channels (topic, name) that are at a limit."""
         found = []
-        for (topic, name), still in self.readings.items():
-            if not still.is_frozen or (topic, name) in limited:
+        for (topic, name), counts in self.readings.items():
+            if not counts.is_frozen or (topic, name) in limited:
                 continue
-            lasting = sum(end - begin for begin, end in still.runs) * 1e-9
-            since = still.runs[0][0] * 1e-9
+            duration = sum(end - start for start, end in counts.runs) * 1e-9
+            since = counts.runs[0][0] * 1e-9
             what = f"{topic}: {name or 'the reading'}"
             found.append(
                 Finding(
                     Kind.FROZEN,
                     topic,
                     Severity.WARNING,
-                    f"{what} stays the same to the last bit for {lasting:.3g} s in all, "
-                    f"first at {since:.3f} s, while others change; look after the "
-                    "sensor or its driver and leave that time out",
-                    {"frozen_s": lasting, "since_s": since},
+                    f"{what} is frozen for {duration:.3g} s in total, first at {since:.3f} s, "
+                    "while other readings change; check the sensor and its driver, and exclude "
+                    "that time",
+                    {"frozen_s": duration, "since_s": since},
                 )
             )
         return found
 
 
-def _readings(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelChanges]:
+def _all_changes(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelChanges]:
     joints = streams.joints
     for field_name in ("position", "effort"):
         values = getattr(joints, field_name)
         for column, name in enumerate(joints.names):
-            yield _reading(
+            yield _changes(
                 (joints.topic, f"{field_name} of {name}"),
                 joints.stamp,
                 values[:, column : column + 1],
@@ -127,112 +127,113 @@ def _readings(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelChan
             )
     for imu in streams.imus:
         values = np.hstack([imu.angular_velocity, imu.linear_acceleration])
-        yield _reading((imu.topic, ""), imu.stamp, values, during)
+        yield _changes((imu.topic, ""), imu.stamp, values, during)
     for wrench in streams.wrenches:
         values = np.hstack([wrench.force, wrench.torque])
-        yield _reading((wrench.topic, ""), wrench.stamp, values, during)
+        yield _changes((wrench.topic, ""), wrench.stamp, values, during)
 
 
-def _reading(
+def _changes(
     name: tuple[str, str], stamp: IntArray, values: FloatArray, during: tuple[int, int]
 ) -> ChannelChanges:
     inside = slice(*np.searchsorted(stamp, during).tolist())
     changed = np.ones(len(stamp), dtype=bool)
     changed[1:] = np.any(differs(values[1:], values[:-1]), axis=1)
-    # Zeros, or NaN: what nobody measures does not freeze.
+    # Zeros and NaN are not measurements.
     is_blank = ~np.any(np.nan_to_num(values), axis=1)
     return ChannelChanges(*name, stamp[inside], changed[inside], is_blank[inside])
 
 
 def differs(later: FloatArray, earlier: FloatArray) -> BoolArray:
-    """Tell which values are not the same; NaN, what a message does not say, is the same as NaN."""
+    """Return which values differ; NaN, a missing value, equals NaN."""
     differs: BoolArray = later != earlier
     if np.isnan(later).any():
         differs &= ~(np.isnan(later) & np.isnan(earlier))
     return differs
 
 
-def _runs(reading: ChannelChanges) -> Iterator[tuple[int, int]]:
-    """Yield first and last but one of the messages of every run that is long enough."""
+def _constant_runs(reading: ChannelChanges) -> Iterator[tuple[int, int]]:
+    """Yield start and stop index of the messages of every run that is long enough."""
     edges = np.append(np.flatnonzero(reading.changed), len(reading.stamp))
     if len(edges) == 1 or edges[0] > 0:
         edges = np.append(0, edges)
     for place in np.flatnonzero(np.diff(edges) >= FEWEST_REPEATS).tolist():
         first, stop = int(edges[place]), int(edges[place + 1])
-        lasting = (reading.stamp[stop - 1] - reading.stamp[first]) * 1e-9
-        if lasting >= SHORTEST and not reading.is_blank[first]:
+        duration = (reading.stamp[stop - 1] - reading.stamp[first]) * 1e-9
+        if duration >= SHORTEST and not reading.is_blank[first]:
             yield first, stop
 
 
 def _others_move(
-    readings: Sequence[ChannelChanges], own: ChannelChanges, begin: int, end: int
+    readings: Sequence[ChannelChanges], own: ChannelChanges, start: int, end: int
 ) -> bool:
     for other in readings:
         if other is own:
             continue
-        first, stop = np.searchsorted(other.stamp, [begin, end]).tolist()
-        if stop - first >= 3 and np.mean(other.changed[first:stop]) >= MOVING:
+        first, stop = np.searchsorted(other.stamp, [start, end]).tolist()
+        if stop - first >= 3 and np.mean(other.changed[first:stop]) >= LEAST_MOTION:
             return True
     return False
 
 
-# A channel is saturated that was at its extreme so often,
+# A channel is saturated if it was at its extreme value this often,
 FEWEST_AT_LIMIT = 10
-# so often in a row,
-IN_A_ROW = 5
-# so many times as often as at any of its next values,
-OFTENER = 5
-NEXT = 16
-# and had so many values in all: a coarse one is at its extremes all the time.
+# this often in a row,
+LONGEST_RUN = 5
+# this many times as often as at any of its next values,
+FREQUENCY_RATIO = 5
+NEXT_VALUES = 16
+# and had this many values in total, because a coarse channel is often at its extremes.
 VALUES = 50
 
 
 @dataclass
 class ExtremeCounts:
-    """How often a channel was at its outermost values.
+    """How often a channel was at its extreme values.
 
     Attributes
     ----------
     counts : Counter of float
-        Messages at each of the outermost values.
+        Messages at each of the extreme_values values.
     longest : dict of float to int
-        The most of them in a row.
+        Longest run of messages at each value.
     """
 
     counts: Counter[float] = field(default_factory=Counter)
     longest: dict[float, int] = field(default_factory=dict)
 
-    def add(self, values: FloatArray, outermost: FloatArray) -> None:
-        """Take values (N,), of which some are given as the outermost ones, from outside in."""
-        for value in outermost.tolist():
+    def add(self, values: FloatArray, extreme_values: FloatArray) -> None:
+        """Add values (N,) and count those equal to the given extreme values."""
+        for value in extreme_values.tolist():
             at = np.flatnonzero(np.diff(np.concatenate([[0], values == value, [0]]).astype(int)))
             runs = at[1::2] - at[::2]
             self.counts[value] += int(runs.sum())
             self.longest[value] = max(self.longest.get(value, 0), int(runs.max(initial=0)))
 
     def keep(self, sign: int) -> None:
-        """Forget what is not outermost upwards (1) or downwards (-1)."""
-        outermost = sorted(self.counts, key=lambda value: -sign * value)[: NEXT + 1]
-        self.counts = Counter({value: self.counts[value] for value in outermost})
-        self.longest = {value: self.longest[value] for value in outermost}
+        """Keep only the largest (1) or smallest (-1) values."""
+        extreme_values = sorted(self.counts, key=lambda value: -sign * value)[: NEXT_VALUES + 1]
+        self.counts = Counter({value: self.counts[value] for value in extreme_values})
+        self.longest = {value: self.longest[value] for value in extreme_values}
 
     def limit(self, sign: int) -> tuple[float, int] | None:
-        """Return the value at which it is saturated and how often; None if it is not.
+        """Return the limit and the number of messages at it; None if the channel is not saturated.
 
-        There must have been several values.
+        Requires at least two values.
         """
         value = max(self.counts, key=lambda value: sign * value)
         count = self.counts[value]
         others = max(self.counts[other] for other in self.counts if other != value)
         is_limit = (
-            count >= max(FEWEST_AT_LIMIT, OFTENER * others) and self.longest[value] >= IN_A_ROW
+            count >= max(FEWEST_AT_LIMIT, FREQUENCY_RATIO * others)
+            and self.longest[value] >= LONGEST_RUN
         )
         return (value, count) if is_limit else None
 
 
 @dataclass
 class SaturationDetector:
-    """Looks for saturated channels, slice by slice."""
+    """Detects saturated channels, slice by slice."""
 
     extremes: dict[tuple[str, str, int], ExtremeCounts] = field(default_factory=dict)
     values: Counter[tuple[str, str]] = field(default_factory=Counter)
@@ -244,22 +245,25 @@ class SaturationDetector:
             block = readings[inside]
             changed = differs(block[1:], block[:-1])
             for column, name in enumerate(names):
-                # At rest, and without noise, all channels repeat themselves; a limit is one's own.
-                alone = np.count_nonzero(changed, axis=1) - changed[:, column] > 0
-                self._add(topic, name, block[1:, column], alone)
+                # At rest without noise all channels repeat; only a limit stops a single channel.
+                others_move = np.count_nonzero(changed, axis=1) - changed[:, column] > 0
+                self._add(topic, name, block[1:, column], others_move)
 
     def _add(self, topic: str, name: str, values: FloatArray, moving: BoolArray) -> None:
         values = values[moving & np.isfinite(values)]
         distinct = np.unique(values)
         self.values[topic, name] = max(self.values[topic, name], len(distinct))
-        for sign, outermost in ((1, distinct[::-1][: NEXT + 1]), (-1, distinct[: NEXT + 1])):
+        for sign, extreme_values in (
+            (1, distinct[::-1][: NEXT_VALUES + 1]),
+            (-1, distinct[: NEXT_VALUES + 1]),
+        ):
             extreme = self.extremes.setdefault((topic, name, sign), ExtremeCounts())
-            extreme.add(values, outermost)
+            extreme.add(values, extreme_values)
             extreme.keep(sign)
 
     @property
     def limits(self) -> dict[tuple[str, str, int], tuple[float, int]]:
-        """By topic, name and sign the limit of each saturated channel, and how often it is met."""
+        """Limit of each saturated channel by topic, name and sign, and the messages at it."""
         return {
             (topic, name, sign): limit
             for (topic, name, sign), extreme in self.extremes.items()
@@ -267,7 +271,7 @@ class SaturationDetector:
         }
 
     def findings(self) -> list[Finding]:
-        """Return which channels are saturated."""
+        """Return a finding for each saturated channel."""
         found = []
         for (topic, name, sign), (value, count) in self.limits.items():
             found.append(
@@ -284,7 +288,7 @@ class SaturationDetector:
 
 
 def channels(streams: Streams) -> Iterator[tuple[str, list[str], IntArray, FloatArray]]:
-    """Yield topic, names, stamps (N,) and readings (N, c) that a range may limit."""
+    """Yield topic, names, stamps (N,) and readings (N, c) of channels that may saturate."""
     joints = streams.joints
     yield joints.topic, [f"effort of {name}" for name in joints.names], joints.stamp, joints.effort
     for imu in streams.imus:
@@ -308,9 +312,9 @@ S = TypeVar("S", JointStream, ImuStream, WrenchStream)
 
 
 def mask_faulty_messages(streams: Streams) -> tuple[Streams, tuple[Finding, ...]]:
-    """Return what is left of a stretch of a log, and why messages were left out.
+    """Remove frozen and saturated messages, and return the findings that explain why.
 
-    A gap is left where they were, across which nothing is interpolated.
+    The removed messages leave gaps, which are not interpolated.
     """
     freezing, saturation = FreezeDetector(), SaturationDetector()
     freezing.add(streams)
@@ -331,22 +335,22 @@ def mask_faulty_messages(streams: Streams) -> tuple[Streams, tuple[Finding, ...]
         *streams.wrenches,
     ]
     stamps = {sensor.topic: sensor.stamp for sensor in sensors}
-    for (topic, name), still in freezing.readings.items():
-        if still.is_frozen and (topic, name) not in limited:
+    for (topic, name), counts in freezing.readings.items():
+        if counts.is_frozen and (topic, name) not in limited:
             stamp = stamps[topic]
-            wrong[topic] += [(stamp >= begin) & (stamp <= end) for begin, end in still.runs]
+            wrong[topic] += [(stamp >= start) & (stamp <= end) for start, end in counts.runs]
     return (
         replace(
             streams,
-            joints=_without(streams.joints, wrong),
-            imus=tuple(_without(imu, wrong) for imu in streams.imus),
-            wrenches=tuple(_without(wrench, wrong) for wrench in streams.wrenches),
+            joints=_remove_messages(streams.joints, wrong),
+            imus=tuple(_remove_messages(imu, wrong) for imu in streams.imus),
+            wrenches=tuple(_remove_messages(wrench, wrong) for wrench in streams.wrenches),
         ),
         findings,
     )
 
 
-def _without(stream: S, wrong: dict[str, list[BoolArray]]) -> S:
+def _remove_messages(stream: S, wrong: dict[str, list[BoolArray]]) -> S:
     if stream.topic not in wrong:
         return stream
     kept = ~np.logical_or.reduce(wrong[stream.topic])

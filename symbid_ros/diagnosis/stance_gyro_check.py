@@ -1,4 +1,4 @@
-"""An IMU's rate of turn against the one that the joints tell while a foot stands."""
+"""Compares an IMU's angular velocity with that of the joints above a standing foot."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -15,46 +15,45 @@ from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples, smoothed
 
-# Calibration leaves tenths of a degree, a wrong axis ninety.
+# Calibration errors are tenths of a degree, a wrong axis is ninety.
 LARGEST_ANGLE = np.radians(5.0)
-# A rotation that is known no better says nothing.
-LARGEST_DOUBT = np.radians(2.0)
-# More of the joints' rate than this is not followed where the foot does not stand.
+# Rotations with a larger standard deviation are not reported.
+MAX_ANGLE_STD = np.radians(2.0)
+# A larger unexplained share of the joints' rate means that no foot stands.
 MOST_LEFT = 0.3
-# Mirrored, a gyroscope must follow so many times better to be called so.
-MIRRORED = 3.0
-# A point that rolls, and a floor that gives, leave a rate of turn within these of itself.
+# A mirrored gyroscope must reduce the residual by this factor.
+MIRROR_RATIO = 3.0
+# Rolling contacts and soft floors change the scale of the rate within this range.
 SCALES = 0.6, 1.6
 DEVIATIONS = 5.0
 
-# Hz; above it the compliance of floors and soles turns a foot that stands.
+# Hz; above it, soft floors and soles let a standing foot rotate.
 CUTOFF = 20.0
-RATE = 200.0  # Hz at which rates of turn are compared
+RATE = 200.0  # Hz at which angular velocities are compared
 LONGEST_DELAY = 0.1  # s
-# A sole stands that carries this share of the robot's weight,
+# A sole stands if it carries this share of the robot's weight.
 STANDING_LOAD = 0.25
-# and of three feet and more, which may be points, each that carries this share of it.
+# With three or more feet, which may be points, each stands if it carries this share.
 POINT_LOAD = 0.05
 FEWEST_POINTS = 3
-# Feet nearly in line, or on one spot, do not tell how the robot turns about that line.
+# Feet on a line or in one spot do not determine the rotation about that line.
 LEAST_SPREAD = 0.01
 
 
 @dataclass
 class StanceGyroMoments:
-    """Moments of one IMU's rate of turn and of the joints', gathered stretch by stretch.
+    """Moments of one IMU's angular velocity and of the joints', accumulated by segment.
 
-    Both are in the IMU's axes, less their means over each stretch: a gyroscope's bias is no
-    fault of its mounting.
+    Both are in the IMU's axes, minus their means over each segment to remove the gyroscope's bias.
 
     Attributes
     ----------
     model : RobotModel
-        Kinematics, and the weight that tells which foot stands.
+        Kinematics, and the weight that determines which foot stands.
     imu : int
-        Which of the log's IMUs.
+        Index of the IMU in the log.
     step : float
-        s between shifts.
+        Time between shifts, s.
     """
 
     model: RobotModel
@@ -62,12 +61,12 @@ class StanceGyroMoments:
     count: int = 0
     step: float = 0.0
     cross: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
-    told: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    expected: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     read: FloatArray = field(default_factory=lambda: np.zeros(0))
     slope_square: float = 0.0
 
     def add(self, segment: Segment) -> None:
-        """Take the instants of a stretch in which some foot stands."""
+        """Add the samples of a segment at which a foot stands."""
         low_pass = LowPass(min(CUTOFF, 0.1 * segment.rate), passes=1)
         readings = smoothed(segment, low_pass)
         stride = max(1, round(segment.rate / RATE))
@@ -83,25 +82,25 @@ class StanceGyroMoments:
             return
         inner = slice(shifts, count - shifts)
         read = readings.imus[self.imu].angular_velocity
-        for told, is_standing in self._told(readings):
+        for expected, is_standing in self._joint_rates(readings):
             stands = is_standing[inner]
             if stands.sum() <= 2 * shifts:
                 continue
-            swing = (told[inner] - told[inner][stands].mean(axis=0)) * stands[:, None]
+            swing = (expected[inner] - expected[inner][stands].mean(axis=0)) * stands[:, None]
             for shift in range(2 * shifts + 1):
                 late = read[shift : shift + len(stands)]
                 late = (late - late[stands].mean(axis=0)) * stands[:, None]
                 self.cross[shift] += swing.T @ late
                 self.read[shift] += np.sum(late**2)
-            self.told += swing.T @ swing
+            self.expected += swing.T @ swing
             self.slope_square += float(np.sum((np.diff(swing, axis=0) / self.step) ** 2))
             self.count += int(stands.sum())
 
-    def _told(self, readings: SensorSamples) -> Iterator[tuple[FloatArray, BoolArray]]:
-        """Yield rates of turn (N, 3) of the IMU, in its axes, and where (N,) they hold."""
+    def _joint_rates(self, readings: SensorSamples) -> Iterator[tuple[FloatArray, BoolArray]]:
+        """Yield angular velocities (N, 3) of the IMU in its axes, and where (N,) they are valid."""
         weight = float(np.linalg.norm(self.model.gravity) * self.model.phi[:, 0].sum())
         share = np.linalg.norm(readings.wrenches[:, :, 3:], axis=2) / weight
-        # Between a sensor on the base and the base no joint could tell of turning.
+        # There is no joint between the base and a sensor on the base.
         feet = [
             index
             for index, frame in enumerate(readings.wrench_frames)
@@ -112,25 +111,25 @@ class StanceGyroMoments:
         if len(feet) < FEWEST_POINTS:
             for foot in feet:
                 link = self.model.frame(readings.wrench_frames[foot]).link
-                told = motion.rate(self.model, imu_frame, -motion.omega[:, link])
-                yield told, np.asarray(share[:, foot] > STANDING_LOAD)
+                expected = motion.rate(self.model, imu_frame, -motion.omega[:, link])
+                yield expected, np.asarray(share[:, foot] > STANDING_LOAD)
             return
         is_loaded = share[:, feet] > POINT_LOAD
         frames = tuple(readings.wrench_frames[foot] for foot in feet)
-        turning, is_told = turning_over(self.model, frames, readings, is_loaded)
-        yield motion.rate(self.model, imu_frame, turning.T), is_told
+        base_rate, is_determined = base_rate_over_feet(self.model, frames, readings, is_loaded)
+        yield motion.rate(self.model, imu_frame, base_rate.T), is_determined
 
 
 @dataclass(frozen=True)
 class RelativeLinkMotion:
-    """Links as the joints move them under a base at rest, component first.
+    """Motion of the links relative to the base, component first.
 
     Attributes
     ----------
     omega : (3, L, N) float64
-        Rates of turn, in base axes.
+        Angular velocities in base axes.
     rotation : (3, 3, L, N) float64
-        From link axes to base axes.
+        Rotations from link axes to base axes.
     """
 
     omega: FloatArray
@@ -140,32 +139,32 @@ class RelativeLinkMotion:
     def of(
         cls, model: RobotModel, position: FloatArray, velocity: FloatArray
     ) -> "RelativeLinkMotion":
-        """Move joints at positions and velocities (N, J)."""
+        """Return the motion for joint positions and velocities (N, J)."""
         posture = Posture.at(JointTable.of(model.joints), component_first(position))
         rest = np.zeros((3, len(position)))
         omega, _ = link_velocity(posture, component_first(velocity), rest, rest)
         return cls(omega, posture.rotation)
 
     def rate(self, model: RobotModel, frame: str, base: FloatArray) -> FloatArray:
-        """Return the rate (N, 3) of a frame, in its axes, on a base that turns at (3, N)."""
+        """Return the angular velocity (N, 3) of a frame in its axes, given the base's (3, N)."""
         mount = model.frame(frame)
         axes = np.einsum("ikn,kj->ijn", self.rotation[:, :, mount.link], mount.rotation)
         rate: FloatArray = np.einsum("ijn,in->nj", axes, base + self.omega[:, mount.link])
         return rate
 
 
-def turning_over(
+def base_rate_over_feet(
     model: RobotModel, feet: tuple[str, ...], readings: SensorSamples, is_loaded: BoolArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return how the base turns over feet whose origins stay where they are.
+    """Return the base's angular velocity over feet whose origins are fixed.
 
-    Of feet that may roll no rate of turn is known, but three points fix a body: least squares of
-    J_base V + J_joints q̇ = 0 over the linear velocities of those (N, F) that are loaded.
+    Feet may roll, but three fixed points determine a body's motion: the least-squares solution of
+    J_base V + J_joints q̇ = 0 for the linear velocities of the loaded feet (N, F).
 
     Returns
     -------
     (N, 3) float64, (N,) bool
-        Rates of turn in base axes, and where they are told.
+        Angular velocities in base axes, and where they are determined.
     """
     jacobian = contact_jacobian(model, feet, link_poses(model, readings.position))
     jacobian = jacobian.reshape(len(readings), len(feet), 2, 3, model.dof)[:, :, 1]
@@ -173,37 +172,39 @@ def turning_over(
     base = jacobian[..., :6].reshape(len(readings), -1, 6)
     carried = np.einsum("nfij,nj->nfi", jacobian[..., 6:], readings.velocity)
     moment = np.swapaxes(base, 1, 2) @ base
-    # What is left of the angular part once the base may slide anywhere: the feet's spread, m².
+    # Schur complement of the angular part after eliminating translation: spread of the feet, m².
     count = np.maximum(is_loaded.sum(axis=1), 1)[:, None, None]
     spread = moment[:, :3, :3] - moment[:, :3, 3:] @ moment[:, 3:, :3] / count
-    is_told = is_loaded.sum(axis=1) >= FEWEST_POINTS
-    is_told &= np.linalg.eigvalsh(spread)[:, 0] > LEAST_SPREAD * np.trace(spread, axis1=1, axis2=2)
+    is_determined = is_loaded.sum(axis=1) >= FEWEST_POINTS
+    is_determined &= np.linalg.eigvalsh(spread)[:, 0] > LEAST_SPREAD * np.trace(
+        spread, axis1=1, axis2=2
+    )
     target = np.swapaxes(base, 1, 2) @ carried.reshape(len(readings), -1, 1)
     twist = np.zeros((len(readings), 6))
-    twist[is_told] = -np.linalg.solve(moment[is_told], target[is_told])[:, :, 0]
-    return twist[:, :3], is_told
+    twist[is_determined] = -np.linalg.solve(moment[is_determined], target[is_determined])[:, :, 0]
+    return twist[:, :3], is_determined
 
 
 @dataclass(frozen=True)
 class GyroFit:
-    """How an IMU's rate of turn and the joints' agree best.
+    """Best fit of an IMU's angular velocity to the joints'.
 
     Attributes
     ----------
     rotation : (3, 3) float64
-        From the axes in which the IMU reports to those of its frame in the model.
+        From the IMU's axes to those of its frame in the model.
     angle, angle_std : float
-        Of that rotation, rad, and of its least certain axis.
+        Angle of the rotation and its standard deviation about the least certain axis, rad.
     delay, delay_std : float
-        How much later than the joint states the IMU reports, s.
+        Delay of the IMU relative to the joint states, s.
     left : float
-        Share of the joints' rate that the IMU's does not follow.
+        Unexplained share of the joints' rate.
     mirrored : float
-        The same if an axis of the gyroscope had its sign reversed.
+        Unexplained share with one axis of the gyroscope reversed.
     rate : float
-        Root mean square of the joints' rate of turn, rad/s.
+        Root mean square of the joints' rate, rad/s.
     scale : float
-        Of the IMU's rate over the joints'.
+        Ratio of the IMU's rate to the joints'.
     """
 
     rotation: FloatArray
@@ -218,11 +219,11 @@ class GyroFit:
 
 
 def fit_gyro(rates: StanceGyroMoments) -> GyroFit | None:
-    """Return how they agree best over rotations and delays; None where no foot stands."""
-    if rates.count == 0 or not rates.told.any():
+    """Return the best fit over rotations and delays; None if no foot stands."""
+    if rates.count == 0 or not rates.expected.any():
         return None
-    # Wahba's problem by Kabsch's singular values, at each delay and whatever the unit.
-    values = np.array([_followed(cross) for cross in rates.cross]) / np.sqrt(
+    # Wahba's problem by Kabsch's singular values at each delay, independent of the unit.
+    values = np.array([_largest_trace(cross) for cross in rates.cross]) / np.sqrt(
         np.maximum(rates.read, 1e-30)
     )
     best = int(np.argmax(values))
@@ -231,7 +232,7 @@ def fit_gyro(rates: StanceGyroMoments) -> GyroFit | None:
     U, singular, Vt = np.linalg.svd(rates.cross[best])
     proper = float(np.sign(np.linalg.det(U @ Vt)))
     rotation = U @ np.diag([1.0, 1.0, proper]) @ Vt
-    total = float(np.trace(rates.told))
+    total = float(np.trace(rates.expected))
     left, mirrored = (
         np.sqrt(max(1 - max(value, 0.0) ** 2 / max(rates.read[best] * total, 1e-30), 0.0))
         for value in (
@@ -239,12 +240,12 @@ def fit_gyro(rates: StanceGyroMoments) -> GyroFit | None:
             singular[0] + singular[1] - proper * singular[2],
         )
     )
-    # What is left over may be as slow as the motion: a foot that gives, a floor that sways.
+    # The residual may be as slow as the motion, such as from a soft foot or floor.
     pace = min(np.sqrt(rates.slope_square / total) / (2 * np.pi), CUTOFF)
     independent = max(2 * pace * rates.count * rates.step, 1.0)
     error = left * np.sqrt(total / rates.count)
-    spread = np.linalg.eigvalsh(rates.told)
-    # A turn about one axis alone leaves rounding on the others.
+    spread = np.linalg.eigvalsh(rates.expected)
+    # Rotation about a single axis leaves rounding errors on the others.
     across = np.sqrt(max(float(spread[0] + spread[1]), 0.0) / rates.count)
     return GyroFit(
         rotation=rotation,
@@ -261,14 +262,14 @@ def fit_gyro(rates: StanceGyroMoments) -> GyroFit | None:
     )
 
 
-def _followed(cross: FloatArray) -> float:
+def _largest_trace(cross: FloatArray) -> float:
     """Return the largest trace of R cross over rotations R."""
     U, singular, Vt = np.linalg.svd(cross)
     return float(singular[0] + singular[1] + np.sign(np.linalg.det(U @ Vt)) * singular[2])
 
 
 def _peak(values: FloatArray, best: int) -> float:
-    """Return where the parabola through the largest value and its neighbours is largest."""
+    """Return the maximum of the parabola through the largest value and its neighbours."""
     if best in (0, len(values) - 1):
         return float(best)
     before, at, after = values[best - 1 : best + 2]
@@ -276,45 +277,45 @@ def _peak(values: FloatArray, best: int) -> float:
     return best + (0.5 * (before - after) / bend if bend < 0 else 0.0)
 
 
-def is_told(found: GyroFit) -> bool:
-    """Tell whether a foot stood still while the robot turned."""
+def is_usable(found: GyroFit) -> bool:
+    """Return whether a foot stood still while the robot turned."""
     return min(found.left, found.mirrored) < MOST_LEFT
 
 
 def mounting_findings(topic: str, found: GyroFit) -> Iterator[Finding]:
-    """Yield what is wrong with an IMU's mounting, or with its unit."""
+    """Yield the findings about an IMU's mounting or unit."""
     if not SCALES[0] < found.scale < SCALES[1]:
         yield Finding(
             Kind.UNIT,
             topic,
             Severity.UNUSABLE,
             f"{topic}: angular_velocity is {found.scale:.3g} times the rate at which the joints "
-            "turn the robot above its feet; give rad/s",
+            "rotate the robot above its feet; use rad/s",
             {"rate_ratio": found.scale},
         )
         return
-    if found.mirrored * MIRRORED < found.left and found.mirrored < MOST_LEFT:
+    if found.mirrored * MIRROR_RATIO < found.left and found.mirrored < MOST_LEFT:
         yield Finding(
             Kind.IMU_MOUNTING,
             topic,
             Severity.UNUSABLE,
-            f"{topic}: angular_velocity follows the joints only if an axis has its sign reversed "
-            f"({100 * found.left:.0f} % of the rate is left over as it is, "
-            f"{100 * found.mirrored:.1f} % then); repair the driver",
+            f"{topic}: angular_velocity matches the joints only with one axis reversed "
+            f"(unexplained: {100 * found.mirrored:.1f} % of the rate instead of "
+            f"{100 * found.left:.0f} %); correct the sign in the driver",
             {"left": found.left, "left_if_mirrored": found.mirrored},
         )
     elif (
         found.left < MOST_LEFT
-        and found.angle_std < LARGEST_DOUBT
+        and found.angle_std < MAX_ANGLE_STD
         and found.angle > LARGEST_ANGLE + DEVIATIONS * found.angle_std
     ):
-        angle, doubt = np.degrees([found.angle, found.angle_std]).tolist()
+        angle, angle_std = np.degrees([found.angle, found.angle_std]).tolist()
         yield Finding(
             Kind.IMU_MOUNTING,
             topic,
             Severity.UNUSABLE,
-            f"{topic}: reports in axes turned by {angle:.1f} ± {doubt:.1g} degrees from its frame "
-            "in the model, as the joints show above a standing foot; correct the frame's "
-            "orientation in the model, or header.frame_id",
-            {"angle_deg": angle, "angle_std_deg": doubt},
+            f"{topic}: reports in axes rotated by {angle:.1f} ± {angle_std:.1g} degrees from "
+            "its frame in the model, according to the joints above a standing foot; correct the "
+            "frame's orientation in the model, or header.frame_id",
+            {"angle_deg": angle, "angle_std_deg": angle_std},
         )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.choices import Criterion
-from symbid_ros.diagnosis.forces import MOST_LEFT
+from symbid_ros.diagnosis.forces import MAX_UNEXPLAINED
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.observations import Observations
@@ -95,7 +95,7 @@ def check_weight(rows: Information, parameters: ParameterSet, prior: Prior) -> N
     if not parameters.model.floating:
         return
     missing = _missing_weight(rows, parameters, prior)
-    if missing > MOST_LEFT:
+    if missing > MAX_UNEXPLAINED:
         raise DataError(
             f"live topics: the measured wrenches differ from those that the motion needs by "
             f"{100 * missing:.0f} % of the robot's weight; publish the wrench of every contact, or "

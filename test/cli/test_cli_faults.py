@@ -168,7 +168,7 @@ def test_a_tare_without_wrenches(fails, good, copied_without, tmp_path) -> None:
 
 def test_a_log_without_wrenches_that_is_to_be_tared(fails, good, copied_without, tmp_path) -> None:
     bag = copied_without(good["bag"], tmp_path / "afloat", "foot")
-    fails("afloat", "miss what carries the model", **good | {"bag": bag, "tare": good["bag"]})
+    fails("afloat", "do not balance the model's weight", **good | {"bag": bag, "tare": good["bag"]})
 
 
 def test_a_weighing_that_truncated_methods_cannot_use(fails, good) -> None:
@@ -191,7 +191,7 @@ def test_a_topic_that_was_not_recorded(fails, good, copied_without, tmp_path) ->
 def test_a_forgotten_force_plate(fails, good, copied_without, tmp_path) -> None:
     """Its bag reads well, but the forces in it do not carry the robot."""
     bag = copied_without(good["bag"], tmp_path / "limping", "left_foot")
-    fails("limping", "right_sole", "miss what carries the model", **good | {"bag": bag})
+    fails("limping", "right_sole", "do not balance the model's weight", **good | {"bag": bag})
 
 
 def test_what_was_there_stays(symbid, good) -> None:

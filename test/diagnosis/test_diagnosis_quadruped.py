@@ -86,7 +86,7 @@ def test_a_gyroscopes_constant_bias_is_no_fault_of_its_mounting(log, model, tmp_
     # Motion a hundred thousand times calmer says the same: nothing depends on the unit of rates.
     standing.cross *= 1e-10
     standing.read *= 1e-10
-    standing.told *= 1e-10
+    standing.expected *= 1e-10
     standing.slope_square *= 1e-10
     calm = fit_gyro(standing)
     assert calm is not None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.diagnosis.stance_gyro_check import turning_over
+from symbid_ros.diagnosis.stance_gyro_check import base_rate_over_feet
 from symbid_ros.model.load import load_model
 from symbid_ros.signals.sensor_samples import SensorSamples
 
@@ -64,7 +64,7 @@ def stood_on(tripod, feet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
         imu_frames=(),
         wrench_frames=FEET,
     )
-    told, is_told = turning_over(tripod, FEET, readings, np.ones((len(time), 3), dtype=bool))
+    told, is_told = base_rate_over_feet(tripod, FEET, readings, np.ones((len(time), 3), dtype=bool))
     return truth, told, is_told
 
 
