@@ -300,7 +300,7 @@ def reversed_imu_finding(imus: Sequence[str]) -> Finding:
         imus[0] if len(imus) == 1 else "",
         Severity.UNUSABLE,
         f"{', '.join(imus)}: linear_acceleration has the wrong sign according to forces and "
-        "efforts; at rest an accelerometer reads +9.81 upwards (REP-145); correct the driver's sign "
-        "or the frame's orientation in the model",
+        "efforts; at rest an accelerometer reads +9.81 upwards (REP-145); correct the driver's "
+        "sign or the frame's orientation in the model",
         {"gain": -1.0},
     )
