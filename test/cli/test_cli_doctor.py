@@ -24,7 +24,7 @@ def test_streams_alone_are_clean(symbid_here, tare) -> None:
     result = symbid_here("bag", "doctor", tare)
     assert result.returncode == 0
     assert result.stdout.splitlines()[-1] == "clean"
-    assert "left out: all checks against a model: none is given" in result.stdout
+    assert "left out: all checks against a model: no model is given" in result.stdout
 
 
 def test_json_holds_what_the_table_says(symbid_here, tare) -> None:

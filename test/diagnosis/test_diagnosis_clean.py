@@ -53,7 +53,7 @@ def test_a_tare_excites_nothing_and_has_no_other_fault(simulated, options) -> No
     assert found.severity is Severity.WARNING
     alone = diagnose(bag_log([bag]))
     assert alone.severity is Severity.CLEAN
-    assert alone.left_out == ("all checks against a model: none is given",)
+    assert alone.left_out == ("all checks against a model: no model is given",)
 
 
 @pytest.mark.parametrize(("seed", "floating"), [(0, True), (1, True), (4, True), (2, False)])
