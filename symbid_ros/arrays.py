@@ -1,4 +1,4 @@
-"""Names for the array types that cross borders."""
+"""Types of the arrays that modules exchange."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""Outputs are whole or absent: written beside their place, then moved into it."""
+"""Atomic writes: a file or folder is written under a temporary name, then moved into place."""
 
 import os
 import shutil
@@ -12,14 +12,14 @@ from symbid_ros.errors import SymbidError
 
 
 def check_writable(folder: Path) -> None:
-    """Try whether files can be written into a folder; nothing is left behind.
+    """Check that files can be written to a folder, without leaving any behind.
 
-    Long work ends with its results on disk, so this is asked before it begins.
+    Commands call this before long computations, so that their results are not lost.
 
     Raises
     ------
     SymbidError
-        When they cannot.
+        If the folder cannot be written to.
     """
     missing = [place for place in (folder, *folder.parents) if not os.path.lexists(place)]
     made: list[Path] = []
@@ -32,19 +32,19 @@ def check_writable(folder: Path) -> None:
     except OSError as error:
         raise _cannot_write(folder, error) from None
     finally:
-        # Someone else may have put something there meanwhile.
+        # Another process may have written into the folder since.
         with suppress(OSError):
             for place in reversed(made):
                 place.rmdir()
 
 
 def check_output_file(path: Path) -> None:
-    """Try whether a file can be written; nothing is left behind.
+    """Check that a file can be written, without leaving it behind.
 
     Raises
     ------
     SymbidError
-        When it cannot.
+        If it cannot be written.
     """
     if path.is_dir():
         raise SymbidError(f"{path}: is a folder; name a file in it", "E552")
@@ -52,26 +52,26 @@ def check_output_file(path: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` in one step, replacing what was there.
+    """Write ``text`` to ``path`` atomically, replacing an existing file.
 
-    Surrogates, in which :mod:`symbid_ros.model.xml_file` keeps bytes that are not UTF-8, become
-    those bytes again.
+    Surrogates become bytes again: :mod:`symbid_ros.model.xml_file` represents bytes that are not
+    UTF-8 by them.
 
     Raises
     ------
     SymbidError
-        When the folder cannot be written to; the old file is then untouched.
+        If the folder cannot be written to; an existing file is then unchanged.
     """
     write_through(path, lambda stream: stream.write(text.encode(errors="surrogateescape")))
 
 
 def write_through(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Let ``write`` fill a file that then takes the place of ``path`` in one step.
+    """Call ``write`` with a temporary file, then move that file to ``path`` atomically.
 
     Raises
     ------
     SymbidError
-        When the folder cannot be written to; the old file is then untouched.
+        If the folder cannot be written to; an existing file is then unchanged.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -79,7 +79,7 @@ def write_through(path: Path, write: Callable[[BinaryIO], object]) -> None:
         try:
             with os.fdopen(handle, "wb") as stream:
                 write(stream)
-            # mkstemp makes private files; an output is as public as any other.
+            # mkstemp creates private files; outputs have the usual permissions.
             os.chmod(name, 0o666 & ~_umask())
             os.replace(name, path)
         except BaseException:
@@ -91,16 +91,16 @@ def write_through(path: Path, write: Callable[[BinaryIO], object]) -> None:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Path]:
-    """Yield a temporary folder whose files then appear in ``folder`` together.
+    """Yield a temporary folder whose files are then moved to ``folder`` together.
 
-    A new folder appears in one step. In one that exists, each file replaces its predecessor, in
-    reverse order of their names and only once all are written. A process that is killed while it
-    writes leaves the old files as they were, beside a hidden folder.
+    A new folder appears atomically. In an existing folder, files are replaced one by one, in
+    reverse order of their names, once all are written. A process that is killed while it writes
+    leaves the old files unchanged, and a hidden temporary folder.
 
     Raises
     ------
     SymbidError
-        When the folder cannot be written to.
+        If the folder cannot be written to.
     """
     is_new = not folder.exists()
     try:

@@ -33,7 +33,7 @@ def share_directory() -> Path:
 
 
 def config_file(name: str) -> Path:
-    """Return the path of one file of ``config/``, checked to exist."""
+    """Return the path of an existing file in ``config/``."""
     path = share_directory() / "config" / name
     if not path.is_file():
         raise SymbidError(
@@ -44,9 +44,9 @@ def config_file(name: str) -> Path:
 
 @cache
 def package_version() -> str:
-    """Return the package's version, as estimates and pages state it.
+    """Return the package's version, which estimates and reports state.
 
-    A source tree that is not installed has no metadata; there package.xml states the version.
+    In a source tree without installed metadata, it is read from package.xml.
     """
     try:
         return version(PACKAGE)
@@ -60,7 +60,7 @@ def package_version() -> str:
 
 
 def missing_extra(error: ModuleNotFoundError) -> str | None:
-    """Return how to install the module that was not found, None if no extra of ours brings it."""
+    """Return how to install a missing module, None if none of our extras includes it."""
     name = (error.name or "").partition(".")[0].replace("_", "[-_]")
     try:
         requirements = requires(PACKAGE) or []

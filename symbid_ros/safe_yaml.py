@@ -1,4 +1,4 @@
-"""YAML and JSON by another hand, read within limits."""
+"""Reading of untrusted YAML and JSON, with limits on size and depth."""
 
 import json
 from collections.abc import Callable
@@ -25,16 +25,16 @@ else:
 
 
 class _Loader(_SafeLoader):
-    """PyYAML's safe loader; values that their type does not admit are refused with their line."""
+    """PyYAML's safe loader, which also rejects invalid scalars and names their line."""
 
 
 def _checked(construct: Callable[[Any, yaml.ScalarNode], Any]) -> Callable[[Any, Any], Any]:
-    """Return the constructor of a scalar with every failure as one kind of error."""
+    """Return a scalar's constructor that reports every failure as ValueError."""
 
     def constructed(loader: Any, node: yaml.ScalarNode) -> Any:
         quote = repr(node.value[:LONGEST_QUOTE])
         if ":" in node.value and "timestamp" not in node.tag:
-            # YAML 1.1 reads 1:30 as 90. Nobody who writes it means that.
+            # YAML 1.1 reads 1:30 as 90, which hardly anyone intends.
             _refuse(node.start_mark, f"{quote} is a number in base 60; write it with decimals")
         try:
             value = construct(loader, node)
@@ -54,28 +54,28 @@ for _kind in ("int", "float", "bool", "timestamp"):
 
 
 def load_yaml(path: Path) -> Any:
-    """Return what a YAML file says, as plain data.
+    """Return the content of a YAML file as plain data.
 
     Raises
     ------
     OSError
-        When the file cannot be read, or is not a regular file.
+        If the file cannot be read or is not a regular file.
     ValueError
-        When it is larger than ``MAX_YAML_BYTES``, or as :func:`parse_yaml`.
+        If it is larger than ``MAX_YAML_BYTES``, or as :func:`parse_yaml`.
     """
     return parse_yaml(read_regular(path, MAX_YAML_BYTES).decode("utf-8"))
 
 
 def parse_yaml(text: str, most_nodes: int = MAX_NODES) -> Any:
-    """Return what a YAML text says, as plain data.
+    """Return the content of a YAML text as plain data.
 
     Raises
     ------
     ValueError
-        When it is no YAML, gives one key of a mapping twice, holds a value that its type does
-        not admit (a number in base 60 or beyond 64 bits, a date that does not exist), or, with
-        what ``*name`` repeats written out, is nested deeper than ``MAX_DEPTH`` or has more than
-        ``most_nodes`` parts: a few lines can stand for gigabytes.
+        If it is not valid YAML, repeats a key of a mapping, or holds an invalid value: a number in
+        base 60 or beyond 64 bits, or a date that does not exist. Also if, with aliases (``*name``)
+        expanded, it is nested deeper than ``MAX_DEPTH`` or has more than ``most_nodes`` nodes, as
+        a few lines can expand to gigabytes.
     """
     try:
         _check_events(text, most_nodes)
@@ -93,15 +93,15 @@ def parse_yaml(text: str, most_nodes: int = MAX_NODES) -> Any:
 
 
 def load_json(path: Path) -> Any:
-    """Return what a JSON file says.
+    """Return the content of a JSON file.
 
     Raises
     ------
     OSError
-        When the file cannot be read, or is not a regular file.
+        If the file cannot be read or is not a regular file.
     ValueError
-        When it is no JSON, larger than ``MAX_JSON_BYTES`` or nested too deeply, or gives a key of
-        an object twice.
+        If it is not valid JSON, is larger than ``MAX_JSON_BYTES``, is nested too deeply, or
+        repeats a key of an object.
     """
     content = read_regular(path, MAX_JSON_BYTES).decode("utf-8")
     try:
@@ -111,7 +111,7 @@ def load_json(path: Path) -> Any:
 
 
 def _each_once(entries: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON object; JSON itself lets a key come twice, and the last one win."""
+    """Return a JSON object without repeated keys, of which JSON itself would keep the last."""
     content = dict(entries)
     if len(content) < len(entries):
         seen: set[str] = set()
@@ -123,7 +123,7 @@ def _each_once(entries: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_events(text: str, most_nodes: int) -> None:
-    """Refuse what would take much memory or stack to be put together at all."""
+    """Reject text whose parsing would take too much memory or stack."""
     depth = nodes = 0
     for event in yaml.parse(text, _Loader):
         if isinstance(event, yaml.CollectionEndEvent):
@@ -138,15 +138,15 @@ def _check_events(text: str, most_nodes: int) -> None:
 
 
 class _Extent:
-    """How large and deep nodes are with every repetition written out."""
+    """Size and depth of nodes with all aliases expanded."""
 
     def __init__(self, most_nodes: int) -> None:
         self._most = most_nodes
         self._known: dict[int, tuple[int, int]] = {}
 
     def of(self, node: yaml.Node, depth: int = 1) -> tuple[int, int]:
-        """Return the number of nodes and of levels."""
-        if depth > MAX_DEPTH:  # as of a part that contains itself
+        """Return the number of nodes and the number of levels."""
+        if depth > MAX_DEPTH:  # a node may contain itself
             _refuse(node.start_mark, f"more than {MAX_DEPTH} levels deep")
         if id(node) not in self._known:
             below = [self.of(child, depth + 1) for child in _children(node)]
@@ -159,7 +159,7 @@ class _Extent:
 
 
 def _children(node: yaml.Node) -> list[yaml.Node]:
-    """Return what a node holds, keys before values; no key may come twice."""
+    """Return a node's children, keys before values; repeated keys are an error."""
     if isinstance(node, yaml.SequenceNode):
         return list(node.value)
     if not isinstance(node, yaml.MappingNode):

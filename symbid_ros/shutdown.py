@@ -14,17 +14,16 @@ SIGNALS = signal.SIGINT, signal.SIGTERM
 def stop_on_signals() -> Event:
     """Return an event that SIGINT and SIGTERM set from now on; call it in the main thread.
 
-    A thread sets it. A handler runs between two instructions of the main thread, and if
-    these lie within a wait for the very event, whose lock is not reentrant, setting it
-    there never returns: about one Ctrl-C of a hundred would hang a node that waits for
-    a deadline every millisecond.
+    A separate thread sets the event. A signal handler interrupts the main thread, possibly
+    while it waits for this event and holds its lock, which is not reentrant; setting the event
+    there would deadlock. A node that waits every millisecond hung in about 1 % of all Ctrl-C.
     """
     stop = Event()
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     for number in SIGNALS:
-        # With no handler in Python nothing would be written to the pipe.
+        # Python writes to the pipe only for signals that have a handler.
         signal.signal(number, lambda *_: None)
 
     def watch() -> None:
@@ -38,15 +37,15 @@ def stop_on_signals() -> Event:
 
 @contextmanager
 def interruptible(stop: Event) -> Iterator[None]:
-    """Let a signal end the process while work is done that cannot look at ``stop``.
+    """Let a signal end the process during work that cannot check ``stop``.
 
-    The block is left by SystemExit with the shell's status for the signal, so that ``finally``
-    clauses run. Call it in the main thread, and around work alone that leaves nothing half made.
+    A signal raises SystemExit in the block, with the shell's status for the signal, so that
+    ``finally`` clauses run. Use it in the main thread, around work that leaves nothing incomplete.
 
     Parameters
     ----------
     stop : Event
-        Of :func:`stop_on_signals`; the block is not entered once it is set.
+        From :func:`stop_on_signals`; the block is not entered if it is set.
     """
     if stop.is_set():
         unwind(signal.SIGINT, None)
@@ -59,9 +58,9 @@ def interruptible(stop: Event) -> Iterator[None]:
 
 
 def exit_on_signals() -> None:
-    """Make SIGTERM and SIGHUP unwind the stack as Ctrl-C does, so that work can clean up.
+    """Make SIGTERM and SIGHUP unwind the stack as Ctrl-C does, so that cleanup code runs.
 
-    A signal that is ignored, as with ``nohup``, stays ignored.
+    An ignored signal, for example under ``nohup``, stays ignored.
     """
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) == signal.SIG_DFL:
@@ -70,5 +69,5 @@ def exit_on_signals() -> None:
 
 def unwind(number: int, _: object) -> NoReturn:
     """Handle a signal: end the process with the status that shells give it."""
-    signal.signal(number, signal.SIG_IGN)  # the next would interrupt the cleaning up
+    signal.signal(number, signal.SIG_IGN)  # a second signal would interrupt the cleanup
     sys.exit(128 + number)

@@ -1,4 +1,4 @@
-"""Files that users name: regular files only, read within limits."""
+"""Reading files that users name: regular files only, up to a size limit."""
 
 import errno
 import os
@@ -12,16 +12,16 @@ MEBI = 1 << 20
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading.
 
-    A device such as /dev/zero would be read for ever, and a pipe without a writer would never
-    open.
+    Reading a device such as /dev/zero would never end, and opening a pipe without a writer would
+    block.
 
     Raises
     ------
     OSError
-        When it is missing, unreadable, or anything but a regular file; ``strerror`` says which.
+        If it is missing, unreadable or not a regular file; ``strerror`` says which.
     """
     try:
-        # Before it is opened, as opening a device may act on it.
+        # Checked before opening, as opening a device may have side effects.
         _require_regular(path, os.stat(path))
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except ValueError as error:  # a NUL in the name
@@ -36,17 +36,17 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_regular(path: Path, limit: int) -> bytes:
-    """Return what a regular file of at most ``limit`` bytes holds.
+    """Return the content of a regular file of at most ``limit`` bytes.
 
     Raises
     ------
     OSError
         As :func:`open_regular`.
     ValueError
-        When it is larger than ``limit`` bytes.
+        If it is larger than ``limit`` bytes.
     """
     with open_regular(path) as stream:
-        # The limit may be far larger than the file, and a read allocates all that it asks for.
+        # read() allocates as much as it is asked for, and the limit may far exceed the file.
         size = os.fstat(stream.fileno()).st_size
         content = stream.read(min(size, limit) + 1)
     if len(content) > limit:

@@ -51,30 +51,30 @@ def _symbid(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    # Every job here is one stream of small matrices, on which BLAS threads only get in
-    # each other's way (and in the way of whatever else the robot's computer does); with their
-    # number the last digits would change. Read when NumPy and SciPy are loaded, which is later.
+    # The matrices are small, so BLAS threads would slow each other down, and other programs on the
+    # robot's computer too. The last digits of results would depend on their number. The variables
+    # take effect because NumPy and SciPy are imported later.
     os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 
 
 def run() -> int:
-    """Run the command line and return its status; errors of ours are one line on stderr, and 2."""
+    """Run the command line and return its status; a user's error prints one line and returns 2."""
     console = Console(stderr=True, soft_wrap=True)
     handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
     handler.setFormatter(_Formatter("%(message)s"))
     logging.basicConfig(level=logging.WARNING, handlers=[handler])
     try:
-        # By itself click would name whatever module runs this.
+        # Without prog_name, click would use the name of the calling module.
         return _command()(prog_name="symbid", standalone_mode=False) or 0
     except SymbidError as error:
         message = spelled(error.labelled, flag)
     except OSError as error:
-        # The operating system refuses a path, such as a name that is too long for it.
+        # The operating system rejects a path, such as a name that is too long.
         if error.filename is None:
             raise
         message = f"{os.fsdecode(error.filename)}: {error.strerror}; check the path"
     except typer.exceptions.TyperException as error:
-        if not error.format_message():  # no arguments at all, answered by the help
+        if not error.format_message():  # no arguments: the help has been printed
             return USAGE
         command = getattr(getattr(error, "ctx", None), "command_path", "symbid")
         message = f"{error.format_message().rstrip('.')}; see `{command} --help`"
@@ -91,7 +91,7 @@ class _Formatter(logging.Formatter):
 
 
 def _command() -> Any:
-    """Return the command with all of its subcommands, as typer has it click run."""
+    """Return the click command that typer builds, with all subcommands."""
     command = typer.main.get_command(app)
     _hide_types_of_flags(command)
     return command

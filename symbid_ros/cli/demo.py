@@ -48,7 +48,7 @@ MOTION_SEED, VALIDATION_SEED = 1, 2
 
 
 def progress_bars(console: Console) -> Progress:
-    """Return the bars that a demo shows its stages with."""
+    """Return the progress bars of a demo."""
     return Progress(
         TextColumn("{task.description:<34}"),
         BarColumn(bar_width=None),
@@ -59,7 +59,7 @@ def progress_bars(console: Console) -> Progress:
 
 
 def prepare_folder(out: Path, *, overwrite: bool) -> None:
-    """Make an empty folder, in place of an earlier demo's only if that is wanted."""
+    """Create an empty folder, replacing an earlier demo's with ``overwrite``."""
     clear_folder(
         out,
         lambda folder: (folder / "prior.json").is_file(),
@@ -70,9 +70,10 @@ def prepare_folder(out: Path, *, overwrite: bool) -> None:
 
 
 def draw_demo_prior(out: Path, model: Path, percent: float, seed: int) -> None:
-    """Write ``prior.json``, every parameter drawn within so many % of the truth.
+    """Write ``prior.json``, with each parameter drawn within ``percent`` of the truth.
 
-    First of all, as it marks the folder as a demo's: one that was interrupted can be replaced.
+    It is written first, as it marks the folder as a demo's: --overwrite then accepts the folder of
+    an interrupted demo.
     """
     from symbid_ros.estimation.prior import draw_prior
     from symbid_ros.model.load import load_model
@@ -82,7 +83,7 @@ def draw_demo_prior(out: Path, model: Path, percent: float, seed: int) -> None:
 
 
 def simulate_validation(bag: Path, moves: int, progress: Progress) -> None:
-    """Write an ideal bag of other moves."""
+    """Simulate another motion with ideal sensors to a bag."""
     from symbid_ros.simulation.recording import record
     from symbid_ros.simulation.simulator import Simulator
 
@@ -92,9 +93,9 @@ def simulate_validation(bag: Path, moves: int, progress: Progress) -> None:
 
 
 def recording_facts(played: Mapping[str, Any], recorded: Mapping[str, Any]) -> dict[str, str]:
-    """Return how the recording went, from what bridge and recorder say at their end."""
+    """Return facts on the recording from the summaries of bridge and recorder."""
     kept = sum(recorded["recorded"].values())
-    # The clock is published too, but not recorded: only topics of both count.
+    # Only topics in both summaries count: the clock is published but not recorded.
     published = sum(played["published"].get(topic, 0) for topic in recorded["recorded"])
     missing = sum(gap["missing"] for gap in recorded["gaps"].values())
     return {
@@ -104,7 +105,7 @@ def recording_facts(played: Mapping[str, Any], recorded: Mapping[str, Any]) -> d
 
 
 def demonstrate_offline(out: Path, model: Path, moves: int, seed: int, console: Console) -> None:
-    """Record, identify and report into the demo's folder, which holds a prior already."""
+    """Record, identify and report; the demo's folder holds the prior."""
     with progress_bars(console) as progress:
         facts = _record(out, moves, seed, progress)
         simulate_validation(out / "validation", moves, progress)
@@ -112,7 +113,7 @@ def demonstrate_offline(out: Path, model: Path, moves: int, seed: int, console: 
 
 
 def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, str]:
-    """Let bridge and recorder run as processes, and return what they say."""
+    """Run bridge and recorder as processes, and return facts on the recording."""
     from symbid_ros.simulation.simulator import Simulator
 
     motion = {
@@ -149,7 +150,7 @@ def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, s
 def _identify_offline(
     out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
-    """Identify with every method, write what each found, and report on all of them."""
+    """Identify with every method, write the results, and report on all of them."""
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing
     from symbid_ros.identification.options import IdentifyOptions
@@ -177,7 +178,7 @@ def _identify_offline(
     found[METHOD_TITLES["map"]] = ("map", by_windows.solve("map"))
     found[METHOD_TITLES["map_lmi"]] = ("map_lmi", chosen)
     exports = logging.getLogger(write_identification.__module__)
-    exports.setLevel(logging.ERROR)  # impossible links of most methods are what the report shows
+    exports.setLevel(logging.ERROR)  # the report shows which methods give impossible links
     try:
         for name, identified in found.values():
             write_identification(identified, by_windows.parameters, out / name)
@@ -223,7 +224,7 @@ def _truncations(prepared: "LoadedProblem", validation: Path) -> "dict[tuple[str
     from symbid_ros.identification.dataset import Processing, read_dataset
     from symbid_ros.report.compose import METHOD_TITLES
 
-    # The other windows' rows of an ideal bag would be built for nothing.
+    # Only the chosen window's rows are needed.
     log = bag_log([validation], prepared.parameters.model)
     only = Processing(windows=(prepared.solver.chosen.window,))
     judge = replace(prepared, validation=read_dataset(log, prepared.parameters, only))
@@ -235,11 +236,11 @@ def _truncations(prepared: "LoadedProblem", validation: Path) -> "dict[tuple[str
 
 
 POLL = 0.2  # s
-SAVING_TIME = 120.0  # s; on a slow machine the identifier may be behind
+SAVING_TIME = 120.0  # s; on a slow machine the identifier may lag behind
 
 
 def demonstrate_online(out: Path, model: Path, moves: int, seed: int, console: Console) -> None:
-    """Identify live and report into the demo's folder, which holds a prior already."""
+    """Identify live and report; the demo's folder holds the prior."""
     facts = _identify_online(out, model, moves, seed, console)
     with progress_bars(console) as progress:
         simulate_validation(out / "validation", moves, progress)
@@ -249,7 +250,7 @@ def demonstrate_online(out: Path, model: Path, moves: int, seed: int, console: C
 def _identify_online(
     out: Path, model: Path, moves: int, seed: int, console: Console
 ) -> dict[str, str]:
-    """Let the nodes run until the motion has ended and the estimate is saved."""
+    """Run the nodes until the motion has ended and the estimate is saved."""
     from symbid_ros.simulation.simulator import Simulator
 
     motion = {"scenario": "smooth", "moves": moves, "motion_seed": MOTION_SEED, "noise_seed": seed}
@@ -277,7 +278,7 @@ def _identify_online(
             log = logs / f"{name}.log"
             return NodeProcess(name, parameters, graph, log, file=file, is_shown=is_shown)
 
-        # The robot waits for recorder and identifier, so that both get everything.
+        # The robot waits for recorder and identifier, so that both receive every message.
         awaited = {"wait_for_subscribers": True, "subscribers": 2}
         with (
             node("identifier", identifier_parameters, "identifier.yaml") as identifier,
@@ -289,7 +290,7 @@ def _identify_online(
                 for other in (identifier, recorder, monitor):
                     other.require_running()
             played = bridge.finish()
-            # Asked to end, it works on what is left and saves; the monitor sees that too.
+            # When stopped, it processes its queue and saves; the monitor still shows that.
             identified = identifier.finish(stop=True, patience=SAVING_TIME)
             monitor.stop()
             recorded = recorder.finish(stop=True)
@@ -303,7 +304,7 @@ def _identify_online(
 def _report(
     out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
-    """Judge the saved estimate by the truth and write the page."""
+    """Compare the saved estimate with the truth and write the page."""
     from symbid_ros.errors import EstimateError
     from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model

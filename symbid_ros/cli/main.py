@@ -1,4 +1,4 @@
-"""The entry point of ``symbid``: light, so that Ctrl-C is answered while libraries still load."""
+"""The entry point of ``symbid``, which handles Ctrl-C while libraries are still loading."""
 
 import signal
 import sys
@@ -7,7 +7,7 @@ from typing import NoReturn
 
 from symbid_ros.shutdown import exit_on_signals
 
-INTERRUPTED = 130  # as shells have it: 128 and the signal's number
+INTERRUPTED = 130  # as in shells: 128 plus the signal's number
 
 
 def main() -> None:
@@ -21,7 +21,7 @@ def main() -> None:
         raise KeyboardInterrupt
 
     before = signal.getsignal(signal.SIGINT)
-    if before is signal.default_int_handler:  # not where the caller ignores or handles it
+    if before is signal.default_int_handler:  # unless the caller ignores or handles it
         signal.signal(signal.SIGINT, interrupt)
     try:
         # Loading takes up to a second.
@@ -29,8 +29,8 @@ def main() -> None:
 
         status = run()
     except BaseException as error:
-        # What arrives here need not be KeyboardInterrupt: a library that is interrupted while
-        # it loads may raise ImportError or SystemError instead.
+        # A library that is interrupted while it loads may raise ImportError or SystemError
+        # instead of KeyboardInterrupt.
         if was_interrupted:
             status = INTERRUPTED
         elif isinstance(error, ModuleNotFoundError):

@@ -1,4 +1,4 @@
-"""One rule for all commands: an earlier result is replaced with --overwrite, never without."""
+"""Checks of output folders: commands replace an earlier result only with --overwrite."""
 
 import shutil
 from collections.abc import Callable, Collection

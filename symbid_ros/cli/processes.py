@@ -17,15 +17,15 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.package_paths import config_file
 from symbid_ros.shutdown import unwind
 
-STOPPING_TIME = 120.0  # s; a recorder has a bag to complete, perhaps on a machine that is busy
+STOPPING_TIME = 120.0  # s; a recorder has to finish its bag, possibly on a busy machine
 
 
 @contextmanager
 def private_graph() -> Iterator[dict[str, str]]:
-    """Yield an environment in which nodes see one another and nobody else.
+    """Yield environment variables that isolate nodes in a ROS domain of their own.
 
-    As long as it lasts, SIGTERM and SIGHUP unwind the stack as Ctrl-C does: nodes in ``with``
-    blocks do not outlive the command.
+    Within the block, SIGTERM and SIGHUP unwind the stack as Ctrl-C does, so that nodes in ``with``
+    blocks end with the command.
     """
     numbers = signal.SIGTERM, signal.SIGHUP
     before = {number: signal.signal(number, unwind) for number in numbers}
@@ -41,7 +41,7 @@ def private_graph() -> Iterator[dict[str, str]]:
 
 
 class NodeProcess:
-    """One node in a process of its own, in a ``with`` block that it does not survive.
+    """One node in a process of its own, which ends with the ``with`` block.
 
     Parameters
     ----------
@@ -50,13 +50,13 @@ class NodeProcess:
     parameters : mapping of str to object
         Node parameters.
     environment : mapping of str to str
-        From :func:`private_graph`, the same for all nodes of one graph.
+        From :func:`private_graph`; nodes with equal environments see each other.
     log : Path
-        File for what the node prints to stderr.
+        File for the node's stderr.
     file : str, optional
-        Of ``config/``: the parameters that are not given.
+        File in ``config/`` with the remaining parameters.
     is_shown : bool
-        Whether the node prints to the terminal instead of telling of its run at the end.
+        Whether the node prints to the terminal; its summary is then not read.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class NodeProcess:
                 env=dict(environment),
                 stdout=None if is_shown else subprocess.PIPE,
                 stderr=stream,
-                # Ctrl-C reaches the parent alone, which stops its nodes in order.
+                # Ctrl-C then reaches only the parent, which stops its nodes in order.
                 start_new_session=True,
             )
 
@@ -103,21 +103,21 @@ class NodeProcess:
 
     @property
     def pid(self) -> int:
-        """The process's number."""
+        """The process id."""
         return self._process.pid
 
     @property
     def running(self) -> bool:
-        """Whether the process still lives."""
+        """Whether the process is running."""
         return self._process.poll() is None
 
     def require_running(self) -> None:
-        """Raise SymbidError, with the node's last words, when it has ended."""
+        """Raise SymbidError with the node's last line of output if it has ended."""
         if not self.running:
             raise self._failure()
 
     def wait(self, timeout: float) -> bool:
-        """Wait for the process's end at most ``timeout`` seconds and tell whether it came."""
+        """Wait up to ``timeout`` seconds for the process to end; return whether it has ended."""
         try:
             self._process.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -125,29 +125,29 @@ class NodeProcess:
         return True
 
     def stop(self) -> None:
-        """Ask the node to end and wait until it has.
+        """Stop the node and wait until it has ended.
 
         Raises
         ------
         SymbidError
-            When the node failed; its last words are in the message.
+            If the node failed; the message holds its last line of output.
         """
         self._end(STOPPING_TIME, asked=True)
 
     def finish(self, *, stop: bool = False, patience: float = STOPPING_TIME) -> dict[str, Any]:
-        """Return what the node says of its run once it has ended, asked to ``stop`` or by itself.
+        """Wait until the node has ended, and return the summary that it prints.
 
         Parameters
         ----------
         stop : bool
-            Whether to ask it to end, if it still runs.
+            Whether to stop it if it is still running.
         patience : float
-            Seconds that it may take.
+            Seconds to wait.
 
         Raises
         ------
         SymbidError
-            When the node failed; its last words are in the message.
+            If the node failed; the message holds its last line of output.
         """
         lines = self._end(patience, asked=stop)
         if not lines:
@@ -162,7 +162,7 @@ class NodeProcess:
             output, _ = self._process.communicate(timeout=patience)
         except subprocess.TimeoutExpired:
             raise SymbidError(
-                f"{self.name} does not end within {patience:g} s; see {self.log}", "E553"
+                f"{self.name} did not end within {patience:g} s; see {self.log}", "E553"
             ) from None
         if self._process.returncode != 0:
             raise self._failure()
@@ -191,14 +191,14 @@ MARK = 2  # no participant uses this one
 
 @contextmanager
 def unused_domain(domains: Sequence[int] = DOMAINS) -> Iterator[int]:
-    """Yield one of ``domains`` in which no participant listens, for as long as the block lasts.
+    """Yield one of ``domains`` without participants, and reserve it for the block.
 
-    Whoever else asks this function meanwhile gets another one.
+    Other callers of this function get other domains.
 
     Raises
     ------
     SymbidError
-        When all of them are in use.
+        If all of them are in use.
     """
     for domain in random.sample(domains, len(domains)):
         mark = _marked(domain)
@@ -213,7 +213,7 @@ def unused_domain(domains: Sequence[int] = DOMAINS) -> Iterator[int]:
 
 
 def _marked(domain: int) -> socket.socket | None:
-    """Return a socket that marks a domain as taken, or None if it already is."""
+    """Return a socket that reserves a domain, or None if the domain is in use."""
     base = FIRST + DOMAIN * domain
     mark = _bound(base + MARK)
     if mark is None:
@@ -228,7 +228,7 @@ def _marked(domain: int) -> socket.socket | None:
 
 
 def _bound(port: int) -> socket.socket | None:
-    """Return a socket that owns a port of loopback, or None if another does."""
+    """Return a socket bound to a loopback port, or None if the port is in use."""
     owner = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         owner.bind(("127.0.0.1", port))

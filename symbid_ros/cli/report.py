@@ -43,9 +43,7 @@ def report(
     from symbid_ros.report.page import write_report
 
     if realistic and truth is None:
-        raise EstimateError(
-            "--realistic predictions are judged by the true model; add --truth", "E556"
-        )
+        raise EstimateError("--realistic needs the true model to compare with; add --truth", "E556")
     check_output_file(out)
     robot = load_model(model, base)
     subjects = {folder: load_estimated_model(folder, robot) for folder in folders}
@@ -53,7 +51,7 @@ def report(
     for folder, subject in subjects.items():
         if subject.estimate is None:
             raise EstimateError(
-                f"{folder}: a prior is no identification; name a folder of one", "E556"
+                f"{folder}: holds a prior; give the folder of an identification", "E556"
             )
         title = METHOD_TITLES.get(subject.estimate.method, subject.estimate.method)
         label = title if title not in estimates else f"{title}, {folder}"

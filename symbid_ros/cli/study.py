@@ -16,7 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-# Steps take up to a minute: the time left is guessed from many of them, s.
+# Steps take up to a minute, so the remaining time is estimated over many of them, s.
 SPEED_PERIOD = 300.0
 
 

@@ -15,7 +15,7 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.messages.topics import OfferedQos
 
-SHOWN = 20  # holes; a list of thousands tells no more, --json has them all
+SHOWN = 20  # gaps listed at most; --json has them all
 
 
 def print_info(info: BagInfo) -> None:
@@ -39,7 +39,7 @@ def print_info(info: BagInfo) -> None:
 
 
 def print_recovery(recovery: RecoveryReport) -> None:
-    """Print what was kept of a bag, what is lost and where."""
+    """Print what was recovered from a bag, what is lost and where."""
     console = Console(highlight=False)
     table = _table("topic", "type", "kept", "lost")
     for topic in recovery.topics:
@@ -66,7 +66,7 @@ def print_recovery(recovery: RecoveryReport) -> None:
 
 
 def _table(first: str, second: str, *others: str) -> Table:
-    """Return a table whose names break where the terminal is narrow, and whose numbers do not."""
+    """Return a table that wraps names, but not numbers, on a narrow terminal."""
     table = Table(pad_edge=False, box=box.SIMPLE_HEAD)
     for name in (first, second):
         table.add_column(name, overflow="fold")
@@ -114,12 +114,12 @@ def _qos(offer: OfferedQos) -> str:
 
 
 def _type(msgtype: str) -> Text:
-    """Return a type as ROS 2's documentation writes it, which is shorter."""
+    """Return a type's short name, as in ROS 2's documentation."""
     return Text(msgtype.replace("/msg/", "/"))
 
 
 def _time(stamp: int) -> str:
-    """Return nanoseconds as a date, or as seconds where they count from no date of ours."""
+    """Return nanoseconds as a date, or as seconds if they are not Unix time."""
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
     if seconds < 1_000_000_000 or seconds > 9_000_000_000:
         return f"{seconds}.{nanoseconds // 1_000_000:03} s"
@@ -140,7 +140,7 @@ STYLES = {Severity.CLEAN: "green", Severity.WARNING: "yellow", Severity.UNUSABLE
 
 
 def print_diagnosis(diagnosis: Diagnosis) -> None:
-    """Print a log's streams, what is wrong with them and the verdict."""
+    """Print a log's streams, the findings and the verdict."""
     console = Console(highlight=False)
     table = Table(pad_edge=False)
     table.add_column("stream", overflow="fold")
@@ -157,7 +157,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
             _verdict(diagnosis.of(stream.topic)),
         )
     console.print(table)
-    # Long lines are left to the terminal to wrap: whoever reads them from a pipe gets them whole.
+    # The terminal wraps long lines, so that a pipe receives them complete.
     for finding in diagnosis.findings:
         told = Text(f"{finding.kind.value}: ", style=STYLES[finding.severity])
         console.print(told.append(finding.message, style=""), soft_wrap=True)
@@ -170,7 +170,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
 
 
 def _verdict(findings: tuple[Finding, ...]) -> Text:
-    """Return the kinds of what is wrong with one stream."""
+    """Return the kinds of findings on one stream."""
     if not findings:
         return Text("clean", style="green")
     worst = max(one.severity for one in findings)
@@ -183,12 +183,12 @@ def print_estimate(estimate: Estimate, out: Path) -> None:
     Parameters
     ----------
     estimate : Estimate
-        What was found.
+        The estimate.
     out : Path
-        Folder that its files were written to.
+        Folder of its files.
     """
     console = Console(highlight=False)
-    # Long lines are left to the terminal to wrap: whoever reads them from a pipe gets them whole.
+    # The terminal wraps long lines, so that a pipe receives them complete.
     for alarm in estimate.verdict.alarms if estimate.verdict is not None else ():
         console.print(Text(f"alarm: {alarm}", style="bold red"), soft_wrap=True)
     console.print(links_table(estimate))
@@ -197,7 +197,7 @@ def print_estimate(estimate: Estimate, out: Path) -> None:
 
 
 def links_table(estimate: Estimate) -> Table:
-    """Return mass, count of determined parameters and possibility of every link."""
+    """Return a table of each link's mass, determined parameters and physical possibility."""
     table = Table(title=f"{estimate.model}, {estimate.method}", title_justify="left")
     table.add_column("link")
     for header in ("prior kg", "mass kg", "± kg", "determined", "possible"):

@@ -96,7 +96,7 @@ def test_what_no_page_can_show_is_refused_in_one_line(
 ) -> None:
     file = tmp_path / "report.html"
     for subject, options, says in (
-        (prior, (), "a prior is no identification"),
+        (prior, (), "holds a prior"),
         (found / "map_lmi", ("--realistic", short), "add --truth"),
     ):
         command = ("report", subject, "--model", model, "--bag", short, "--out", file)
