@@ -1,4 +1,4 @@
-"""Zero-phase smoothing and differentiation, so that rows can be taken at single instants."""
+"""Zero-phase smoothing and differentiation for rows at single samples, and causal filters."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,16 +10,18 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import Channels
 from symbid_ros.errors import DataError
 
-# The thesis filters joint positions, their derivative and that one's derivative: so often its joint
-# accelerations pass. Given to every channel, it leaves both sides of the equation of motion alike,
-# and the least of the gyroscope's noise in the base's angular acceleration.
+# The thesis filters joint positions and both of their derivatives, so its joint accelerations pass
+# three filters. The same number of passes on every channel treats both sides of the equation of
+# motion equally and reduces the gyroscope's noise in the base's angular acceleration most.
 PASSES = 3
 
 
 def check_cutoff(cutoff: float) -> None:
-    """Refuse a cutoff that is no frequency."""
+    """Raise an error if the cutoff is negative, NaN or infinite."""
     if not (np.isfinite(cutoff) and cutoff >= 0):
-        raise DataError(f"cutoff {cutoff} Hz is no frequency; give 0 (no filter) or more", "E317")
+        raise DataError(
+            f"cutoff must be 0 (no filter) or a positive frequency, got {cutoff} Hz", "E317"
+        )
 
 
 def butterworth(cutoff: float, rate: float) -> FloatArray:
@@ -38,19 +40,19 @@ def butterworth(cutoff: float, rate: float) -> FloatArray:
 
 
 class Smoothing(Protocol):
-    """What turns noisy, uniformly sampled channels into motion and forces."""
+    """Filter and differentiator of noisy, uniformly sampled channels."""
 
     def motion(self, signal: FloatArray, rate: float, order: int) -> tuple[FloatArray, ...]:
-        """Return a position or rate of turn and its first ``order`` derivatives."""
+        """Return a position or angular velocity and its first ``order`` derivatives."""
 
     def force(self, signal: FloatArray, rate: float) -> FloatArray:
         """Return a force, torque or specific force."""
 
     def settling(self, rate: float) -> int:
-        """Return the number of samples at either end that still feel the edge."""
+        """Return the number of samples at each end until the filter has settled."""
 
     def stride(self, rate: float) -> int:
-        """Return how many samples apart rows still carry all that was let through."""
+        """Return the spacing of rows, in samples, that keeps all information in the passband."""
 
 
 @dataclass(frozen=True)
@@ -62,13 +64,13 @@ class LowPass:
     cutoff : float
         Hz; 0 passes everything.
     channels : {"all", "thesis"}
-        "all" runs the filter ``passes`` times over every channel, forces included, so
+        "all" runs the filter ``passes`` times over every channel, including forces, so
         that both sides of the equation of motion lose the same band. "thesis" runs it
         once over joint positions and the body's rate before they are differentiated
-        and once more over each derivative, and leaves torques, wrenches and the
-        accelerometer alone (thesis, section III-E).
+        and once more over each derivative, and does not filter torques, wrenches and the
+        accelerometer (thesis, section III-E).
     passes : int
-        How often the filter runs over every channel where ``channels`` is "all".
+        Number of filter passes over every channel if ``channels`` is "all".
     """
 
     cutoff: float = 30.0
@@ -76,11 +78,11 @@ class LowPass:
     passes: int = PASSES
 
     def __post_init__(self) -> None:
-        """Refuse a cutoff that is no frequency."""
+        """Raise an error for an invalid cutoff."""
         check_cutoff(self.cutoff)
 
     def __str__(self) -> str:
-        """Return what a report says of it."""
+        """Return the description for reports."""
         if self.cutoff == 0:
             return "none"
         passes = f"{self.passes} passes" if self.channels == "all" else "the thesis's passes"
@@ -102,9 +104,9 @@ class LowPass:
         return filtered
 
     def motion(self, signal: FloatArray, rate: float, order: int) -> tuple[FloatArray, ...]:
-        """Return a position or rate of turn and its first ``order`` derivatives.
+        """Return a position or angular velocity and its first ``order`` derivatives.
 
-        Time runs along the first axis; all are as this choice of channels treats them.
+        Time runs along the first axis. The filtering depends on ``channels``.
         """
         filtered = [self(signal, rate, self.passes if self.channels == "all" else 1)]
         for _ in range(order):
@@ -113,46 +115,48 @@ class LowPass:
         return tuple(filtered)
 
     def force(self, signal: FloatArray, rate: float) -> FloatArray:
-        """Return a force, torque or specific force as this choice of channels treats it."""
+        """Return a force, torque or specific force, filtered if ``channels`` is "all"."""
         return self(signal, rate, self.passes) if self.channels == "all" else signal
 
     def settling(self, rate: float) -> int:
-        """Return the number of samples at either end that still feel the edge."""
-        return 2 if self.cutoff == 0 else max(2, int(np.ceil(self._most * rate / self.cutoff)))
+        """Return the number of samples at each end until the filter has settled."""
+        return (
+            2 if self.cutoff == 0 else max(2, int(np.ceil(self._max_passes * rate / self.cutoff)))
+        )
 
     @property
-    def _most(self) -> int:
-        """How often any channel passes."""
+    def _max_passes(self) -> int:
+        """Largest number of passes over any channel."""
         return self.passes if self.channels == "all" else PASSES
 
     def stride(self, rate: float) -> int:
-        """Return how many samples apart rows still carry all that passed the filter.
+        """Return the spacing of rows, in samples, that keeps all information in the passband.
 
         Five samples per period of the cutoff: what lies above is attenuated by more
-        than 99 %, so denser rows repeat one another.
+        than 99 %, so denser rows are redundant.
         """
         return 1 if self.cutoff == 0 else max(1, int(rate / (5 * self.cutoff)))
 
 
 @dataclass(frozen=True)
 class SavitzkyGolay:
-    """A polynomial fitted around every sample; derivatives are the polynomial's own.
+    """A polynomial fitted around every sample, which also gives the derivatives.
 
-    Savitzky and Golay 1964. All channels see the same window and degree.
+    Savitzky and Golay 1964. All channels use the same window and degree.
 
     Attributes
     ----------
     window : float
         Seconds.
     degree : int
-        Of the polynomial, at least 2, as second derivatives are asked of it.
+        Degree of the polynomial, at least 2 for second derivatives.
     """
 
     window: float = 0.081
     degree: int = 3
 
     def __post_init__(self) -> None:
-        """Refuse a window or degree that is none."""
+        """Raise an error for an invalid window or degree."""
         if not (np.isfinite(self.window) and self.window > 0 and self.degree >= 2):
             raise DataError(
                 f"Savitzky-Golay window {self.window} s, degree {self.degree}: give a positive "
@@ -161,11 +165,11 @@ class SavitzkyGolay:
             )
 
     def __str__(self) -> str:
-        """Return what a report says of it."""
+        """Return the description for reports."""
         return f"Savitzky-Golay, {1e3 * self.window:g} ms, degree {self.degree}"
 
     def motion(self, signal: FloatArray, rate: float, order: int) -> tuple[FloatArray, ...]:
-        """Return a position or rate of turn and its first ``order`` derivatives."""
+        """Return a position or angular velocity and its first ``order`` derivatives."""
         return tuple(self._fit(signal, rate, derivative) for derivative in range(order + 1))
 
     def force(self, signal: FloatArray, rate: float) -> FloatArray:
@@ -178,11 +182,11 @@ class SavitzkyGolay:
             return signal
         if length > len(signal):
             raise DataError(
-                f"a Savitzky-Golay window of {self.window:g} s is longer than a stretch of "
-                f"{len(signal) / rate:.3g} s; shorten it or record longer",
+                f"a Savitzky-Golay window of {self.window:g} s is longer than a segment of "
+                f"{len(signal) / rate:.3g} s; shorten the window or record longer",
                 "E318",
             )
-        # At the ends SciPy fits by least squares, which refuse NaN: efforts that were not measured.
+        # SciPy fits the ends by least squares, which do not accept NaN of unmeasured efforts.
         columns = signal.reshape(len(signal), -1)
         finite = np.isfinite(columns).all(axis=0)
         fitted = np.full(columns.shape, np.nan)
@@ -198,7 +202,7 @@ class SavitzkyGolay:
         return 2 * half + 1
 
     def settling(self, rate: float) -> int:
-        """Return the number of samples at either end whose window would leave the record."""
+        """Return the number of samples at each end whose window exceeds the segment."""
         return self._length(rate) // 2
 
     def stride(self, rate: float) -> int:
@@ -213,10 +217,10 @@ def differentiate(signal: FloatArray, rate: float) -> FloatArray:
 
 
 def row_inflation(smoothing: Smoothing, rate: float) -> float:
-    """Return by how much rows one stride apart look more than they are.
+    """Return the number of rows, one stride apart, per independent row.
 
-    White noise let through is alike in neighbouring rows: the sum of its autocorrelation over
-    the rows, which is that of the filter's response to an impulse.
+    Filtered white noise is correlated between rows. The factor is the sum of its autocorrelation
+    over the rows, computed from the filter's impulse response.
     """
     half = 4 * max(smoothing.settling(rate), 1) + 8
     impulse = np.zeros((2 * half + 1, 1))
@@ -228,13 +232,13 @@ def row_inflation(smoothing: Smoothing, rate: float) -> float:
     return float(max(lagged.sum() / correlation[middle], 1.0))
 
 
-# Periods of the cutoff after which the second-order filter has forgotten its start to 2e-4.
+# Periods of the cutoff after which the filter's transient has decayed to 2e-4.
 SETTLED = 2.0
 
 
 @dataclass(frozen=True)
 class CausalLowPass:
-    """Second-order Butterworth run forwards alone, as a low-level estimator does.
+    """Second-order Butterworth run forwards only, as in a real-time estimator.
 
     Below its cutoff it delays by about 0.225 / cutoff seconds.
 
@@ -247,7 +251,7 @@ class CausalLowPass:
     cutoff: float = 50.0
 
     def __post_init__(self) -> None:
-        """Refuse a cutoff that is no frequency."""
+        """Raise an error for an invalid cutoff."""
         check_cutoff(self.cutoff)
 
     def __call__(self, signal: FloatArray, rate: float) -> FloatArray:
@@ -271,5 +275,5 @@ class CausalLowPass:
         return self(np.diff(position, axis=0, prepend=position[:1]) * rate, rate)
 
     def settling(self, rate: float) -> int:
-        """Return the number of samples at the start that still feel it."""
+        """Return the number of samples at the start until the filter has settled."""
         return 1 if self.cutoff == 0 else int(np.ceil(SETTLED * rate / self.cutoff)) + 1

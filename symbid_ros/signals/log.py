@@ -30,7 +30,7 @@ S = TypeVar("S", JointStream, ImuStream, WrenchStream)
 
 @dataclass(frozen=True)
 class Log:
-    """Sensor measurements of one robot: a bag, several bags that continue one another, or arrays.
+    """Sensor measurements of one robot: a bag, several consecutive bags, or arrays.
 
     Get one from :func:`symbid_ros.load_bag` or :meth:`from_arrays`. A bag is read when its data are
     needed.
@@ -80,7 +80,7 @@ class Log:
         if self._open is None:
             raise DataError(
                 f"{', '.join(map(str, bags))}: its topics are unknown: {self.source} is a log "
-                "of arrays; read the bag with load_bag and give that log",
+                "of arrays; read the bag with load_bag and pass that log",
                 "E526",
             )
         return self._open(bags)
@@ -238,7 +238,7 @@ def _stamps(time: ArrayLike, name: str) -> IntArray:
     # 2⁶² ns are 146 years. The limit leaves room for margins below the overflow of int64.
     if not (np.abs(in_seconds) < 2**62 * 1e-9).all():
         raise DataError(
-            f"{name}: time is NaN, infinite or not in seconds; give seconds or integer ns", "E518"
+            f"{name}: time is NaN, infinite or not in seconds; use seconds or integer ns", "E518"
         )
     return np.rint(in_seconds * 1e9).astype(np.int64)
 
@@ -272,7 +272,7 @@ def _slices(
         if silent:
             fault = (
                 f"{streams.source}: {', '.join(silent)} has no data before {seconds(until)}; "
-                "leave it out, or give all arrays the same clock"
+                "remove it, or use the same clock for all arrays"
             )
             yield Slice(start, until, None, inside, tallies, fault)
         else:

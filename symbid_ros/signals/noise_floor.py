@@ -1,4 +1,4 @@
-"""How noisy each channel is, from the channel alone."""
+"""Estimates the white-noise level of each channel from its spectrum."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,26 +11,24 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.signals.segments import Segment
 
 Channel = Literal["position", "angular_velocity", "effort", "wrenches"]
-# What is differentiated, and thereby brings noise into the regressor. The accelerometer is left
-# alone: its averaged noise is nothing beside gravity, while a vibrating base shakes it in every
-# band.
+# Channels that are differentiated, whose noise enters the regressor. The accelerometer is excluded:
+# its averaged noise is small compared with gravity, and vibration of the base fills all its bands.
 MOTION: tuple[Channel, ...] = ("position", "angular_velocity")
-# What brings noise into the columns of sensors' gains as well.
+# Channels whose noise also enters the columns of sensor gains.
 FORCES: tuple[Channel, ...] = ("effort", "wrenches")
 
-# The quietest of these equal bands, from this share of the rate up to half of it, is taken to hold
-# noise alone: a vibrating robot fills some of them, hardly ever all.
+# The quietest of these equal bands, from this share of the rate up to half of it, is assumed to
+# hold only noise. Vibration rarely fills all of them.
 BANDS = 8
 LOWEST = 0.1
-# Expected least of eight standard normal numbers: what the quietest band is by chance.
+# Magnitude of the expected minimum of eight standard normal variables, for the quietest band.
 LEAST_OF_BANDS = 1.4236
 
 
 def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
     """Return the standard deviation (c,) of the white noise in signals (N, c).
 
-    The spectrum of white noise is flat, so its level in one quiet band is its level
-    everywhere, also where motion hides it.
+    The spectrum of white noise is flat, so its level in one quiet band holds for all bands.
     """
     count = len(channel)
     window = np.hanning(count + 2)[1:-1, None]
@@ -41,18 +39,18 @@ def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
     bands = np.array([power[a:b].mean(axis=0) for a, b in pairwise(edges) if b > a])
     if len(bands) < BANDS:
         return np.zeros(channel.shape[1])
-    # Neighbouring bins of a Hann window share their noise: about half of them are independent.
+    # Neighbouring bins of a Hann window are correlated: about half of them are independent.
     chance = LEAST_OF_BANDS / np.sqrt(max((edges[-1] - edges[0]) / BANDS / 1.94, 4.0))
     deviation: FloatArray = np.sqrt(bands.min(axis=0) / (1 - chance))
     return deviation
 
 
 def with_more_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:
-    """Return the stretch with as much noise again on the channels that are named.
+    """Return the segment with as much noise added to the given channels as they already have.
 
-    The draw is the same every time.
+    The random numbers are reproducible.
     """
-    # A seed is not negative; a stamp may be.
+    # Seeds must not be negative, but stamps may be.
     rng = np.random.default_rng([0, int(segment.stamp[0]) % 2**64, len(segment)])
     noisy = {}
     for name in channels:

@@ -1,4 +1,4 @@
-"""Errors of the sensors themselves: what calibration left behind."""
+"""Calibration errors of the sensors as unknowns of the equation of motion."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -16,9 +16,9 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import RowBuilder, SampledRows, sticking_left_out, valid_rows
+from symbid_ros.signals.weak_form import RowBuilder, SampledRows, valid_coordinates, valid_rows
 
-# What calibration usually leaves: standard deviations per component.
+# Typical calibration errors: standard deviations per component.
 DEVIATIONS = {
     "plate_offset": (0.2,) * 3 + (2.0,) * 3,  # Nm, N
     "plate_gain": (0.006,) * 6,
@@ -49,14 +49,14 @@ _PAIRS = {
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Which errors of which sensors are unknowns.
+    """Order of the unknown errors of a log's sensors.
 
     Attributes
     ----------
     kinds : tuple of str
-        Some of :data:`KINDS`.
+        Subset of :data:`KINDS`.
     wrench_frames, imu_frames : tuple of str
-        The sensors.
+        Frames of the sensors.
     joints : tuple of str
         All joints, in the model's order.
     driven : (J,) bool
@@ -97,7 +97,7 @@ class SensorErrors:
 
     @cached_property
     def places(self) -> dict[str, slice]:
-        """Where the unknowns of each kind stand in θ."""
+        """Indices of each kind's unknowns in θ."""
         ends = np.cumsum([len(DEVIATIONS[k]) * len(self._owners(k)) for k in self.kinds]).tolist()
         return {
             kind: slice(end - len(DEVIATIONS[kind]) * len(self._owners(kind)), end)
@@ -123,7 +123,7 @@ class SensorErrors:
 
     @cached_property
     def std(self) -> FloatArray:
-        """(r,) standard deviations before the data."""
+        """(r,) prior standard deviations."""
         return np.array(
             [s for kind in self.kinds for _ in self._owners(kind) for s in DEVIATIONS[kind]]
         )
@@ -132,29 +132,29 @@ class SensorErrors:
         return len(self.names)
 
     def of_kind(self, kind: str, theta: FloatArray) -> FloatArray:
-        """Return one kind's errors (owners, components) from θ (r,), zero where not unknown."""
+        """Return one kind's errors (owners, components) from θ (r,); zero if not estimated."""
         shape = (len(self._owners(kind)), len(DEVIATIONS[kind]))
         values = theta[self.places[kind]] if kind in self.kinds else np.zeros(shape)
         return values.reshape(shape)
 
     def structure(self, model: RobotModel) -> BoolArray:
-        """Return which coordinates (n, r) each unknown can reach."""
+        """Return which coordinates (n, r) each unknown affects."""
         first = 6 * model.floating
-        reach = np.ones((model.dof, len(self)), dtype=bool)
+        affects = np.ones((model.dof, len(self)), dtype=bool)
         for kind, place in self.places.items():
             size = len(DEVIATIONS[kind])
             for index, owner in enumerate(self._owners(kind)):
                 columns = slice(place.start + size * index, place.start + size * (index + 1))
                 if kind.startswith("plate"):
                     carried = model.ancestors[:, model.frame(owner).link]
-                    reach[first:, columns] = carried[:, None]
+                    affects[first:, columns] = carried[:, None]
                 elif kind == "torque_gain":
-                    reach[:, columns] = False
-                    reach[first + self.joints.index(owner), columns] = True
-        return reach
+                    affects[:, columns] = False
+                    affects[first + self.joints.index(owner), columns] = True
+        return affects
 
     def corrected(self, readings: SensorSamples, theta: FloatArray) -> SensorSamples:
-        """Return the readings as they would be without the errors θ (r,)."""
+        """Return the samples corrected for the errors θ (r,)."""
         gain = np.zeros(len(self.joints))
         gain[self.driven] = self.of_kind("torque_gain", theta)[:, 0]
         wrenches = (readings.wrenches - self.of_kind("plate_offset", theta)) / (
@@ -187,7 +187,7 @@ def _component_names(kind: str) -> tuple[str, ...]:
     return tuple(f"{kind}{axis}" for axis in _AXES[len(DEVIATIONS[kind])])
 
 
-# The columns change as slowly as the robot moves: they are worked out this often, and
+# The columns change as slowly as the robot moves: they are computed with this period and
 # interpolated.
 COLUMN_PERIOD_NS = 20_000_000
 CHUNK = 4096
@@ -196,7 +196,7 @@ STEP = 1e-4  # of a finite difference, rad, rad/s or m/s²
 
 @dataclass(frozen=True)
 class LinearizationPoint:
-    """Where the rows are linearised: φ₀ (p,) and θ₀ (r,)."""
+    """Point at which the rows are linearized: φ₀ (p,) and θ₀ (r,)."""
 
     phi: FloatArray
     theta: FloatArray
@@ -205,16 +205,16 @@ class LinearizationPoint:
 def error_columns(
     parameters: ParameterSet,
     errors: SensorErrors,
-    pilot: LinearizationPoint,
+    linearization: LinearizationPoint,
     readings: SensorSamples,
 ) -> FloatArray:
-    """Return C = ∂(y - K φ)/∂θ (N, n, r) at the pilot."""
-    theta = pilot.theta
+    """Return C = ∂(y - K φ)/∂θ (N, n, r) at the linearization point."""
+    theta = linearization.theta
     model = parameters.model
 
     def residual(at: FloatArray) -> FloatArray:
         rows = equation_of_motion(parameters, at_base(errors.corrected(readings, at), model))
-        difference: FloatArray = rows.y - rows.K @ pilot.phi
+        difference: FloatArray = rows.y - rows.K @ linearization.phi
         return difference
 
     C = np.zeros((len(readings), model.dof, len(errors)))
@@ -222,9 +222,9 @@ def error_columns(
     for kind, place in errors.places.items():
         if kind in ("imu_mounting", "imu_bias", "encoder_offset"):
             for column in range(place.start, place.stop):
-                moved = theta.copy()
-                moved[column] += STEP
-                C[:, :, column] = (residual(moved) - here) / STEP
+                shifted = theta.copy()
+                shifted[column] += STEP
+                C[:, :, column] = (residual(shifted) - here) / STEP
         elif kind == "torque_gain":
             rows = 6 * model.floating + np.flatnonzero(errors.driven)
             gain = errors.of_kind(kind, theta)[:, 0]
@@ -242,7 +242,7 @@ def _fill_plates(
     readings: SensorSamples,
     theta: FloatArray,
 ) -> None:
-    """Write the columns of the wrench sensors' errors: y is linear in the wrenches."""
+    """Fill the columns of the wrench sensors' errors; y is linear in the wrenches."""
     frames = errors.wrench_frames
     if not any(kind.startswith("plate") for kind in errors.kinds) or not frames:
         return
@@ -253,10 +253,10 @@ def _fill_plates(
     gain = 1 + errors.of_kind("plate_gain", theta)
     unmoved = (readings.wrenches - errors.of_kind("plate_offset", theta)) / gain
     lever = errors.of_kind("plate_pose", theta)
-    # How the corrected wrench answers to each component of the uncorrected one.
-    answer = np.tile(np.eye(6), (len(frames), 1, 1))
-    answer[:, :3, 3:] = np.cross(lever[:, None], np.eye(3)).swapaxes(1, 2)
-    felt_raw = np.einsum("tnfi,fij->tnfj", felt, answer)
+    # Derivative of the corrected wrench by each component of the uncorrected one.
+    correction = np.tile(np.eye(6), (len(frames), 1, 1))
+    correction[:, :3, 3:] = np.cross(lever[:, None], np.eye(3)).swapaxes(1, 2)
+    felt_raw = np.einsum("tnfi,fij->tnfj", felt, correction)
     changes = {
         "plate_offset": -felt_raw / gain,
         "plate_gain": -felt_raw * (unmoved / gain)[:, None],
@@ -272,20 +272,20 @@ def _fill_plates(
 
 
 def calibrating_rows(
-    parameters: ParameterSet, errors: SensorErrors, pilot: LinearizationPoint
+    parameters: ParameterSet, errors: SensorErrors, linearization: LinearizationPoint
 ) -> RowBuilder:
-    """Return what builds the rows of a robot's parameters and its sensors' errors."""
+    """Return a builder of rows in the robot's parameters and its sensors' errors."""
 
     def build(readings: SensorSamples) -> Iterator[SampledRows]:
         for start in range(0, len(readings), CHUNK):
             part = readings[start : start + CHUNK]
-            samples = at_base(errors.corrected(part, pilot.theta), parameters.model)
+            samples = at_base(errors.corrected(part, linearization.theta), parameters.model)
             rows = equation_of_motion(parameters, samples)
-            C = _interpolated_columns(parameters, errors, pilot, part)
+            C = _interpolated_columns(parameters, errors, linearization, part)
             yield valid_rows(
                 part.stamp,
-                Rows(np.concatenate([rows.K, -C], axis=2), rows.y - C @ pilot.theta),
-                sticking_left_out(parameters, samples.velocity),
+                Rows(np.concatenate([rows.K, -C], axis=2), rows.y - C @ linearization.theta),
+                valid_coordinates(parameters, samples.velocity),
             )
 
     return build
@@ -294,7 +294,7 @@ def calibrating_rows(
 def _interpolated_columns(
     parameters: ParameterSet,
     errors: SensorErrors,
-    pilot: LinearizationPoint,
+    linearization: LinearizationPoint,
     readings: SensorSamples,
 ) -> FloatArray:
     starts = np.flatnonzero(
@@ -302,9 +302,9 @@ def _interpolated_columns(
             readings.stamp // COLUMN_PERIOD_NS, prepend=readings.stamp[0] // COLUMN_PERIOD_NS - 1
         )
     )
-    # Single readings would bring noise into the columns, where it looks like information.
+    # Noise of single samples in the columns would count as information.
     means = readings.averaged(starts)
-    at_means = error_columns(parameters, errors, pilot, means)
+    at_means = error_columns(parameters, errors, linearization, means)
     if len(means) == 1:
         return np.broadcast_to(at_means, (len(readings), *at_means.shape[1:]))
     place = np.interp(readings.stamp, means.stamp, np.arange(len(means)))

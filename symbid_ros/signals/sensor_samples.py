@@ -1,4 +1,4 @@
-"""What the sensors of one stretch say once smoothed, with the derivatives that are needed."""
+"""Smoothed sensor channels of a segment and their derivatives."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -17,20 +17,20 @@ from symbid_ros.signals.segments import Segment
 
 @dataclass(frozen=True)
 class SensorSamples:
-    """N instants of smoothed sensor channels, each in its sensor's own frame.
+    """N samples of smoothed sensor channels, each in its sensor's own frame.
 
     Attributes
     ----------
     stamp : (N,) int64
         Nanoseconds.
     position, velocity, acceleration, effort : (N, J) float64
-        Of the joints, in the model's order.
+        Joint channels in the model's order.
     imus : tuple of BaseMotion
         Angular velocity, angular acceleration and specific force of each IMU.
     wrenches : (N, F, 6) float64
         Moment and force of each sensor.
     imu_frames, wrench_frames : tuple of str
-        Where the sensors are.
+        Frames of the sensors.
     """
 
     stamp: IntArray
@@ -47,7 +47,7 @@ class SensorSamples:
         return len(self.stamp)
 
     def __getitem__(self, index: slice | IntArray) -> "SensorSamples":
-        """Return the readings of some of the instants."""
+        """Return the samples at some indices."""
         return replace(
             self,
             stamp=self.stamp[index],
@@ -63,7 +63,7 @@ class SensorSamples:
         )
 
     def averaged(self, starts: IntArray) -> "SensorSamples":
-        """Return the means of the stretches that begin at ``starts``."""
+        """Return the means over consecutive groups that begin at the indices ``starts``."""
         counts = np.diff(starts, append=len(self))
 
         def mean(values: FloatArray) -> FloatArray:
@@ -88,12 +88,12 @@ class SensorSamples:
 
 
 def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) -> SensorSamples:
-    """Return a stretch's readings, less ``edge`` of them at its ends, which feel the edge."""
+    """Return a segment's samples without ``edge`` of them at each end, for the filter to settle."""
     rate = segment.rate
     if edge is None:
         edge = smoothing.settling(rate)
     if len(segment) <= 2 * edge:
-        return _no_readings(segment)
+        return _empty_samples(segment)
     position, velocity, acceleration = smoothing.motion(segment.position, rate, 2)
     imus = []
     for index in range(len(segment.imu_frames)):
@@ -114,32 +114,32 @@ def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) ->
     return readings[edge : len(readings) - edge]
 
 
-def _no_readings(segment: Segment) -> SensorSamples:
-    """Return what is left of a stretch that is all edge, which filters may refuse."""
-    nothing = segment.cut(0, 0)
+def _empty_samples(segment: Segment) -> SensorSamples:
+    """Return zero samples, for a segment that is too short for the filter."""
+    empty = segment.cut(0, 0)
     imu = BaseMotion(*(np.zeros((0, 3)) for _ in fields(BaseMotion)))
     return SensorSamples(
-        stamp=nothing.stamp,
-        position=nothing.position,
-        velocity=nothing.position,
-        acceleration=nothing.position,
-        effort=nothing.effort,
+        stamp=empty.stamp,
+        position=empty.position,
+        velocity=empty.position,
+        acceleration=empty.position,
+        effort=empty.effort,
         imus=(imu,) * len(segment.imu_frames),
-        wrenches=nothing.wrenches,
+        wrenches=empty.wrenches,
         imu_frames=segment.imu_frames,
         wrench_frames=segment.wrench_frames,
     )
 
 
 def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
-    """Return the samples of the equation of motion that the readings make.
+    """Return the samples of the equation of motion from sensor samples.
 
     Raises
     ------
     ModelError
         When a sensor's frame is not in the model.
     """
-    base = _base(readings, model)
+    base = _mean_base_motion(readings, model)
     return Samples(
         stamp=readings.stamp,
         position=model.apply_mimics(readings.position),
@@ -154,10 +154,10 @@ def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
     )
 
 
-def _base(readings: SensorSamples, model: RobotModel) -> BaseMotion:
+def _mean_base_motion(readings: SensorSamples, model: RobotModel) -> BaseMotion:
     if not model.floating:
-        nothing = np.zeros((len(readings), 3))
-        return BaseMotion(nothing, nothing, np.broadcast_to(-model.gravity, nothing.shape))
+        empty = np.zeros((len(readings), 3))
+        return BaseMotion(empty, empty, np.broadcast_to(-model.gravity, empty.shape))
     joints = (
         model.apply_mimics(readings.position),
         model.apply_mimics(readings.velocity, rates=True),
@@ -167,7 +167,7 @@ def _base(readings: SensorSamples, model: RobotModel) -> BaseMotion:
         base_motion(model, frame, joints, imu)
         for frame, imu in zip(readings.imu_frames, readings.imus, strict=True)
     ]
-    # Several IMUs see the same base; their mean is the least noisy of equals.
+    # The mean of several IMUs on the same base has the least noise.
     return BaseMotion(
         *(
             np.mean([getattr(motion, field.name) for motion in motions], axis=0)
@@ -179,23 +179,23 @@ def _base(readings: SensorSamples, model: RobotModel) -> BaseMotion:
 def build_samples(
     segments: Sequence[Segment], model: RobotModel, smoothing: Smoothing, source: str
 ) -> Samples:
-    """Return the samples that the equation of motion is written for.
+    """Return the samples of the equation of motion of a log.
 
     Parameters
     ----------
     segments : sequence of Segment
-        Aligned stretches of one recording.
+        Aligned segments of one recording.
     model : RobotModel
-        Kinematics and frames; its inertias are not looked at.
+        Kinematics and frames; its inertias are not used.
     smoothing : Smoothing
         Filter and differentiator of the measured channels.
     source : str
-        The recording's name, for messages.
+        Name of the recording for messages.
 
     Raises
     ------
     DataError
-        When the record is too short.
+        When the log is too short.
     ModelError
         When a sensor's frame is not in the model.
     """
@@ -207,15 +207,15 @@ def build_samples(
     samples = joined(parts)
     if len(samples) == 0:
         raise DataError(
-            f"{source}: the log is too short for this filter ({smoothing}), nothing is "
-            "left once it has settled; raise its cutoff, shorten it or record longer",
+            f"{source}: the log is too short for this filter ({smoothing}) to settle; "
+            "raise its cutoff, shorten its window or record longer",
             "E318",
         )
     return samples
 
 
 def _by_measured_efforts(segment: Segment, shortest: int) -> Iterator[Segment]:
-    """Cut a stretch where the joints change whose effort was measured: no filter passes NaN."""
+    """Cut a segment where efforts become NaN or finite, because filters do not accept NaN."""
     lost = np.isnan(segment.effort)
     changes = np.flatnonzero(np.any(lost[1:] != lost[:-1], axis=1)) + 1
     if not len(changes):
@@ -227,7 +227,7 @@ def _by_measured_efforts(segment: Segment, shortest: int) -> Iterator[Segment]:
 
 
 def joined(parts: Sequence[Samples]) -> Samples:
-    """Return the samples of several stretches one after the other."""
+    """Concatenate the samples of several segments."""
     arrays = {
         field.name: np.concatenate([getattr(part, field.name) for part in parts])
         for field in fields(Samples)

@@ -1,13 +1,13 @@
-"""Rows of the equation of motion averaged over smooth windows, and how noisy they are.
+"""Rows of the equation of motion averaged over smooth windows, and their noise.
 
-The equation of motion holds at every instant, so it holds for any average of instants, and
-one smooth window takes the noise out of both of its sides alike. By summation by parts the
-average needs no acceleration: Σ w A q̈ = -Σ Δ(w A)/Δt q̇, exactly, where the differences are
-central ones and the window ends at zero (``docs/theory.md``).
+The equation of motion holds at every instant, so it holds for any weighted average. A smooth
+window reduces the noise of both sides equally. With summation by parts the average needs no
+acceleration: Σ w A q̈ = -Σ Δ(w A)/Δt q̇ exactly, for central differences and a window that ends at
+zero (``docs/theory.md``).
 
-What noise does to the regressor is seen by adding as much again: the level of every
-differentiated channel's noise shows in the quietest part of its spectrum. The difference that
-it makes is averaged over the same windows.
+The effect of noise on the regressor is measured by adding as much noise again. The noise level of
+each differentiated channel is that of the quietest band of its spectrum. The resulting change of
+the rows is averaged over the same windows.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -26,40 +26,40 @@ from symbid_ros.signals.noise_floor import MOTION, Channel, with_more_noise
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base, smoothed
 
-# Seconds. Short windows follow brisk motion, long ones leave less noise in the regressor of calm
-# motion; which of them serves a log best is decided by the data.
+# Seconds. Short windows resolve fast motion, long ones leave less noise in the regressor of slow
+# motion. The best one for a log is selected from the data.
 WINDOWS = (0.081, 0.161, 0.321)
-# Slowly sampled logs use longer ones: the first three lengths that hold enough samples.
+# Logs with low sampling rates use the three shortest lengths that hold enough samples.
 ALL_WINDOWS = (*WINDOWS, 0.641, 1.281, 2.561)
 MOST_WINDOWS = len(WINDOWS)
-# Fewer samples describe neither a Hann window nor the noise that it leaves (docs/theory.md).
+# Fewer samples do not represent a Hann window and its residual noise (docs/theory.md).
 SAMPLES_PER_WINDOW = 6
 
 # Windows and filters never cross a multiple of the block's length, in ns of header.stamp: a log
 # can be cut there and processed piece by piece without changing the result.
 BLOCK = 4_000_000_000
-# Slowly sampled logs have longer blocks, so that the edges of the filter stay a small part of
-# them: the shortest of these with enough samples. All divide a minute, the length of a slice.
+# The shortest of these blocks with enough samples is used, so that the edges of the filter are a
+# small part of it. All lengths divide a minute, the length of a slice.
 BLOCKS = (BLOCK, 12_000_000_000, 20_000_000_000)
 SAMPLES_PER_BLOCK = 280
 
-# Neighbouring Hann windows, half overlapped, share a sixth of white noise's variance; information
-# counted as if they shared none is too much by 1 + 2/6.
+# Averages of white noise over half-overlapping Hann windows have a correlation of 1/6. Counting
+# neighbours as independent overestimates the information by 1 + 2/6.
 INFLATION = 4 / 3
 
-# A low-pass before differentiation, in Hz: far above what the windows let through, low enough that
-# the squares of noisy rates add nothing. It is a share of the rate, within these limits.
+# Cutoff of the low-pass before differentiation, Hz: far above the passband of the windows, and low
+# enough that squares of noisy rates are negligible. It is a share of the rate within these limits.
 PREFILTER = 100.0
 SLOWEST_PREFILTER = 20.0
 PREFILTER_SHARE = 0.1
-# Below 80 Hz differences of samples amplify noise so little that a larger share may pass.
+# Below 80 Hz, differentiation amplifies noise little, which allows a larger share.
 LARGEST_SHARE = 0.25
 
-# Periods of the low-pass's cutoff that are left out at the ends of a block. What a filter does
-# at an edge dies out by a factor of 80 in one period, and acceleration shows it most.
+# Periods of the low-pass's cutoff that are discarded at the ends of a block. The filter's transient
+# decays by a factor of 80 per period and affects acceleration most.
 SETTLING = 4
 
-# A joint row counts where the joint slipped for this share of the window.
+# A joint's row is used if the joint slipped for this share of the window.
 SLIPPING = 0.95
 
 CHUNK = 512
@@ -67,16 +67,16 @@ CHUNK = 512
 
 @dataclass(frozen=True)
 class SampledRows:
-    """Rows at single instants.
+    """Rows at single samples.
 
     Attributes
     ----------
     stamp : (N,) int64
         Nanoseconds.
     rows : Rows
-        N of them.
+        N rows of n coordinates.
     valid : (N, n) bool
-        Coordinates at which the equation holds; not where a joint may stick.
+        Coordinates at which the equation holds; false where a joint may stick.
     """
 
     stamp: IntArray
@@ -89,18 +89,18 @@ RowBuilder = Callable[[SensorSamples], Iterator[SampledRows]]
 
 @dataclass(frozen=True)
 class WindowedRows:
-    """Averages over windows.
+    """Rows averaged over windows.
 
     Attributes
     ----------
     mean : Rows
-        The equation of motion, averaged. Coordinates that must not be used are zero.
+        Averaged equation of motion; zero for invalid coordinates.
     noise : Rows
-        By how much they differ when the channels whose noise enters the regressor have it twice.
+        Change of the rows when the noise that enters the regressor is added once more.
     valid : (N, n) bool
-        Which coordinates are used.
+        Coordinates that are used.
     stamp : (N,) int64
-        Middles of the windows, ns.
+        Centres of the windows, ns.
     """
 
     mean: Rows
@@ -110,7 +110,7 @@ class WindowedRows:
 
 
 def equation_rows(parameters: ParameterSet) -> RowBuilder:
-    """Return what builds the rows of a robot's parameters from readings."""
+    """Return a builder of rows in the robot's parameters from sensor samples."""
 
     def build(readings: SensorSamples) -> Iterator[SampledRows]:
         model = parameters.model
@@ -121,26 +121,26 @@ def equation_rows(parameters: ParameterSet) -> RowBuilder:
 
 
 def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
-    """Return the equation of motion at single instants, and where it holds."""
+    """Return the equation of motion at single samples, and where it holds."""
     return valid_rows(
         samples.stamp,
         equation_of_motion(parameters, samples),
-        sticking_left_out(parameters, samples.velocity),
+        valid_coordinates(parameters, samples.velocity),
     )
 
 
 def valid_rows(stamp: IntArray, rows: Rows, valid: BoolArray) -> SampledRows:
-    """Return rows that hold at some coordinates (N, n), less those whose force nobody measured."""
+    """Return rows valid at some coordinates (N, n), except where the force was not measured."""
     measured = np.isfinite(rows.y)
     if measured.all():
         return SampledRows(stamp, rows, valid)
     return SampledRows(stamp, Rows(rows.K, np.where(measured, rows.y, 0.0)), valid & measured)
 
 
-def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
+def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
     """Return which coordinates (N, n) obey Coulomb's law at joint rates (N, J).
 
-    All joints do whose Coulomb friction is neither identified nor known. A joint that follows
+    Joints without identified or known Coulomb friction are always valid. A joint that mimics
     another has no row of its own.
     """
     model = parameters.model
@@ -155,24 +155,24 @@ def sticking_left_out(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
 
 
 def suited_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:
-    """Return the shortest of some lengths, s, that hold enough samples at a rate, Hz."""
+    """Return the shortest windows, s, that hold enough samples at a rate, Hz."""
     return tuple(one for one in windows if one * rate >= SAMPLES_PER_WINDOW)[:MOST_WINDOWS]
 
 
 def check_windows(windows: Sequence[float], rate: float, source: str) -> None:
-    """Refuse a rate, Hz, at which no window holds enough samples; ``source`` is for the message.
+    """Raise an error if no window holds enough samples at a rate, Hz.
 
     Raises
     ------
     DataError
-        When there is none.
+        When no window is long enough; the message starts with ``source``.
     """
     if suited_windows(windows, rate):
         return
     lengths = ", ".join(f"{1e3 * window:g}" for window in windows)
     raise DataError(
         f"{source}: windows of {lengths} ms hold fewer than {SAMPLES_PER_WINDOW} samples at "
-        f"{rate:.4g} Hz; give a window of at least {SAMPLES_PER_WINDOW / rate:.3g} s, or record "
+        f"{rate:.4g} Hz; use a window of at least {SAMPLES_PER_WINDOW / rate:.3g} s, or record "
         "at a higher rate",
         "E319",
     )
@@ -187,7 +187,7 @@ def block_length(rate: float) -> int:
 
 
 def prefilter(rate: float) -> tuple[LowPass, int]:
-    """Return the low-pass for a rate, Hz, and the readings at either end that feel the edge."""
+    """Return the low-pass for a rate, Hz, and the number of samples at each end to discard."""
     least = min(SLOWEST_PREFILTER, LARGEST_SHARE * rate)
     low_pass = LowPass(min(PREFILTER, max(PREFILTER_SHARE * rate, least)), passes=1)
     return low_pass, int(np.ceil(SETTLING * rate / low_pass.cutoff))
@@ -199,18 +199,18 @@ def windowed_rows(
     windows: Sequence[float],
     noisy_channels: Sequence[Channel] = MOTION,
 ) -> Iterator[tuple[WindowedRows, ...]]:
-    """Yield a stretch's rows block by block, for each length of window.
+    """Yield a segment's rows block by block, for each window length.
 
     Parameters
     ----------
     segment : Segment
         Uniformly sampled sensor channels.
     build : callable
-        Makes rows of readings, such as :func:`equation_rows`.
+        Builds rows from sensor samples, such as :func:`equation_rows`.
     windows : sequence of float
-        Lengths in s.
+        Window lengths, s.
     noisy_channels : sequence of str
-        Whose noise enters the regressor; none for half the time and its bias.
+        Channels whose noise enters the regressor. Empty halves the run time and leaves the bias.
     """
     low_pass, edge = prefilter(segment.rate)
     blocks = segment.stamp // block_length(segment.rate)
@@ -227,17 +227,17 @@ def windowed_rows(
             more = smoothed(with_more_noise(block, noisy_channels), low_pass, edge)
             noisy = _averages(build(more), weights)
         stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
-        yield tuple(_combined(*parts) for parts in zip(mean, noisy, stamps, strict=True))
+        yield tuple(_windowed_rows_of(*parts) for parts in zip(mean, noisy, stamps, strict=True))
 
 
 def _centres(readings: SensorSamples, windows: Sequence[float]) -> list[FloatArray]:
-    """Return the middles of half overlapping windows, s after the first reading."""
+    """Return the centres of half-overlapping windows, s after the first sample."""
     last = (readings.stamp[-1] - readings.stamp[0]) * 1e-9
     return [np.arange(length / 2, last - length / 2 + 1e-9, length / 2) for length in windows]
 
 
 def _hann(readings: SensorSamples, centres: FloatArray, length: float) -> csr_array:
-    """Return the weights (W, N) of readings in Hann windows about the centres (W,), s."""
+    """Return the weights (W, N) of samples in Hann windows around the centres (W,), s."""
     time = (readings.stamp - readings.stamp[0]) * 1e-9
     first = np.searchsorted(time, centres - length / 2, side="right")
     last = np.searchsorted(time, centres + length / 2, side="left")
@@ -271,16 +271,16 @@ def _averages(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> lis
             _Average(weight[:, columns] @ flat, weight[:, columns] @ part.valid, (n, p))
             for weight in weights
         ]
-        sums = terms if not sums else [_added(a, b) for a, b in zip(sums, terms, strict=True)]
+        sums = terms if not sums else [_add(a, b) for a, b in zip(sums, terms, strict=True)]
         start += count
     return sums
 
 
-def _added(a: _Average, b: _Average) -> _Average:
+def _add(a: _Average, b: _Average) -> _Average:
     return _Average(a.flat + b.flat, a.valid + b.valid, a.shape)
 
 
-def _combined(mean: _Average, noisy: _Average, stamp: IntArray) -> WindowedRows:
+def _windowed_rows_of(mean: _Average, noisy: _Average, stamp: IntArray) -> WindowedRows:
     n, p = mean.shape
     valid = mean.valid > SLIPPING
 

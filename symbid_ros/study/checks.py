@@ -22,7 +22,7 @@ from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
 from symbid_ros.report.content import TRUTH
 from symbid_ros.signals.alignment import align, joint_columns
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.weak_form import sticking_left_out
+from symbid_ros.signals.weak_form import valid_coordinates
 from symbid_ros.simulation.balance import BalanceResult, balance
 from symbid_ros.study.draws import load_draw
 from symbid_ros.study.logs import nominal_parameters, true_parameters
@@ -84,7 +84,7 @@ def _equation_residuals(parameters: ParameterSet, motion: TrueMotion) -> dict[st
     squares, count = np.zeros(2), 0
     for block in motion.blocks():
         samples = block.samples
-        valid = sticking_left_out(parameters, samples.velocity)
+        valid = valid_coordinates(parameters, samples.velocity)
         # Predicted contact forces depend on all coordinates, so all of them must be valid.
         complete = valid.all(axis=1)
         rows = equation_of_motion(parameters, samples)

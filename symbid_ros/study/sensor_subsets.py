@@ -24,7 +24,7 @@ from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Dataset, observe
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import CHUNK, SampledRows, sticking_left_out
+from symbid_ros.signals.weak_form import CHUNK, SampledRows, valid_coordinates
 
 SensorSubset = Literal["all", "base_rows", "joint_rows", "no_plates"]
 
@@ -175,7 +175,7 @@ class SubsetRows:
 
     def at(self, samples: Samples) -> SampledRows:
         """Return the rows at single instants; rows of joints that may stick are invalid."""
-        valid = sticking_left_out(self.parameters, samples.velocity)
+        valid = valid_coordinates(self.parameters, samples.velocity)
         if isinstance(self.selection, slice):
             rows, kept = equation_of_motion(self.parameters, samples), self.selection
             chosen = Rows(rows.K[:, kept], rows.y[:, kept])

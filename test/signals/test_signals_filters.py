@@ -47,7 +47,7 @@ def test_what_is_no_window_or_degree_is_refused(window, degree):
 
 
 def test_a_window_longer_than_the_record_is_refused():
-    with pytest.raises(DataError, match=r"longer than a stretch of 0\.05 s; shorten it"):
+    with pytest.raises(DataError, match=r"longer than a segment of 0\.05 s; shorten"):
         SavitzkyGolay(0.081).force(np.zeros((50, 2)), 1000.0)
 
 
