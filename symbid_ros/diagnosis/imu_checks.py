@@ -82,7 +82,7 @@ class RateComparison:
     """Moments of the angular rates from orientation and from the gyroscope."""
 
     cross: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
-    told: float = 0.0
+    orientation_square: float = 0.0
 
     def add(
         self, before: FloatArray, after: FloatArray, seconds: FloatArray, gyro: FloatArray
@@ -92,7 +92,7 @@ class RateComparison:
         rate = turn.as_rotvec() / seconds[:, None]
         rate -= rate.mean(axis=0)
         self.cross += rate.T @ gyro
-        self.told += float(np.sum(rate**2))
+        self.orientation_square += float(np.sum(rate**2))
 
     @property
     def angle(self) -> float:
@@ -109,7 +109,7 @@ class RateComparison:
             followed = float(singular[0] + singular[1] + proper * singular[2])
         else:
             followed = float(np.trace(self.cross))
-        share = max(followed, 0.0) ** 2 / max(gyro * self.told, 1e-30)
+        share = max(followed, 0.0) ** 2 / max(gyro * self.orientation_square, 1e-30)
         return float(np.sqrt(max(1 - share, 0.0)))
 
 
@@ -201,20 +201,20 @@ class ImuCheck:
         ]
 
     def _gyro_findings(self) -> list[Finding]:
-        told = np.sqrt(self._rates.told / max(self._count, 1))
+        orientation_rate = np.sqrt(self._rates.orientation_square / max(self._count, 1))
         gyro = np.sqrt(self._gyro_square / max(self._count, 1))
-        if min(told, gyro) < SLOWEST:
+        if min(orientation_rate, gyro) < SLOWEST:
             return []
         plain = self._rates.unexplained(self._gyro_square, turned=False)
-        figures = {"left": plain, "rate_ratio": float(gyro / told)}
+        figures = {"left": plain, "rate_ratio": float(gyro / orientation_rate)}
         if plain < MAX_UNEXPLAINED:
-            if 1 / ALIKE < gyro / told / DEGREES < ALIKE:
+            if 1 / ALIKE < gyro / orientation_rate / DEGREES < ALIKE:
                 return [
                     Finding.of(
                         self.topic,
                         Kind.UNIT,
-                        f"angular_velocity is {gyro / told:.3g} times the rate at which the "
-                        "orientation changes, as if in degrees; use rad/s",
+                        f"angular_velocity is {gyro / orientation_rate:.3g} times the rate at "
+                        "which the orientation changes, as if in degrees; use rad/s",
                         figures,
                     )
                 ]

@@ -240,8 +240,8 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
     columns = joint_columns(joints.names, model, topic)
     stamp, position = joints.stamp, model.apply_mimics(joints.position[:, columns])
     is_finite = np.isfinite(position)
-    whole = np.logical_and.reduce(is_finite, axis=1)
-    if 0 < 2 * np.count_nonzero(~whole) >= len(whole):
+    is_complete = np.logical_and.reduce(is_finite, axis=1)
+    if 0 < 2 * np.count_nonzero(~is_complete) >= len(is_complete):
         row, column = np.argwhere(~is_finite)[0]
         action = "let its driver publish it"
         if not streams.is_live:
@@ -252,14 +252,14 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
             "model in which that joint is fixed",
             "E304",
         )
-    if not whole.all():
+    if not is_complete.all():
         names = [model.joint_names[i] for i in np.flatnonzero(~is_finite.all(axis=0))]
         logger.warning(
             "%s: messages without a finite position of %s are dropped", topic, ", ".join(names)
         )
-        stamp, position = stamp[whole], position[whole]
+        stamp, position = stamp[is_complete], position[is_complete]
     longest = LONGEST_GAP * float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
-    effort = joints.effort[whole][:, columns]
+    effort = joints.effort[is_complete][:, columns]
     effort[:, list(model.followers)] = 0.0
     efforts = measured_efforts(stamp, effort, model, longest, topic)
     if not model.floating and not efforts.any_row:

@@ -12,7 +12,7 @@ from symbid_ros.signals.streams import JointStream
 # A publisher may miss this many of its periods in a row before the merged stream has a gap.
 LONGEST_GAP = 5.5
 # Publishers count as equally fast up to this ratio of their periods; the first one then gives the
-# clock, so that jitter does not change it from one stretch of a log to the next.
+# clock, so that jitter does not change it from one slice of a log to the next.
 SIMILAR_PERIOD = 1.5
 
 
@@ -36,7 +36,7 @@ def merged_joints(
     Raises
     ------
     DataError
-        When parts share no time, or one has fewer than two messages.
+        When parts do not overlap in time, or one has fewer than two messages.
     """
     chosen = _contributing(parts, needed)
     if len(chosen) == 1:
@@ -54,8 +54,8 @@ def merged_joints(
     if not len(stamp):
         described = " and ".join(f"{part.topic} ({', '.join(part.names)})" for part, _ in chosen)
         raise DataError(
-            f"{source}: joint states of {described} share no time; synchronise the clocks of their "
-            "publishers",
+            f"{source}: joint states of {described} do not overlap in time; synchronise "
+            "the clocks of their publishers",
             "E302",
         )
     columns = [[part.names.index(name) for name in names] for part, names in chosen]
@@ -93,7 +93,7 @@ def _contributing(
 
 
 def _common_stamps(parts: Sequence[JointStream], clock: int, periods: Sequence[float]) -> IntArray:
-    """Return the stamps of the clock's part at which no part is silent, ns."""
+    """Return the stamps of the clock's part at which every part has data, ns."""
     start = max(int(part.stamp[0]) for part in parts)
     stop = min(int(part.stamp[-1]) for part in parts)
     stamp = parts[clock].stamp
@@ -115,11 +115,11 @@ def _at(known: IntArray, values: FloatArray, wanted: IntArray) -> FloatArray:
     seconds = (known - known[0]) * 1e-9
     at = (wanted[between] - known[0]) * 1e-9
     finite = np.isfinite(values)
-    whole = finite.all(axis=0)
-    if whole.any():
-        spline = make_interp_spline(seconds, values[:, whole], k=min(3, len(known) - 1))
-        found[np.ix_(between, np.flatnonzero(whole))] = spline(at)
-    for column in np.flatnonzero(~whole):
+    is_complete = finite.all(axis=0)
+    if is_complete.any():
+        spline = make_interp_spline(seconds, values[:, is_complete], k=min(3, len(known) - 1))
+        found[np.ix_(between, np.flatnonzero(is_complete))] = spline(at)
+    for column in np.flatnonzero(~is_complete):
         here = finite[:, column]
         found[between, column] = np.nan
         if np.count_nonzero(here) < 2:

@@ -93,10 +93,10 @@ class Log:
         BagError, DataError
             When a bag or its content is invalid, or a topic has no message.
         """
-        (whole,) = self.slices()
-        if whole.streams is None:
-            raise DataError(whole.fault, "E520")
-        return whole.streams
+        (complete,) = self.slices()
+        if complete.streams is None:
+            raise DataError(complete.fault, "E520")
+        return complete.streams
 
     @classmethod
     def from_arrays(

@@ -92,7 +92,7 @@ def test_parts_that_cannot_be_merged_are_named() -> None:
     arms = part(every(MS), "arm", topic="/arm")
     late = part(every(MS, 5_000 * MS, 6_000 * MS), "hip", topic="/leg")
     with pytest.raises(
-        DataError, match=r"log: joint states of /arm \(arm\) and /leg \(hip\) share"
+        DataError, match=r"log: joint states of /arm \(arm\) and /leg \(hip\) do not overlap"
     ):
         merged_joints([arms, late], "log")
     with pytest.raises(DataError, match="log: /leg: fewer than two messages name hip"):
