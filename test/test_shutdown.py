@@ -3,13 +3,14 @@
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from threading import Event
 
 import pytest
 
-from symbid_ros.shutdown import interruptible
+from symbid_ros.shutdown import SIGNALS, interruptible
 
-# Nearly all the time within the wait, where a handler that set the event itself would hang.
+# Spends nearly all its time in the wait, where a handler that sets the event would deadlock.
 WORK = """
 from symbid_ros.shutdown import stop_on_signals
 stop = stop_on_signals()
@@ -19,8 +20,17 @@ while not stop.wait(0):
 """
 
 
+@pytest.fixture(autouse=True)
+def restored_handlers() -> Iterator[None]:
+    """Processes that later tests start would inherit an ignored signal."""
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_work_that_waits_for_the_end_is_ended_by_a_signal(number: signal.Signals) -> None:
+def test_a_signal_ends_work_that_waits_for_the_event(number: signal.Signals) -> None:
     for _ in range(5):
         with subprocess.Popen([sys.executable, "-c", WORK], stdout=subprocess.PIPE) as process:
             assert process.stdout is not None
@@ -33,7 +43,7 @@ def test_work_that_waits_for_the_end_is_ended_by_a_signal(number: signal.Signals
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_leaves_interruptible_work_and_nothing_else(number: signal.Signals) -> None:
+def test_a_signal_ends_interruptible_work_and_restores_handlers(number: signal.Signals) -> None:
     before = signal.getsignal(number)
 
     def work() -> None:
@@ -46,7 +56,7 @@ def test_a_signal_leaves_interruptible_work_and_nothing_else(number: signal.Sign
     assert signal.getsignal(number) is before
 
 
-def test_work_is_not_begun_once_the_end_is_asked_for() -> None:
+def test_interruptible_work_does_not_start_after_shutdown_was_requested() -> None:
     stop, begun = Event(), []
     stop.set()
 
