@@ -6,10 +6,18 @@ from analytic_log import analytic_segment
 from random_robots import random_robot, random_rotation
 from scipy.spatial.transform import Rotation
 
+from symbid_ros.choices import JOINT_TERMS
+from symbid_ros.diagnosis.forces import _reference_gain
 from symbid_ros.diagnosis.gains import loads
-from symbid_ros.diagnosis.model_checks import RESOLUTION, excitation
+from symbid_ros.diagnosis.model_checks import (
+    RESOLUTION,
+    ModelChecks,
+    _attribute_to_joints,
+    delay_finding,
+    excitation,
+)
 from symbid_ros.diagnosis.model_statistics import WINDOWS, ModelStatistics
-from symbid_ros.diagnosis.rotation_fit import fit_rotation
+from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
 
@@ -66,3 +74,47 @@ def test_what_is_determined_has_lost_half_of_its_variance(floating) -> None:
         counts.append(found.determined)
     assert counts == sorted(counts, reverse=True)
     assert len(set(counts)) > 5
+
+
+def fits(*scales: float) -> dict[int, RotationFit]:
+    return {i: RotationFit(1, np.eye(3), 0.0, scale, 0.0, 0.0) for i, scale in enumerate(scales)}
+
+
+def test_the_reference_gain_depends_on_the_ratio_of_wrenches_to_efforts() -> None:
+    efforts = dict.fromkeys("abc", (1.2, 0.01))
+    # Alike: the median of all. In another unit: whichever is closer to the model.
+    assert _reference_gain(fits(1.5, 1.5, 1.5, 1.5), efforts) == 1.5
+    assert _reference_gain(fits(1000.0, 1000.0), efforts) == 1.2
+
+
+@pytest.mark.parametrize(
+    ("late", "blamed"),
+    [
+        ({"/imu": -20.0, "/wrench": -21.0}, {"/joints"}),
+        ({"/joints": 20.0, "/wrench": -21.0}, {"/joints"}),
+        ({"/imu": -20.0, "/wrench": -50.0}, {"/imu", "/wrench"}),
+        ({"/imu": -20.0}, {"/imu"}),
+    ],
+)
+def test_streams_that_are_all_early_alike_mean_late_joint_states(late, blamed) -> None:
+    checks = ModelChecks()
+    for topic, delay in late.items():
+        checks.findings += delay_finding(topic, 1e-3 * delay, 1e-4, "the others")
+    _attribute_to_joints(checks, "/joints", {"/imu", "/wrench"})
+    assert {finding.stream for finding in checks.findings} == blamed
+
+
+def test_drives_have_a_prior_that_is_a_share_of_their_joints_load() -> None:
+    """Whatever the size of a column: a regressor of tiny velocities gives a wide prior."""
+    model = random_robot(4, links=4, wrench_frames=1)
+    segment = analytic_segment(ParameterSet(model), 4.0, 4, rate=100.0)
+    statistics = ModelStatistics(model, segment.wrench_frames, segment.imu_frames)
+    statistics.add(segment)
+    problem, parameters = statistics.problem, statistics.parameters
+    load = loads(problem.rows, problem.expected)[6:]
+    for term, columns in parameters.term_columns.items():
+        for joint, column in enumerate(range(columns.start, columns.stop)):
+            size = np.sqrt(problem.rows.column_squares(6 + joint, column))
+            if size > 0:
+                share = problem.std[column] * size / load[joint]
+                assert share == pytest.approx(JOINT_TERMS[term].load_share, rel=1e-3)

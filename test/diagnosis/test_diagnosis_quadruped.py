@@ -75,8 +75,13 @@ def test_a_gyroscopes_constant_bias_is_no_fault_of_its_mounting(log, model, tmp_
     biased[IMU]["angular_velocity"] += 2 * size * np.array([0.6, -0.8, 0.0])
     streams = read_streams([record_log(biased, model, tmp_path / "bag")])
     standing = StanceGyroMoments(model, 0)
+    twice = StanceGyroMoments(model, 0)
     for segment in align_checked(streams, model):
         standing.add(segment)
+        twice.add(segment)
+        twice.add(segment)
+    assert twice.count == 2 * standing.count
+    assert twice.slope_square == pytest.approx(2 * standing.slope_square, rel=1e-12)
     found = fit_gyro(standing)
     assert found is not None
     assert np.degrees(found.angle) < 1

@@ -91,3 +91,12 @@ def test_a_channel_of_nan_does_not_make_the_others_look_frozen(streams) -> None:
         values[800:1200] = values[800]
     streams.joints.effort[800:1200, 1] = streams.joints.effort[:, 1].max() + 1
     assert mask_faulty_messages(streams)[1] == ()
+
+
+def test_a_sensor_frozen_for_the_shortest_time_up_to_the_end_is_masked(streams) -> None:
+    (imu,) = streams.imus
+    imu.angular_velocity[-101:] = imu.angular_velocity[-101]  # 0.1 s
+    imu.linear_acceleration[-101:] = imu.linear_acceleration[-101]
+    left, (finding,) = mask_faulty_messages(streams)
+    assert finding.figures["frozen_s"] == pytest.approx(0.1)
+    assert len(left.imus[0].stamp) == COUNT - 101

@@ -7,9 +7,11 @@ import pytest
 from random_robots import random_robot
 from scipy.spatial.transform import Rotation
 
+from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Kind, Severity
-from symbid_ros.diagnosis.imu_checks import ImuCheck
+from symbid_ros.diagnosis.imu_checks import ImuCheck, RateComparison
 from symbid_ros.diagnosis.joint_checks import JointCheck
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import ImuStream, JointStream
 
 TIME = np.arange(0, 6, 0.005)
@@ -213,3 +215,32 @@ def test_joints_that_some_messages_leave_out(joints) -> None:
     assert "300 of 1200 messages have no effort of hip" in effort.message
     assert {position.severity, effort.severity} == {Severity.WARNING}
     assert effort.figures["share"] == 0.25
+
+
+def test_figures_do_not_depend_on_the_epoch(joints) -> None:
+    joints.velocity[:] *= 3.0
+    (early,) = of(joints)
+    (late,) = of(replace(joints, stamp=joints.stamp + 1_700_000_000 * 10**9))
+    assert late.figures == early.figures
+
+
+def test_the_unexplained_rate_has_a_closed_form() -> None:
+    rates = RateComparison(cross=np.diag([3.0, 2.0, 1.0]), orientation_square=6.0)
+    assert rates.unexplained(6.0) == 0.0
+    # With an axis reversed, the smallest singular value counts against: 3 + 2 - 1 of 6.
+    assert rates.unexplained(6.0, mirrored=True) == pytest.approx(np.sqrt(1 - (4 / 6) ** 2))
+
+
+def test_severities_are_the_exit_statuses_of_the_doctor() -> None:
+    assert [severity.value for severity in Severity] == [0, 1, 2]
+
+
+def test_the_doctor_reports_findings_and_logs_no_warnings(caplog) -> None:
+    model = random_robot(3, 4, floating=False)
+    time = np.arange(0, 4, 0.01)
+    position = np.sin(np.outer(time, 1 + np.arange(len(model.measured_joint_names))))
+    effort = position.copy()
+    effort[:, 0] = 0.0
+    log = Log.from_arrays(model, time=time, position=position, effort=effort)
+    assert any(one.kind is Kind.MISSING_JOINT for one in diagnose(log, model).findings)
+    assert caplog.messages == []

@@ -51,6 +51,10 @@ def test_a_window_longer_than_the_record_is_refused():
         SavitzkyGolay(0.081).force(np.zeros((50, 2)), 1000.0)
 
 
+def test_savitzky_golay_drops_half_a_window_at_each_end():
+    assert SavitzkyGolay(0.081).settling(1000.0) == 40
+
+
 @pytest.mark.parametrize("rate", RATES)
 def test_a_window_of_fewer_samples_than_its_degree_needs_is_widened(rate):
     smoothing = SavitzkyGolay(1e-4, 4)

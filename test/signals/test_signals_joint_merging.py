@@ -97,3 +97,13 @@ def test_parts_that_cannot_be_merged_are_named() -> None:
         merged_joints([arms, late], "log")
     with pytest.raises(DataError, match="log: /leg: fewer than two messages name hip"):
         merged_joints([arms, part([3 * MS], "hip", topic="/leg")], "log")
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_a_part_of_few_messages_is_interpolated_by_a_polynomial_through_all(count) -> None:
+    stamp = np.arange(count) * 10 * MS
+    legs = part(stamp, "hip")
+    merged = merged_joints([legs, part(every(MS, 0, stamp[-1] + 1), "arm")], "log")
+    expected = np.polyfit(stamp * 1e-9, legs.position[:, 0], count - 1)
+    hip = merged.position[:, merged.names.index("hip")]
+    np.testing.assert_allclose(hip, np.polyval(expected, merged.stamp * 1e-9), atol=1e-9)
