@@ -78,7 +78,10 @@ class Demo:
     def _find_nodes(self) -> set[str]:
         number = self._process.pid
         for child in Path(f"/proc/{number}/task/{number}/children").read_text().split():
-            command = Path(f"/proc/{child}/cmdline").read_bytes().decode()
+            try:
+                command = Path(f"/proc/{child}/cmdline").read_bytes().decode()
+            except (FileNotFoundError, ProcessLookupError):  # it has ended meanwhile
+                continue
             if match := re.search(r"symbid_ros\.ros\.start import (\w+)", command):
                 self.nodes[match[1]] = int(child)
         return set(self.nodes)
@@ -89,7 +92,8 @@ class Demo:
     def ended(self) -> tuple[int, str]:
         """Return exit status and stderr, once it has ended with all of its nodes."""
         _, err = self._process.communicate(timeout=DEADLINE)
-        assert not any(Path(f"/proc/{node}").exists() for node in self.nodes.values())
+        # A node whose parent has gone stays in /proc until init has collected its status.
+        wait_until(lambda: not any(Path(f"/proc/{node}").exists() for node in self.nodes.values()))
         return self._process.returncode, err
 
     def kill(self) -> None:

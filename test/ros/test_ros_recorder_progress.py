@@ -68,5 +68,5 @@ def test_status_holds_the_counts_and_the_fault() -> None:
     assert progress.status(WriterState(0, 1, 0, {}, 0.0), None).message == "waiting for messages"
     assert progress.status(late, None).level == WARN
     assert progress.status(LOSING, None).level == WARN
-    failed = progress.status(LOSING, BagError("the disk is full"))
+    failed = progress.status(LOSING, BagError("the disk is full", "E201"))
     assert (failed.level, failed.message) == (ERROR, "the disk is full")
