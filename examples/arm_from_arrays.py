@@ -45,7 +45,7 @@ def record(robot: sy.RobotModel, parameters: np.ndarray, seed: int) -> sy.Log:
 
 
 def main() -> None:
-    """Identify the arm and print what was found."""
+    """Identify the arm and print the result."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "arm.urdf"
         file.write_text(ARM)

@@ -20,8 +20,9 @@ def test_the_codes_in_use_are_those_that_are_documented() -> None:
         assert entry.fix.endswith(".")
 
 
-def test_an_error_shows_its_code() -> None:
-    assert SymbidError("bag: missing; give another", "E201").code == "E201"
+def test_an_error_is_printed_with_its_code() -> None:
+    error = SymbidError("bag: missing; give another", "E201")
+    assert error.labelled == "bag: missing; give another (SYMBID-E201)"
 
 
 def test_an_error_of_another_process_arrives_with_its_code() -> None:

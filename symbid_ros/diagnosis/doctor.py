@@ -31,7 +31,7 @@ def diagnose(log: Log, model: RobotModel | None = None) -> Diagnosis:
     Raises
     ------
     BagError
-        When there is no bag, or the bag has none of the topics.
+        When no bag is given, or the bag lacks the topics.
     """
     diagnoser = _LogDiagnoser(model)
     try:

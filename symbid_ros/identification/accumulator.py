@@ -27,7 +27,7 @@ class TimeSpan:
         First stamp, and the stamp at which the next span starts, ns.
     segments : tuple of Segment
     fault : str
-        Why there are no segments; empty if there are.
+        The reason for missing segments; empty if there are segments.
     """
 
     start: int

@@ -27,7 +27,7 @@ SOFTWARE = f"symbid_ros {package_version()}"
 
 @dataclass(frozen=True)
 class Identification:
-    """An estimate, and what is needed to predict with it or to continue from it.
+    """An estimate with the data for predictions and for later runs.
 
     Attributes
     ----------

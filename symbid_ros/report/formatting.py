@@ -7,7 +7,7 @@ ABSENT = "—"
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """Format ``value`` with ``digits`` significant digits, or a dash if there is no value.
+    """Format ``value`` with ``digits`` significant digits, or a dash for None, NaN or infinity.
 
     Values from 1e-3 to 1e6 are decimal, others scientific with two digits.
     """
@@ -33,7 +33,7 @@ def shared_decimals(values: Iterable[float], digits: int = 5) -> int:
 
 
 def fixed(value: float | None, decimals: int) -> str:
-    """Format ``value`` with ``decimals`` decimals, or a dash if there is no value."""
+    """Return ``value`` with ``decimals`` decimals, or a dash for None, NaN or infinity."""
     if value is None or not math.isfinite(value):
         return ABSENT
     # A minus sign is as wide as a digit, unlike a hyphen. A rounded zero has no sign.

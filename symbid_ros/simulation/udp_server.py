@@ -202,7 +202,7 @@ class UdpServer:
 
     @property
     def controller(self) -> Address | None:
-        """Host and port of the controller; None if there is none."""
+        """Host and port of the controller, or None while none is connected."""
         return self._validator.controller if self._validator.is_controlled else None
 
     def await_controller(self, stop: Event) -> bool:

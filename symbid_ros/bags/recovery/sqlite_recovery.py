@@ -33,7 +33,7 @@ class RowGap(NamedTuple):
     ----------
     first : int
     stop : int or None
-        Next readable row; None if there is none.
+        The next readable row, or None at the end.
     fault : str
     """
 
