@@ -1,8 +1,8 @@
 """Directives that write tables from the code, so that no page repeats what the code says.
 
 ``{options} identify`` lists the options of a command, ``{parameters} identifier`` the parameters
-of a node, and ``{error-codes}`` the codes of the errors. ``{public-api}`` documents every public
-name of the package. Formulas become MathML, which browsers show without a script from elsewhere.
+of a node. ``{public-api}`` documents every public name of the package. Formulas become MathML,
+which browsers show without a script from elsewhere.
 """
 
 import inspect
@@ -22,7 +22,6 @@ from sphinx.writers.html5 import HTML5Translator
 
 import symbid_ros
 from symbid_ros.cli.app import app as command_line
-from symbid_ros.error_codes import CODES
 from symbid_ros.options import Option, options_of
 from symbid_ros.ros.launch_arguments import node_parameters
 
@@ -80,34 +79,6 @@ class Parameters(SphinxDirective):
                 meaning += " Can be set while the node runs."
             rows.append((f"`{each.name}`", f"`{json.dumps(each.default)}`", meaning))
         return self.parse_text_to_nodes(markdown_table(("parameter", "default", "meaning"), rows))
-
-
-GROUPS = {
-    "E1": "Robot models",
-    "E2": "Bags and messages",
-    "E3": "Measurements",
-    "E4": "Priors and estimates",
-    "E5": "Options",
-    "E6": "Simulation",
-    "E7": "Studies and reports",
-    "E8": "ROS nodes",
-}
-
-
-class ErrorCodes(SphinxDirective):
-    """The codes of the errors, each with cause and fix."""
-
-    def run(self) -> list[nodes.Node]:
-        parts = []
-        for group, title in GROUPS.items():
-            rows = [
-                (f"`SYMBID-{code}`", entry.cause, entry.fix)
-                for code, entry in CODES.items()
-                if code.startswith(group)
-            ]
-            if rows:
-                parts += [f"**{title}**", markdown_table(("code", "cause", "fix"), rows)]
-        return self.parse_text_to_nodes("\n\n".join(parts))
 
 
 def kind_of(value: Any) -> str:
@@ -173,7 +144,6 @@ def setup(app: Sphinx) -> ExtensionMetadata:
     for name, directive in {
         "options": Options,
         "parameters": Parameters,
-        "error-codes": ErrorCodes,
         "public-api": PublicApi,
     }.items():
         app.add_directive(name, directive)

@@ -13,8 +13,8 @@ class SymbidError(Exception):
         One line: what happened, where (file, topic, joint, link) and the option or parameter that
         fixes it.
     code : str
-        Key of :data:`symbid_ros.error_codes.CODES`, such as ``"E104"``; it never changes its
-        meaning.
+        Such as ``"E104"``. ``docs/errors.md`` gives the cause and fix of each code, which never
+        changes its meaning.
     """
 
     def __init__(self, message: str, code: str) -> None:

@@ -47,7 +47,6 @@ BAG_PARTS: dict[str, set[str]] = {
 }
 FREE = {
     "arrays",
-    "error_codes",
     "choices",
     "options",
     "atomic_write",

@@ -29,7 +29,7 @@ class RobotFailureError(SimulationError):
     fix : str
         What the user can do about it.
     code : str
-        Key of :data:`symbid_ros.error_codes.CODES`.
+        As in :class:`symbid_ros.errors.SymbidError`.
     """
 
     def __init__(self, cause: str, time: float, fix: str, code: str) -> None:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from random_robots import CONFIG
 
-from symbid_ros.error_codes import CODES
 from symbid_ros.errors import ModelError, SimulationError
 from symbid_ros.model import xml_file as xml_tree
 from symbid_ros.model.export_mjcf import mjcf_text
@@ -60,7 +59,7 @@ def refusal(path: Path) -> str:
         load_model(path)
     message = str(caught.value)
     assert "\n" not in message
-    assert caught.value.code in CODES
+    assert caught.value.code.startswith("E1")
     return message
 
 
