@@ -1,5 +1,6 @@
 """K φ against MuJoCo's inverse dynamics and Pinocchio's regressor."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -10,6 +11,7 @@ from random_robots import CONFIG, random_robot, random_samples, with_drives
 
 from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import equation_of_motion, is_slipping
+from symbid_ros.dynamics.spatial import CACHE_BLOCK
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model
@@ -97,6 +99,39 @@ def test_drives_obey_mujocos_inverse_dynamics(seed, floating):
     base = 6 * floating
     assert relative_rmse(bare[:, base:], truth[:, base:]) > 0.05
     np.testing.assert_array_equal(K[:, :base, parameters.inertial :], 0)
+
+
+@pytest.mark.parametrize("floating", [True, False])
+def test_known_drives_are_subtracted_from_the_forces(floating):
+    rng = np.random.default_rng(8)
+    model = random_robot(8, links=6, floating=floating, wrench_frames=0)
+    driven = with_drives(model, rng, damping=5.0, armature=1.0, friction_loss=3.0)
+    samples = random_samples(driven, 20, rng, ())
+    rows = equation_of_motion(ParameterSet(driven), samples)
+    friction = np.array([joint.friction_loss for joint in driven.joints])
+    # MuJoCo's inverse dynamics holds damping and armature; the constraint of dry friction is off.
+    drives = mujoco_inverse(driven, samples, rng) - mujoco_inverse(model, samples, rng)
+    drives[:, 6 * floating :] += friction * np.sign(samples.velocity)
+    expected = np.c_[np.zeros((20, 6 * floating)), samples.effort] - drives
+    np.testing.assert_allclose(rows.y, expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("floating", [True, False])
+def test_links_without_parameters_have_no_columns(floating):
+    """Virtual links stand between the joints of a body; a block is longer than the cache."""
+    rng = np.random.default_rng(9)
+    model = random_robot(9, links=7, floating=floating, wrench_frames=1)
+    virtual = (2, 5)
+    links = tuple(replace(link, virtual=i in virtual) for i, link in enumerate(model.links))
+    samples = random_samples(model, CACHE_BLOCK // 7 + 3, rng)
+    full = equation_of_motion(ParameterSet(model), samples)
+    part = equation_of_motion(ParameterSet(replace(model, links=links)), samples)
+    columns = [10 * i + k for i in range(7) if i not in virtual for k in range(10)]
+    np.testing.assert_array_equal(part.K, full.K[:, :, columns])
+    np.testing.assert_array_equal(part.y, full.y)
+    one = equation_of_motion(ParameterSet(model), samples[-1:])
+    np.testing.assert_allclose(full.K[-1:], one.K, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(full.y[-1:], one.y, rtol=1e-12)
 
 
 def test_symbitron_obeys_mujocos_inverse_dynamics():
