@@ -165,7 +165,9 @@ def _identify_offline(
     task = progress.add_task("identification and a report", total=6)
     validation = out / "validation"
     options = IdentifyOptions(prior=out / "prior.json")
-    for_thesis = replace(options, method="wls_rc", filter="butterworth", validate=validation)
+    for_thesis = replace(
+        options, method="wls_rc", filter="butterworth", choose_truncation=validation
+    )
     by_thesis = BagRequest((out / "bag",), model, for_thesis).load()
     progress.advance(task)
     by_windows = BagRequest((out / "bag",), model, options).load()

@@ -124,7 +124,8 @@ def load_problem(
         check_output(parameters, out)
     _check_sizes(options, parameters)
     tare = _open_logs(options.tare, log)
-    (other,) = _open_logs((options.validate,), log) if options.validate else (None,)
+    chosen_on = () if options.choose_truncation is None else (options.choose_truncation,)
+    other = next(iter(_open_logs(chosen_on, log)), None)
     dataset = _read_checked(log, options, parameters, prior)
     validation = None if other is None else _read_checked(other, options, parameters, prior)
     tares = {frame: one for each in tare for frame, one in read_tare(each).items()}
@@ -153,7 +154,7 @@ def load_information(
             "without `sensor_errors` and `tare`",
             "E505",
         )
-    for name in ("tare", "validate", "sensor_std", "sensor_errors"):
+    for name in ("tare", "choose_truncation", "sensor_std", "sensor_errors"):
         if getattr(options, name):
             raise OptionError(f"`{name}` needs a log, not information; leave it out", "E503")
     prior = choose_prior(options, parameters)

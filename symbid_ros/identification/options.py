@@ -1,5 +1,6 @@
 """Options of one identification, the same for the Python API, the command and the node."""
 
+import logging
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     Source = Path | Log
 else:
     Source = Path  # the help of a command does not load NumPy
+
+logger = logging.getLogger(__name__)
 
 KNOWN = "Prior knowledge"
 JOINTS = "Parameters to identify in addition to the links"
@@ -150,11 +153,14 @@ class IdentifyOptions:
         group=TRUNCATED,
         unset="as many as the data determine better than the prior",
     )
-    validate: Source | None = option(
+    choose_truncation: Source | None = option(
         None, "Bag on which to choose the number of singular values.", group=TRUNCATED
     )
+    validate: Source | None = option(
+        None, "Deprecated name of `choose_truncation`.", group=TRUNCATED
+    )
     select_by: Criterion = option(
-        "gen_force", "Prediction error that is minimised on `validate`.", group=TRUNCATED
+        "gen_force", "Prediction error that is minimised on `choose_truncation`.", group=TRUNCATED
     )
     sensor_std: tuple[float, float, float] | None = option(
         None,
@@ -169,6 +175,7 @@ class IdentifyOptions:
     def __post_init__(self) -> None:
         """Check for options that contradict each other or have no effect with this method."""
         check_values(self)
+        self._rename_deprecated()
         self._check_rows()
         self._check_sensor_errors()
         sources = self.prior, self.prior_percent, self.prior_absolute
@@ -180,16 +187,17 @@ class IdentifyOptions:
             raise OptionError(
                 "`total_mass_std` has no effect without `total_mass`; give both", "E503"
             )
-        if self.rank is not None and self.validate is not None:
+        if self.rank is not None and self.choose_truncation is not None:
             raise OptionError(
-                "`rank` and `validate` both choose the singular values; give one", "E502"
+                "`rank` and `choose_truncation` both choose the singular values; give one", "E502"
             )
         if self.method in GAUSSIAN:
-            if not (self.rank is None and self.validate is None and self.sensor_std is None):
+            unused = self.rank, self.choose_truncation, self.sensor_std
+            if any(one is not None for one in unused):
                 raise OptionError(
                     f"{self.method} truncates no singular values and weights rows by their "
-                    "residuals; leave `rank`, `validate` and `sensor_std` out, or use `method` "
-                    "wls_rc",
+                    "residuals; leave `rank`, `choose_truncation` and `sensor_std` out, or use "
+                    "`method` wls_rc",
                     "E503",
                 )
         elif self.sensor_error_kinds or self.total_mass is not None or self.mirror is not None:
@@ -202,6 +210,19 @@ class IdentifyOptions:
             raise OptionError(
                 "sensor errors need rows averaged over windows; leave `filter` out", "E503"
             )
+
+    def _rename_deprecated(self) -> None:
+        """Move the value of `validate` to `choose_truncation`, its new name."""
+        if self.validate is None:
+            return
+        if self.choose_truncation is not None:
+            raise OptionError(
+                "`validate` is the deprecated name of `choose_truncation`; give only the latter",
+                "E502",
+            )
+        logger.warning("`validate` is now called `choose_truncation`; use the new name")
+        object.__setattr__(self, "choose_truncation", self.validate)
+        object.__setattr__(self, "validate", None)
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
@@ -248,7 +269,7 @@ class IdentifyOptions:
     @property
     def files(self) -> tuple[Path, ...]:
         """Input files other than the log and the model."""
-        logs = [self.prior, *self.tare, self.information, self.validate]
+        logs = [self.prior, *self.tare, self.information, self.choose_truncation]
         named = [(one,) if isinstance(one, Path) else one.files for one in logs if one is not None]
         return tuple(path for paths in named for path in paths)
 

@@ -255,6 +255,6 @@ def _with_window(candidates: Sequence[Observations], window: float) -> Observati
             return one
     raise EstimateError(
         f"the validation log is too short for windows of {1e3 * window:g} ms; give a longer one to "
-        "`validate`",
+        "`choose_truncation`",
         "E516",
     )

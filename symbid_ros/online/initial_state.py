@@ -87,8 +87,10 @@ def _check_online(options: IdentifyOptions) -> None:
             "bag and run `symbid identify`",
             "E503",
         )
-    if options.validate is not None or options.sensor_std is not None:
-        raise OptionError("`validate` and `sensor_std` need a complete log; remove them", "E503")
+    if options.choose_truncation is not None or options.sensor_std is not None:
+        raise OptionError(
+            "`choose_truncation` and `sensor_std` need a complete log; remove them", "E503"
+        )
 
 
 def _load_earlier(

@@ -104,7 +104,7 @@ def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
         ({"mirror": 0}, "left/right tying of 0 prior deviations"),
         ({"sensor_errors": "plate_offse"}, "'plate_offse' is not known; give typical"),
         ({"sensor_errors": "typical", "filter": "butterworth"}, "leave --filter out"),
-        ({"rank": 5, "validate": "log"}, "--rank and --validate both choose"),
+        ({"rank": 5, "choose_truncation": "log"}, "--rank and --choose-truncation both choose"),
         ({"rank": 0}, "--rank"),
         ({"rank": 5}, "map_lmi truncates no singular values"),
         ({"method": "map", "sensor_std": (0.1, 1, 0.1)}, "map truncates no singular values"),

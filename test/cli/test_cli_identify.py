@@ -38,7 +38,9 @@ def found(symbid_here, model, short, prior, tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def truncated(symbid_here, model, short, ideal, prior, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("truncated") / "out"
-    identified(symbid_here, short, model, out, "--prior", prior, *WLS_RC, "--validate", ideal)
+    identified(
+        symbid_here, short, model, out, "--prior", prior, *WLS_RC, "--choose-truncation", ideal
+    )
     return out
 
 
@@ -179,7 +181,7 @@ def test_no_truth_leaks_into_an_estimate(
     options: tuple[object, ...] = ("--prior", prior)
     if kind == "truncated":
         copied_without(ideal, elsewhere / ideal.name, "ground_truth")
-        options += (*WLS_RC, "--validate", elsewhere / ideal.name)
+        options += (*WLS_RC, "--choose-truncation", elsewhere / ideal.name)
     blind = identified(
         symbid_here, elsewhere / short.name, elsewhere / model.name, tmp_path / "out", *options
     )

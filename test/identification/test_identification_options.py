@@ -34,7 +34,7 @@ NAMES = {each.name for kind in (IdentifyOptions, LogOptions) for each in options
         ({"prior": "p.json", "prior_percent": 25}, ["prior", "prior_percent"]),
         ({"total_mass_std": 0.1}, ["total_mass_std", "total_mass"]),
         ({"rank": 3}, ["rank"]),
-        ({"method": "ols", "rank": 3, "validate": "bag"}, ["rank", "validate"]),
+        ({"method": "ols", "rank": 3, "choose_truncation": "bag"}, ["rank", "choose_truncation"]),
         ({"method": "ols", "total_mass": 40}, ["total_mass"]),
         ({"method": "ols", "tare": "bag"}, ["tare"]),
         ({"cutoff": 20}, ["cutoff"]),
@@ -49,6 +49,15 @@ def test_errors_name_the_invalid_fields(given, names) -> None:
     for name in names:
         assert f"`{name}`" in str(refusal.value)
     assert refusal.value.code.startswith("E50")
+
+
+def test_the_deprecated_name_of_an_option_is_understood(caplog) -> None:
+    options = IdentifyOptions(method="ols", validate="bag")
+    assert (options.choose_truncation, options.validate) == (Path("bag"), None)
+    assert "`validate` is now called `choose_truncation`" in caplog.text
+    assert options == IdentifyOptions(method="ols", choose_truncation="bag")
+    with pytest.raises(OptionError, match="deprecated name"):
+        IdentifyOptions(method="ols", validate="bag", choose_truncation="other")
 
 
 def test_values_are_converted_to_the_type_of_their_field() -> None:

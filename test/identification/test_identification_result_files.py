@@ -96,7 +96,7 @@ def test_options_and_files_are_checked_before_the_log_is_read(arm, tmp_path) -> 
         BagRequest((MISSING,), model, IdentifyOptions(**options)).load()
 
     with pytest.raises(SymbidError, match="gone"):
-        load(method="ols", validate=tmp_path / "gone")
+        load(method="ols", choose_truncation=tmp_path / "gone")
     with pytest.raises(SymbidError, match=r"gone\.npz"):
         load(information=tmp_path / "gone.npz")
     with pytest.raises(SymbidError, match="`rank` 500 exceeds"):

@@ -43,7 +43,7 @@ def test_any_tree_is_identified_from_its_bag(tree, chosen, tmp_path):
     method = chosen["method"]
     options = IdentifyOptions(
         prior=folder / "prior.json",
-        validate=folder / "other" if method == "wls_rc" else None,
+        choose_truncation=folder / "other" if method == "wls_rc" else None,
         **chosen,
     )
     prepared = BagRequest((folder / "log",), folder / "robot.xml", options).load()

@@ -188,7 +188,7 @@ def test_a_truncated_method_on_filtered_rows_is_the_same_from_both(
         tmp_path,
         simulated("smooth", moves=1, motion_seed=21, noise_seed=5),
         method="wls_rc",
-        validate=simulated("smooth", moves=1, motion_seed=22, ideal=True),
+        choose_truncation=simulated("smooth", moves=1, motion_seed=22, ideal=True),
         select_by="torque",
         filter="butterworth",
         cutoff=25.0,
@@ -206,7 +206,7 @@ def test_a_truncated_method_on_filtered_rows_is_the_same_from_both(
     [
         ({"total_mass": -41.0}, "parameter total_mass: -41.0 is not valid"),
         ({"sensor_errors": "plate_offse"}, "parameter sensor_errors: 'plate_offse'"),
-        ({"rank": 5, "validate": "log"}, "both choose the singular values"),
+        ({"rank": 5, "choose_truncation": "log"}, "both choose the singular values"),
         ({"filter": "weak", "window": -1.0}, "parameter window"),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
