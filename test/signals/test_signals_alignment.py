@@ -1,15 +1,27 @@
 """Topics at rates of their own against the sines that they sample."""
 
+import logging
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from analytic_log import analytic_samples, imu_motion, readings_of
+from expected_errors import raises_code
+from hypothesis import given
+from hypothesis import strategies as st
 from random_robots import random_robot
 
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.alignment import align
+from symbid_ros.signals.alignment import (
+    SHORTEST_SEGMENT,
+    _merged,
+    align,
+    resampling_margin,
+    suggested_prefix,
+    warn_once,
+)
 from symbid_ros.signals.sensor_samples import at_base
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
@@ -121,3 +133,92 @@ def test_several_imus_count_alike() -> None:
             strict=True,
         ):
             np.testing.assert_allclose(getattr(found, name), was + remaining * wrong, atol=1e-9)
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(1, 12)), max_size=8))
+def test_merged_intervals_cover_the_same_instants_and_are_apart(intervals) -> None:
+    cuts = [(begin, begin + length) for begin, length in intervals]
+    merged = _merged(cuts)
+    inside = {2 * t + half for a, b in cuts for t in range(a, b) for half in (0, 1)}
+    assert {2 * t + half for a, b in merged for t in range(a, b) for half in (0, 1)} == inside
+    assert all(one[1] < other[0] for one, other in pairwise(merged))
+
+
+def test_overlapping_gaps_of_two_topics_are_one_cut(model) -> None:
+    clock = ticks(MILLISECOND)
+    imu, wrench = without(clock, 0.5, 0.9), without(clock, 0.6, 0.7)
+    found = align(streams(model, clock, imu, wrench), model)
+    edges = [(one.stamp[0], one.stamp[-1]) for one in found]
+    assert edges == [(0, 499 * MILLISECOND), (900 * MILLISECOND, 1999 * MILLISECOND)]
+
+
+@pytest.mark.parametrize("count", [SHORTEST_SEGMENT - 1, SHORTEST_SEGMENT])
+def test_a_segment_has_at_least_fifty_samples(model, count) -> None:
+    """Gaps of an IMU leave pieces of as many samples as are asked for."""
+    clock = ticks(MILLISECOND)
+    phase = np.arange(len(clock)) % 100
+    given_streams = streams(model, clock, clock[phase < count], clock)
+    if count < SHORTEST_SEGMENT:
+        with raises_code("E303", "record longer"):
+            align(given_streams, model)
+        with raises_code("E303", "drivers"):
+            align(replace(given_streams, is_live=True), model)
+    else:
+        assert {len(one) for one in align(given_streams, model)} == {count}
+
+
+@pytest.mark.parametrize("count", [SHORTEST_SEGMENT - 1, SHORTEST_SEGMENT])
+def test_a_log_has_at_least_fifty_joint_states(model, count) -> None:
+    clock = ticks(MILLISECOND)[:count]
+    given_streams = streams(model, clock, clock, clock)
+    if count < SHORTEST_SEGMENT:
+        with raises_code("E303", f"{count} joint states.*record longer"):
+            align(given_streams, model)
+        with raises_code("E303", "higher rate"):
+            align(replace(given_streams, is_live=True), model)
+    else:
+        assert len(align(given_streams, model)) == 1
+
+
+def test_a_topic_without_messages_is_named(model) -> None:
+    clock = ticks(MILLISECOND)
+    with raises_code("E301", "/wrench"):
+        align(streams(model, clock, clock, clock[:0]), model)
+    with raises_code("E301", "/imu/data"):
+        align(streams(model, clock, clock[:0], clock), model)
+
+
+@pytest.mark.parametrize(
+    ("periods_ms", "margin_ms"),
+    [([], 100), ([1], 100), ([5], 100), ([6], 120), ([10, 30, 1], 600), ([80], 1000)],
+)
+def test_the_margin_is_twenty_periods_of_the_slowest_topic(periods_ms, margin_ms) -> None:
+    topics = [np.repeat(np.arange(9), 2)[::-1] * each * MILLISECOND for each in periods_ms]
+    assert resampling_margin([*topics, np.array([7]), np.array([])]) == margin_ms * MILLISECOND
+
+
+def test_the_prefix_that_hides_a_known_frame_is_suggested(model) -> None:
+    for known in ("imu_link", "wrench_0", "link_2"):
+        assert suggested_prefix(f"robot/{known}", model) == "robot/"
+        assert suggested_prefix(f"lab/robot/{known}", model) == "lab/robot/"
+        assert not suggested_prefix(f"robot_{known}", model)
+    assert not suggested_prefix("robot/imu_link/raw", model)
+
+
+@pytest.mark.parametrize("module", ["alignment", "efforts"])
+def test_equal_warnings_of_slices_are_logged_once(caplog, module) -> None:
+    source = logging.getLogger(f"symbid_ros.signals.{module}")
+
+    def warn():
+        for joint in ("hip", "knee", "hip"):
+            source.warning("joint %s", joint)
+        logged = [record.getMessage() for record in caplog.records]
+        caplog.clear()
+        return logged
+
+    with caplog.at_level(logging.WARNING):
+        with warn_once():
+            assert [*warn(), *warn()] == ["joint hip", "joint knee"]
+        with warn_once(muted=True):
+            assert warn() == []
+        assert len(warn()) == 3

@@ -1,9 +1,11 @@
 """Seconds are recognised however a log was cut, and told from those of other logs."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
-from symbid_ros.signals.segments import Segment, fingerprint
+from symbid_ros.signals.segments import Segment, cut_to, fingerprint
 
 SECOND = 1_000_000_000
 TODAY = 1_790_000_000 * SECOND + 123_456_789
@@ -53,3 +55,30 @@ def test_simulated_logs_of_other_motions_differ_though_their_stamps_agree():
 def test_by_a_wall_clock_jitter_and_another_phase_do_not_matter():
     one, other = segment(TODAY, 5), segment(TODAY + 400_000, 5, seed=1)
     assert fingerprint(one) == fingerprint(other)
+
+
+@pytest.mark.parametrize("rate", [100.0, 1000.0])
+@pytest.mark.parametrize(
+    ("lost", "is_continued"), [(-1, False), (0, True), (0.4, True), (0.6, False), (1, False)]
+)
+def test_a_segment_is_continued_by_one_a_period_later(rate, lost, is_continued):
+    """From the last to the next instant pass one period and ``lost`` more."""
+    log = segment(TODAY, 1, rate=rate)
+    first, second = log.cut(0, 40), log.cut(40, 90)
+    later = replace(second, stamp=second.stamp + round(lost * 1e9 / rate))
+    assert first.is_continued_by(later) is is_continued
+    assert not first.is_continued_by(replace(later, wrench_frames=("sole",)))
+    assert not first.is_continued_by(replace(later, imu_frames=("imu",)))
+
+
+def test_segments_are_cut_by_stamp_and_joined_again():
+    log = segment(TODAY, 1, rate=100.0)
+    pieces = [log.cut(0, 30), log.cut(30, 60), log.cut(60, 100)]
+    found = list(cut_to(pieces, int(log.stamp[10]), int(log.stamp[60])))
+    assert [len(piece) for piece in found] == [20, 30]
+    joined = found[0].joined(found[1])
+    for field in fields(Segment):
+        expected = getattr(log.cut(10, 60), field.name)
+        np.testing.assert_array_equal(getattr(joined, field.name), expected)
+    assert joined.nbytes == 50 * (8 + 2 * 8 + 2 * 8)
+    assert replace(log, imu_frames=("a", "b"), wrench_frames=("c",)).frames == ("a", "b", "c")

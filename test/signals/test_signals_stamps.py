@@ -1,12 +1,17 @@
 """Lost messages as header stamps show them."""
 
+from itertools import pairwise
+
 import numpy as np
+import pytest
+from expected_errors import raises_code
 from foreign_bags import imu
 from hypothesis import given
 from hypothesis import strategies as st
 
 from symbid_ros.messages.types import has_stamp, read_leading_stamp
-from symbid_ros.signals.stamps import find_gaps
+from symbid_ros.signals.defects import Defect, DefectCounts
+from symbid_ros.signals.stamps import CLOCK_JUMP, check_clock, find_gaps, kept_in_order, seconds
 
 PERIOD = 1_000_000
 
@@ -42,3 +47,38 @@ def test_stamp_is_read_from_the_bytes() -> None:
     assert has_stamp("sensor_msgs/msg/Imu")
     assert has_stamp("rosgraph_msgs/msg/Clock")
     assert not has_stamp("std_msgs/msg/String")
+
+
+def test_a_clock_that_jumps_back_by_more_than_a_second_is_an_error() -> None:
+    start = 7 * CLOCK_JUMP
+    stamps = start + np.array([0, 2, 4, 5]) * CLOCK_JUMP
+    check_clock("log", "/imu", stamps)
+    check_clock("log", "/imu", np.append(stamps, stamps[-1] - CLOCK_JUMP))
+    back = np.r_[stamps, stamps[-1] - CLOCK_JUMP - PERIOD, stamps[0]]
+    with raises_code("E314", r"/imu.* back by 1\.001 s after 12\.000 s"):
+        check_clock("log", "/imu", back)
+    assert seconds(1_234_567_890) == "1.235 s"
+
+
+@given(st.lists(st.integers(0, 30), min_size=2, max_size=40).filter(lambda one: len(set(one)) > 1))
+def test_the_first_message_of_each_stamp_is_kept_in_order(numbers: list[int]) -> None:
+    tally = DefectCounts("log", "/imu")
+    kept = kept_in_order(np.array(numbers) * PERIOD, tally)
+    assert kept.tolist() == [numbers.index(number) for number in sorted(set(numbers))]
+    disordered = sum(b < a for a, b in pairwise(numbers))
+    assert tally.counts.get(Defect.DISORDER, 0) == disordered
+    assert tally.counts.get(Defect.DUPLICATE, 0) == len(numbers) - len(kept)
+
+
+def test_stamps_that_are_all_equal_are_an_error() -> None:
+    with raises_code("E315", r"/imu.*0\.005 s"):
+        kept_in_order(np.full(3, 5 * PERIOD), DefectCounts("log", "/imu"))
+    assert kept_in_order(np.array([5]), DefectCounts("log", "/imu")).tolist() == [0]
+
+
+@pytest.mark.parametrize(("step", "gaps", "missing"), [(1.4, 0, 0), (1.5, 1, 1), (2.6, 1, 2)])
+def test_a_gap_is_at_least_one_and_a_half_periods(step: float, gaps: int, missing: int) -> None:
+    stamps = np.concatenate([np.arange(10), 9 + step + np.arange(10)]) * PERIOD
+    found = find_gaps(stamps.astype(np.int64))
+    assert (found.period, found.gaps, found.missing) == (PERIOD, gaps, missing)
+    assert found.longest == round(max(step, 1) * PERIOD)

@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from analytic_log import analytic_segment, noisy
+from expected_errors import raises_code
 from random_robots import random_robot, with_drives
 
 from symbid_ros.dynamics.imu import BaseMotion
@@ -14,13 +15,18 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sensor_samples import smoothed
 from symbid_ros.signals.weak_form import (
+    ALL_WINDOWS,
     BLOCK,
     INFLATION,
     PREFILTER,
     SETTLING,
     WINDOWS,
     SampledRows,
+    block_length,
+    check_windows,
     equation_rows,
+    prefilter,
+    suited_windows,
     windowed_rows,
 )
 
@@ -242,3 +248,39 @@ def test_the_replayed_noise_is_the_same_every_time():
     segment = noisy(analytic_segment(parameters, 1.0, 4), np.random.default_rng(3), **NOISE)
     (_, first, _), (_, again, _) = (rows_of(segment, parameters, [0.081])[0] for _ in range(2))
     np.testing.assert_array_equal(first.K, again.K)
+
+
+@pytest.mark.parametrize(
+    ("rate", "windows"),
+    [
+        (1000.0, (0.081, 0.161, 0.321)),
+        (6 / 0.081, (0.081, 0.161, 0.321)),
+        (6 / 0.0811, (0.161, 0.321, 0.641)),
+        (20.0, (0.321, 0.641, 1.281)),
+        (5.0, (1.281, 2.561)),
+        (2.0, ()),
+    ],
+)
+def test_windows_hold_at_least_six_samples(rate, windows):
+    assert suited_windows(ALL_WINDOWS, rate) == windows
+    if windows:
+        check_windows(ALL_WINDOWS, rate, "log")
+    else:
+        with raises_code("E319", "81, 161, .*6 samples at 2 Hz.* at least 3 s"):
+            check_windows(ALL_WINDOWS, rate, "log")
+
+
+@pytest.mark.parametrize(
+    ("rate", "seconds"), [(1000, 4), (70, 4), (69.9, 12), (23.4, 12), (23.3, 20), (14, 20), (5, 20)]
+)
+def test_blocks_are_the_shortest_that_hold_enough_samples(rate, seconds):
+    assert block_length(rate) == seconds * 1_000_000_000
+
+
+@pytest.mark.parametrize(
+    ("rate", "cutoff", "edge"),
+    [(4000, 100, 160), (1000, 100, 40), (500, 50, 40), (100, 20, 20), (80, 20, 16), (50, 12.5, 16)],
+)
+def test_the_low_pass_before_differentiation_follows_the_rate(rate, cutoff, edge):
+    low_pass, discarded = prefilter(rate)
+    assert (low_pass.cutoff, discarded) == (pytest.approx(cutoff), edge)
