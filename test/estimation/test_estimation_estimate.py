@@ -1,0 +1,142 @@
+"""estimate.json: what is written is read again, and damaged files are named."""
+
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from expected_errors import raises_code
+
+from symbid_ros.estimation.estimate import Estimate, load_estimate
+from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
+
+VERDICT = Verdict(
+    window=0.161,
+    prior_scale=1.25,
+    whiteness=0.9,
+    noise_share=0.1,
+    alarms=("the residuals are not white noise",),
+    effective=2.5,
+    gain=7.5,
+    link_gain={"base": 5.0, "leg": 2.5},
+    directions=("base/m", "leg/m"),
+    base=(EstimatedQuantity("base/m + leg/m", "kg", 3.0, 0.1, True),),
+    sensors=(EstimatedQuantity("sole/plate_offset", "N", -1.0, 2.0, False),),
+)
+ESTIMATE = Estimate(
+    method="map_lmi",
+    model="hopper",
+    names=("base/m", "leg/m", "knee/viscous"),
+    units=("kg", "kg", "Nm s/rad"),
+    value=np.array([2.0, 1.0, 0.1]),
+    prior=np.array([2.5, 0.5, 0.0]),
+    std=np.array([0.1, 0.2, 0.3]),
+    determined=np.array([True, False, True]),
+    rank=None,
+    condition=12.5,
+    samples=400,
+    residual_rmse={"base/moment_x": 0.5, "knee": 0.25},
+    consistent={"base": True, "leg": False},
+    inputs=("bag", "hopper.urdf"),
+    software="symbid_ros 0.1",
+    verdict=VERDICT,
+    known={"knee/coulomb": 0.75},
+)
+TRUNCATED = replace(ESTIMATE, std=None, determined=None, verdict=None, rank=2, known={})
+
+
+@pytest.mark.parametrize("estimate", [ESTIMATE, TRUNCATED], ids=["map", "truncated"])
+def test_an_estimate_is_read_as_it_was_written(estimate, tmp_path):
+    estimate.write(tmp_path / "estimate.json")
+    found = load_estimate(tmp_path / "estimate.json")
+    for field in fields(Estimate):
+        value, expected = getattr(found, field.name), getattr(estimate, field.name)
+        np.testing.assert_array_equal(value, expected)
+        assert type(value) is type(expected)
+
+
+def test_the_file_has_one_entry_for_each_parameter(tmp_path):
+    path = tmp_path / "estimate.json"
+    ESTIMATE.write(path)
+    assert path.read_text().endswith("}\n")
+    assert '\n "method": "map_lmi",\n' in path.read_text()
+    document = json.loads(path.read_text())
+    assert list(document["parameters"]) == ["base/m", "leg/m", "knee/viscous"]
+    assert document["parameters"]["leg/m"] == {
+        "value": 1.0,
+        "std": 0.2,
+        "prior": 0.5,
+        "unit": "kg",
+        "determined": False,
+    }
+    TRUNCATED.write(path)
+    document = json.loads(path.read_text())
+    assert document["parameters"]["leg/m"]["std"] is None
+    assert document["parameters"]["leg/m"]["determined"] is None
+    assert document["verdict"] is None
+
+
+def without(*path):
+    """Return a change of a document that removes an entry."""
+
+    def change(document):
+        for key in path[:-1]:
+            document = document[key]
+        del document[path[-1]]
+
+    return change
+
+
+def with_entry(value, *path):
+    """Return a change of a document that sets an entry."""
+
+    def change(document):
+        for key in path[:-1]:
+            document = document[key]
+        document[path[-1]] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "names"),
+    [
+        (without("method"), "method"),
+        (without("parameters", "leg/m", "std"), "std"),
+        (without("verdict", "alarms"), "alarms"),
+        (with_entry("much", "parameters", "leg/m", "value"), "much"),
+        (with_entry(3, "parameters"), "values"),
+        (with_entry(1, "verdict", "unknown"), "unknown"),
+        (with_entry([{"name": "base/m"}], "verdict", "base"), "unit"),
+        (with_entry(None, "parameters", "leg/m", "value"), "value of leg/m is not finite"),
+        (
+            with_entry(float("inf"), "parameters", "base/m", "prior"),
+            "prior of base/m is not finite",
+        ),
+        (with_entry(float("nan"), "known", "knee/coulomb"), "known"),
+    ],
+)
+def test_a_damaged_estimate_is_named(change, names, tmp_path):
+    path = tmp_path / "estimate.json"
+    document = ESTIMATE.document()
+    change(document)
+    path.write_text(json.dumps(document))
+    with raises_code("E409", rf"estimate\.json: .*{names}"):
+        load_estimate(path)
+
+
+def test_files_of_earlier_versions_lack_known_terms(tmp_path):
+    path = tmp_path / "estimate.json"
+    document = ESTIMATE.document()
+    del document["known"]
+    path.write_text(json.dumps(document))
+    assert load_estimate(path).known == {}
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path):
+    path = tmp_path / "estimate.json"
+    with raises_code("E401", r"estimate\.json: .*No such file"):
+        load_estimate(path)
+    path.write_text("{")
+    with raises_code("E409", r"estimate\.json"):
+        load_estimate(path)
