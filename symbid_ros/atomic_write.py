@@ -1,9 +1,12 @@
-"""Atomic writes: a file or folder is written under a temporary name, then moved into place."""
+"""Output files: checks before a computation, and atomic writes.
+
+An atomic write uses a temporary name, then moves the file or folder into place.
+"""
 
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
@@ -49,6 +52,55 @@ def check_output_file(path: Path) -> None:
     if path.is_dir():
         raise SymbidError(f"{path}: is a folder; name a file in it", "E552")
     check_writable(path.parent)
+
+
+def require_no_files(folder: Path, names: Collection[str], *, overwrite: bool) -> None:
+    """Check that a folder holds none of the named files, unless they are to be replaced.
+
+    Raises
+    ------
+    SymbidError
+        If it holds one and ``overwrite`` is false.
+    """
+    present = [name for name in names if (folder / name).exists()]
+    if present and not overwrite:
+        raise SymbidError(
+            f"{folder}: holds an earlier {present[0]}; choose another --out, or give --overwrite "
+            "to replace it",
+            "E551",
+        )
+
+
+def clear_folder(
+    folder: Path, is_replaceable: Callable[[Path], bool], kind: str, *, overwrite: bool
+) -> None:
+    """Remove an earlier result.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the result; it need not exist.
+    is_replaceable : callable
+        Returns whether a folder is such a result.
+    kind : str
+        Name of such a result, for error messages.
+    overwrite : bool
+        Whether the user allows the removal.
+
+    Raises
+    ------
+    SymbidError
+        If something else is there, or ``overwrite`` is false.
+    """
+    if not (folder.exists() or folder.is_symlink()):
+        return
+    if not overwrite:
+        raise SymbidError(
+            f"{folder}: exists; choose another --out, or give --overwrite to replace it", "E551"
+        )
+    if folder.is_symlink() or not folder.is_dir() or not is_replaceable(folder):
+        raise SymbidError(f"{folder}: exists and is not {kind}; choose another --out", "E551")
+    shutil.rmtree(folder)
 
 
 def write_text(path: Path, text: str) -> None:

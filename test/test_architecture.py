@@ -50,7 +50,6 @@ FREE = {
     "choices",
     "options",
     "atomic_write",
-    "safe_yaml",
     "shutdown",
     "errors",
     "package_paths",

@@ -12,11 +12,8 @@ from rich.logging import RichHandler
 
 from symbid_ros.cli.bag import app as bag
 from symbid_ros.cli.demo import demo
-from symbid_ros.cli.evaluate import evaluate
+from symbid_ros.cli.estimates import evaluate, identify, prior, report
 from symbid_ros.cli.flags import flag
-from symbid_ros.cli.identify import identify
-from symbid_ros.cli.prior import prior
-from symbid_ros.cli.report import report
 from symbid_ros.cli.simulate import simulate, udp_client
 from symbid_ros.cli.study import study
 from symbid_ros.errors import SymbidError

@@ -10,7 +10,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-from symbid_ros.cli.overwriting import clear_folder
+from symbid_ros.atomic_write import clear_folder
 from symbid_ros.cli.processes import NodeProcess, private_graph
 
 if TYPE_CHECKING:
@@ -151,6 +151,7 @@ def _identify_offline(
     out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
     """Identify with every method, write the results, and report on all of them."""
+    from symbid_ros.cli.tables import metrics_table
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing
     from symbid_ros.identification.options import IdentifyOptions
@@ -160,7 +161,6 @@ def _identify_offline(
     from symbid_ros.offline.bags import BagRequest, read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import METHOD_TITLES, OWN_Z, GroundTruth, compose, describe_bags
     from symbid_ros.report.page import write_report
-    from symbid_ros.report.table import metrics_table
 
     task = progress.add_task("identification and a report", total=6)
     validation = out / "validation"
@@ -307,6 +307,7 @@ def _report(
     out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
     """Compare the saved estimate with the truth and write the page."""
+    from symbid_ros.cli.tables import metrics_table
     from symbid_ros.errors import EstimateError
     from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model
@@ -319,7 +320,6 @@ def _report(
         describe_estimate,
     )
     from symbid_ros.report.page import write_report
-    from symbid_ros.report.table import metrics_table
 
     task = progress.add_task("a report", total=2)
     robot = load_model(model)

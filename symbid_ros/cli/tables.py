@@ -1,6 +1,6 @@
-"""What the terminal says of a bag and of its recovery."""
+"""Tables and lines that commands print on the terminal."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -14,6 +14,8 @@ from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.messages.topics import OfferedQos
+from symbid_ros.report.content import METRICS, MethodResult, best_labels
+from symbid_ros.report.formatting import significant
 
 SHOWN = 20  # gaps listed at most; --json has them all
 
@@ -249,3 +251,40 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
     count = len(verdict.alarms)
     told = "1 alarm" if count == 1 else f"{count} alarms"
     return [*lines, Text(f"{told}: do not trust these numbers yet", style="bold red")]
+
+
+def errors_table(title: str, errors: Mapping[str, float]) -> Table:
+    """Return a table of errors by name."""
+    table = Table(show_header=False, title=title, title_justify="left")
+    for name, value in errors.items():
+        table.add_row(name, f"{value:.4g}")
+    return table
+
+
+def metrics_table(methods: Sequence[MethodResult]) -> Table:
+    """Return a table of methods and their metrics, at most 80 columns wide.
+
+    The best value of each column is bold. A method without metrics shows dashes.
+    """
+    table = Table(
+        title="Errors against the ground truth",
+        caption="best of each column in bold",
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+        caption_justify="left",
+    )
+    table.add_column("", no_wrap=True)
+    for metric in METRICS:
+        table.add_column(f"{metric.title}\n[dim]{metric.unit}[/dim]", justify="right", no_wrap=True)
+    best = best_labels({method.label: method.metrics or {} for method in methods}, METRICS)
+    for method in methods:
+        metrics = method.metrics or {}
+        cells = [
+            Text(
+                significant(metrics.get(metric.key)),
+                style="bold" if method.label in best[metric.key] else "",
+            )
+            for metric in METRICS
+        ]
+        table.add_row(Text(method.label), *cells)
+    return table

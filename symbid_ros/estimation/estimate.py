@@ -11,7 +11,7 @@ from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
-from symbid_ros.safe_yaml import load_json
+from symbid_ros.user_files import load_json
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from symbid_ros.estimation.prior_std import (
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.xml_file import LARGEST
-from symbid_ros.safe_yaml import load_json
+from symbid_ros.user_files import load_json
 
 Kind = Literal["percent", "absolute", "consistent"]
 

@@ -20,7 +20,7 @@ from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet, terms_in
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.safe_yaml import load_json
+from symbid_ros.user_files import load_json
 
 logger = logging.getLogger(__name__)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.safe_yaml import load_yaml
+from symbid_ros.user_files import load_yaml
 
 
 def read_mapping(path: Path) -> dict[str, Any]:

@@ -6,7 +6,6 @@ from pydantic import ValidationError
 
 from symbid_ros.errors import StudyError
 from symbid_ros.package_paths import config_file, share_directory
-from symbid_ros.safe_yaml import load_yaml
 from symbid_ros.study.plan import (
     AccelerationPlan,
     ClosedLoopPlan,
@@ -19,6 +18,7 @@ from symbid_ros.study.plan import (
     SimulatedLog,
     did_you_mean,
 )
+from symbid_ros.user_files import load_yaml
 
 
 def load_plan(name: str) -> tuple[Plan, Path]:

@@ -1,12 +1,15 @@
-"""What `symbid identify` prints fits a terminal and survives a pipe."""
+"""What commands print fits a terminal and arrives complete in a pipe."""
 
+import io
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from report_pages import SENSORS, VERDICT, estimate
+from rich.console import Console
 
-from symbid_ros.cli.tables import print_estimate
+from symbid_ros.cli.tables import metrics_table, print_estimate
+from symbid_ros.report.content import METRICS, MethodResult
 
 ALARMS = ("the data would have the prior 9.0 times wider: a sensor's calibration is wrong",)
 
@@ -64,3 +67,40 @@ def test_an_impossible_link_is_called_so(printed):
     lines = printed(consistent={"base_link": True, "shin [left]": False}, std=None, determined=None)
     (line,) = [line for line in lines if "shin [left]" in line]
     assert [cell.strip() for cell in line.split("│")[4:7]] == ["–", "–", "no"]
+
+
+class TestMetricsTable:
+    methods = (
+        MethodResult("prior", None, dict.fromkeys((m.key for m in METRICS), 12.3)),
+        MethodResult("WLS-RC", None, dict.fromkeys((m.key for m in METRICS), 0.456)),
+        MethodResult("OLS", None, dict.fromkeys((m.key for m in METRICS), 11813.0)),
+        MethodResult("truth", None, dict.fromkeys((m.key for m in METRICS), 3.2e-12)),
+        MethodResult("unmeasured", None, None),
+    )
+
+    def printed(self, *, colours: bool = False) -> str:
+        stream = io.StringIO()
+        console = Console(
+            file=stream,
+            width=80,
+            force_terminal=colours,
+            color_system="standard" if colours else None,
+        )
+        console.print(metrics_table(self.methods))
+        return stream.getvalue()
+
+    def test_fits_in_80_columns(self) -> None:
+        lines = self.printed().splitlines()
+        assert max(map(len, lines)) <= 80
+        assert next(line for line in lines if "OLS" in line).split() == ["OLS", *["11813"] * 5]
+        assert "…" not in self.printed()
+
+    def test_the_best_is_bold_and_the_truth_does_not_compete(self) -> None:
+        bold = "\x1b[1m"
+        lines = self.printed(colours=True).splitlines()
+        assert next(line for line in lines if "WLS-RC" in line).count(bold) == 5
+        assert bold not in next(line for line in lines if "truth" in line)
+
+    def test_a_missing_metric_is_a_dash(self) -> None:
+        line = next(line for line in self.printed().splitlines() if "unmeasured" in line)
+        assert line.split()[1:] == ["—"] * 5

@@ -100,7 +100,7 @@ def test_options_determine_the_processing_of_rows() -> None:
 
 
 def test_no_option_exists_in_one_front_end_only() -> None:
-    from symbid_ros.cli.identify import identify
+    from symbid_ros.cli.estimates import identify
     from symbid_ros.ros.identifier_parameters import PARAMETERS
 
     flags = set(inspect.signature(identify).parameters)

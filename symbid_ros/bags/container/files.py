@@ -12,8 +12,7 @@ from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_blocks, 
 from symbid_ros.errors import BagError
 from symbid_ros.messages.limits import MAX_METADATA, MAX_YAML_NODES
 from symbid_ros.messages.topics import Topic
-from symbid_ros.safe_yaml import parse_yaml
-from symbid_ros.user_files import read_regular
+from symbid_ros.user_files import parse_yaml, read_regular
 
 STORAGES = (".mcap", ".db3")
 ZSTD_SUFFIX = ".zstd"

@@ -27,7 +27,7 @@ from symbid_ros.messages.limits import (
 )
 from symbid_ros.messages.topics import ENCODED, OfferedQos, Topic
 from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, ODOMETRY, TRAJECTORY, WRENCH
-from symbid_ros.safe_yaml import parse_yaml
+from symbid_ros.user_files import parse_yaml
 
 ROS2_TEXT = "ros2msg"
 DECODED_TYPES = frozenset({JOINT_STATE, IMU, WRENCH, TRAJECTORY, ODOMETRY, ACCEL})

@@ -1,11 +1,11 @@
-"""YAML and JSON from anybody: plain data within limits, or a reason in one line."""
+"""YAML and JSON files from any source give plain data within limits, or a one-line error."""
 
 import os
 
 import pytest
 
-from symbid_ros import safe_yaml as documents
-from symbid_ros.safe_yaml import load_json, load_yaml
+from symbid_ros import user_files
+from symbid_ros.user_files import load_json, load_yaml
 
 
 def written(folder, content):
@@ -79,7 +79,7 @@ def test_plain_data_are_read(tmp_path):
         ("a: !!binary \xe9", "not valid YAML"),
         ("a: \x00", "not valid YAML"),
         (b"a: \xff", "utf-8"),
-        (b" " * (documents.MAX_YAML_BYTES + 1), "larger than 1 MiB"),
+        (b" " * (user_files.MAX_YAML_BYTES + 1), "larger than 1 MiB"),
     ],
 )
 def test_other_yaml_is_refused(content, expected, tmp_path):
@@ -94,7 +94,7 @@ def test_other_yaml_is_refused(content, expected, tmp_path):
         ('{"a": 1, "b": {"c": 1, "c": 2}}', "key 'c' is given twice"),
         ("9" * 5000, ""),
         (b"\xff", "utf-8"),
-        (b" " * (documents.MAX_JSON_BYTES + 1), "larger than 64 MiB"),
+        (b" " * (user_files.MAX_JSON_BYTES + 1), "larger than 64 MiB"),
     ],
 )
 def test_other_json_is_refused(content, expected, tmp_path):

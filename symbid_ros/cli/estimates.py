@@ -1,0 +1,217 @@
+"""The commands ``prior``, ``identify``, ``evaluate`` and ``report``."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from symbid_ros.cli.flags import BaseKind, Model, with_flags
+from symbid_ros.errors import EstimateError, PriorError
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.messages.log_options import LogOptions
+
+
+def prior(
+    model: Model,
+    out: Annotated[Path, typer.Option(help="File to write, such as prior.json.")],
+    percent: Annotated[
+        float | None,
+        typer.Option(help="Each parameter is uniform within ± this percentage of its value."),
+    ] = None,
+    absolute: Annotated[
+        float | None,
+        typer.Option(help="Each parameter is uniform within ± this number in its SI unit."),
+    ] = None,
+    consistent: Annotated[
+        float | None,
+        typer.Option(
+            help="Each link is physically possible, and its mass moments are within ± this "
+            "percentage of their values."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Random seed of the draw.")] = 0,
+    base: BaseKind = "auto",
+) -> None:
+    """Draw a random prior around the inertias of a model, to test an identification."""
+    from symbid_ros.estimation.prior import Kind, draw_prior
+    from symbid_ros.model.load import load_model
+    from symbid_ros.model.parameters import ParameterSet
+
+    amounts: dict[Kind, float | None] = {
+        "percent": percent,
+        "absolute": absolute,
+        "consistent": consistent,
+    }
+    chosen = [(kind, amount) for kind, amount in amounts.items() if amount is not None]
+    if len(chosen) != 1:
+        raise PriorError("give exactly one of --percent, --absolute and --consistent", "E555")
+    kind, amount = chosen[0]
+    drawn = draw_prior(ParameterSet(load_model(model, base)), kind, amount, seed)
+    drawn.write(out)
+    typer.echo(f"{out}: {len(drawn.names)} parameters of {drawn.model}, {drawn.kind}, seed {seed}")
+
+
+@with_flags
+def identify(
+    bags: Annotated[list[Path], typer.Argument(help="Bags of one robot.", show_default=False)],
+    model: Model,
+    out: Annotated[Path, typer.Option(help="Folder for the estimate and the identified models.")],
+    options: IdentifyOptions,
+    log: LogOptions,
+    base: BaseKind = "auto",
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace the result of an earlier run in --out.")
+    ] = False,
+) -> None:
+    """Identify a robot's parameters from bags.
+
+    All identified links are physically possible, and each number has a standard deviation.
+
+    The log is checked first, as by `symbid bag doctor`. The output lists alarms first, and what the
+    data determined last.
+
+    Exit status: 0 written, 1 written with alarms (do not trust the numbers yet), 2 nothing written.
+    """
+    from symbid_ros.atomic_write import require_no_files
+    from symbid_ros.cli.tables import print_estimate
+    from symbid_ros.identification.result_files import RESULT_FILES, write_identification
+    from symbid_ros.offline.bags import BagRequest
+
+    require_no_files(out, RESULT_FILES, overwrite=overwrite)
+    problem = BagRequest(tuple(bags), model, options, log, base).load(out)
+    found = problem.solve()
+    write_identification(found, problem.parameters, out)
+    print_estimate(found.estimate, out)
+    verdict = found.estimate.verdict
+    if verdict is not None and verdict.alarms:
+        raise typer.Exit(1)
+
+
+def evaluate(
+    estimate: Annotated[Path, typer.Argument(help="Folder of an identification, or a prior.json.")],
+    model: Annotated[Path, typer.Option(help="Model with the true parameters, URDF or MJCF.")],
+    bag: Annotated[list[Path], typer.Option(help="Ideal bag with ground truth.")],
+    realistic: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Noisy bag with ground truth. Predictions then also use the robot's own sensors: "
+            "velocities filtered in real time, and contact forces from Eq. 4.1 of the thesis."
+        ),
+    ] = None,
+    velocity_cutoff: Annotated[
+        float,
+        typer.Option(help="Cutoff of the velocity filter for --realistic, Hz; 0 for no filter."),
+    ] = 50.0,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="File to write the errors to.")
+    ] = None,
+    base: BaseKind = "auto",
+) -> None:
+    """Compute the errors of an estimate or a prior from the ground truth of a simulated bag."""
+    from symbid_ros.atomic_write import check_output_file, write_text
+    from symbid_ros.cli.tables import errors_table
+    from symbid_ros.identification.evaluation import evaluate as evaluate_ideal
+    from symbid_ros.identification.intervals import LEVEL, summarise_intervals
+    from symbid_ros.identification.realistic_prediction import evaluate_realistic
+    from symbid_ros.identification.result_files import load_estimated_model
+    from symbid_ros.model.load import load_model
+    from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
+    from symbid_ros.signals.filters import CausalLowPass
+
+    low_pass = CausalLowPass(velocity_cutoff)
+    if json_file is not None:
+        check_output_file(json_file)
+    robot = load_model(model, base)
+    estimated = load_estimated_model(estimate, robot)
+    parameters, values = estimated.parameters, estimated.values
+    truth = parameters.values
+    motion = read_true_motion(bag, robot)
+    noisy = read_realistic_motion(realistic, robot, low_pass) if realistic else None
+    ideal = asdict(evaluate_ideal(parameters, {"": values}, truth, motion)[""])
+    errors: dict[str, object] = dict(ideal)
+    tables = [errors_table("", ideal)]
+    if estimated.deviation_factor is not None:
+        summary = asdict(
+            summarise_intervals(parameters, values, estimated.deviation_factor, truth, motion)
+        )
+        errors["intervals"] = summary
+        tables.append(errors_table(f"{100 * LEVEL:g} % intervals", summary))
+    if noisy is not None:
+        predicted = asdict(evaluate_realistic(parameters, {"": values}, truth, noisy)[""])
+        errors["realistic"] = predicted
+        tables.append(errors_table("from noisy sensors", predicted))
+    Console().print(*tables, sep="\n")
+    if json_file is not None:
+        write_text(json_file, json.dumps(errors, indent=1) + "\n")
+
+
+def report(
+    folders: Annotated[
+        list[Path], typer.Argument(help="Folders of identifications; the last is shown in full.")
+    ],
+    model: Model,
+    bag: Annotated[
+        list[Path],
+        typer.Option(help="Bag to describe; with --truth, bag with ground truth to predict."),
+    ],
+    out: Annotated[Path, typer.Option(help="HTML file to write.")],
+    truth: Annotated[
+        Path | None,
+        typer.Option(help="Model with the true parameters, for errors of the estimates."),
+    ] = None,
+    realistic: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Noisy bag with ground truth, for predictions from its sensors; needs --truth."
+        ),
+    ] = None,
+    base: BaseKind = "auto",
+) -> None:
+    """Write a report on one or several identifications as a self-contained page."""
+    from symbid_ros.atomic_write import check_output_file
+    from symbid_ros.identification.result_files import load_estimated_model
+    from symbid_ros.model.load import load_model
+    from symbid_ros.model.parameters import ParameterSet
+    from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
+    from symbid_ros.report.compose import (
+        METHOD_TITLES,
+        GroundTruth,
+        compose,
+        describe_bags,
+        describe_estimate,
+    )
+    from symbid_ros.report.page import write_report
+
+    if realistic and truth is None:
+        raise EstimateError("--realistic needs the true model to compare with; add --truth", "E556")
+    check_output_file(out)
+    robot = load_model(model, base)
+    estimates = {}
+    for folder in dict.fromkeys(folders):
+        shown = load_estimated_model(folder, robot)
+        if shown.estimate is None:
+            raise EstimateError(
+                f"{folder}: holds a prior; give the folder of an identification", "E556"
+            )
+        title = METHOD_TITLES.get(shown.estimate.method, shown.estimate.method)
+        label = title if title not in estimates else f"{title}, {folder}"
+        estimates[label] = shown.estimate
+    ground_truth = None
+    if truth is not None:
+        true_robot = load_model(truth, base)
+        noisy = read_realistic_motion(realistic, true_robot) if realistic else None
+        values = ParameterSet(true_robot, shown.parameters.terms).values
+        ground_truth = GroundTruth(read_true_motion(bag, true_robot), values, noisy)
+    content = compose(
+        estimates,
+        shown.parameters,
+        chosen=label,
+        metadata=describe_bags(bag) | describe_estimate(estimates[label]),
+        ground_truth=ground_truth,
+        deviation_factor=shown.deviation_factor,
+    )
+    write_report(content, out)
+    typer.echo(f"wrote {out}")
