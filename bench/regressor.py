@@ -14,8 +14,7 @@ import numpy as np
 import pinocchio
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Samples, equation_of_motion
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel

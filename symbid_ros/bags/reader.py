@@ -17,9 +17,8 @@ from symbid_ros.messages.sensor_streams import read_field, read_stamps
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.defects import DefectCounts
+from symbid_ros.signals.defects import DefectCounts, kept_in_order
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.stamps import kept_in_order
 from symbid_ros.signals.streams import ALL_OF_IT, Slice, Streams, TimeRange, TruthStreams
 
 TRUTH_TYPES = {"joints": TRAJECTORY, "odom": ODOMETRY, "base_accel": ACCEL}

@@ -10,8 +10,7 @@ from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.layout import ByteArray
 from symbid_ros.messages.topics import Topic
 from symbid_ros.messages.types import read_stamp
-from symbid_ros.signals.defects import ALWAYS, Defect, DefectCounts
-from symbid_ros.signals.stamps import check_clock
+from symbid_ros.signals.defects import ALWAYS, Defect, DefectCounts, check_clock
 
 
 @dataclass

@@ -13,8 +13,7 @@ from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.sensor_streams import build_streams, group_joints, read_stamps
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
-from symbid_ros.signals.defects import ALWAYS, Defect
-from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
+from symbid_ros.signals.defects import ALWAYS, CLOCK_JUMP, Defect, seconds
 from symbid_ros.signals.streams import ALL_OF_IT, Slice, TimeRange
 
 # Bytes to buffer for a topic that lags, because it is silent or recorded with a delay.

@@ -20,7 +20,6 @@ from scipy.linalg import lapack
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.contact import contact_jacobian
-from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.kinematics import LinkPoses, joint_axes, link_poses
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.estimation.information import stacked_factor
@@ -141,7 +140,7 @@ class GainLayout:
             for index, frame in enumerate(self.imu_frames):
                 mount = model.frame(frame)
                 axes = poses.rotation[:, mount.link] @ mount.rotation / len(self.imu_frames)
-                read = readings.imus[index].specific_force
+                read = readings.specific_force[:, index]
                 matrix = np.einsum("tnc,tci,tk->tnik", force_jacobian, axes, read, optimize=True)
                 parts[:, :, sensors + index, :9] = -matrix.reshape(count, model.dof, 9)
                 late = _imu_derivative(readings, index, slope)
@@ -182,11 +181,17 @@ def _imu_derivative(
 ) -> SensorSamples:
     """Return the time derivative of one IMU's accelerations, with zero for all other motion."""
     zeros = np.zeros_like(readings.position)
-    at_rest = np.zeros_like(readings.imus[index].specific_force)
-    imus = [BaseMotion(at_rest, at_rest, at_rest)] * len(readings.imus)
-    imu = readings.imus[index]
-    imus[index] = BaseMotion(at_rest, slope(imu.angular_acceleration), slope(imu.specific_force))
-    return replace(readings, velocity=zeros, acceleration=zeros, imus=tuple(imus))
+    omega, alpha, force = (np.zeros_like(readings.specific_force) for _ in range(3))
+    alpha[:, index] = slope(readings.angular_acceleration[:, index])
+    force[:, index] = slope(readings.specific_force[:, index])
+    return replace(
+        readings,
+        velocity=zeros,
+        acceleration=zeros,
+        angular_velocity=omega,
+        angular_acceleration=alpha,
+        specific_force=force,
+    )
 
 
 def gain_rows(parameters: ParameterSet, gains: GainLayout) -> RowBuilder:

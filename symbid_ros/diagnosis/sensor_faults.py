@@ -2,12 +2,12 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
@@ -354,9 +354,4 @@ def _remove_messages(stream: S, wrong: dict[str, list[BoolArray]]) -> S:
     if stream.topic not in wrong:
         return stream
     kept = ~np.logical_or.reduce(wrong[stream.topic])
-    arrays: dict[str, Any] = {
-        entry.name: value[kept]
-        for entry in fields(stream)
-        if isinstance(value := getattr(stream, entry.name), np.ndarray)
-    }
-    return replace(stream, **arrays)
+    return map_arrays(stream, lambda values: values[kept])

@@ -8,8 +8,13 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.dynamics.contact import contact_jacobian
-from symbid_ros.dynamics.kinematics import JointTable, Posture, link_poses, link_velocity
-from symbid_ros.dynamics.spatial import component_first
+from symbid_ros.dynamics.kinematics import (
+    JointTable,
+    Posture,
+    component_first,
+    link_poses,
+    link_velocity,
+)
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
@@ -81,7 +86,7 @@ class StanceGyroMoments:
         if count <= 4 * shifts:
             return
         inner = slice(shifts, count - shifts)
-        read = readings.imus[self.imu].angular_velocity
+        read = readings.angular_velocity[:, self.imu]
         for expected, is_standing in self._joint_rates(readings):
             stands = is_standing[inner]
             if stands.sum() <= 2 * shifts:

@@ -6,7 +6,7 @@ import numpy as np
 
 from symbid_ros.arrays import IntArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity, StreamFigures
-from symbid_ros.signals.stamps import find_gaps
+from symbid_ros.signals.defects import find_gaps
 
 # Stamps whose periods vary more are arrival times instead of sampling times.
 JITTER = 0.25

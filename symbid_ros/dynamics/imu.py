@@ -1,12 +1,21 @@
 """Motion of the base from an IMU on any link (REP-145)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.kinematics import JointTable, Posture, link_motion, link_velocity
-from symbid_ros.dynamics.spatial import cache_blocks, component_first, cross, matvec
+from symbid_ros.dynamics.kinematics import (
+    JointTable,
+    Posture,
+    cache_blocks,
+    component_first,
+    cross,
+    link_motion,
+    link_velocity,
+    matvec,
+)
 from symbid_ros.model.tree import Frame, RobotModel
 
 
@@ -55,68 +64,46 @@ def base_motion(
     readings = (imu.angular_velocity, imu.angular_acceleration, imu.specific_force)
     base = np.empty((3, 3, len(joints[0])))
     for part in cache_blocks(len(joints[0]), len(table) + 1):
-        position, velocity, acceleration = (component_first(x[part][:, above]) for x in joints)
-        mount = _imu_with_base_at_rest(table, frame, (position, velocity, acceleration))
-        base[:, :, part] = _remove_mount(mount, *(component_first(x[part]) for x in readings))
+        base[:, :, part] = _base_motion(
+            table,
+            frame,
+            [component_first(x[part][:, above]) for x in joints],
+            [component_first(x[part]) for x in readings],
+        )
     return BaseMotion(*(motion.T for motion in base))
 
 
-@dataclass(frozen=True)
-class _Mount:
-    """Motion of the IMU's frame relative to the base, in base axes.
+def _base_motion(
+    table: JointTable,
+    frame: Frame,
+    joints: Sequence[FloatArray],
+    readings: Sequence[FloatArray],
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the base's ω, ω̇ and specific force (3, N).
 
-    Attributes
-    ----------
-    rotation : (3, 3, N) float64
-        From IMU axes to base axes.
-    arm, velocity, acceleration : (3, N) float64
-        Position of the IMU in m and its derivatives.
-    omega, alpha : (3, N) float64
-        Angular velocity and acceleration of the IMU.
+    The motion of the joints is (J, N), the same three readings of the IMU are (3, N) in its axes.
     """
-
-    rotation: FloatArray
-    arm: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    omega: FloatArray
-    alpha: FloatArray
-
-
-def _imu_with_base_at_rest(
-    table: JointTable, frame: Frame, joints: tuple[FloatArray, FloatArray, FloatArray]
-) -> _Mount:
-    """Return the IMU's motion from joint positions, velocities and accelerations (J, N) alone."""
     position, velocity, acceleration = joints
+    imu_omega, imu_alpha, imu_force = readings
+    # The IMU's motion relative to the base, in base axes.
     posture = Posture.at(table, position)
     rest = np.zeros((3, position.shape[1]))
     motion = link_motion(posture, velocity, acceleration, (rest, rest, rest))
-    _, linear = link_velocity(posture, velocity, rest, rest)
     omega, alpha = motion.angular_velocity[:, -1], motion.angular_acceleration[:, -1]
     link_axes = posture.rotation[:, :, -1]
     lever = matvec(link_axes, frame.translation[:, None])
     swing = cross(omega, lever)
-    return _Mount(
-        rotation=np.einsum("ikn,kj->ijn", link_axes, frame.rotation),
-        arm=posture.position[:, -1] + lever,
-        velocity=linear[:, -1] + swing,
-        acceleration=motion.specific_force[:, -1] + cross(alpha, lever) + cross(omega, swing),
-        omega=omega,
-        alpha=alpha,
-    )
+    arm = posture.position[:, -1] + lever
+    arm_rate = link_velocity(posture, velocity, rest, rest)[1][:, -1] + swing
+    arm_acceleration = motion.specific_force[:, -1] + cross(alpha, lever) + cross(omega, swing)
 
-
-def _remove_mount(
-    mount: _Mount, omega: FloatArray, alpha: FloatArray, force: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the base's ω, ω̇ and specific force (3, N) from the IMU's readings in IMU axes."""
-    base_omega = matvec(mount.rotation, omega) - mount.omega
-    base_alpha = matvec(mount.rotation, alpha) - mount.alpha - cross(base_omega, mount.omega)
-    swing = cross(base_omega, mount.arm) + 2 * mount.velocity
+    to_base = np.einsum("ikn,kj->ijn", link_axes, frame.rotation)
+    base_omega = matvec(to_base, imu_omega) - omega
+    base_alpha = matvec(to_base, imu_alpha) - alpha - cross(base_omega, omega)
     base_force = (
-        matvec(mount.rotation, force)
-        - mount.acceleration
-        - cross(base_alpha, mount.arm)
-        - cross(base_omega, swing)
+        matvec(to_base, imu_force)
+        - arm_acceleration
+        - cross(base_alpha, arm)
+        - cross(base_omega, cross(base_omega, arm) + 2 * arm_rate)
     )
     return base_omega, base_alpha, base_force

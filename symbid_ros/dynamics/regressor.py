@@ -3,22 +3,24 @@
 The equation of motion is K φ = y (Eq. 6, 10–14, 2.46–2.49).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
 from symbid_ros.choices import Term
 from symbid_ros.dynamics.kinematics import (
     JointTable,
     LinkPoses,
     Posture,
+    cache_blocks,
+    component_first,
+    cross,
     link_motion,
     link_velocity,
+    sample_first,
 )
-from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import cache_blocks, component_first, cross, sample_first
 from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -28,6 +30,63 @@ UNIT_PSEUDO_INERTIA = pseudo_inertia(np.eye(10)).reshape(10, 16)
 
 # Below this speed, rad/s or m/s, a joint may stick, and static friction balances the other forces.
 COULOMB_SPEED = 0.02
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Motion of a robot and forces on it at N instants.
+
+    Joint columns are in model order. Base quantities are in base axes at the base's origin. A
+    fixed base has zero rates, and its specific force is minus gravity.
+
+    Attributes
+    ----------
+    stamp : (N,) int64
+        Nanoseconds.
+    position, velocity, acceleration : (N, J) float64
+        Joint motion, rad or m.
+    effort : (N, J) float64
+        Joint torques or forces applied by the motors, Nm or N.
+    base_angular_velocity, base_angular_acceleration : (N, 3) float64
+        rad/s and rad/s².
+    base_specific_force : (N, 3) float64
+        Acceleration of the base's origin minus gravity, m/s².
+    wrenches : (N, F, 6) float64
+        Per sensor the (moment; force) of the environment on the robot, in the sensor frame's
+        axes about its origin.
+    wrench_frames : tuple of str
+        Names of the F sensor frames.
+    """
+
+    stamp: IntArray
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    effort: FloatArray
+    base_angular_velocity: FloatArray
+    base_angular_acceleration: FloatArray
+    base_specific_force: FloatArray
+    wrenches: FloatArray
+    wrench_frames: tuple[str, ...]
+
+    @classmethod
+    def none(cls, joint_names: tuple[str, ...]) -> "Samples":
+        """Return no instants of a robot without wrench sensors."""
+        joints, base = np.zeros((0, len(joint_names))), np.zeros((0, 3))
+        stamp = np.zeros(0, dtype=np.int64)
+        return cls(stamp, joints, joints, joints, joints, base, base, base, np.zeros((0, 0, 6)), ())
+
+    def __len__(self) -> int:
+        return len(self.stamp)
+
+    def __getitem__(self, index: slice | IntArray) -> "Samples":
+        """Return the samples at a slice or at indices."""
+        return map_arrays(self, lambda values: values[index])
+
+    def blocks(self, size: int) -> Iterator["Samples"]:
+        """Yield consecutive blocks of at most ``size`` samples."""
+        for start in range(0, len(self), size):
+            yield self[start : start + size]
 
 
 def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatArray) -> FloatArray:

@@ -17,8 +17,7 @@ from scipy.linalg import blas, lapack, qr
 from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.dynamics.regressor import Rows, equation_of_motion
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel

@@ -7,9 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.segments import Segment, fingerprint
 from symbid_ros.signals.weak_form import (
+    MOTION,
+    Channel,
     RowBuilder,
     WindowedRows,
     suited_windows,

@@ -11,8 +11,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis import doctor
 from symbid_ros.diagnosis.findings import Diagnosis
 from symbid_ros.dynamics.imu import BaseMotion
-from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Samples, equation_of_motion
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_information, load_problem
 from symbid_ros.identification.options import IdentifyOptions

@@ -13,9 +13,8 @@ from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.problem import Problem
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.noise_floor import FORCES, MOTION
 from symbid_ros.signals.sensor_errors import LinearizationPoint, SensorErrors, calibrating_rows
-from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
+from symbid_ros.signals.weak_form import ALL_WINDOWS, FORCES, MOTION, suited_windows
 
 logger = logging.getLogger(__name__)
 

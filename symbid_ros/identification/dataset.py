@@ -6,10 +6,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from symbid_ros.arrays import concatenated
 from symbid_ros.diagnosis.findings import Finding
 from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
@@ -19,12 +20,13 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align_checked, warn_once
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_inflation
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.noise_floor import MOTION, Channel
 from symbid_ros.signals.segments import Segment, cut_to, fingerprint
-from symbid_ros.signals.sensor_samples import at_base, build_samples, joined, smoothed
+from symbid_ros.signals.sensor_samples import at_base, build_samples, smoothed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     BLOCK,
+    MOTION,
+    Channel,
     RowBuilder,
     check_windows,
     equation_rows,
@@ -98,7 +100,7 @@ class AlignedLog:
         segments: list[Segment] = []
         for segment in self:
             if segments and segments[-1].is_continued_by(segment):
-                segments[-1] = segments[-1].joined(segment)
+                segments[-1] = concatenated([segments[-1], segment])
             else:
                 segments.append(segment)
         return tuple(segments)
@@ -293,7 +295,7 @@ def fold_dataset(
         observations = observe(
             _collect_probes(checked, model, probes), equation_rows(parameters), layout, windows
         )
-        samples = joined(probes)
+        samples = concatenated(probes)
         observations = tuple(one for one in observations if one.rows.samples > 0)
         if not observations:
             raise DataError(

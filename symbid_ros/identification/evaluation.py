@@ -1,21 +1,20 @@
 """Comparison of an estimate with the ground truth of a simulation, as in the thesis."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.dynamics.kinematics import joint_axes, link_poses
+from symbid_ros.arrays import FloatArray, IntArray, concatenated
+from symbid_ros.dynamics.kinematics import joint_axes, link_poses, rotate, rotate_inverse
 from symbid_ros.dynamics.regressor import (
+    Samples,
     equation_of_motion,
     first_moment_regressor,
     generalised_force,
     known_force,
     momentum_regressor,
 )
-from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import rotate, rotate_inverse
 from symbid_ros.errors import BagError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.rotation import rotation_from_xyzw
@@ -138,12 +137,7 @@ def predict(parameters: ParameterSet, values: FloatArray, motion: TrueMotion) ->
         about_com = momentum[..., 0].reshape(-1, 2, 3)
         in_world = rotate(block.base_rotation[:, None], about_com).reshape(-1, 6)
         parts.append(MotionPrediction(gen_force[..., 0], com[..., 0], in_world))
-    return MotionPrediction(
-        *(
-            np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(MotionPrediction)
-        )
-    )
+    return concatenated(parts)
 
 
 def evaluate(

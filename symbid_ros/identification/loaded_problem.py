@@ -12,7 +12,7 @@ from symbid_ros.diagnosis.findings import Finding, Kind
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Samples
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.constraints import mirror_rows, total_mass_row

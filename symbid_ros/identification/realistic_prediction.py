@@ -5,19 +5,18 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import FloatArray, IntArray, concatenated
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
-from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.kinematics import link_poses, rotate
 from symbid_ros.dynamics.regressor import (
+    Samples,
     centroidal,
     com_position,
     equation_of_motion,
     known_force,
     momentum_regressor,
 )
-from symbid_ros.dynamics.samples import Samples
-from symbid_ros.dynamics.spatial import rotate
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.identification.evaluation import SAMPLES_AT_ONCE, TrueMotion, predict, true_motion
 from symbid_ros.model.parameters import ParameterSet
@@ -198,13 +197,7 @@ def predict_realistic(
     parameters: ParameterSet, values: FloatArray, motion: RealisticMotion
 ) -> RealisticPrediction:
     """Return the predictions of the parameters (p,) for the log."""
-    parts = [_predictions(parameters, [values], block)[0] for block in _blocks(motion)]
-    return RealisticPrediction(
-        *(
-            np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(RealisticPrediction)
-        )
-    )
+    return concatenated([_predictions(parameters, [values], block)[0] for block in _blocks(motion)])
 
 
 def evaluate_realistic(

@@ -15,9 +15,8 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import read_stamp
-from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
+from symbid_ros.signals.defects import Defect, DefectCounts, DefectError, kept_in_order, seconds
 from symbid_ros.signals.joint_merging import merged_joints
-from symbid_ros.signals.stamps import kept_in_order, seconds
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 AXES = ("x", "y", "z")

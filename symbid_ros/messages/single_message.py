@@ -10,7 +10,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.messages.decoder import MAX_LAYOUTS, TopicDecoder
 from symbid_ros.messages.layout import MAX_TRAILING, Layout, Records
 from symbid_ros.messages.topics import Topic
-from symbid_ros.signals.stamps import Gaps, find_gaps
+from symbid_ros.signals.defects import Gaps, find_gaps
 
 
 class SingleMessageDecoder:

@@ -12,8 +12,7 @@ from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.sensor_streams import build_streams
 from symbid_ros.messages.topics import SelectedTopics, Topic
-from symbid_ros.signals.defects import DefectCounts
-from symbid_ros.signals.stamps import CLOCK_JUMP, find_gaps, seconds
+from symbid_ros.signals.defects import CLOCK_JUMP, DefectCounts, find_gaps, seconds
 from symbid_ros.signals.streams import Streams
 
 # Messages this much older than the topic's newest, ns, are dropped; checked once every so many

@@ -9,7 +9,7 @@ from symbid_ros.messages.single_message import MessagePattern, SingleMessageDeco
 from symbid_ros.messages.topics import Topic
 from symbid_ros.messages.types import IMU, JOINT_STATE, NANO, WRENCH
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.stamps import CLOCK_JUMP, seconds
+from symbid_ros.signals.defects import CLOCK_JUMP, seconds
 
 logger = logging.getLogger(__name__)
 

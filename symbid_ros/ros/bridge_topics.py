@@ -16,9 +16,9 @@ from symbid_ros.ros.endpoints import (
     reliable_qos,
 )
 from symbid_ros.ros.parameters import ParameterError, Values
+from symbid_ros.simulation.recording import SimulatedTopic, sensor_topics, truth_topics
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.topics import SimulatedTopic, sensor_topics, truth_topics
 
 
 @dataclass

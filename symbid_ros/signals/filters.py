@@ -212,6 +212,8 @@ class SavitzkyGolay:
 
 def differentiate(signal: FloatArray, rate: float) -> FloatArray:
     """Return the central difference along the first axis, second order at the ends too."""
+    if not len(signal):
+        return signal
     slope: FloatArray = np.gradient(signal, 1.0 / rate, axis=0, edge_order=2)
     return slope
 

@@ -3,17 +3,16 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import FloatArray, IntArray, map_arrays
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import resampling_margin
-from symbid_ros.signals.defects import Defect, DefectCounts
-from symbid_ros.signals.stamps import kept_in_order, seconds
+from symbid_ros.signals.defects import Defect, DefectCounts, kept_in_order, seconds
 from symbid_ros.signals.streams import (
     ALL_OF_IT,
     ImuStream,
@@ -286,10 +285,4 @@ def _each(streams: Streams) -> list[JointStream | ImuStream | WrenchStream]:
 def _between(stream: S, start: int, stop: int) -> S:
     """Return the rows of a stream from ``start`` up to ``stop``, ns."""
     first, last = np.searchsorted(stream.stamp, [start, stop])
-    count = len(stream.stamp)
-    arrays: dict[str, Any] = {
-        name: value[first:last]
-        for name, value in vars(stream).items()
-        if isinstance(value, np.ndarray) and len(value) == count
-    }
-    return replace(stream, **arrays)
+    return map_arrays(stream, lambda values: values[first:last])

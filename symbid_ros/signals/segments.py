@@ -1,13 +1,12 @@
 """Uniformly sampled segments of a log, and fingerprints of the seconds they cover."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from hashlib import blake2b
-from typing import Any
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import FloatArray, IntArray, map_arrays
 
 SECOND = 1_000_000_000  # ns
 # Stamps after September 2001 come from a wall clock, which shows each second once. Simulated time,
@@ -67,27 +66,9 @@ class Segment:
         step = int(later.stamp[0] - self.stamp[-1])
         return self.frames == later.frames and 0 < step * self.rate < 1.5e9
 
-    def joined(self, later: "Segment") -> "Segment":
-        """Return this segment and the one that continues it as one."""
-        arrays: dict[str, Any] = {
-            entry.name: np.concatenate([value, getattr(later, entry.name)])
-            for entry in fields(self)
-            if isinstance(value := getattr(self, entry.name), np.ndarray)
-        }
-        return replace(self, **arrays)
-
     def cut(self, start: int, stop: int) -> "Segment":
         """Return the instants from ``start`` up to ``stop``."""
-        part = slice(start, stop)
-        return replace(
-            self,
-            stamp=self.stamp[part],
-            position=self.position[part],
-            effort=self.effort[part],
-            angular_velocity=self.angular_velocity[part],
-            linear_acceleration=self.linear_acceleration[part],
-            wrenches=self.wrenches[part],
-        )
+        return map_arrays(self, lambda values: values[start:stop])
 
 
 def cut_to(segments: Sequence[Segment], start: int, stop: int) -> Iterator[Segment]:

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS
 from symbid_ros.dynamics.contact import contact_jacobian
-from symbid_ros.dynamics.imu import BaseMotion
-from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.kinematics import link_poses, rotate
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -162,22 +161,20 @@ class SensorErrors:
         )
         wrenches[:, :, :3] += np.cross(self.of_kind("plate_pose", theta), wrenches[:, :, 3:])
         mounting, bias = self.of_kind("imu_mounting", theta), self.of_kind("imu_bias", theta)
-        imus = []
-        for index, imu in enumerate(readings.imus if self.imu_frames else ()):
-            to_frame = Rotation.from_rotvec(mounting[index]).as_matrix().T
-            imus.append(
-                BaseMotion(
-                    (imu.angular_velocity - bias[index, :3]) @ to_frame,
-                    imu.angular_acceleration @ to_frame,
-                    (imu.specific_force - bias[index, 3:]) @ to_frame,
-                )
-            )
-        return replace(
+        corrected = replace(
             readings,
             position=readings.position - self.of_kind("encoder_offset", theta)[:, 0],
             effort=readings.effort / (1 + gain),
             wrenches=wrenches,
-            imus=tuple(imus) if self.imu_frames else readings.imus,
+        )
+        if not self.imu_frames:
+            return corrected
+        to_frame = Rotation.from_rotvec(mounting).as_matrix()
+        return replace(
+            corrected,
+            angular_velocity=rotate(to_frame, readings.angular_velocity - bias[:, :3]),
+            angular_acceleration=rotate(to_frame, readings.angular_acceleration),
+            specific_force=rotate(to_frame, readings.specific_force - bias[:, 3:]),
         )
 
 

@@ -1,14 +1,14 @@
 """Smoothed sensor channels of a segment and their derivatives."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import FloatArray, IntArray, concatenated, map_arrays
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import Smoothing
@@ -25,8 +25,8 @@ class SensorSamples:
         Nanoseconds.
     position, velocity, acceleration, effort : (N, J) float64
         Joint channels in the model's order.
-    imus : tuple of BaseMotion
-        Angular velocity, angular acceleration and specific force of each IMU.
+    angular_velocity, angular_acceleration, specific_force : (N, I, 3) float64
+        Of each IMU, in rad/s, rad/s² and m/s².
     wrenches : (N, F, 6) float64
         Moment and force of each sensor.
     imu_frames, wrench_frames : tuple of str
@@ -38,7 +38,9 @@ class SensorSamples:
     velocity: FloatArray
     acceleration: FloatArray
     effort: FloatArray
-    imus: tuple[BaseMotion, ...]
+    angular_velocity: FloatArray
+    angular_acceleration: FloatArray
+    specific_force: FloatArray
     wrenches: FloatArray
     imu_frames: tuple[str, ...]
     wrench_frames: tuple[str, ...]
@@ -48,19 +50,7 @@ class SensorSamples:
 
     def __getitem__(self, index: slice | IntArray) -> "SensorSamples":
         """Return the samples at some indices."""
-        return replace(
-            self,
-            stamp=self.stamp[index],
-            position=self.position[index],
-            velocity=self.velocity[index],
-            acceleration=self.acceleration[index],
-            effort=self.effort[index],
-            imus=tuple(
-                BaseMotion(*(getattr(imu, field.name)[index] for field in fields(BaseMotion)))
-                for imu in self.imus
-            ),
-            wrenches=self.wrenches[index],
-        )
+        return map_arrays(self, lambda values: values[index])
 
     def averaged(self, starts: IntArray) -> "SensorSamples":
         """Return the means over consecutive groups that begin at the indices ``starts``."""
@@ -71,64 +61,37 @@ class SensorSamples:
             average: FloatArray = np.add.reduceat(values, starts) / counts.reshape(shape)
             return average
 
-        offset = (self.stamp - self.stamp[0]).astype(np.float64)
-        return replace(
-            self,
-            stamp=self.stamp[0] + mean(offset).astype(np.int64),
-            position=mean(self.position),
-            velocity=mean(self.velocity),
-            acceleration=mean(self.acceleration),
-            effort=mean(self.effort),
-            imus=tuple(
-                BaseMotion(*(mean(getattr(imu, field.name)) for field in fields(BaseMotion)))
-                for imu in self.imus
-            ),
-            wrenches=mean(self.wrenches),
-        )
+        # The sum of large stamps would overflow.
+        means = map_arrays(replace(self, stamp=self.stamp - self.stamp[0]), mean)
+        return replace(means, stamp=self.stamp[0] + means.stamp.astype(np.int64))
 
 
 def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) -> SensorSamples:
-    """Return a segment's samples without ``edge`` of them at each end, for the filter to settle."""
+    """Return a segment's samples without ``edge`` of them at each end, for the filter to settle.
+
+    A segment that is too short gives zero samples.
+    """
     rate = segment.rate
     if edge is None:
         edge = smoothing.settling(rate)
     if len(segment) <= 2 * edge:
-        return _empty_samples(segment)
+        segment, edge = segment.cut(0, 0), 0
     position, velocity, acceleration = smoothing.motion(segment.position, rate, 2)
-    imus = []
-    for index in range(len(segment.imu_frames)):
-        omega, alpha = smoothing.motion(segment.angular_velocity[:, index], rate, 1)
-        force = smoothing.force(segment.linear_acceleration[:, index], rate)
-        imus.append(BaseMotion(omega, alpha, force))
+    angular_velocity, angular_acceleration = smoothing.motion(segment.angular_velocity, rate, 1)
     readings = SensorSamples(
         stamp=segment.stamp,
         position=position,
         velocity=velocity,
         acceleration=acceleration,
         effort=smoothing.force(segment.effort, rate),
-        imus=tuple(imus),
+        angular_velocity=angular_velocity,
+        angular_acceleration=angular_acceleration,
+        specific_force=smoothing.force(segment.linear_acceleration, rate),
         wrenches=smoothing.force(segment.wrenches, rate),
         imu_frames=segment.imu_frames,
         wrench_frames=segment.wrench_frames,
     )
     return readings[edge : len(readings) - edge]
-
-
-def _empty_samples(segment: Segment) -> SensorSamples:
-    """Return zero samples, for a segment that is too short for the filter."""
-    empty = segment.cut(0, 0)
-    imu = BaseMotion(*(np.zeros((0, 3)) for _ in fields(BaseMotion)))
-    return SensorSamples(
-        stamp=empty.stamp,
-        position=empty.position,
-        velocity=empty.position,
-        acceleration=empty.position,
-        effort=empty.effort,
-        imus=(imu,) * len(segment.imu_frames),
-        wrenches=empty.wrenches,
-        imu_frames=segment.imu_frames,
-        wrench_frames=segment.wrench_frames,
-    )
 
 
 def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
@@ -139,12 +102,15 @@ def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
     ModelError
         When a sensor's frame is not in the model.
     """
-    base = _mean_base_motion(readings, model)
+    position = model.apply_mimics(readings.position)
+    velocity = model.apply_mimics(readings.velocity, rates=True)
+    acceleration = model.apply_mimics(readings.acceleration, rates=True)
+    base = _mean_base_motion(readings, model, (position, velocity, acceleration))
     return Samples(
         stamp=readings.stamp,
-        position=model.apply_mimics(readings.position),
-        velocity=model.apply_mimics(readings.velocity, rates=True),
-        acceleration=model.apply_mimics(readings.acceleration, rates=True),
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
         effort=readings.effort,
         base_angular_velocity=base.angular_velocity,
         base_angular_acceleration=base.angular_acceleration,
@@ -154,25 +120,24 @@ def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
     )
 
 
-def _mean_base_motion(readings: SensorSamples, model: RobotModel) -> BaseMotion:
+def _mean_base_motion(
+    readings: SensorSamples,
+    model: RobotModel,
+    joints: tuple[FloatArray, FloatArray, FloatArray],
+) -> BaseMotion:
     if not model.floating:
         empty = np.zeros((len(readings), 3))
         return BaseMotion(empty, empty, np.broadcast_to(-model.gravity, empty.shape))
-    joints = (
-        model.apply_mimics(readings.position),
-        model.apply_mimics(readings.velocity, rates=True),
-        model.apply_mimics(readings.acceleration, rates=True),
-    )
+    imus = (readings.angular_velocity, readings.angular_acceleration, readings.specific_force)
     motions = [
-        base_motion(model, frame, joints, imu)
-        for frame, imu in zip(readings.imu_frames, readings.imus, strict=True)
+        base_motion(model, frame, joints, BaseMotion(*(values[:, index] for values in imus)))
+        for index, frame in enumerate(readings.imu_frames)
     ]
     # The mean of several IMUs on the same base has the least noise.
     return BaseMotion(
-        *(
-            np.mean([getattr(motion, field.name) for motion in motions], axis=0)
-            for field in fields(BaseMotion)
-        )
+        np.mean([motion.angular_velocity for motion in motions], axis=0),
+        np.mean([motion.angular_acceleration for motion in motions], axis=0),
+        np.mean([motion.specific_force for motion in motions], axis=0),
     )
 
 
@@ -204,7 +169,7 @@ def build_samples(
         for part in _by_measured_efforts(segment, 2 * smoothing.settling(segment.rate)):
             samples = at_base(smoothed(part, smoothing), model)
             parts.append(samples[:: smoothing.stride(segment.rate)])
-    samples = joined(parts)
+    samples = concatenated(parts)
     if len(samples) == 0:
         raise DataError(
             f"{source}: the log is too short for this filter ({smoothing}) to settle; "
@@ -224,13 +189,3 @@ def _by_measured_efforts(segment: Segment, shortest: int) -> Iterator[Segment]:
     for start, stop in pairwise([0, *changes.tolist(), len(segment)]):
         if stop - start > shortest:
             yield segment.cut(start, stop)
-
-
-def joined(parts: Sequence[Samples]) -> Samples:
-    """Concatenate the samples of several segments."""
-    arrays = {
-        field.name: np.concatenate([getattr(part, field.name) for part in parts])
-        for field in fields(Samples)
-        if field.name != "wrench_frames"
-    }
-    return Samples(**arrays, wrench_frames=parts[0].wrench_frames)

@@ -1,18 +1,120 @@
-"""Recording of a simulation into a bag, faster or slower than real time."""
+"""Topics of the simulated robot, and their recording into a bag."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from symbid_ros.arrays import IntArray
 from symbid_ros.bags import BagWriter, create_folder
+from symbid_ros.messages import types as messages
+from symbid_ros.messages.layout import Columns, Layout
+from symbid_ros.simulation.scenario import SUPPORT_FRAME
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
-from symbid_ros.simulation.topics import sensor_topics, truth_topics
 
+WORLD = "world"
 BLOCK = 500  # instants encoded together: large enough to be efficient, small enough for progress
+
+# Message fields and the attributes of `Instant` that fill them.
+JOINTS = {"position": "joint_position", "velocity": "joint_velocity", "effort": "joint_effort"}
+IMU = {
+    "orientation": "imu_orientation",
+    "angular_velocity": "imu_angular_velocity",
+    "linear_acceleration": "imu_linear_acceleration",
+}
+TRUE_JOINTS = {
+    "points.0.positions": "true_position",
+    "points.0.velocities": "true_velocity",
+    "points.0.accelerations": "true_acceleration",
+    "points.0.effort": "true_effort",
+}
+ODOMETRY = {
+    "pose.pose.position": "base_position",
+    "pose.pose.orientation": "base_orientation",
+    "twist.twist.linear": "base_linear_velocity",
+    "twist.twist.angular": "base_angular_velocity",
+}
+BASE_ACCELERATION = {
+    "accel.linear": "base_linear_acceleration",
+    "accel.angular": "base_angular_acceleration",
+}
+
+Fill = Callable[[Columns, IntArray | int, Instant], None]
+
+
+@dataclass(frozen=True)
+class SimulatedTopic:
+    """One topic of the simulated robot.
+
+    Attributes
+    ----------
+    name : str
+        Relative topic name.
+    layout : Layout
+        Layout of its messages.
+    fill : callable
+        ``fill(columns, stamp, instant)`` writes one instant into the columns of one record, or N
+        instants into N records when stamp is (N,) and the instant's arrays have a leading axis
+        of N.
+    every : int
+        Instants from one message to the next, starting at the first instant.
+    """
+
+    name: str
+    layout: Layout
+    fill: Fill
+    every: int = 1
+
+
+def sensor_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
+    """Return the topics of joint states, IMU and wrenches."""
+    rates = robot.sample_rates
+    joint_states = messages.joint_state_layout(robot.joint_names)
+    imu = messages.imu_layout(robot.imu_frame)
+    wrenches = [
+        SimulatedTopic(
+            sensor.topic,
+            messages.wrench_layout(sensor.frame_id),
+            _wrench_fill(index),
+            1 if sensor.frame_id == SUPPORT_FRAME else rates.plates,
+        )
+        for index, sensor in enumerate(robot.wrench_sensors)
+    ]
+    return (
+        SimulatedTopic("joint_states", joint_states, _fill(JOINTS), rates.joints),
+        SimulatedTopic("imu/data", imu, _fill(IMU), rates.imu),
+        *wrenches,
+    )
+
+
+def truth_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
+    """Return the topics of the true motion, for validation only."""
+    joints = messages.trajectory_layout(robot.joint_names)
+    odometry = messages.odometry_layout(WORLD, robot.base_frame)
+    acceleration = messages.accel_layout(robot.base_frame)
+    return (
+        SimulatedTopic("ground_truth/joints", joints, _fill(TRUE_JOINTS)),
+        SimulatedTopic("ground_truth/odom", odometry, _fill(ODOMETRY)),
+        SimulatedTopic("ground_truth/base_accel", acceleration, _fill(BASE_ACCELERATION)),
+    )
+
+
+def _fill(attributes: Mapping[str, str]) -> Fill:
+    def fill(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
+        values = {field: getattr(instant, name) for field, name in attributes.items()}
+        messages.fill_message(columns, stamp, **values)
+
+    return fill
+
+
+def _wrench_fill(index: int) -> Fill:
+    def fill(columns: Columns, stamp: IntArray | int, instant: Instant) -> None:
+        messages.fill_wrench(columns, stamp, instant.wrenches[..., index, :])
+
+    return fill
 
 
 def record(
@@ -46,7 +148,12 @@ def record(
         while done < simulator.steps:
             instants = [simulator.step() for _ in range(min(BLOCK, simulator.steps - done))]
             stamps = np.array([instant.stamp for instant in instants])
-            block = _stack(instants)
+            arrays: dict[str, Any] = {
+                field.name: np.stack([getattr(instant, field.name) for instant in instants])
+                for field in fields(Instant)
+                if field.name != "stamp"
+            }
+            block = replace(instants[0], **arrays)
             payloads = []
             for topic in topics:
                 records = topic.layout.records(len(instants))
@@ -60,13 +167,3 @@ def record(
             if progress is not None:
                 progress(done, simulator.steps)
     return bag.counts
-
-
-def _stack(instants: Sequence[Instant]) -> Instant:
-    """Return one instant whose arrays have the instants along their first axis."""
-    arrays: dict[str, Any] = {
-        field.name: np.stack([getattr(instant, field.name) for instant in instants])
-        for field in fields(Instant)
-        if field.name != "stamp"
-    }
-    return replace(instants[0], **arrays)

@@ -15,8 +15,7 @@ from scipy.linalg import qr
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.contact import RANK_TOLERANCE, contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import Rows, equation_of_motion
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.information import RowLayout, random_motions
 from symbid_ros.estimation.observations import Observations

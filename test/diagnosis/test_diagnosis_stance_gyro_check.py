@@ -59,7 +59,10 @@ def stood_on(tripod, feet: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
         velocity=joints[1],
         acceleration=np.zeros_like(joints[0]),
         effort=np.zeros_like(joints[0]),
-        imus=(),
+        **dict.fromkeys(
+            ("angular_velocity", "angular_acceleration", "specific_force"),
+            np.zeros((len(time), 0, 3)),
+        ),
         wrenches=np.zeros((len(time), 3, 6)),
         imu_frames=(),
         wrench_frames=FEET,

@@ -10,8 +10,8 @@ import pytest
 from random_robots import CONFIG, random_robot, random_samples, with_drives
 
 from symbid_ros.choices import TERMS
+from symbid_ros.dynamics.kinematics import CACHE_BLOCK
 from symbid_ros.dynamics.regressor import equation_of_motion, is_slipping
-from symbid_ros.dynamics.spatial import CACHE_BLOCK
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.load import load_model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from random_robots import random_robot, random_samples
 
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Samples
 
 ARRAYS = [field.name for field in fields(Samples) if field.name != "wrench_frames"]
 

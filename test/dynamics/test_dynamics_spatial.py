@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from random_robots import random_rotation
 
-from symbid_ros.dynamics.spatial import (
+from symbid_ros.dynamics.kinematics import (
     CACHE_BLOCK,
     cache_blocks,
     component_first,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.messages.single_message import BLOCK, GapCounter
-from symbid_ros.signals.stamps import Gaps, find_gaps
+from symbid_ros.signals.defects import Gaps, find_gaps
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, BLOCK, BLOCK + 1, 3 * BLOCK + 17])

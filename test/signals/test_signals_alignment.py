@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from analytic_log import analytic_samples, imu_motion, readings_of
+from analytic_log import analytic_samples, imu_motion, readings_of, stacked
 from expected_errors import raises_code
 from hypothesis import given
 from hypothesis import strategies as st
@@ -125,7 +125,7 @@ def test_several_imus_count_alike() -> None:
         ((other, other, BaseMotion(*(exact + error))), 1 / 3),
     ):
         frames = tuple("imu_link" if imu is other else frame for imu in imus)
-        found = at_base(replace(readings, imus=imus, imu_frames=frames), model)
+        found = at_base(replace(readings, imu_frames=frames, **stacked(imus, len(samples))), model)
         for name, was, wrong in zip(
             ("base_angular_velocity", "base_angular_acceleration", "base_specific_force"),
             exact,

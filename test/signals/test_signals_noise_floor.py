@@ -6,7 +6,7 @@ from analytic_log import analytic_segment, noisy
 from random_robots import random_robot
 
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.noise_floor import FORCES, MOTION, noise_deviation, with_more_noise
+from symbid_ros.signals.weak_form import FORCES, MOTION, noise_deviation, with_more_noise
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE

@@ -5,6 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
+from symbid_ros.arrays import concatenated
 from symbid_ros.signals.segments import Segment, cut_to, fingerprint
 
 SECOND = 1_000_000_000
@@ -76,7 +77,7 @@ def test_segments_are_cut_by_stamp_and_joined_again():
     pieces = [log.cut(0, 30), log.cut(30, 60), log.cut(60, 100)]
     found = list(cut_to(pieces, int(log.stamp[10]), int(log.stamp[60])))
     assert [len(piece) for piece in found] == [20, 30]
-    joined = found[0].joined(found[1])
+    joined = concatenated(found)
     for field in fields(Segment):
         expected = getattr(log.cut(10, 60), field.name)
         np.testing.assert_array_equal(getattr(joined, field.name), expected)

@@ -10,8 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from symbid_ros.messages.types import has_stamp, read_leading_stamp
-from symbid_ros.signals.defects import Defect, DefectCounts
-from symbid_ros.signals.stamps import CLOCK_JUMP, check_clock, find_gaps, kept_in_order, seconds
+from symbid_ros.signals.defects import (
+    CLOCK_JUMP,
+    Defect,
+    DefectCounts,
+    check_clock,
+    find_gaps,
+    kept_in_order,
+    seconds,
+)
 
 PERIOD = 1_000_000
 

@@ -9,7 +9,6 @@ from analytic_log import analytic_segment, noisy
 from expected_errors import raises_code
 from random_robots import random_robot, with_drives
 
-from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, Rows
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.filters import LowPass
@@ -74,14 +73,12 @@ def test_averages_are_the_strict_weak_form_in_which_no_acceleration_is_formed(pa
 def strict_weak_form(readings, parameters, window):
     """Return Σ w K (W, n, p) from positions and rates alone, Σ w A q̈ = -Σ Δ(w A)/Δt q̇."""
 
-    def K(acceleration, alphas):
-        imus = zip(readings.imus, alphas, strict=True)
-        turned = tuple(BaseMotion(i.angular_velocity, a, i.specific_force) for i, a in imus)
-        changed = replace(readings, acceleration=acceleration, imus=turned)
+    def K(acceleration, alpha):
+        changed = replace(readings, acceleration=acceleration, angular_acceleration=alpha)
         return np.concatenate([part.rows.K for part in equation_rows(parameters)(changed)])
 
     still = np.zeros_like(readings.acceleration)
-    rest = [np.zeros((len(readings), 3)) for _ in readings.imus]
+    rest = np.zeros_like(readings.angular_acceleration)
     uniform = K(still, rest)
     rates, coefficients = [], []
     for joint in range(still.shape[1]):
@@ -89,12 +86,11 @@ def strict_weak_form(readings, parameters, window):
         unit[:, joint] = 1.0
         rates.append(readings.velocity[:, joint])
         coefficients.append(K(unit, rest) - uniform)
-    for imu, motion in enumerate(readings.imus):
-        for axis in range(3):
-            unit = [alpha.copy() for alpha in rest]
-            unit[imu][:, axis] = 1.0
-            rates.append(motion.angular_velocity[:, axis])
-            coefficients.append(K(still, unit) - uniform)
+    for imu, axis in np.ndindex(rest.shape[1:]):
+        unit = rest.copy()
+        unit[:, imu, axis] = 1.0
+        rates.append(readings.angular_velocity[:, imu, axis])
+        coefficients.append(K(still, unit) - uniform)
     time = (readings.stamp - readings.stamp[0]) * 1e-9
     averages = []
     for centre in np.arange(window / 2, time[-1] - window / 2 + 1e-9, window / 2):

@@ -1,13 +1,12 @@
 """Logs without a simulator: all motion is sums of sines, and the forces are what it takes."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.dynamics.imu import BaseMotion
-from symbid_ros.dynamics.regressor import equation_of_motion
-from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.regressor import Samples, equation_of_motion
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples
 
@@ -105,27 +104,32 @@ def readings_of(model, samples, imu_frames=("imu_link",)):
         velocity=samples.velocity,
         acceleration=samples.acceleration,
         effort=samples.effort,
-        imus=tuple(imu_motion(model, samples, frame) for frame in imu_frames),
+        **stacked([imu_motion(model, samples, frame) for frame in imu_frames], len(samples)),
         wrenches=samples.wrenches,
         imu_frames=tuple(imu_frames),
         wrench_frames=samples.wrench_frames,
     )
 
 
+def stacked(motions, count):
+    """Return the fields of SensorSamples (N, I, 3) from the motion of each IMU."""
+    return {
+        field.name: np.reshape(
+            [getattr(motion, field.name) for motion in motions], (-1, count, 3)
+        ).swapaxes(0, 1)
+        for field in fields(BaseMotion)
+    }
+
+
 def segment_of(readings, rate):
     """Return the channels of readings (N,) at a uniform rate, Hz."""
-
-    def per_imu(field):
-        values = [getattr(imu, field) for imu in readings.imus]
-        return np.reshape(values, (-1, len(readings), 3)).swapaxes(0, 1)
-
     return Segment(
         stamp=readings.stamp,
         rate=rate,
         position=readings.position,
         effort=readings.effort,
-        angular_velocity=per_imu("angular_velocity"),
-        linear_acceleration=per_imu("specific_force"),
+        angular_velocity=readings.angular_velocity,
+        linear_acceleration=readings.specific_force,
         wrenches=readings.wrenches,
         imu_frames=readings.imu_frames,
         wrench_frames=readings.wrench_frames,
