@@ -35,6 +35,7 @@ LONGEST = (
     "test_ros_udp.py",
     "test_ros_player.py",
     "test_simulation_udp.py",
+    "test_ros_malformed_requests.py",
     "test_cli_online_demo.py",
     "test_ros_identifier.py",
     "test_online_identification.py",

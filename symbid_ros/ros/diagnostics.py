@@ -74,9 +74,9 @@ class StatusPublisher:
         self._publisher.publish(message)
 
     def _dropped_messages(self) -> Sequence[NodeStatus]:
-        """Return a warning if the node's executor has dropped messages."""
+        """Return a warning if the node's executor has dropped messages or requests."""
         dropped = getattr(self._node.executor, "dropped", {})
         if not dropped:
             return ()
-        message = f"messages dropped on {', '.join(sorted(dropped))}"
+        message = f"messages or requests dropped on {', '.join(sorted(dropped))}"
         return (NodeStatus("messages", WARN, message, dict(sorted(dropped.items()))),)

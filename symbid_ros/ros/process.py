@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor, await_or_execute
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.serialization import deserialize_message
+from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.task import Future
@@ -198,17 +199,17 @@ def _is_argument_error(error: Exception) -> bool:
 
 
 class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
-    """Drops and counts messages that cannot be decoded or that make their callback fail.
+    """Drops and counts messages and requests that cannot be decoded or make their callback fail.
 
-    In rclpy's own executors such an exception ends the spinning thread: a negative time on
-    ``/clock`` ends every node that uses simulated time. The middleware drops malformed bytes
-    silently, so this executor decodes them itself. Exceptions of timers and services still end
-    the node.
+    In rclpy's own executors such an exception ends the node: a negative time on ``/clock`` ends
+    every node that uses simulated time. A request to ``~/set_parameters`` with an unknown value
+    type ends any node (https://github.com/ros2/rclcpp/issues/3257 for C++). A dropped request gets
+    no answer. Exceptions of timers still end the node.
 
     Attributes
     ----------
     dropped : Counter of str
-        Number of dropped messages by topic.
+        Number of dropped messages by topic, and of dropped requests by service.
     """
 
     def __init__(self, *, context: Context | None = None) -> None:
@@ -216,6 +217,7 @@ class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
         self.dropped: Counter[str] = Counter()
 
     def _take_subscription(self, subscription: Subscription) -> Callback | None:
+        # The middleware drops malformed bytes silently, so they are decoded here.
         try:
             with subscription.handle:
                 taken = subscription.handle.take_message(subscription.msg_type, True)
@@ -226,27 +228,35 @@ class MessageExecutor(SingleThreadedExecutor):  # type: ignore[misc]
         payload, details = taken
 
         async def work() -> None:
+            message = payload if subscription.raw else _decode(payload, subscription.msg_type)
+            wants_details = subscription._callback_type is not Subscription.CallbackType.MessageOnly
+            arguments = (message, details) if wants_details else (message,)
+            await await_or_execute(subscription.callback, *arguments)
+
+        return self._guarded(work, "message", "publisher", str(subscription.topic_name))
+
+    def _take_service(self, service: Service) -> Callback | None:
+        work = super()._take_service(service)
+        if work is None:
+            return None
+        return self._guarded(work, "request", "client", str(service.service_name))
+
+    def _guarded(self, work: Callback, kind: str, sender: str, name: str) -> Callback:
+        """Return a callback that drops a message or request instead of raising an exception."""
+
+        async def guarded() -> None:
             try:
-                message = payload if subscription.raw else _decode(payload, subscription.msg_type)
-                wants_details = (
-                    subscription._callback_type is not Subscription.CallbackType.MessageOnly
-                )
-                arguments = (message, details) if wants_details else (message,)
-                await await_or_execute(subscription.callback, *arguments)
+                await work()
             except Exception as error:
-                self._drop(subscription, error)
+                self.dropped[name] += 1
+                for node in self.get_nodes():
+                    node.get_logger().warning(
+                        f"{name}: {kind} dropped ({self.dropped[name]} so far): {error}; "
+                        f"check the {sender}",
+                        throttle_duration_sec=WARNING_PERIOD,
+                    )
 
-        return work
-
-    def _drop(self, subscription: Subscription, error: Exception) -> None:
-        topic = str(subscription.topic_name)
-        self.dropped[topic] += 1
-        for node in self.get_nodes():
-            node.get_logger().warning(
-                f"{topic}: message dropped ({self.dropped[topic]} so far): {error}; "
-                "check the publisher",
-                throttle_duration_sec=WARNING_PERIOD,
-            )
+        return guarded
 
 
 def _decode(payload: bytes, kind: type[Any]) -> Any:

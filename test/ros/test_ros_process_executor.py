@@ -1,4 +1,4 @@
-"""No message ends an executor, neither malformed bytes nor values that a callback rejects."""
+"""Malformed messages and requests, and values that a callback rejects, end no executor."""
 
 from collections.abc import Iterator
 
@@ -6,6 +6,9 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from junk_messages import some_malformed
+from rcl_interfaces.msg import Parameter as ParameterMessage
+from rcl_interfaces.msg import ParameterValue
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -74,3 +77,23 @@ def test_malformed_messages_are_counted_and_the_others_arrive(spun) -> None:
     # The decoder of the middleware accepts extra bytes after a message.
     assert executor.dropped["/health"] + len(heard) == len(junk) + 3
     assert executor.dropped["/health"] > len(junk) // 2
+
+
+@pytest.mark.parametrize("kind", [SetParameters, SetParametersAtomically])
+def test_a_request_with_an_unknown_value_type_is_dropped(spun, kind) -> None:
+    node, executor = spun
+    service = {
+        SetParameters: "set_parameters",
+        SetParametersAtomically: "set_parameters_atomically",
+    }
+    client = node.create_client(kind, f"/reader/{service[kind]}")
+
+    def request(value: ParameterValue):
+        return client.call_async(kind.Request(parameters=[ParameterMessage(name="a", value=value)]))
+
+    executor.spin_until_future_complete(executor.create_task(client.wait_for_service))
+    unanswered, answered = request(ParameterValue(type=99)), request(ParameterValue(type=1))
+    executor.spin_until_future_complete(answered)
+    assert "undeclared" in str(answered.result())
+    assert not unanswered.done()
+    assert executor.dropped == {f"/reader/{service[kind]}": 1}
