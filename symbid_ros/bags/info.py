@@ -38,18 +38,18 @@ class FileInfo:
         Bytes.
     storage : str
         ``mcap`` or ``sqlite3``.
-    compression : tuple of str
-        Of its chunks; empty if none is compressed or it is unknown.
-    recorded_by : str
-        Library that wrote it, as stated in the file; empty if unknown.
     is_finished, is_indexed : bool
         Whether it has a footer, and an index of its messages.
-    fault : str
-        What is wrong with it and how to fix it; empty if it seems intact.
     start, end : int or None
         First and last log time, nanoseconds; None without a message.
     counts : dict of Topic to int
         Messages.
+    compression : tuple of str
+        Of its chunks; empty if none is compressed or it is unknown.
+    recorded_by : str
+        Library that wrote it, as stated in the file; empty if unknown.
+    fault : str
+        What is wrong with it and how to fix it; empty if it seems intact.
     attachments, metadata : int
         Number of such records.
     """
@@ -57,16 +57,16 @@ class FileInfo:
     name: str
     size: int
     storage: str
-    compression: tuple[str, ...]
-    recorded_by: str
     is_finished: bool
     is_indexed: bool
-    fault: str
     start: int | None
     end: int | None
     counts: dict[Topic, int]
-    attachments: int
-    metadata: int
+    compression: tuple[str, ...] = ()
+    recorded_by: str = ""
+    fault: str = ""
+    attachments: int = 0
+    metadata: int = 0
 
 
 @dataclass(frozen=True)
@@ -281,14 +281,9 @@ def _sqlite_file(file: Path, qos: dict[Topic, tuple[OfferedQos, ...]]) -> FileIn
         name=file.name,
         size=file.stat().st_size,
         storage="sqlite3",
-        compression=(),
-        recorded_by="",
         is_finished=held.is_finished,
         is_indexed=True,
-        fault="",
         start=held.start,
         end=held.end,
         counts=dict(held.counts),
-        attachments=0,
-        metadata=0,
     )

@@ -1,6 +1,8 @@
 """Read bags as streams of arrays in slices of time, so that long logs need not fit in memory."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -8,17 +10,24 @@ import numpy as np
 from symbid_ros.arrays import IntArray
 from symbid_ros.bags.container.blocks import MessageBlock
 from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
-from symbid_ros.bags.reorder_buffer import ReorderBuffer
-from symbid_ros.messages.decoder import TopicDecoder
+from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
+from symbid_ros.messages.layout import ByteArray
 from symbid_ros.messages.sensor_streams import build_streams, group_joints, read_stamps
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
+from symbid_ros.messages.types import read_stamp
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
-from symbid_ros.signals.defects import ALWAYS, CLOCK_JUMP, Defect, seconds
+from symbid_ros.signals.defects import (
+    ALWAYS,
+    CLOCK_JUMP,
+    Defect,
+    DefectCounts,
+    check_clock,
+    seconds,
+)
 from symbid_ros.signals.streams import ALL_OF_IT, Slice, TimeRange
 
 # Bytes to buffer for a topic that lags, because it is silent or recorded with a delay.
 MAX_BUFFERED = 256 << 20
-
 
 DEFAULT_SELECTION = TopicSelection()
 
@@ -73,26 +82,30 @@ class _Slicer:
         self, source: str, chosen: SelectedTopics, span: int | None, part: TimeRange
     ) -> None:
         self._source, self._chosen, self._span, self._part = source, chosen, span, part
-        self._buffers = {topic: ReorderBuffer.of(source, topic) for topic in chosen.all}
+        self._buffers = {
+            topic: ReorderBuffer(TopicDecoder(source, topic), DefectCounts(source, topic.name))
+            for topic in chosen.all
+        }
         self._joints = self._buffers[chosen.clock]
-        self._until, self._end = ALWAYS
-        self._begin = self._until  # of the requested part
+        self._processed_until, self._end = ALWAYS
+        self._requested_from = self._processed_until
         self._has_begun = False
 
     @property
     def is_done(self) -> bool:
         """Whether the requested part has been read."""
-        return self._until >= self._end
+        return self._processed_until >= self._end
 
     def add(self, block: MessageBlock) -> None:
         """Add the messages of a block."""
         for topic, buffer in self._buffers.items():
             if topic in block.spans:
-                buffer.add(block.data, block.spans[topic], self._until, self._begin)
+                spans = block.spans[topic]
+                buffer.add(block.data, spans, self._processed_until, self._requested_from)
         if not self._has_begun and (first := self._joints.first_from(ALWAYS[0])) is not None:
             self._has_begun = True
             if self._part.start > 0:
-                self._until = self._begin = first + round(1e9 * self._part.start)
+                self._processed_until = self._requested_from = first + round(1e9 * self._part.start)
             if np.isfinite(self._part.stop):
                 self._end = first + round(1e9 * self._part.stop)
 
@@ -117,7 +130,7 @@ class _Slicer:
 
     def _stop(self) -> int | None:
         """Return the end of the slice of the next joint state, ns."""
-        first = None if self.is_done else self._joints.first_from(self._until)
+        first = None if self.is_done else self._joints.first_from(self._processed_until)
         if first is None or first >= self._end:
             return None
         if self._span is None:
@@ -125,27 +138,22 @@ class _Slicer:
         return min((first // self._span + 1) * self._span, self._end)
 
     def _slice(self, stop: int) -> Slice:
-        start, self._until = self._until, stop
-        for buffer in self._buffers.values():
-            buffer.tally.during = (start, stop)
+        start, self._processed_until = self._processed_until, stop
         margin = resampling_margin(buffer.stamps for buffer in self._buffers.values())
-        decoders = {
-            topic: buffer.between(start - margin, stop + margin)
-            for topic, buffer in self._buffers.items()
-        }
-        for buffer in self._buffers.values():
+        decoders, tallies = {}, {}
+        for topic, buffer in self._buffers.items():
+            decoders[topic] = buffer.between(start - margin, stop + margin)
             buffer.drop_before(stop - LONGEST_MARGIN)
-        tallies = {topic: buffer.tally for topic, buffer in self._buffers.items()}
-        for topic, tally in tallies.items():
-            if count := self._buffers[topic].decoder.decoded_singly:
-                tally.counts[Defect.OTHER_LAYOUT] = count
-        recorded = {
-            topic.name: _during(self._stamps(topic, decoder), start, stop)
-            for topic, decoder in decoders.items()
-        }
-        silent = [topic.name for topic, decoder in decoders.items() if not decoder.count]
+            tallies[topic] = buffer.tally
+            buffer.tally.during = (start, stop)
+            if count := buffer.decoder.decoded_singly:
+                buffer.tally.counts[Defect.OTHER_LAYOUT] = count
+        recorded = {}
+        for topic, decoder in decoders.items():
+            stamps = self._stamps(topic, decoder)
+            recorded[topic.name] = stamps[(stamps >= start) & (stamps < stop)]
         streams, fault = None, ""
-        if silent:
+        if silent := [topic.name for topic, decoder in decoders.items() if not decoder.count]:
             fault = (
                 f"{self._source}: {', '.join(silent)} was silent up to {seconds(stop)}, or is "
                 "stamped by another clock; record it again or leave it out"
@@ -164,5 +172,129 @@ class _Slicer:
         return np.unique(recorded) if is_split else recorded
 
 
-def _during(stamp: IntArray, start: int, stop: int) -> IntArray:
-    return stamp[(stamp >= start) & (stamp < stop)]
+@dataclass
+class ReorderBuffer:
+    """The decoded messages of one topic, until all topics have reached their time.
+
+    Attributes
+    ----------
+    decoder : TopicDecoder
+        Decodes the messages, which are then moved from it to the buffer.
+    tally : DefectCounts
+        Defects of the messages.
+    newest : int or None
+        Largest stamp so far, ns; None before the first message.
+    size : int
+        Buffered bytes.
+    """
+
+    decoder: TopicDecoder
+    tally: DefectCounts
+    newest: int | None = None
+    size: int = 0
+    _last: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    _parts: list["_Part"] = field(default_factory=list)
+
+    def add(
+        self,
+        data: ByteArray,
+        spans: IntArray,
+        processed_until: int = ALWAYS[0],
+        requested_from: int = ALWAYS[0],
+    ) -> None:
+        """Decode and add the payloads (N, 2: start, length) in a block of bytes.
+
+        Messages with stamps before ``processed_until``, ns, are dropped. They count as late if they
+        belong to the requested part, which starts at ``requested_from``.
+
+        Raises
+        ------
+        DataError
+            When a message cannot be decoded, or the clock jumps back.
+        """
+        if not len(spans):
+            return
+        first = self.decoder.count
+        self.decoder.add(data, spans)
+        recorded = np.empty(len(spans), dtype=np.int64)
+        for batch in self.decoder.batches:
+            stamps = read_stamp(batch.records)
+            recorded[batch.index - first] = stamps
+            numbers = DecodedBatch(batch.layout, batch.index, batch.layout.packed(batch.records))
+            self._keep(_Part(numbers, stamps).between(processed_until, ALWAYS[1]))
+        self.decoder.batches = []
+        topic = self.decoder.topic.name
+        check_clock(self.decoder.source, topic, np.append(self._last, recorded))
+        self._last = recorded[-1:]
+        self.tally.during = ALWAYS
+        self.tally.see(recorded)
+        is_late = (recorded >= requested_from) & (recorded < processed_until)
+        self.tally.add(Defect.LATE, recorded, is_late)
+        newest = int(recorded.max())
+        self.newest = newest if self.newest is None else max(self.newest, newest)
+
+    def between(self, start: int, stop: int) -> TopicDecoder:
+        """Return the messages with stamps from ``start`` up to ``stop``, ns."""
+        batches = [inside.batch for part in self._parts if (inside := part.between(start, stop))]
+        index = np.concatenate([np.empty(0, np.int64), *(batch.index for batch in batches)])
+        places = np.empty_like(index)
+        places[np.argsort(index, kind="stable")] = np.arange(len(index))
+        ends = np.cumsum([len(batch.index) for batch in batches])
+        decoder = self.decoder
+        return TopicDecoder(
+            decoder.source,
+            decoder.topic,
+            [
+                DecodedBatch(batch.layout, its, batch.records)
+                for batch, its in zip(batches, np.split(places, ends), strict=False)
+            ],
+            len(index),
+        )
+
+    @property
+    def stamps(self) -> IntArray:
+        """(N,) stamps of the buffered messages, ns, in order of recording."""
+        return np.concatenate([np.empty(0, np.int64), *(part.stamps for part in self._parts)])
+
+    def first_from(self, start: int) -> int | None:
+        """Return the smallest buffered stamp from ``start`` on, ns."""
+        waiting = (part.between(start, ALWAYS[1]) for part in self._parts)
+        return min((part.oldest for part in waiting if part), default=None)
+
+    def drop_before(self, stamp: int) -> None:
+        """Drop messages older than ``stamp``, ns."""
+        parts, self._parts, self.size = self._parts, [], 0
+        for part in parts:
+            self._keep(part.between(stamp, ALWAYS[1]))
+
+    def _keep(self, part: "_Part | None") -> None:
+        if part:
+            self._parts.append(part)
+            self.size += part.batch.records.nbytes
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Messages of one layout and one block, at least one."""
+
+    batch: DecodedBatch
+    stamps: IntArray
+
+    @cached_property
+    def oldest(self) -> int:
+        return int(self.stamps.min())
+
+    @cached_property
+    def newest(self) -> int:
+        return int(self.stamps.max())
+
+    def between(self, start: int, stop: int) -> "_Part | None":
+        """Return the messages with stamps from ``start`` up to ``stop``, ns; None if none."""
+        if start <= self.oldest and self.newest < stop:
+            return self
+        wanted = (self.stamps >= start) & (self.stamps < stop)
+        if not wanted.any():
+            return None
+        batch = self.batch
+        some = DecodedBatch(batch.layout, batch.index[wanted], batch.records[wanted])
+        return _Part(some, self.stamps[wanted])

@@ -12,7 +12,14 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.messages.layout import ENCAPSULATION, Columns, Layout, Records, typestore
+from symbid_ros.messages.layout import (
+    ENCAPSULATION,
+    NUMBERS,
+    Columns,
+    Layout,
+    Records,
+    typestore,
+)
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
@@ -29,106 +36,75 @@ TIME = (Nodetype.NAME, "builtin_interfaces/msg/Time")
 _STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 
 
-def _message(msgtype: str, **fields: Any) -> Any:
-    return typestore().types[msgtype](**fields)
-
-
-def _time() -> Any:
-    return _message("builtin_interfaces/msg/Time", sec=0, nanosec=0)
-
-
-def _header(frame_id: str) -> Any:
-    return _message("std_msgs/msg/Header", stamp=_time(), frame_id=frame_id)
-
-
-def _vector() -> Any:
-    return _message("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
-
-
-def _quaternion() -> Any:
-    return _message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
-
-
 def joint_state_layout(names: tuple[str, ...]) -> Layout:
     """Return the layout of a JointState with all four arrays filled."""
     zeros = np.zeros(len(names))
-    message = _message(
-        JOINT_STATE,
-        header=_header(""),
-        name=list(names),
-        position=zeros,
-        velocity=zeros,
-        effort=zeros,
+    return message_layout(
+        JOINT_STATE, name=list(names), position=zeros, velocity=zeros, effort=zeros
     )
-    return Layout.of(message, JOINT_STATE)
 
 
 def imu_layout(frame_id: str) -> Layout:
     """Return the layout of an Imu: orientation of the IMU in the world, rad/s, specific force.
 
-    Zero covariances mean unknown (REP-145).
+    Its covariances are zero, which means unknown (REP-145).
     """
-    unknown = np.zeros(9)
-    message = _message(
-        IMU,
-        header=_header(frame_id),
-        orientation=_quaternion(),
-        orientation_covariance=unknown,
-        angular_velocity=_vector(),
-        angular_velocity_covariance=unknown,
-        linear_acceleration=_vector(),
-        linear_acceleration_covariance=unknown,
-    )
-    return Layout.of(message, IMU)
+    return message_layout(IMU, header=_header(frame_id))
 
 
 def wrench_layout(frame_id: str) -> Layout:
     """Return the layout of a WrenchStamped: wrench of the environment on the robot."""
-    wrench = _message("geometry_msgs/msg/Wrench", force=_vector(), torque=_vector())
-    return Layout.of(_message(WRENCH, header=_header(frame_id), wrench=wrench), WRENCH)
+    return message_layout(WRENCH, header=_header(frame_id))
 
 
 def trajectory_layout(names: tuple[str, ...]) -> Layout:
     """Return the layout of a JointTrajectory with one point."""
-    zeros = np.zeros(len(names))
-    point = _message(
-        "trajectory_msgs/msg/JointTrajectoryPoint",
-        positions=zeros,
-        velocities=zeros,
-        accelerations=zeros,
-        effort=zeros,
-        time_from_start=_message("builtin_interfaces/msg/Duration", sec=0, nanosec=0),
+    arrays = ("positions", "velocities", "accelerations", "effort")
+    point = _zero_message(
+        "trajectory_msgs/msg/JointTrajectoryPoint", **dict.fromkeys(arrays, np.zeros(len(names)))
     )
-    message = _message(TRAJECTORY, header=_header(""), joint_names=list(names), points=[point])
-    return Layout.of(message, TRAJECTORY)
+    return message_layout(TRAJECTORY, joint_names=list(names), points=[point])
 
 
 def odometry_layout(frame_id: str, child_frame_id: str) -> Layout:
     """Return the layout of an Odometry: pose in ``frame_id``, twist in the child frame."""
-    point = _message("geometry_msgs/msg/Point", x=0.0, y=0.0, z=0.0)
-    pose = _message("geometry_msgs/msg/Pose", position=point, orientation=_quaternion())
-    twist = _message("geometry_msgs/msg/Twist", linear=_vector(), angular=_vector())
-    message = _message(
-        ODOMETRY,
-        header=_header(frame_id),
-        child_frame_id=child_frame_id,
-        pose=_message("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=np.zeros(36)),
-        twist=_message(
-            "geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)
-        ),
-    )
-    return Layout.of(message, ODOMETRY)
+    return message_layout(ODOMETRY, header=_header(frame_id), child_frame_id=child_frame_id)
 
 
 def accel_layout(frame_id: str) -> Layout:
     """Return the layout of an AccelStamped, expressed in ``frame_id``."""
-    accel = _message("geometry_msgs/msg/Accel", linear=_vector(), angular=_vector())
-    return Layout.of(_message(ACCEL, header=_header(frame_id), accel=accel), ACCEL)
+    return message_layout(ACCEL, header=_header(frame_id))
 
 
 def clock_layout() -> Layout:
     """Return the layout of a Clock."""
-    return Layout.of(_message(CLOCK, clock=_time()), CLOCK)
+    return message_layout(CLOCK)
+
+
+def message_layout(msgtype: str, **fields: Any) -> Layout:
+    """Return the layout of a message with the given fields; all others are zero or empty."""
+    return Layout.of(_zero_message(msgtype, **fields), msgtype)
+
+
+def _header(frame_id: str) -> Any:
+    return _zero_message("std_msgs/msg/Header", frame_id=frame_id)
+
+
+def _zero_message(msgtype: str, **fields: Any) -> Any:
+    """Return a message object of rosbags with the given fields; all others are zero or empty."""
+    zeros = {name: _zero(*kind) for name, kind in typestore().fielddefs[msgtype][1]}
+    return typestore().types[msgtype](**(zeros | fields))
+
+
+def _zero(node: Nodetype, detail: Any) -> Any:
+    if node == Nodetype.NAME:
+        return _zero_message(detail)
+    if node == Nodetype.BASE:
+        return "" if detail[0] == "string" else 0
+    (inner, kind), count = detail
+    if inner == Nodetype.BASE and kind[0] in NUMBERS:
+        return np.zeros(count, dtype=NUMBERS[kind[0]])
+    return [_zero(inner, kind)] * count
 
 
 def fill_stamp(columns: Columns, stamp: IntArray | int, path: str = "header.stamp") -> None:

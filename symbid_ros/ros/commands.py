@@ -11,8 +11,8 @@ from rclpy.node import Node
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
-from symbid_ros.messages.layout import Layout, typestore
-from symbid_ros.messages.types import JOINT_STATE, fill_stamp
+from symbid_ros.messages.layout import Layout
+from symbid_ros.messages.types import JOINT_STATE, fill_stamp, message_layout
 from symbid_ros.ros.bridge_parameters import INTERNAL, UDP
 from symbid_ros.ros.bridge_topics import BridgeTopics
 from symbid_ros.ros.endpoints import await_settled, message_class, reliable_qos
@@ -58,18 +58,7 @@ class CommandPublisher:
 
 def effort_layout(names: tuple[str, ...]) -> Layout:
     """Return the layout of a JointState that has names and efforts only."""
-    types, nothing = typestore().types, np.zeros(0)
-    header = types["std_msgs/msg/Header"](
-        stamp=types["builtin_interfaces/msg/Time"](sec=0, nanosec=0), frame_id=""
-    )
-    message = types[JOINT_STATE](
-        header=header,
-        name=list(names),
-        position=nothing,
-        velocity=nothing,
-        effort=np.zeros(len(names)),
-    )
-    return Layout.of(message, JOINT_STATE)
+    return message_layout(JOINT_STATE, name=list(names), effort=np.zeros(len(names)))
 
 
 class InvalidCommandError(DataError):

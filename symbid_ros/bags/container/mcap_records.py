@@ -69,18 +69,28 @@ def report_damage(file: Path) -> Iterator[None]:
         RuntimeError,  # of lz4, and recursion
         MemoryError,
     ) as error:
-        detail = " ".join(str(error).split())[:200]
-        if isinstance(error, struct.error) or not detail:
-            detail = "it ends early"
-        raise BagError(
-            f"{file}: damaged MCAP file: {detail}; use another copy or run "
-            f"`symbid bag recover {quote_path(file)}`",
-            "E206",
-        ) from error
+        raise damage_error(file, "MCAP", error) from error
     except OSError as error:
-        raise BagError(
-            f"{file}: cannot read: {error.strerror}; check its permissions and the disk", "E208"
-        ) from error
+        raise unreadable_error(file, error) from error
+
+
+def damage_error(file: Path, storage: str, error: Exception) -> BagError:
+    """Return the error for a file whose content a parser rejected."""
+    detail = " ".join(str(error).split())[:200]
+    if isinstance(error, struct.error) or not detail:
+        detail = "it ends early"
+    return BagError(
+        f"{file}: damaged {storage} file: {detail}; use another copy or run "
+        f"`symbid bag recover {quote_path(file)}`",
+        "E206",
+    )
+
+
+def unreadable_error(file: Path, error: OSError) -> BagError:
+    """Return the error for a file that the operating system cannot read."""
+    return BagError(
+        f"{file}: cannot read: {error.strerror}; check its permissions and the disk", "E208"
+    )
 
 
 def quote_path(path: Path) -> str:

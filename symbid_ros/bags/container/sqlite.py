@@ -25,9 +25,8 @@ from symbid_ros.bags.container.file_index import (
     StoredMessage,
     list_topics,
 )
-from symbid_ros.bags.container.mcap_records import quote_path
+from symbid_ros.bags.container.mcap_records import damage_error, unreadable_error
 from symbid_ros.bags.container.schema_registry import SchemaRegistry
-from symbid_ros.errors import BagError
 from symbid_ros.messages.limits import MAX_CHANNELS, MAX_CHUNK, check_limit, decompress_message
 from symbid_ros.messages.topics import OfferedQos, Topic
 
@@ -234,16 +233,9 @@ def open_database(file: Path, *, is_damaged: bool = False) -> Iterator[apsw.Conn
                 database.execute("PRAGMA writable_schema = ON")
             yield database
     except (apsw.Error, ValueError, TypeError, MemoryError, OverflowError) as error:
-        detail = " ".join(str(error).split())[:200] or "it ends early"
-        raise BagError(
-            f"{file}: damaged SQLite file: {detail}; use another copy or run "
-            f"`symbid bag recover {quote_path(file)}`",
-            "E206",
-        ) from error
+        raise damage_error(file, "SQLite", error) from error
     except OSError as error:
-        raise BagError(
-            f"{file}: cannot read: {error.strerror}; check its permissions and the disk", "E208"
-        ) from error
+        raise unreadable_error(file, error) from error
 
 
 def warn_of_journals(file: Path) -> None:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -29,7 +29,7 @@ from symbid_ros.bags.recovery.damaged_mcap import (
 )
 from symbid_ros.bags.recovery.report import LostRange, RecoveryCounts, RecoveryReport
 from symbid_ros.bags.recovery.rewriter import ROSBAG2, BagRewriter
-from symbid_ros.bags.recovery.sqlite_recovery import SqliteRecovery
+from symbid_ros.bags.recovery.sqlite_recovery import recover_sqlite
 from symbid_ros.bags.writing.bag_file import create_folder
 from symbid_ros.errors import BagError
 from symbid_ros.messages.topics import Topic
@@ -66,10 +66,16 @@ def recover(bag: Path, out: Path | None = None) -> RecoveryReport:
     with create_folder(target) as folder, BagRewriter(folder, mode) as new:
         counts = RecoveryCounts()
         for file in files:
-            recovery = SqliteRecovery if file.suffix == SQLITE_SUFFIX else McapRecovery
-            recovery(file, new, counts).run()
+            counts.begin_file()
+            if not file.stat().st_size:
+                counts.add_hole(LostRange(file.name, 0, 0, "empty"))
+                counts.is_counted = False
+            elif file.suffix == SQLITE_SUFFIX:
+                recover_sqlite(file, new, counts)
+            else:
+                McapRecovery(file, new, counts).run()
             new.end_file()
-        _count_what_metadata_tell(bag, files, counts)
+        _add_stated_counts(bag, files, counts)
         if not counts.kept.total() and not counts.records.total():
             raise BagError(f"{bag}: nothing in it can be recovered; use another copy", "E221")
         new.finish()
@@ -84,7 +90,7 @@ def _compression_mode(bag: Path) -> str:
     return ""
 
 
-def _count_what_metadata_tell(bag: Path, files: list[Path], counts: RecoveryCounts) -> None:
+def _add_stated_counts(bag: Path, files: list[Path], counts: RecoveryCounts) -> None:
     """Add missing files and messages that only metadata.yaml states.
 
     rosbag2 writes it when the recording ends.
@@ -118,41 +124,42 @@ class McapRecovery:
     counts: RecoveryCounts
     registry: SchemaRegistry = field(default_factory=SchemaRegistry)
     found: Counter[int] = field(default_factory=Counter)
-    holes: list[LostRange] = field(default_factory=list)
     kept: Counter[int] = field(default_factory=Counter)
     targets: dict[int, int] = field(default_factory=dict)
     records: Counter[int] = field(default_factory=Counter)
 
     def run(self) -> None:
         """Copy and count all intact messages of the file."""
-        if not self.file.stat().st_size:
-            self.counts.holes.append(LostRange(self.file.name, 0, 0, "empty"))
-            self.counts.is_counted = False
-            return
         statistics = self._statistics()
         lost: Counter[int] = Counter()
-        latest: int | None = None
         reader = DamagedMcapReader(self.file, self.registry)
         for part in reader.parts():
             if isinstance(part, DamagedRange):
                 lost.update(part.messages)
                 self.counts.is_counted &= part.is_counted or statistics is not None
-                self.holes.append(self._lost(part, latest))
+                self.counts.add_hole(
+                    LostRange(
+                        self.file.name,
+                        part.offset,
+                        part.length,
+                        part.fault,
+                        messages=sum(part.messages.values()),
+                        is_counted=part.is_counted,
+                    )
+                )
             elif isinstance(part, Metadata | Attachment):
                 self._copy_record(part)
             elif isinstance(part, PrivateRecord):
                 with self.file.open("rb") as stream:
                     self.new.add_private(read_parts(stream, *part))
             elif len(part.starts):
-                first, latest = self._copy(part)
-                self.holes = [h if h.before else replace(h, before=first) for h in self.holes]
+                self._copy(part)
         self._count_records(statistics, reader.damaged)
         stated = self.found + lost if statistics is None else statistics.channel_message_counts
         for channel, count in stated.items():
             self.counts.stated[self._topic(channel)] += count
         for channel, count in self.kept.items():
             self.counts.kept[self._topic(channel)] += count
-        self.counts.holes += self.holes
         self.counts.repeated += reader.repeated
         for channel in self.registry.channels:
             self._target(channel)  # also topics without messages
@@ -192,19 +199,8 @@ class McapRecovery:
             return
         self.counts.records[kind] += 1
 
-    def _lost(self, hole: DamagedRange, after: int | None) -> LostRange:
-        return LostRange(
-            self.file.name,
-            hole.offset,
-            hole.length,
-            hole.fault,
-            after=after,
-            messages=sum(hole.messages.values()),
-            is_counted=hole.is_counted,
-        )
-
-    def _copy(self, run: MessageRun) -> tuple[int, int]:
-        """Copy messages and return their first and last log time."""
+    def _copy(self, run: MessageRun) -> None:
+        """Copy messages."""
         data = run.data
         first, last = 1 << 64, 0
         for start in run.starts:
@@ -219,7 +215,7 @@ class McapRecovery:
                 payload = bytes(data[start + PAYLOAD_OFFSET : start + RECORD.size + length])
                 self.new.write(target, log_time, publish_time, payload, sequence)
                 self.kept[channel] += 1
-        return first, last
+        self.counts.add_kept_times(first, last)
 
     def _target(self, channel: int) -> int | None:
         """Return the channel in the new bag; None if it was never announced."""

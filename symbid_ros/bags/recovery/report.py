@@ -1,7 +1,7 @@
 """Report of a recovery: what was kept and what was lost."""
 
 from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +112,7 @@ UNKNOWN_TOPIC = Topic("(unknown topic)", "")
 
 @dataclass
 class RecoveryCounts:
-    """Running counts of messages by topic and of other records by opcode.
+    """Running counts of messages by topic and of other records by opcode, and lost ranges.
 
     Attributes
     ----------
@@ -136,6 +136,22 @@ class RecoveryCounts:
     records_lost: Counter[int] = field(default_factory=Counter)
     repeated: int = 0
     is_counted: bool = True
+    _latest: int | None = None  # log time of the last message kept of the current file
+    _followed: int = 0  # number of lost ranges before that message
+
+    def begin_file(self) -> None:
+        """Begin with the next file."""
+        self._latest, self._followed = None, len(self.holes)
+
+    def add_hole(self, hole: LostRange) -> None:
+        """Add a lost range that follows the messages kept so far of the current file."""
+        self.holes.append(replace(hole, after=self._latest))
+
+    def add_kept_times(self, first: int, last: int) -> None:
+        """Note the first and last log time, ns, of the next messages kept of the current file."""
+        for place in range(self._followed, len(self.holes)):
+            self.holes[place] = replace(self.holes[place], before=first)
+        self._latest, self._followed = last, len(self.holes)
 
     def report(self, bag: Path, out: Path) -> RecoveryReport:
         """Return the report on a bag that was recovered into ``out``."""

@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import TracebackType
 from typing import BinaryIO, Self
 
 from mcap.records import Channel, Metadata
@@ -107,8 +106,8 @@ class BagRewriter:
             return
         self._writer.end_chunk()
         name = Path(self._stream.name).name
-        counts = self._writer.counts
-        self._files.append(FileMetadata(name, self._writer.start, self._writer.end, counts))
+        counts, summary = self._writer.counts, self._writer.summary
+        self._files.append(FileMetadata(name, summary.start, summary.end, counts))
         self._writer.add_metadata(ROSBAG2, encode_metadata_record(self._information()))
         self._writer.finish()
         self._stream.flush()
@@ -124,12 +123,7 @@ class BagRewriter:
         self.folder.mkdir()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._stream is not None:
             self._stream.close()
 

@@ -1,7 +1,7 @@
 """Recover the readable messages of a damaged SQLite file."""
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from symbid_ros.messages.definitions import find_definition
 LARGEST_ROW = (1 << 63) - 1
 
 
-class Row(NamedTuple):
+class StoredRow(NamedTuple):
     """A message: row number, number of its topic, log time in nanoseconds, payload."""
 
     number: int
@@ -26,7 +26,7 @@ class Row(NamedTuple):
     payload: bytes
 
 
-class RowGap(NamedTuple):
+class UnreadableRows(NamedTuple):
     """Rows that cannot be read.
 
     Attributes
@@ -58,7 +58,7 @@ class DamagedSqliteReader:
     database: apsw.Connection
     topics: Collection[int]
 
-    def parts(self) -> Iterator[Row | RowGap]:
+    def parts(self) -> Iterator[StoredRow | UnreadableRows]:
         """Yield all readable rows and the gaps between them."""
         position = -LARGEST_ROW
         while position < LARGEST_ROW:
@@ -68,14 +68,14 @@ class DamagedSqliteReader:
                     fault = self._fault(number >= position, topic, time, payload)
                     if fault:
                         break
-                    yield Row(number, topic, time, payload)
+                    yield StoredRow(number, topic, time, payload)
                     position = number + 1
             except apsw.Error as error:
                 fault = " ".join(str(error).split())
             if not fault:
                 return
             stop = self._next_readable(position)
-            yield RowGap(position, stop, fault)
+            yield UnreadableRows(position, stop, fault)
             if stop is None:
                 return
             position = stop
@@ -124,62 +124,38 @@ class DamagedSqliteReader:
         return None
 
 
-@dataclass
-class SqliteRecovery:
-    """Copies the readable messages of one SQLite file."""
+def recover_sqlite(file: Path, new: BagRewriter, counts: RecoveryCounts) -> None:
+    """Copy and count the readable messages of an SQLite file."""
+    warn_of_journals(file)
+    with open_database(file, is_damaged=True) as database:
+        registry = read_registry(database)
+        _complete_definitions(registry)
+        targets = {
+            number: new.channel(registry, channel) for number, channel in registry.channels.items()
+        }
+        topics = registry.topics
+        for topic in topics.values():
+            counts.stated[topic] += 0
+        for part in DamagedSqliteReader(database, targets).parts():
+            if isinstance(part, UnreadableRows):
+                _report_gap(file, part, counts)
+                continue
+            new.write(targets[part.topic], part.log_time, part.log_time, part.payload, sequence=0)
+            counts.add_kept_times(part.log_time, part.log_time)
+            counts.kept[topics[part.topic]] += 1
+            counts.stated[topics[part.topic]] += 1
 
-    file: Path
-    new: BagRewriter
-    counts: RecoveryCounts
-    holes: list[LostRange] = field(default_factory=list)
 
-    def run(self) -> None:
-        """Copy and count all readable messages of the file."""
-        if not self.file.stat().st_size:
-            self.counts.holes.append(LostRange(self.file.name, 0, 0, "empty"))
-            self.counts.is_counted = False
-            return
-        warn_of_journals(self.file)
-        with open_database(self.file, is_damaged=True) as database:
-            registry = read_registry(database)
-            _complete_definitions(registry)
-            targets = {
-                number: self.new.channel(registry, channel)
-                for number, channel in registry.channels.items()
-            }
-            topics = registry.topics
-            for topic in topics.values():
-                self.counts.stated[topic] += 0
-            latest: int | None = None
-            for part in DamagedSqliteReader(database, targets).parts():
-                if isinstance(part, RowGap):
-                    self._report_gap(part, latest)
-                    continue
-                latest = part.log_time
-                self.holes = [h if h.before else replace(h, before=latest) for h in self.holes]
-                self.new.write(targets[part.topic], latest, latest, part.payload, sequence=0)
-                self.counts.kept[topics[part.topic]] += 1
-                self.counts.stated[topics[part.topic]] += 1
-        self.counts.holes += self.holes
-
-    def _report_gap(self, gap: RowGap, after: int | None) -> None:
-        """Count lost rows; rosbag2 numbers them from 1 without gaps."""
-        first = max(gap.first, 1)
-        count = 0 if gap.stop is None else max(gap.stop - first, 0)
-        last = "the last" if gap.stop is None else f"{gap.stop - 1}"
-        self.holes.append(
-            LostRange(
-                self.file.name,
-                0,
-                0,
-                f"rows {first} to {last}: {gap.fault}",
-                after=after,
-                messages=count,
-                is_counted=gap.stop is not None,
-            )
-        )
-        self.counts.unassigned += count
-        self.counts.is_counted &= gap.stop is not None
+def _report_gap(file: Path, gap: UnreadableRows, counts: RecoveryCounts) -> None:
+    """Count lost rows; rosbag2 numbers them from 1 without gaps."""
+    first = max(gap.first, 1)
+    count = 0 if gap.stop is None else max(gap.stop - first, 0)
+    last = "the last" if gap.stop is None else f"{gap.stop - 1}"
+    is_counted = gap.stop is not None
+    fault = f"rows {first} to {last}: {gap.fault}"
+    counts.add_hole(LostRange(file.name, 0, 0, fault, messages=count, is_counted=is_counted))
+    counts.unassigned += count
+    counts.is_counted &= is_counted
 
 
 def _complete_definitions(registry: SchemaRegistry) -> None:

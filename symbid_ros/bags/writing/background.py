@@ -112,12 +112,6 @@ class WriterState:
     sync_age: float
 
 
-class _Announcement(NamedTuple):
-    name: str
-    msgtype: str
-    qos: tuple[OfferedQos, ...]
-
-
 class BackgroundWriter:
     """Queues messages for a thread that compresses and writes them; a second one syncs the disk.
 
@@ -147,7 +141,7 @@ class BackgroundWriter:
         self._names: list[str] = []
         self._received: list[int] = []
         self._latest = 0
-        self._announced: list[_Announcement] = []
+        self._announced: list[tuple[str, str, Sequence[OfferedQos]]] = []
         self._queue = MessageQueue(capacity)
         self._messages = 0
         self._changed = Condition()
@@ -199,7 +193,7 @@ class BackgroundWriter:
         """
         find_definition(msgtype)  # fails here, where the caller can still omit the topic
         with self._changed:
-            self._announced.append(_Announcement(name, msgtype, tuple(qos)))
+            self._announced.append((name, msgtype, qos))
             self._names.append(name)
             self._received.append(0)
             return len(self._names) - 1
@@ -264,9 +258,7 @@ class BackgroundWriter:
                 messages = self._queue.take(CHUNK_SIZE)
                 announced, self._announced = self._announced, []
                 is_done = self._is_closing and not messages
-            channels += [
-                self._bag.add_topic(each.name, each.msgtype, each.qos) for each in announced
-            ]
+            channels += [self._bag.add_topic(*topic) for topic in announced]
             for message in messages:
                 self._bag.write(
                     channels[message.topic], message.log_time, message.payload, message.publish_time

@@ -36,14 +36,15 @@ class BagFile:
         try:
             self.mcap = McapWriter(self._stream, chunk_size)
         except OSError:
-            self.remove()
+            self._stream.close()
+            path.unlink()
             raise
 
     @property
     def metadata(self) -> FileMetadata:
         """Times and counts of the messages in complete chunks."""
-        mcap = self.mcap
-        return FileMetadata(self.path.name, mcap.start, mcap.end, mcap.counts)
+        summary = self.mcap.summary
+        return FileMetadata(self.path.name, summary.start, summary.end, self.mcap.counts)
 
     def add_topic(self, topic: TopicMetadata) -> int:
         """Announce a topic and return its channel, the same in all files of a bag."""
@@ -76,7 +77,7 @@ class BagFile:
                 return self.finish(information)
             except OSError:
                 self.mcap.abandon()
-                room = self.mcap.summary_size + 2 * len(str(information()))
+                room = self.mcap.summary.size + 2 * len(str(information()))
                 if not self.mcap.remove_last_chunks(room):
                     raise
 
@@ -104,12 +105,6 @@ class BagFile:
     def close(self) -> None:
         """Close the file."""
         self._stream.close()
-
-    def remove(self) -> None:
-        """Remove the file."""
-        with suppress(OSError):
-            self._stream.close()
-        self.path.unlink(missing_ok=True)
 
 
 STEP = 64 * 1024

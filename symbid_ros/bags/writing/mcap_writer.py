@@ -15,7 +15,6 @@ import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
-    AttachmentIndex,
     Channel,
     Chunk,
     ChunkIndex,
@@ -30,10 +29,19 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from symbid_ros.bags.container.mcap_records import MAGIC, Attachment
+from symbid_ros.bags.container.mcap_records import (
+    INDEX_ENTRY_SIZE,
+    MAGIC,
+    MESSAGE,
+    RECORD,
+    Attachment,
+)
 
 FRAME_SIZE = 512  # upper bound for data end, statistics, summary offsets, footer and magic, bytes
 STATISTICS_ENTRY = 16  # upper bound for a channel's part of the statistics, bytes
+INDEXES = Opcode.METADATA_INDEX, Opcode.ATTACHMENT_INDEX
+# In the order of the summary.
+GROUPS = Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX, *INDEXES
 
 
 class StoredChunk(NamedTuple):
@@ -51,22 +59,17 @@ class SummaryBuilder:
 
     Attributes
     ----------
-    schemas, channels, chunks, metadata, attachments : list
-        Records of the file, in order.
+    chunks : list of StoredChunk
+        In order.
+    size : int
+        Upper bound for the size of the encoded summary, bytes.
     """
 
     def __init__(self) -> None:
-        self.schemas: list[Schema] = []
-        self.channels: list[Channel] = []
         self.chunks: list[StoredChunk] = []
-        self.metadata: list[MetadataIndex] = []
-        self.attachments: list[AttachmentIndex] = []
-        self._size = FRAME_SIZE
-
-    @property
-    def size(self) -> int:
-        """Upper bound for the size of the encoded summary, bytes."""
-        return self._size
+        self.size = FRAME_SIZE
+        # Positions in the file, and records, by opcode.
+        self._records: dict[int, list[tuple[int, bytes]]] = defaultdict(list)
 
     @property
     def start(self) -> int:
@@ -78,30 +81,16 @@ class SummaryBuilder:
         """Largest log time in the file's chunks, nanoseconds; 0 without any."""
         return max((chunk.end for chunk in self.chunks), default=0)
 
-    def add_schema(self, schema: Schema) -> None:
-        """Add a schema."""
-        self.schemas.append(schema)
-        self._size += len(encode(schema))
-
-    def add_channel(self, channel: Channel) -> None:
-        """Add a channel."""
-        self.channels.append(channel)
-        self._size += len(encode(channel)) + STATISTICS_ENTRY
+    def add(self, opcode: int, offset: int, record: McapRecord) -> None:
+        """Add a schema, a channel, or the index of the metadata or attachment at ``offset``."""
+        encoded = encode(record)
+        self._records[opcode].append((offset, encoded))
+        self.size += len(encoded) + (STATISTICS_ENTRY if opcode == Opcode.CHANNEL else 0)
 
     def add_chunk(self, chunk: StoredChunk) -> None:
         """Add a written chunk."""
         self.chunks.append(chunk)
-        self._size += len(chunk.index_record)
-
-    def add_metadata(self, place: MetadataIndex) -> None:
-        """Add the index record of a metadata record."""
-        self.metadata.append(place)
-        self._size += len(encode(place))
-
-    def add_attachment(self, place: AttachmentIndex) -> None:
-        """Add the index record of an attachment."""
-        self.attachments.append(place)
-        self._size += len(encode(place))
+        self.size += len(chunk.index_record)
 
     def remove_last(self, size: int, end: int) -> list[StoredChunk]:
         """Remove the last chunks and the records after them; return the chunks, last first.
@@ -118,10 +107,10 @@ class SummaryBuilder:
         while self.chunks and end - cut < size:
             gone.append(self.chunks.pop())
             cut = gone[-1].offset
-            self._size -= len(gone[-1].index_record)
+            self.size -= len(gone[-1].index_record)
         # A channel announced after the cut has no message left, but stays in the summary.
-        self.metadata = [place for place in self.metadata if place.offset < cut]
-        self.attachments = [place for place in self.attachments if place.offset < cut]
+        for opcode in INDEXES:
+            self._records[opcode] = [entry for entry in self._records[opcode] if entry[0] < cut]
         return gone
 
     def encode(self, position: int, counts: dict[int, int]) -> bytes:
@@ -133,17 +122,11 @@ class SummaryBuilder:
         start = position + len(data_end)
         summary = bytearray()
         offsets = bytearray()
-        groups = [
-            (Opcode.SCHEMA, [encode(schema) for schema in self.schemas]),
-            (Opcode.CHANNEL, [encode(channel) for channel in self.channels]),
-            (Opcode.STATISTICS, [encode(self._statistics(counts))]),
-            (Opcode.CHUNK_INDEX, [chunk.index_record for chunk in self.chunks]),
-            (Opcode.METADATA_INDEX, [encode(place) for place in self.metadata]),
-            (Opcode.ATTACHMENT_INDEX, [encode(place) for place in self.attachments]),
-        ]
-        for opcode, records in groups:
-            body = b"".join(records)
-            if body:
+        groups = {opcode: [record for _, record in self._records[opcode]] for opcode in GROUPS}
+        groups[Opcode.STATISTICS] = [encode(self._statistics(counts))]
+        groups[Opcode.CHUNK_INDEX] = [chunk.index_record for chunk in self.chunks]
+        for opcode, records in groups.items():
+            if body := b"".join(records):
                 offsets += encode(SummaryOffset(opcode, start + len(summary), len(body)))
                 summary += body
         footer = Footer(start, start + len(summary), summary_crc=0)
@@ -153,15 +136,15 @@ class SummaryBuilder:
 
     def _statistics(self, counts: dict[int, int]) -> Statistics:
         return Statistics(
-            attachment_count=len(self.attachments),
-            channel_count=len(self.channels),
+            attachment_count=len(self._records[Opcode.ATTACHMENT_INDEX]),
+            channel_count=len(self._records[Opcode.CHANNEL]),
             channel_message_counts=counts,
             chunk_count=len(self.chunks),
             message_count=sum(counts.values()),
             message_start_time=self.start,
             message_end_time=self.end,
-            metadata_count=len(self.metadata),
-            schema_count=len(self.schemas),
+            metadata_count=len(self._records[Opcode.METADATA_INDEX]),
+            schema_count=len(self._records[Opcode.SCHEMA]),
         )
 
 
@@ -172,8 +155,8 @@ def encode(record: McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
+# Opcode and length of a record, followed by the fixed fields of its body.
 MESSAGE_HEAD = struct.Struct("<BQHIQQ")
-MESSAGE_FIELDS = 2 + 4 + 8 + 8  # channel, sequence, log and publish time
 INDEX_HEAD = struct.Struct("<BQHI")
 
 
@@ -189,6 +172,10 @@ class McapWriter:
         Open for writing, at its start; may write less than requested.
     chunk_size : int
         Bytes of message records after which a chunk is compressed and written.
+
+    Attributes
+    ----------
+    summary : SummaryBuilder
     """
 
     def __init__(self, stream: BinaryIO, chunk_size: int) -> None:
@@ -196,7 +183,8 @@ class McapWriter:
         self._chunk_size = chunk_size
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._position = 0
-        self._summary = SummaryBuilder()
+        self.summary = SummaryBuilder()
+        self._schemas: dict[tuple[str, bytes, str], int] = {}
         self._counts: dict[int, int] = {}
         self._open = bytearray()
         self._places: dict[int, list[tuple[int, int]]] = defaultdict(list)
@@ -212,46 +200,30 @@ class McapWriter:
         """Bytes in the file."""
         return self._position
 
-    @property
-    def summary_size(self) -> int:
-        """Upper bound for what `finish` writes after the last chunk, bytes."""
-        return self._summary.size
-
-    @property
-    def start(self) -> int:
-        """Smallest log time in the file's chunks, nanoseconds; 0 without a chunk."""
-        return self._summary.start
-
-    @property
-    def end(self) -> int:
-        """Largest log time in the file's chunks, nanoseconds; 0 without a chunk."""
-        return self._summary.end
-
     def add_schema(self, name: str, definition: bytes, encoding: str = "ros2msg") -> int:
         """Return the number of a type's definition, and write it if it is new."""
-        for known in self._summary.schemas:
-            if (known.name, known.data, known.encoding) == (name, definition, encoding):
-                return known.id
-        schema = Schema(
-            id=len(self._summary.schemas) + 1, name=name, encoding=encoding, data=definition
-        )
-        self._write(encode(schema))
-        self._summary.add_schema(schema)
-        return schema.id
+        key = name, definition, encoding
+        if key not in self._schemas:
+            number = len(self._schemas) + 1
+            schema = Schema(id=number, name=name, encoding=encoding, data=definition)
+            self._write(encode(schema))
+            self.summary.add(Opcode.SCHEMA, self._position, schema)
+            self._schemas[key] = number
+        return self._schemas[key]
 
     def add_channel(
         self, topic: str, schema: int, metadata: dict[str, str], message_encoding: str = "cdr"
     ) -> int:
         """Write a channel and return its number; ``schema`` is 0 for none."""
         channel = Channel(
-            id=len(self._summary.channels) + 1,
+            id=len(self._counts) + 1,
             topic=topic,
             message_encoding=message_encoding,
             schema_id=schema,
             metadata=metadata,
         )
         self._write(encode(channel))
-        self._summary.add_channel(channel)
+        self.summary.add(Opcode.CHANNEL, self._position, channel)
         self._counts[channel.id] = 0
         return channel.id
 
@@ -263,7 +235,7 @@ class McapWriter:
         self._places[channel].append((log_time, len(chunk)))
         chunk += MESSAGE_HEAD.pack(
             Opcode.MESSAGE,
-            MESSAGE_FIELDS + len(payload),
+            MESSAGE.size + len(payload),
             channel,
             sequence,
             log_time,
@@ -277,15 +249,15 @@ class McapWriter:
     def add_metadata(self, name: str, content: dict[str, str]) -> None:
         """Write a metadata record."""
         record = encode(Metadata(name=name, metadata=content))
-        place = MetadataIndex(offset=self._position, length=len(record), name=name)
+        index = MetadataIndex(offset=self._position, length=len(record), name=name)
         self._write(record)
-        self._summary.add_metadata(place)
+        self.summary.add(Opcode.METADATA_INDEX, index.offset, index)
 
     def add_attachment(self, attachment: Attachment, source: BinaryIO) -> None:
         """Copy an attachment's record from another file."""
         index = attachment.index(self._position)
         self.add_record(attachment.record(source))
-        self._summary.add_attachment(index)
+        self.summary.add(Opcode.ATTACHMENT_INDEX, index.offset, index)
 
     def add_record(self, parts: Iterable[bytes]) -> None:
         """Write an encoded record."""
@@ -314,8 +286,9 @@ class McapWriter:
         offsets = {}
         for channel, entries in self._places.items():
             offsets[channel] = self._position + len(record) + len(indexes)
-            size = 16 * len(entries)
-            indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size)
+            size = INDEX_ENTRY_SIZE * len(entries)
+            length = INDEX_HEAD.size - RECORD.size + size
+            indexes += INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, length, channel, size)
             indexes += struct.pack(f"<{2 * len(entries)}Q", *(n for pair in entries for n in pair))
         index = encode(
             ChunkIndex(
@@ -333,7 +306,7 @@ class McapWriter:
         counts = {channel: len(entries) for channel, entries in self._places.items()}
         chunk = StoredChunk(self._position, start, end, index, counts)
         self._write(record + indexes)
-        self._summary.add_chunk(chunk)
+        self.summary.add_chunk(chunk)
         self._open.clear()
         self._places.clear()
 
@@ -347,7 +320,7 @@ class McapWriter:
 
     def remove_last_chunks(self, size: int) -> bool:
         """Remove the last chunks, at least ``size`` bytes; return False if there is no chunk."""
-        gone = self._summary.remove_last(size, self._position)
+        gone = self.summary.remove_last(size, self._position)
         if not gone:
             return False
         for chunk in gone:
@@ -360,7 +333,7 @@ class McapWriter:
         """Write the last chunk, the summary and the footer; the stream stays open."""
         self.end_chunk()
         # In one step: if the summary does not fit, all of it is removed.
-        self._write(self._summary.encode(self._position, self._counts))
+        self._write(self.summary.encode(self._position, self._counts))
 
     def _write(self, data: bytes | bytearray) -> None:
         rest = memoryview(data)

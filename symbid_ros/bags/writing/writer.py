@@ -4,15 +4,9 @@ import shutil
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
-from symbid_ros.bags.metadata import (
-    FileMetadata,
-    TopicMetadata,
-    describe_bag,
-    write_metadata,
-)
+from symbid_ros.bags.metadata import FileMetadata, TopicMetadata, describe_bag, write_metadata
 from symbid_ros.bags.writing.bag_file import BagFile, Reserve, sync_folder
 from symbid_ros.errors import BagError
 from symbid_ros.messages.definitions import find_definition
@@ -237,12 +231,7 @@ class BagWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if kind is None:
             self.close()
         else:
@@ -310,7 +299,7 @@ class BagWriter:
 
     def _hold_room(self) -> None:
         # The metadata is written to the last file and to metadata.yaml.
-        self._reserve.hold(self._current.mcap.summary_size + 2 * self._described)
+        self._reserve.hold(self._current.mcap.summary.size + 2 * self._described)
 
     def _complete(self) -> None:
         """Sync the files, then write and sync metadata.yaml."""
