@@ -1,7 +1,5 @@
-"""Formatted summary of the chosen estimate: data, alarms, links, sensors and parameters."""
+"""Formatted rows of the chosen estimate: numbers of the verdict, links and parameters."""
 
-import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +9,10 @@ from symbid_ros.estimation.verdict import (
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
     SUSPICIOUS_WHITENESS,
-    EstimatedQuantity,
     Verdict,
 )
-from symbid_ros.identification.intervals import IntervalSummary
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.formatting import ABSENT, fixed, shared_decimals, significant, with_std
-
-_COEFFICIENT = re.compile(r"([+-])(\d\S*) ")
 
 
 @dataclass(frozen=True)
@@ -31,109 +25,11 @@ class SummaryEntry:
     is_alarm: bool = False
 
 
-@dataclass(frozen=True)
-class LinkRow:
-    """Information gained about a link; ``share`` is its gain in % of the largest gain."""
-
-    name: str
-    determined: str
-    mass: str
-    gain: str
-    share: float
-
-
-@dataclass(frozen=True)
-class QuantityRow:
-    """A quantity with its standard deviation."""
-
-    name: str
-    value: str
-    unit: str
-    determined: str
-
-
-@dataclass(frozen=True)
-class IntervalRow:
-    """Standard deviation of a prediction, and coverage of the truth by its interval."""
-
-    name: str
-    std: str
-    coverage: str
-
-
-@dataclass(frozen=True)
-class DataSummary:
-    """Summary of what the data determine.
-
-    Attributes
-    ----------
-    alarms : tuple of str
-        One line per problem.
-    entries : tuple of SummaryEntry
-        Numbers of the whole estimate.
-    links : tuple of LinkRow
-        In the model's order.
-    intervals : tuple of IntervalRow
-        Empty without ground truth.
-    sensors, base : tuple of QuantityRow
-        Sensor errors, and base parameters.
-    sensors_determined, base_determined : int
-        How many of these the data determine.
-    directions : tuple of str
-        Determined directions of parameter space, best first.
-    parameters : int
-        Number of directions in total.
-    """
-
-    alarms: tuple[str, ...]
-    entries: tuple[SummaryEntry, ...]
-    links: tuple[LinkRow, ...]
-    intervals: tuple[IntervalRow, ...]
-    sensors: tuple[QuantityRow, ...]
-    sensors_determined: int
-    base: tuple[QuantityRow, ...]
-    base_determined: int
-    directions: tuple[str, ...]
-    parameters: int
-
-
-def summarise_data(
-    estimate: Estimate, intervals: IntervalSummary | None = None
-) -> DataSummary | None:
-    """Return the summary of an estimate, None if its method gives no verdict."""
+def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
+    """Return the numbers of the whole estimate; empty if its method gives no verdict."""
     verdict = estimate.verdict
     if verdict is None:
-        return None
-    return DataSummary(
-        alarms=verdict.alarms,
-        entries=_entries(estimate, verdict),
-        links=_links(estimate, verdict),
-        intervals=_intervals(intervals),
-        sensors=_quantities(verdict.sensors),
-        sensors_determined=sum(error.determined for error in verdict.sensors),
-        base=_quantities(verdict.base),
-        base_determined=sum(combination.determined for combination in verdict.base),
-        directions=tuple(_COEFFICIENT.sub(_unbroken, one) for one in verdict.directions),
-        parameters=len(estimate.names),
-    )
-
-
-def describe_window(verdict: Verdict, samples: int) -> str:
-    """Describe the number of rows per coordinate and their averaging windows."""
-    if verdict.window == 0:
-        return f"{samples} rows of each coordinate, at single instants"
-    return (
-        f"{samples} rows of each coordinate, averaged over windows of {1e3 * verdict.window:g} ms"
-    )
-
-
-def _unbroken(coefficient: re.Match[str]) -> str:
-    """Return a coefficient with a minus sign and a non-breaking space before its parameter."""
-    sign = coefficient[1].replace("-", "−")
-    return f"{sign}{coefficient[2]}\N{NO-BREAK SPACE}"
-
-
-def _entries(estimate: Estimate, verdict: Verdict) -> tuple[SummaryEntry, ...]:
+        return ()
     scale, white, noise = verdict.prior_scale, verdict.whiteness, verdict.noise_share
     return (
         SummaryEntry("Rows", describe_window(verdict, estimate.samples), ""),
@@ -165,11 +61,33 @@ def _entries(estimate: Estimate, verdict: Verdict) -> tuple[SummaryEntry, ...]:
     )
 
 
-def _links(estimate: Estimate, verdict: Verdict) -> tuple[LinkRow, ...]:
-    largest = max(verdict.link_gain.values(), default=0.0)
+def describe_window(verdict: Verdict, samples: int) -> str:
+    """Describe the number of rows per coordinate and their averaging windows."""
+    if verdict.window == 0:
+        return f"{samples} rows of each coordinate, at single instants"
+    return (
+        f"{samples} rows of each coordinate, averaged over windows of {1e3 * verdict.window:g} ms"
+    )
+
+
+@dataclass(frozen=True)
+class LinkRow:
+    """Information gained about a link; ``share`` is its gain in % of the largest gain."""
+
+    name: str
+    determined: str
+    mass: str
+    gain: str
+    share: float
+
+
+def link_rows(estimate: Estimate) -> tuple[LinkRow, ...]:
+    """Return the links in the model's order; empty if the method gives no verdict."""
+    gains = estimate.verdict.link_gain if estimate.verdict is not None else {}
+    largest = max(gains.values(), default=0.0)
     position = {name: index for index, name in enumerate(estimate.names)}
     rows = []
-    for link, gain in verdict.link_gain.items():
+    for link, gain in gains.items():
         own = [position[f"{link}/{kind}"] for kind in PARAMETERS]
         count = ABSENT
         if estimate.determined is not None:
@@ -179,35 +97,6 @@ def _links(estimate: Estimate, verdict: Verdict) -> tuple[LinkRow, ...]:
         mass = with_std(float(estimate.value[own[0]]), std)
         rows.append(LinkRow(link, count, mass, f"{gain:.1f}", share))
     return tuple(rows)
-
-
-def _quantities(quantities: Sequence[EstimatedQuantity]) -> tuple[QuantityRow, ...]:
-    return tuple(
-        QuantityRow(
-            quantity.name.replace(" - ", " − "),
-            with_std(quantity.value, quantity.std),
-            "relative" if quantity.unit == "1" else quantity.unit,
-            "yes" if quantity.determined else "no",
-        )
-        for quantity in quantities
-    )
-
-
-def _intervals(summary: IntervalSummary | None) -> tuple[IntervalRow, ...]:
-    if summary is None:
-        return ()
-    return (
-        IntervalRow(
-            "Centre of mass",
-            f"{significant(summary.com_std_mm)} mm",
-            f"{100 * summary.com_coverage:.0f} %",
-        ),
-        IntervalRow(
-            "Joint torques",
-            f"{significant(summary.torque_std)} Nm",
-            f"{100 * summary.torque_coverage:.0f} %",
-        ),
-    )
 
 
 OTHER = "Joints"

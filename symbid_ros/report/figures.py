@@ -109,28 +109,13 @@ class Panel:
     note: str
 
 
-def com_panels(
-    predictions: Sequence[PredictionSeries], styles: dict[str, Style]
-) -> tuple[Panel, ...]:
-    """Draw the centre of mass in the base frame, one panel for each axis (thesis Fig. 3)."""
-    return _panels(com_signals(predictions), predictions, styles)
-
-
-def torque_panels(
+def signal_panels(
+    signals: Sequence[PredictedSignal],
     predictions: Sequence[PredictionSeries],
-    joint_names: Sequence[str],
     styles: dict[str, Style],
 ) -> tuple[Panel, ...]:
-    """Draw the torques of the most loaded joints (thesis Fig. 4)."""
-    signals = torque_signals(predictions, joint_names, TORQUES_SHOWN)
-    return _panels(signals, predictions, styles)
-
-
-def momentum_panels(
-    predictions: Sequence[PredictionSeries], styles: dict[str, Style]
-) -> tuple[Panel, ...]:
-    """Draw linear, then angular momentum in world axes (thesis Fig. 5)."""
-    return _panels(momentum_signals(predictions), predictions, styles)
+    """Draw each signal over time for every parameter set (thesis Figs. 3 to 5)."""
+    return tuple(_panel(signal, predictions, styles) for signal in signals)
 
 
 def link_error_panel(errors: LinkErrors, styles: dict[str, Style]) -> Panel:
@@ -187,14 +172,6 @@ def link_means(errors: LinkErrors) -> str:
         for label, values in errors.percent.items()
         if np.isfinite(values).any()
     )
-
-
-def _panels(
-    signals: Sequence[PredictedSignal],
-    predictions: Sequence[PredictionSeries],
-    styles: dict[str, Style],
-) -> tuple[Panel, ...]:
-    return tuple(_panel(signal, predictions, styles) for signal in signals)
 
 
 def _panel(

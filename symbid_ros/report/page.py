@@ -1,5 +1,6 @@
 """Report on one estimate, or a comparison of several, as a self-contained HTML page."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,16 +14,21 @@ from symbid_ros.report.content import (
     ReportContent,
     best_labels,
 )
-from symbid_ros.report.data_summary import parameter_groups, summarise_data
+from symbid_ros.report.data_summary import link_rows, parameter_groups, verdict_entries
 from symbid_ros.report.figures import (
+    TORQUES_SHOWN,
     Panel,
-    com_panels,
+    com_signals,
     link_error_panel,
-    momentum_panels,
-    torque_panels,
+    momentum_signals,
+    signal_panels,
+    torque_signals,
 )
-from symbid_ros.report.formatting import significant
+from symbid_ros.report.formatting import significant, with_std
 from symbid_ros.report.plotting import Style, styles
+
+# In a direction of parameter space, such as "+0.72 base_link/m -0.37 link_0/mc_x".
+_COEFFICIENT = re.compile(r"([+-])(\d\S*) ")
 
 
 @dataclass(frozen=True)
@@ -60,13 +66,19 @@ def render(content: ReportContent) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["significant"] = significant
+    environment.filters |= {
+        "significant": significant,
+        "with_std": with_std,
+        "unbroken": lambda direction: _COEFFICIENT.sub(_unbroken, direction),
+    }
     errors = {method.label: method.metrics or {} for method in content.methods}
     return environment.get_template("report.html").render(
         content=content,
         css=(Path(__file__).with_name("report.css")).read_text(encoding="utf-8"),
         headline=headline(content),
-        summary=summarise_data(content.estimate, content.intervals),
+        verdict=content.estimate.verdict,
+        entries=verdict_entries(content.estimate),
+        links=link_rows(content.estimate),
         metrics=METRICS if any(errors.values()) else (),
         errors=errors,
         best=best_labels(errors, METRICS),
@@ -83,18 +95,25 @@ def render(content: ReportContent) -> str:
     )
 
 
+def _unbroken(coefficient: re.Match[str]) -> str:
+    """Return a coefficient with a minus sign and a non-breaking space before its parameter."""
+    sign = coefficient[1].replace("-", "−")
+    return f"{sign}{coefficient[2]}\N{NO-BREAK SPACE}"
+
+
 def _figures(content: ReportContent) -> tuple[FigureSection, ...]:
     line_styles = styles(content)
     sections = []
     if content.predictions:
         predictions = content.predictions
+        torques = torque_signals(predictions, content.joint_names, TORQUES_SHOWN)
         legend = {series.label: line_styles[series.label] for series in predictions}
         sections = [
             FigureSection(
                 "com",
                 "Centre of mass",
                 "Predicted along the validation motion, in the base frame.",
-                com_panels(predictions, line_styles),
+                signal_panels(com_signals(predictions), predictions, line_styles),
                 legend,
             ),
             FigureSection(
@@ -102,14 +121,14 @@ def _figures(content: ReportContent) -> tuple[FigureSection, ...]:
                 "Joint torque",
                 "Predicted from the true motion and contact wrenches of the validation log, for "
                 "the most loaded joints.",
-                torque_panels(predictions, content.joint_names, line_styles),
+                signal_panels(torques, predictions, line_styles),
                 legend,
             ),
             FigureSection(
                 "momentum",
                 "CoM momentum",
                 "Linear momentum, and angular momentum about the centre of mass, in world axes.",
-                momentum_panels(predictions, line_styles),
+                signal_panels(momentum_signals(predictions), predictions, line_styles),
                 legend,
             ),
         ]

@@ -21,7 +21,7 @@ from symbid_ros.report.content import (
     ReportContent,
     TruncationChoice,
 )
-from symbid_ros.report.data_summary import summarise_data
+from symbid_ros.report.data_summary import verdict_entries
 from symbid_ros.report.formatting import ABSENT, with_std
 from symbid_ros.report.page import render
 
@@ -86,9 +86,8 @@ class TestAlarms:
     def test_the_number_behind_an_alarm_is_marked(
         self, fields: dict[str, object], marked: set[str]
     ) -> None:
-        summary = summarise_data(content_with_verdict(**fields).estimate)
-        assert summary is not None
-        assert {entry.name for entry in summary.entries if entry.is_alarm} == marked
+        entries = verdict_entries(content_with_verdict(**fields).estimate)
+        assert {entry.name for entry in entries if entry.is_alarm} == marked
 
 
 class TestDataSummary:
@@ -101,9 +100,8 @@ class TestDataSummary:
         assert "3.00 % of the apparent information about the worst direction" in text
 
     def test_rows_at_single_instants_are_described(self) -> None:
-        summary = summarise_data(content_with_verdict(window=0.0, whiteness=0.0).estimate)
-        assert summary is not None
-        values = {entry.name: entry.value for entry in summary.entries}
+        entries = verdict_entries(content_with_verdict(window=0.0, whiteness=0.0).estimate)
+        values = {entry.name: entry.value for entry in entries}
         assert values["Rows"] == "4321 rows of each coordinate, at single instants"
         assert values["Whiteness"] == ABSENT
 
