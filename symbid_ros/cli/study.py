@@ -16,37 +16,37 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-# Steps take up to a minute, so the remaining time is estimated over many of them, s.
+# Tasks take up to a minute, so the remaining time is estimated from many of them, s.
 SPEED_PERIOD = 300.0
 
 
 def study(
-    plan: Annotated[str, typer.Argument(help="A study that ships, or a YAML file of your own.")],
+    plan: Annotated[str, typer.Argument(help="Name of a shipped study, or a YAML file.")],
     out: Annotated[Path, typer.Option(help="Folder for results: new, or this study's own.")],
     workers: Annotated[
-        int, typer.Option(min=0, max=256, help="Processes; 0: one for each core, at most 8.")
+        int, typer.Option(min=0, max=256, help="Number of processes; 0: one per core, at most 8.")
     ] = 0,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Begin anew where another study's results are.")
+        bool, typer.Option("--overwrite", help="Replace the results of another study.")
     ] = False,
 ) -> None:
     """Compare methods, priors, filters and logs, and write tables, figures and a page.
 
-    Studies that ship: [b]thesis[/b] (the comparison of the thesis, its figures beside ours),
+    Shipped studies: [b]thesis[/b] (the thesis's comparison, with its values next to ours),
     [b]excitation[/b], [b]sensors[/b], [b]noise[/b], [b]length[/b] and [b]errors[/b]. Each is a
-    commented file config/study_*.yaml; copy one and change a line for another.
+    commented file config/study_*.yaml; to run another study, edit a copy.
 
-    Stopped and started again it goes on where it was. Equal seeds give equal tables.
+    An interrupted study resumes if it is started again. Equal seeds give equal tables.
     """
-    from symbid_ros.study.plan_file import load_plan
-    from symbid_ros.study.publication import publish
+    from symbid_ros.study.page import publish
+    from symbid_ros.study.plan import load_plan
     from symbid_ros.study.stages import study_stages
     from symbid_ros.study.study_folder import StudyFolder
-    from symbid_ros.study.task_runner import Task, WorkerPool
+    from symbid_ros.study.task_runner import Task, run_tasks, worker_pool
 
-    wanted, _ = load_plan(plan)
+    content, _ = load_plan(plan)
     folder = StudyFolder(out)
-    folder.reserve(wanted, overwrite=overwrite)
+    folder.reserve(content, overwrite=overwrite)
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
@@ -56,8 +56,8 @@ def study(
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    todo = study_stages(wanted, folder)
-    total = sum(task.cost for stage in todo for task in stage.tasks)
+    stages = study_stages(content, folder)
+    total = sum(task.cost for stage in stages for task in stage.tasks)
     with (
         Progress(
             *columns,
@@ -65,20 +65,21 @@ def study(
             disable=not console.is_terminal,
             speed_estimate_period=SPEED_PERIOD,
         ) as progress,
-        WorkerPool(workers or min(8, os.cpu_count() or 1)) as pool,
+        worker_pool(workers or min(8, os.cpu_count() or 1)) as pool,
     ):
         bar = progress.add_task("", total=total)
 
-        def done(task: Task) -> None:
+        def on_done(task: Task) -> None:
             progress.advance(bar, task.cost)
 
-        for stage in todo:
+        for stage in stages:
             progress.update(bar, description=stage.title)
-            left, begun = sum(not task.output.exists() for task in stage.tasks), monotonic()
-            pool.run(stage.tasks, done)
-            took = f", {left} of them in {monotonic() - begun:.0f} s" if left else ", all there"
+            missing = sum(not task.output.exists() for task in stage.tasks)
+            start = monotonic()
+            run_tasks(pool, stage.tasks, on_done)
+            done = f"{missing} run in {monotonic() - start:.0f} s" if missing else "all complete"
             if stage.tasks:
-                console.print(f"{stage.title}: {len(stage.tasks)} steps{took}", highlight=False)
-        progress.update(bar, description="writing")
-        page = publish(wanted, folder)
+                console.print(f"{stage.title}: {len(stage.tasks)} tasks, {done}", highlight=False)
+        progress.update(bar, description="writing results")
+        page = publish(content, folder)
     typer.echo(f"wrote {page}")

@@ -1,20 +1,16 @@
-"""Checks on whole logs: equation of motion, filters, realistic predictions and closed loop."""
+"""Checks on whole logs: equation of motion, realistic predictions, filters and closed loop."""
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import read_streams, read_truth
 from symbid_ros.choices import GAUSSIAN
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, known_force
-from symbid_ros.errors import StudyError
 from symbid_ros.identification.evaluation import TrueMotion
 from symbid_ros.identification.realistic_prediction import evaluate_realistic
 from symbid_ros.model.parameters import ParameterSet
@@ -35,18 +31,17 @@ from symbid_ros.study.plan import (
     SimulatedLog,
 )
 from symbid_ros.study.scores import REFERENCE, Case
-from symbid_ros.study.study_folder import StudyFolder
+from symbid_ros.study.study_folder import StudyFolder, read_result, write_result
 
 # Every STRIDE-th sample of a noisy log is predicted, as the motion is slow.
 STRIDE = 20
-
-# Singular values of J_g below this share of the largest count as zero: ideal data have no noise.
+# Singular values of J_g below this share of the largest count as zero; ideal data have no noise.
 RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
 class EquationResidual:
-    """How well the equation of motion holds at the true parameters; its fields are keys of a file.
+    """Residual of the equation of motion at the true parameters; its fields are keys of a file.
 
     Attributes
     ----------
@@ -54,7 +49,7 @@ class EquationResidual:
         Whether the robot has friction, which columns the model has, and the source of the
         contact forces.
     rmse : float
-        RMS norm of y - K φ over the samples, N and Nm; joints that may stick are left out.
+        RMS norm of y - K φ over the samples, N and Nm, without joints that may stick.
     """
 
     robot: str
@@ -65,18 +60,18 @@ class EquationResidual:
 
 def check_equation(log: SimulatedLog, folder: StudyFolder) -> None:
     """Evaluate the equation of motion on ideal logs, with and without friction (Eq. B.1)."""
-    smooth, rubbing = (log.model_copy(update={"friction": on}) for on in (False, True))
+    frictionless, with_friction = (log.model_copy(update={"friction": on}) for on in (False, True))
     found = []
     for one, model, parameters in (
-        (smooth, "rigid links", true_parameters(smooth, folder)),
-        (rubbing, "rigid links, friction", true_parameters(rubbing, folder)),
-        (rubbing, "rigid links", nominal_parameters(smooth)),
+        (frictionless, "rigid links", true_parameters(frictionless, folder)),
+        (with_friction, "rigid links, friction", true_parameters(with_friction, folder)),
+        (with_friction, "rigid links", nominal_parameters(frictionless)),
     ):
         motion = read_true_motion([folder.log(one)], true_parameters(one, folder).model)
         robot = "with friction" if one.friction else "without friction"
         for wrenches, rmse in _equation_residuals(parameters, motion).items():
             found.append(EquationResidual(robot, model, wrenches, rmse))
-    _write(folder.check("equation"), [asdict(one) for one in found])
+    write_result(folder.check("equation"), [asdict(one) for one in found])
 
 
 def _equation_residuals(parameters: ParameterSet, motion: TrueMotion) -> dict[str, float]:
@@ -104,11 +99,13 @@ def _equation_residuals(parameters: ParameterSet, motion: TrueMotion) -> dict[st
 
 def load_equation_residuals(folder: StudyFolder) -> list[EquationResidual]:
     """Read the residuals that :func:`check_equation` wrote."""
-    return [EquationResidual(**one) for one in _read(folder.check("equation"))]
+    return read_result(
+        folder.check("equation"), lambda content: [EquationResidual(**one) for one in content]
+    )
 
 
 def check_realistic(plan: Plan, figures: FigurePlan, folder: StudyFolder) -> None:
-    """Predict the noisy validation log from its own sensors, with every method and draw."""
+    """Predict the noisy validation log from its own sensors, for every method and draw."""
     log, spread = plan.noisy_validation_log(figures.data), figures.prior
     true = true_parameters(plan.data[figures.data], folder)
     motion = read_realistic_motion([folder.log(log)], true.model)
@@ -125,13 +122,12 @@ def check_realistic(plan: Plan, figures: FigurePlan, folder: StudyFolder) -> Non
     for method in plan.compared:
         each = [asdict(metrics[f"{method} {i}"]) for i in range(plan.iterations)]
         means[method] = {name: float(np.mean([one[name] for one in each])) for name in each[0]}
-    _write(folder.check("realistic"), means)
+    write_result(folder.check("realistic"), means)
 
 
 def load_realistic(folder: StudyFolder) -> dict[str, dict[str, float]]:
     """Read the mean errors that :func:`check_realistic` wrote, by method."""
-    means: dict[str, dict[str, float]] = _read(folder.check("realistic"))
-    return means
+    return read_result(folder.check("realistic"), dict)
 
 
 @dataclass(frozen=True)
@@ -146,8 +142,8 @@ class AccelerationCheck:
     acceleration : (N, J) float64
         True accelerations, rad/s².
     rms, error : float
-        RMS norms over the samples, rad/s²: of the true acceleration, and of the error e_a of the
-        filtered one (Eq. 4.2).
+        RMS norms of the true acceleration and of the error e_a of the filtered one (Eq. 4.2),
+        rad/s².
     """
 
     joint_names: tuple[str, ...]
@@ -160,26 +156,26 @@ class AccelerationCheck:
 def check_accelerations(
     plan: AccelerationPlan, name: str, folder: StudyFolder
 ) -> AccelerationCheck:
-    """Differentiate a noisy log's filtered positions as the thesis does, and compare."""
+    """Compare second derivatives of a noisy log's filtered positions with the truth."""
     log = plan.logs[name]
     bag = [Path(folder.log(log))]
     model = true_parameters(log, folder).model
-    known = read_truth(bag)
-    columns = joint_columns(known.joint_names, model, f"{known.source}: ground_truth/joints")
+    truth = read_truth(bag)
+    columns = joint_columns(truth.joint_names, model, f"{truth.source}: ground_truth/joints")
     low_pass = LowPass(plan.cutoff, "thesis")
     true, found = [], []
     for segment in align(read_streams(bag), model):
         edge = low_pass.settling(segment.rate)
         filtered = low_pass.motion(segment.position, segment.rate, 2)[2]
-        _, here, there = np.intersect1d(segment.stamp, known.stamp, return_indices=True)
+        _, here, there = np.intersect1d(segment.stamp, truth.stamp, return_indices=True)
         inner = (here >= edge) & (here < len(segment.stamp) - edge)
         found.append(filtered[here[inner]])
-        true.append(known.acceleration[np.ix_(there[inner], columns)])
-    acceleration = known.acceleration[:, columns]
+        true.append(truth.acceleration[np.ix_(there[inner], columns)])
+    acceleration = truth.acceleration[:, columns]
     error = np.concatenate(found) - np.concatenate(true)
     return AccelerationCheck(
         joint_names=model.joint_names,
-        time=(known.stamp - known.stamp[0]) * 1e-9,
+        time=(truth.stamp - truth.stamp[0]) * 1e-9,
         acceleration=acceleration,
         rms=_rms_norm(acceleration),
         error=_rms_norm(error),
@@ -193,20 +189,20 @@ def _rms_norm(vectors: FloatArray) -> float:
 def run_closed_loop(
     loop: ClosedLoopPlan, folder: StudyFolder, spread: PriorSpread, iteration: int, method: str
 ) -> None:
-    """Run the balance controller with one estimate as its model."""
+    """Run the balance controller with one estimate as its model, and write the result."""
     cutoff = None if method == REFERENCE or method in GAUSSIAN else loop.filter
     draw = load_draw(folder.draw(loop.data, spread, iteration))
     values = np.array(draw[Case(loop.data, str(spread), method, cutoff)].values)
     parameters = nominal_parameters(SimulatedLog())
     inertias = dict(zip(parameters.link_names, parameters.link_phi(values), strict=True))
     run = balance(inertias, moves=loop.moves, motion_seed=loop.motion_seed)
-    _write(folder.loop(spread, iteration, method), asdict(run))
+    write_result(folder.loop(spread, iteration, method), asdict(run))
 
 
 def run_true_closed_loop(loop: ClosedLoopPlan, folder: StudyFolder) -> None:
-    """Run the balance controller with the true model."""
+    """Run the balance controller with the true model, and write the result."""
     run = balance(None, moves=loop.moves, motion_seed=loop.motion_seed)
-    _write(folder.check(TRUTH), asdict(run))
+    write_result(folder.check(TRUTH), asdict(run))
 
 
 def load_closed_loop_runs(
@@ -218,34 +214,13 @@ def load_closed_loop_runs(
         return {}
     runs = {
         method: [
-            _read_run(folder.loop(spread, iteration, method))
+            _load_run(folder.loop(spread, iteration, method))
             for iteration in range(loop.iterations)
         ]
         for method in plan.compared
     }
-    return runs | {TRUTH: [_read_run(folder.check(TRUTH))]}
+    return runs | {TRUTH: [_load_run(folder.check(TRUTH))]}
 
 
-def _write(file: Path, content: object) -> None:
-    write_text(file, json.dumps(content) + "\n")
-
-
-def _read(file: Path) -> Any:
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise _unreadable(file, error) from None
-
-
-def _read_run(file: Path) -> BalanceResult:
-    content = _read(file)
-    try:
-        return BalanceResult(**content)
-    except TypeError as error:
-        raise _unreadable(file, error) from None
-
-
-def _unreadable(file: Path, error: Exception) -> StudyError:
-    return StudyError(
-        f"{file}: cannot be read ({error}); delete it and start the study again", "E705"
-    )
+def _load_run(file: Path) -> BalanceResult:
+    return read_result(file, lambda content: BalanceResult(**content))

@@ -1,6 +1,6 @@
-"""The thesis's claims on its methods and on priors, each checked on the means of one data set.
+"""The thesis's claims on methods and priors, each checked on the means of one data set.
 
-Each function returns None if a method, prior or filter that the claim needs is missing.
+Each function returns None if a method, prior or filter that its claim needs is missing.
 """
 
 from symbid_ros.report.formatting import significant
@@ -33,7 +33,7 @@ from symbid_ros.study.thesis import TITLES
 # Methods that differ only in whether columns, or rows, are scaled.
 COLUMN_PAIRS = (("ols", "wls_c"), ("wls_r", "wls_rc"))
 ROW_PAIRS = (("ols", "wls_r"), ("wls_c", "wls_rc"))
-# A parameter error at most this share below the prior's is "only a little" below it.
+# Largest relative difference at which a parameter error is "only a little" below the prior's.
 LITTLE = 0.25
 
 
@@ -220,8 +220,8 @@ def absolute_errors(evidence: Evidence) -> Conclusion | None:
         "With absolute errors of the prior, scaling the rows alone may be better, while WLS-RC "
         "stays best in CoM position (section 4.2.1, chapter 5, Table 4.1).",
         holds,
-        f"{describe_lead('WLS-R', 'best of the four', rows)}; WLS-RC's errors over those of WLS-R "
-        f"at {prior}: {ratios} ({evidence.describe_errors(prior, FOUR)}).",
+        f"{describe_lead('WLS-R', 'best of the four', rows)}; ratios of WLS-RC's errors to "
+        f"WLS-R's at {prior}: {ratios} ({evidence.describe_errors(prior, FOUR)}).",
         explain(
             holds,
             evidence.describe_column_scales(prior),
@@ -251,7 +251,7 @@ def map_lmi_is_best(evidence: Evidence) -> Conclusion | None:
         f"times those of MAP-LMI ({evidence.describe_errors(middle(priors), methods)}).",
         explain(
             holds,
-            f"MAP-LMI is not {MARGIN} ahead of {enumerate_errors(behind, with_rival=True)}",
+            f"MAP-LMI is not {MARGIN} ahead of {enumerate_errors(behind, with_method=True)}",
         ),
     )
 
@@ -281,7 +281,7 @@ def prior_dependence(evidence: Evidence) -> Conclusion | None:
         "The column-scaled methods' estimation error follows the prior's and is only a little "
         "below it (section VI-A).",
         holds,
-        f"Parameter error over the prior's at {enumerate_words(priors)}: {ranges}.",
+        f"Ratio of the parameter error to the prior's at {enumerate_words(priors)}: {ranges}.",
         explain(
             holds,
             f"{cause}: the ratio is outside {1 - LITTLE:g} to {1 + TIE:g} in "
@@ -383,6 +383,7 @@ def growing_gap(evidence: Evidence) -> Conclusion | None:
         explain(
             holds,
             f"it does not grow in {enumerate_errors(others)}",
-            f"WLS-RC's own errors grow {format_range(last[m] / first[m] for m in METRICS)} times",
+            "WLS-RC's own errors grow by factors of "
+            f"{format_range(last[m] / first[m] for m in METRICS)}",
         ),
     )

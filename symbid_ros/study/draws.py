@@ -1,6 +1,5 @@
-"""Draws of the prior: identification by every method and filter, and the results of all draws."""
+"""Identification from draws of the prior by every method and filter, and its results."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -9,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import bag_log
 from symbid_ros.choices import GAUSSIAN
 from symbid_ros.errors import StudyError
@@ -32,7 +30,7 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.study.logs import nominal_parameters, true_parameters
 from symbid_ros.study.plan import Plan, PriorSpread, SimulatedLog
 from symbid_ros.study.scores import RANK, REFERENCE, Case, DrawResult, Scores
-from symbid_ros.study.study_folder import StudyFolder
+from symbid_ros.study.study_folder import StudyFolder, read_result, write_result
 
 WEIGHING_STD = 0.02  # kg
 
@@ -43,19 +41,19 @@ Estimates = dict[Case, tuple[FloatArray, int | None]]
 def solve_draw(
     plan: Plan, folder: StudyFolder, data: str, spread: PriorSpread, iteration: int
 ) -> None:
-    """Identify from one prior by every method and filter, evaluate the estimates, write them."""
+    """Identify from one prior by every method and filter, and write the evaluated estimates."""
     true = true_parameters(plan.data[data], folder)
     prior = draw_prior(true, spread.kind, spread.amount, plan.prior_seed + iteration)
     estimates: Estimates = {Case(data, str(spread), REFERENCE): (prior.mean, None)}
     estimates |= _truncated_estimates(plan, folder, data, spread, prior)
     estimates |= _gaussian_estimates(plan, folder, data, spread, prior)
-    judge = _judge(folder, plan.validation_log(data), plan.judged_every)
-    metrics = judge.metrics({str(case): values for case, (values, _) in estimates.items()})
+    evaluator = _evaluator(folder, plan.validation_log(data), plan.judged_every)
+    metrics = evaluator.metrics({str(case): values for case, (values, _) in estimates.items()})
     results = [
         vars(case) | vars(_result(true, vars(metrics[str(case)]), values, rank))
         for case, (values, rank) in estimates.items()
     ]
-    write_text(folder.draw(data, spread, iteration), json.dumps(results) + "\n")
+    write_result(folder.draw(data, spread, iteration), results)
 
 
 def load_draw(file: Path) -> dict[Case, DrawResult]:
@@ -64,24 +62,22 @@ def load_draw(file: Path) -> dict[Case, DrawResult]:
     Raises
     ------
     StudyError
-        If the file is damaged.
+        If the file is missing or damaged.
     """
-    try:
-        return {
+    return read_result(
+        file,
+        lambda content: {
             Case(one["data"], one["prior"], one["method"], one["filter"]): DrawResult(
                 one["metrics"], tuple(one["links"]), one["impossible"], tuple(one["values"])
             )
-            for one in json.loads(file.read_text(encoding="utf-8"))
-        }
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise StudyError(
-            f"{file}: cannot be read ({error}); delete it and start the study again", "E705"
-        ) from None
+            for one in content
+        },
+    )
 
 
 @dataclass(frozen=True)
 class _FilteredRows:
-    """Rows behind one filter, of the data and of the validation log."""
+    """Rows of the data and of the validation log after one filter."""
 
     training: Observations
     least_squares: LeastSquares
@@ -150,7 +146,7 @@ def _result(
     )
 
 
-# All draws of a data set share these, so each process keeps them.
+# All draws of a data set share the following, so each process caches them.
 
 
 @lru_cache(maxsize=16)
@@ -166,7 +162,7 @@ def _filtered_rows(training: Path, validation: Path | None) -> _FilteredRows:
 
 
 @lru_cache(maxsize=2)
-def _judge(folder: StudyFolder, ideal: SimulatedLog, interval: float) -> MotionEvaluator:
+def _evaluator(folder: StudyFolder, ideal: SimulatedLog, interval: float) -> MotionEvaluator:
     true = true_parameters(ideal, folder)
     motion = read_true_motion([folder.log(ideal)], true.model)
     stamp = motion.samples.stamp
@@ -176,7 +172,7 @@ def _judge(folder: StudyFolder, ideal: SimulatedLog, interval: float) -> MotionE
 
 @lru_cache(maxsize=1)
 def _loaded(folder: StudyFolder, log: SimulatedLog) -> LoadedProblem:
-    # Unchecked, as in a tare the overhead support carries the robot, and no sensor measures it.
+    # Unchecked, as no sensor measures the overhead support, which carries the robot in a tare.
     options = IdentifyOptions(
         prior_percent=25.0, friction=log.friction, armature=log.friction, unchecked=True
     )

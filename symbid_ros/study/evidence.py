@@ -1,4 +1,4 @@
-"""The numbers on which the thesis's conclusions are checked, and how they are put into words."""
+"""Comparisons of mean errors, on which conclusions are checked, and their wording."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,15 +23,15 @@ NOUNS = dict(
     )
 )
 FORCE, COM, PARAMETERS = "gen_force_rmse", "com_position_rmse_mm", "parameter_error_pct"
-# The thesis's methods.
+# The methods of the thesis.
 FOUR = ("ols", "wls_r", "wls_c", "wls_rc")
-# Mean error of a prior's parameters above which it scales the columns badly, %.
+# Mean parameter error above which a prior is a poor scale of the columns, %.
 MISLEADING = 100.0
 
 
 @dataclass(frozen=True)
 class Conclusion:
-    """A claim, and whether the numbers of a study support it.
+    """A claim and the result of its check.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Conclusion:
     finding : str
         What the numbers show.
     explanation : str
-        For a claim that does not hold throughout: what the numbers show of the reason.
+        Reasons that the numbers show, if the claim does not hold fully.
     """
 
     claim: str
@@ -69,9 +69,9 @@ def holds_by_share(supporting: int, total: int) -> bool | None:
 
 
 def holds_by_order(orders: Sequence[int]) -> bool | None:
-    """Return True if never behind, None if in at least half, False if behind more or never ahead.
+    """Return True if all orders of :func:`compare` are at least 0, None if at least half are.
 
-    The orders are those of :func:`compare`.
+    Otherwise, or if no order is 1, the claim does not hold: False.
     """
     if 1 not in orders:
         return False
@@ -80,17 +80,17 @@ def holds_by_order(orders: Sequence[int]) -> bool | None:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One error of a method compared with another value.
+    """One error of a method, and the value with which it is compared.
 
     Attributes
     ----------
     place : str
-        Where they are compared, such as the prior.
+        The condition of the comparison, such as the prior.
     metric : str
-        The error's name.
+        Name of the error.
     own, other : float
         The two values.
-    rival : str
+    other_method : str
         The method of the other value.
     """
 
@@ -98,7 +98,7 @@ class Comparison:
     metric: str
     own: float
     other: float
-    rival: str = ""
+    other_method: str = ""
 
     @property
     def order(self) -> int:
@@ -116,7 +116,7 @@ class ComparisonSet:
         return len(self.comparisons)
 
     def with_order(self, order: int) -> tuple[Comparison, ...]:
-        """Return those of one order."""
+        """Return the comparisons of one order."""
         return tuple(one for one in self.comparisons if one.order == order)
 
     @property
@@ -127,7 +127,7 @@ class ComparisonSet:
 
 @dataclass(frozen=True)
 class Evidence:
-    """The mean errors on one data set, and what else was measured on it.
+    """The mean errors and the row residuals on one data set.
 
     Attributes
     ----------
@@ -138,8 +138,8 @@ class Evidence:
     priors : tuple of PriorSpread
         How priors were drawn.
     row_errors : dict of float to float
-        By cutoff in Hz, the RMS over rows of y - K φ at the true parameters, N and Nm: noise and
-        filtering make the rows inconsistent.
+        RMS norm of y - K φ at the true parameters, N and Nm, by cutoff in Hz. It is caused by
+        noise and filtering.
     """
 
     scores: Scores
@@ -170,17 +170,17 @@ class Evidence:
     def compare(
         self,
         own: str,
-        rivals: Sequence[str],
+        others: Sequence[str],
         priors: Iterable[str],
         *,
         errors: Callable[[str, str], Mapping[str, float]] | None = None,
         metrics: Sequence[str] = METRICS,
     ) -> ComparisonSet:
-        """Compare a method's errors with the smallest of its rivals'.
+        """Compare a method's errors with the smallest of other methods.
 
         Parameters
         ----------
-        own, rivals : str, sequence of str
+        own, others : str, sequence of str
             The methods.
         priors : iterable of str
             Priors for which all of the methods have errors.
@@ -193,10 +193,10 @@ class Evidence:
         errors = errors or self.best
         for prior in priors:
             mine = errors(prior, own)
-            theirs = {rival: errors(prior, rival) for rival in rivals}
+            theirs = {other: errors(prior, other) for other in others}
             for metric in metrics:
-                rival = min(theirs, key=lambda one: theirs[one][metric])
-                comparison = Comparison(prior, metric, mine[metric], theirs[rival][metric], rival)
+                best = min(theirs, key=lambda other: theirs[other][metric])
+                comparison = Comparison(prior, metric, mine[metric], theirs[best][metric], best)
                 comparisons.append(comparison)
         return ComparisonSet(tuple(comparisons))
 
@@ -209,7 +209,7 @@ class Evidence:
         return f"{NOUNS[metric]} at {prior}: {', '.join(errors)}"
 
     def describe_ranks(self, prior: str, methods: Iterable[str]) -> str:
-        """Return how many singular values methods keep, empty if that is unknown."""
+        """Return the number of singular values that methods keep, empty if it is unknown."""
         ranks = [
             f"{TITLES[method]} {significant(errors[RANK])}"
             for method in methods
@@ -218,7 +218,7 @@ class Evidence:
         return f"singular values kept at {prior}: {', '.join(ranks)}" if ranks else ""
 
     def describe_rank_effect(self, prior: str, methods: Iterable[str]) -> str:
-        """Return the ranks, and whether a higher rank improves only the force that selects it."""
+        """Return the ranks, and whether a higher rank improves the force but not the CoM."""
         errors = {method: self.best(prior, method) for method in methods}
         ranked = sorted((e for e in errors.values() if RANK in e), key=lambda one: one[RANK])
         text = self.describe_ranks(prior, errors)
@@ -226,25 +226,25 @@ class Evidence:
             few, many = ranked[0], ranked[-1]
             if many[FORCE] < few[FORCE] and many[COM] > few[COM]:
                 text += (
-                    f"; from the fewest to the most, the {NOUNS[FORCE]}, by which the number is "
-                    f"selected, improves from {format_error(FORCE, few[FORCE])} to "
-                    f"{format_error(FORCE, many[FORCE])}, while the {NOUNS[COM]} worsens from "
-                    f"{format_error(COM, few[COM])} to {format_error(COM, many[COM])}"
+                    f"; from the fewest to the most, the error in {NOUNS[FORCE]}, by which the "
+                    f"number is selected, decreases from {format_error(FORCE, few[FORCE])} to "
+                    f"{format_error(FORCE, many[FORCE])}, while that in {NOUNS[COM]} increases "
+                    f"from {format_error(COM, few[COM])} to {format_error(COM, many[COM])}"
                 )
         return text
 
     def describe_column_scales(self, prior: str) -> str:
-        """Return how far off the priors are that scale the columns, empty if they are close."""
+        """Return the error of the priors that scale the columns, empty if it is small."""
         error = self.best(prior, REFERENCE).get(PARAMETERS, 0.0)
         if error < MISLEADING:
             return ""
         return (
-            f"the prior's parameters are off by {format_error(PARAMETERS, error)} on average, and "
-            "so are the column scales"
+            f"the prior's parameters, which scale the columns, have a mean error of "
+            f"{format_error(PARAMETERS, error)}"
         )
 
     def describe_row_errors(self) -> str:
-        """Return the filters with the smallest and largest row errors, empty without any."""
+        """Return the filters with the smallest and the largest row residual, empty without any."""
         finite = {cutoff: e for cutoff, e in self.row_errors.items() if math.isfinite(e)}
         if not finite:
             return ""
@@ -252,7 +252,7 @@ class Evidence:
         parts = [
             f"{significant(finite[cutoff])} N & Nm RMS {describe_filter(cutoff)}" for cutoff in ends
         ]
-        return f"at the true parameters the rows are off by {enumerate_words(parts)}"
+        return f"the residual of the rows at the true parameters is {enumerate_words(parts)}"
 
 
 def _complete(means: Mapping[str, float]) -> Mapping[str, float]:
@@ -260,7 +260,7 @@ def _complete(means: Mapping[str, float]) -> Mapping[str, float]:
 
 
 def middle(priors: Sequence[str]) -> str:
-    """Return the prior of medium width, whose errors serve as an example."""
+    """Return the prior of medium width, which serves as an example."""
     return priors[len(priors) // 2]
 
 
@@ -299,28 +299,31 @@ def explain(holds: bool | None, *reasons: str) -> str:
     return f"{text[0].upper()}{text[1:]}." if text else ""
 
 
-def enumerate_errors(comparisons: Iterable[Comparison], with_rival: bool = False) -> str:
-    """Return the errors and where they occur, grouped by prior (and rival)."""
+def enumerate_errors(comparisons: Iterable[Comparison], with_method: bool = False) -> str:
+    """Return the errors and their priors as text, grouped by prior and other method."""
     groups: dict[tuple[str, str], list[str]] = {}
     for one in comparisons:
-        key = (one.place, one.rival if with_rival else "")
+        key = (one.place, one.other_method if with_method else "")
         groups.setdefault(key, []).append(one.metric)
     places_of: dict[tuple[tuple[str, ...], str], list[str]] = {}
-    for (place, rival), metrics in groups.items():
-        places_of.setdefault((tuple(metrics), rival), []).append(place)
+    for (place, method), metrics in groups.items():
+        places_of.setdefault((tuple(metrics), method), []).append(place)
     parts = []
-    for (names, rival), places in places_of.items():
+    for (names, method), places in places_of.items():
         every = len(names) == len(METRICS)
         errors = "every error" if every else enumerate_words(NOUNS[m] for m in names)
-        lead = f"{TITLES[rival]} in " if rival else ""
-        parts.append(f"{lead}{errors} at {enumerate_words(places)}")
+        start = f"{TITLES[method]} in " if method else ""
+        parts.append(f"{start}{errors} at {enumerate_words(places)}")
     return ", ".join(parts)
 
 
 def describe_lead(name: str, place: str, compared: ComparisonSet) -> str:
-    """Return how often a method is in a place, how often it ties, and where others are ahead."""
+    """Return how often a method is ahead and how often it ties, and where others are ahead.
+
+    ``place`` is the predicate of the sentence, such as "best of the four".
+    """
     better, tied, worse = (compared.with_order(order) for order in (1, 0, -1))
-    text = f"{name} is {place} in {len(better) or 'none'} of {len(compared)} errors"
+    text = f"{name} is {place} in {len(better)} of {len(compared)} errors"
     if tied:
         text += f", within {MARGIN} in {len(tied)}"
-    return text + (f", behind {enumerate_errors(worse, with_rival=True)}" if worse else "")
+    return text + (f", behind {enumerate_errors(worse, with_method=True)}" if worse else "")

@@ -1,8 +1,8 @@
-"""Errors per link, joint accelerations, and the closed loop (thesis, Fig. 6 and 4.3)."""
+"""Figures of errors, joint accelerations and the closed loop (thesis, Fig. 6 and 4.3)."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,88 +15,56 @@ from symbid_ros.report.figures import POINTS, link_error_figure, link_means
 from symbid_ros.report.formatting import significant
 from symbid_ros.report.plotting import INK, Style, downsample, house_style, scale_errors
 from symbid_ros.simulation.balance import BalanceResult
+from symbid_ros.study.checks import AccelerationCheck
 from symbid_ros.study.plotting import (
-    LABELS,
     WIDTH,
-    Drawing,
-    curve,
-    legend,
-    looks,
-    marks,
-    settle,
-    stack,
+    CaptionedFigure,
+    add_legend,
+    fix_layout,
+    label_styles,
+    line_options,
+    marker_options,
+    stacked_panels,
 )
-from symbid_ros.study.prediction_figures import Setting
 from symbid_ros.study.scores import METRICS as KEYS
 from symbid_ros.study.scores import Case, Scores
-from symbid_ros.study.thesis import DATA
+from symbid_ros.study.table import file_stem
+from symbid_ros.study.thesis import ACCELERATION_ERRORS, DATA, TITLES
 
-# Tracking errors that span more than this ratio are drawn on a logarithmic axis.
-LOGARITHMIC_ABOVE = 20.0
+# Errors that span more than these ratios are drawn on a logarithmic axis.
+TRACKING_LOGARITHMIC_ABOVE = 20.0
+SCORES_LOGARITHMIC_ABOVE = 8.0
 _JOINT_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b07c00", "#56b4e9", "#000000")
 _JOINT_DASHES = ("-", "--", ":", "-.")
+# Position left of the cutoffs, for methods without a filter.
+_NO_FILTER = -1
+_THESIS = Style(INK, "", 0.0, "o")
 
 
-@dataclass(frozen=True)
-class AccelerationLog:
-    """One log's joint accelerations (thesis, Fig. 4.3).
+def link_figure(errors: LinkErrors, estimates: str, draws: int) -> CaptionedFigure:
+    """Plot the mean parameter error of each link over ``draws`` priors (thesis, Fig. 6).
 
-    Attributes
-    ----------
-    title : str
-        Such as "with vibrating legs".
-    time : (N,) float64
-        Seconds.
-    acceleration : (N, J) float64
-        True ones, rad/s².
-    error : float
-        RMSE of the filtered accelerations, e_a of Eq. 4.2, rad/s².
-    thesis_error : float or None
-        The thesis's, where it has one.
-    """
-
-    title: str
-    time: FloatArray
-    acceleration: FloatArray
-    error: float
-    thesis_error: float | None = None
-
-
-def link_drawing(errors: LinkErrors, setting: Setting, draws: int) -> Drawing:
-    """Draw every link's mean parameter error over ``draws`` priors (thesis, Fig. 6).
-
-    Links go down the figure rather than along it, so that their names can be read upright.
+    Links are listed from top to bottom, so that their names are upright.
     """
     labels = list(errors.percent)
     names = [f"{number}  {link}" for number, link in enumerate(errors.links, 1)]
     with house_style():
-        figure = link_error_figure(errors, names, looks(labels), WIDTH)
-        settle(figure)
+        figure = link_error_figure(errors, names, label_styles(labels), WIDTH)
+        fix_layout(figure)
     title = "Fig. 6: mean parameter error of each link"
-    return Drawing(
+    return CaptionedFigure(
         "fig_6_links",
         title,
-        f"Mean over {draws} draws. {setting} Mean over the links: {link_means(errors)}.",
+        f"Mean over {draws} draws. {estimates} Mean over the links: {link_means(errors)}.",
         figure,
         f"{title}, in %, of {len(errors.links)} links from {errors.links[0]} to "
-        f"{errors.links[-1]}, a dot each for {', '.join(labels)}.",
+        f"{errors.links[-1]}, a dot for each of {', '.join(labels)}.",
     )
 
 
-def acceleration_drawing(
-    logs: Sequence[AccelerationLog], joint_names: Sequence[str], cutoff: float
-) -> Drawing:
-    """Draw the true joint accelerations of logs, and say what a filter makes of them (Fig. 4.3).
-
-    Parameters
-    ----------
-    logs : sequence of AccelerationLog
-    joint_names : sequence of str
-        Of their J columns.
-    cutoff : float
-        Hz, of the filter whose errors they state.
-    """
-    rows = -(-len(joint_names) // 4)
+def acceleration_figure(logs: Mapping[str, AccelerationCheck], cutoff: float) -> CaptionedFigure:
+    """Plot true joint accelerations, by log, and state their errors if filtered (Fig. 4.3)."""
+    joint_names = next(iter(logs.values())).joint_names
     lines = [
         {
             "color": _JOINT_COLOURS[j % len(_JOINT_COLOURS)],
@@ -105,72 +73,73 @@ def acceleration_drawing(
         }
         for j in range(len(joint_names))
     ]
-    headings = [f"({chr(ord('a') + i)}) {log.title}" for i, log in enumerate(logs)]
-    other = 0.5 + 0.2 * rows
-    with stack(len(logs), 1.9, other_height=other, share_x=False) as (figure, panels):
-        for axes, log, heading in zip(panels, logs, headings, strict=True):
+    headings = {name: f"({chr(ord('a') + i)}) {name}" for i, name in enumerate(logs)}
+    legend_rows = -(-len(joint_names) // 4)
+    height = 0.5 + 0.2 * legend_rows
+    with stacked_panels(len(logs), 1.9, other_height=height, share_x=False) as (figure, panels):
+        for axes, (name, log) in zip(panels, logs.items(), strict=True):
             strength = np.sqrt(np.mean(log.acceleration**2, axis=0))
-            # The strongest lie below, lest they hide the others.
+            # The strongest are drawn first, so that they do not cover the others.
             for j in np.argsort(-strength, kind="stable"):
                 axes.plot(*downsample(log.time, log.acceleration[:, j], POINTS), **lines[j])
-            axes.set_title(f"{heading}: acceleration [rad/s²]", loc="left", fontsize="medium")
+            title = f"{headings[name]}: acceleration [rad/s²]"
+            axes.set_title(title, loc="left", fontsize="medium")
             axes.set_xlim(log.time[0], log.time[-1])
         panels[-1].set_xlabel("time [s]")
         thick = [{**line, "linewidth": 1.6} for line in lines]
-        legend(figure, dict(zip(joint_names, thick, strict=True)))
-    told = "; ".join(_told(log, heading) for log, heading in zip(logs, headings, strict=True))
+        add_legend(figure, dict(zip(joint_names, thick, strict=True)))
     title = "Fig. 4.3: ideal joint accelerations"
-    return Drawing(
+    errors = "; ".join(_describe_acceleration(headings[name], name, logs[name]) for name in logs)
+    return CaptionedFigure(
         "fig_4_3_accelerations",
         title,
-        f"Root mean square (RMS) of the vector of all joints, and of its error e_a once filtered "
-        f"at {cutoff:g} Hz (Eq. 4.2): {told}.",
+        "Root mean square (RMS) of the vector of all joint accelerations, and of its error e_a "
+        f"after a filter of {cutoff:g} Hz (Eq. 4.2): {errors}.",
         figure,
         f"{title} over time in rad/s², a curve for each of {len(joint_names)} joints, of the logs "
-        f"{', '.join(headings)}.",
+        f"{', '.join(headings.values())}.",
     )
 
 
-def _told(log: AccelerationLog, heading: str) -> str:
-    rms = float(np.sqrt(np.mean(np.sum(log.acceleration**2, axis=1))))
-    thesis = (
-        "" if log.thesis_error is None else f" (thesis: {significant(log.thesis_error, 2)} rad/s²)"
-    )
-    return f"{heading}, RMS {significant(rms)} rad/s², e_a {significant(log.error)} rad/s²{thesis}"
+def _describe_acceleration(heading: str, name: str, log: AccelerationCheck) -> str:
+    printed = ACCELERATION_ERRORS.get(name)
+    thesis = "" if printed is None else f" (thesis: {significant(printed, 2)} rad/s²)"
+    rms, error = significant(log.rms), significant(log.error)
+    return f"{heading}, RMS {rms} rad/s², e_a {error} rad/s²{thesis}"
 
 
-def closed_loop_drawing(runs: Mapping[str, Sequence[BalanceResult]], about: str) -> Drawing:
-    """Draw how well the balance controller works with the models it believes.
+def closed_loop_figure(runs: Mapping[str, Sequence[BalanceResult]], about: str) -> CaptionedFigure:
+    """Plot how well the balance controller performs with each model.
 
     Parameters
     ----------
     runs : mapping of str to sequence of BalanceResult
-        By label of the parameter set.
+        By label of the model.
     about : str
-        Of which priors, data and moves, for the caption.
+        Start of the caption: priors, data and moves.
 
     Raises
     ------
     StudyError
-        When a label has no runs.
+        If a label has no runs.
     """
     for label, own in runs.items():
         if not own:
             raise StudyError(f"closed loop of {label}: no runs; leave it out of the figure", "E709")
-    styles = looks(runs)
+    styles = label_styles(runs)
     errors = {k: np.array([run.com_rmse_mm for run in own]) for k, own in runs.items()}
     shares = {k: np.array([100 * run.feed_forward_share for run in own]) for k, own in runs.items()}
     height = 0.26 * len(runs) + 0.65
-    with stack(2, height, other_height=0.3, share_x=False) as (figure, panels):
+    with stacked_panels(2, height, other_height=0.3, share_x=False) as (figure, panels):
         tracking, feed_forward = panels
         tracking.set_xlabel("CoM tracking RMSE [mm]")
-        _rows(tracking, errors, styles)
-        scale_errors(tracking, "x", np.concatenate([*errors.values()]), LOGARITHMIC_ABOVE)
+        _plot_runs(tracking, errors, styles)
+        scale_errors(tracking, "x", np.concatenate([*errors.values()]), TRACKING_LOGARITHMIC_ABOVE)
         for row, own in enumerate(runs.values()):
             _mark_failures(tracking, row, sum(bool(run.failure) for run in own), len(own))
         feed_forward.set_xlabel("feed-forward share of the torque [%]")
-        _rows(feed_forward, shares, styles)
-        legend(
+        _plot_runs(feed_forward, shares, styles)
+        add_legend(
             figure,
             {
                 "a run": {"marker": "o", "linestyle": "none", **_faint(INK)},
@@ -178,33 +147,33 @@ def closed_loop_drawing(runs: Mapping[str, Sequence[BalanceResult]], about: str)
                 "failed": {"marker": "x", "linestyle": "none", "color": INK},
             },
         )
-    title = "Closed loop: balance with the model believed"
-    return Drawing(
+    title = "Closed loop: balance with an estimated model"
+    return CaptionedFigure(
         "closed_loop",
         title,
-        f"{about} {_outcomes(runs)}",
+        f"{about} {_describe_runs(runs)}",
         figure,
         f"{title}: tracking error of the centre of mass and feed-forward share of the torque for "
         f"{', '.join(runs)}; a dot for each run, a bar at the mean.",
     )
 
 
-def _rows(axes: Axes, values: Mapping[str, FloatArray], styles: Mapping[str, Style]) -> None:
-    """Draw a row for each label: a dot for each run that lasted, a bar at their mean."""
+def _plot_runs(axes: Axes, values: Mapping[str, FloatArray], styles: Mapping[str, Style]) -> None:
+    """Plot a row for each label: a dot for each completed run, a bar at their mean."""
     for row, (label, own) in enumerate(values.items()):
-        lasted = own[np.isfinite(own)]
+        completed = own[np.isfinite(own)]
         colour = styles[label].colour
-        # Spread over the row, equal runs would be one otherwise.
-        spread = 0.18 * np.linspace(-1.0, 1.0, len(lasted)) if len(lasted) > 1 else 0.0
-        axes.plot(lasted, row + spread + 0 * lasted, "o", **_faint(colour))
-        if len(lasted):
-            axes.plot([lasted.mean()], [row], "|", **_bar(colour))
+        # Spread over the row, so that equal runs stay visible.
+        spread = 0.18 * np.linspace(-1.0, 1.0, len(completed)) if len(completed) > 1 else 0.0
+        axes.plot(completed, row + spread + 0 * completed, "o", **_faint(colour))
+        if len(completed):
+            axes.plot([completed.mean()], [row], "|", **_bar(colour))
     axes.set_yticks(range(len(values)), list(values))
     axes.set_ylim(len(values) - 0.5, -0.5)
 
 
 def _mark_failures(axes: Axes, row: int, failed: int, count: int) -> None:
-    """Say beside the row, where no error can be, how many runs did not last."""
+    """Annotate the right end of a row with the number of failed runs."""
     if failed:
         axes.annotate(
             f"× {failed} of {count}",
@@ -224,26 +193,19 @@ def _bar(colour: str) -> dict[str, Any]:
     return {"color": colour, "markersize": 11.0, "markeredgewidth": 1.8}
 
 
-def _outcomes(runs: Mapping[str, Sequence[BalanceResult]]) -> str:
-    """Say each one's mean, and of those that failed how often and why."""
+def _describe_runs(runs: Mapping[str, Sequence[BalanceResult]]) -> str:
+    """Return the mean of each label, and the number and causes of its failures."""
     sentences = []
     for label, own in runs.items():
-        lasted = [run.com_rmse_mm for run in own if not run.failure]
-        mean = f"{significant(float(np.mean(lasted)))} mm" if lasted else "none lasted"
+        completed = [run.com_rmse_mm for run in own if not run.failure]
+        mean = f"{significant(float(np.mean(completed)))} mm" if completed else "all failed"
         failures = Counter(run.failure for run in own if run.failure)
-        why = ", ".join(f"{cause} in {times} of {len(own)}" for cause, times in failures.items())
-        sentences.append(f"{label} {mean}{f' ({why})' if why else ''}")
-    return f"Mean tracking RMSE of the runs that lasted: {'; '.join(sentences)}."
+        causes = ", ".join(f"{cause} in {times} of {len(own)}" for cause, times in failures.items())
+        sentences.append(f"{label} {mean}{f' ({causes})' if causes else ''}")
+    return f"Mean tracking RMSE of the completed runs: {'; '.join(sentences)}."
 
 
-# Errors that span more than this ratio are drawn on a logarithmic axis.
-SCORES_LOGARITHMIC_ABOVE = 8.0
-# Place, before the cutoffs, of what has no filter to choose.
-_NO_FILTER = -1
-_THESIS = Style(INK, "", 0.0, "o")
-
-
-def comparison_drawing(
+def comparison_figure(
     scores: Scores,
     data: Sequence[str],
     prior: str,
@@ -251,8 +213,8 @@ def comparison_drawing(
     cutoff: float | None = None,
     *,
     shown: Sequence[str] = KEYS,
-) -> Drawing:
-    """Draw each metric of each method for each data set.
+) -> CaptionedFigure:
+    """Plot each metric of each method and data set.
 
     Parameters
     ----------
@@ -264,14 +226,14 @@ def comparison_drawing(
     methods : sequence of str
         "ref" and names of methods, in the order of the legend.
     cutoff : float, optional
-        Hz, of the truncated methods' rows; else each metric's best over the filters.
+        Cutoff of the truncated methods' rows, Hz; default: the best for each metric.
     shown : sequence of str
-        Keys of the metrics that have panels.
+        Keys of the metrics to plot.
 
     Raises
     ------
     StudyError
-        When there is nothing to draw.
+        If there is nothing to plot.
     """
     found = {
         (name, method): _means(scores, name, prior, method, cutoff)
@@ -280,46 +242,53 @@ def comparison_drawing(
     }
     drawn = [method for method in methods if any(found[name, method] for name in data)]
     if not drawn:
-        raise StudyError(
-            f"no scores of {prior} for {', '.join(data)}; draw what the study has", "E709"
-        )
-    styles = looks(LABELS[method] for method in drawn)
+        raise _no_scores(prior, data)
+    styles = label_styles(TITLES[method] for method in drawn)
     shift = np.linspace(-0.3, 0.3, len(drawn)) if len(drawn) > 1 else np.zeros(1)
     height = 0.6 + max(0.3, 0.05 * len(drawn)) * len(data)
     rows = np.arange(len(data))
     metrics = [metric for metric in METRICS if metric.key in shown]
-    with stack(len(metrics), height, other_height=0.5, share_x=False) as (figure, panels):
+    with stacked_panels(len(metrics), height, other_height=0.5, share_x=False) as (figure, panels):
         for axes, metric in zip(panels, metrics, strict=True):
             values = np.array([[found[n, m].get(metric.key, np.nan) for n in data] for m in drawn])
-            for label, own, offset in zip(styles, values, shift, strict=True):
-                axes.plot(own, rows + offset, linestyle="none", **marks(styles[label]))
+            for style, own, offset in zip(styles.values(), values, shift, strict=True):
+                axes.plot(own, rows + offset, linestyle="none", **marker_options(style))
             scale_errors(axes, "x", values.ravel(), SCORES_LOGARITHMIC_ABOVE)
             axes.set_yticks(rows, list(data))
             axes.set_ylim(len(data) - 0.5, -0.5)
             axes.set_title(f"{metric.title} [{metric.unit}]", loc="left", fontsize="medium")
-        legend(figure, {label: {**marks(s), "linestyle": "none"} for label, s in styles.items()})
-    how = "at the filter best for it" if cutoff is None else f"with rows filtered at {cutoff:g} Hz"
+        add_legend(
+            figure,
+            {label: {**marker_options(s), "linestyle": "none"} for label, s in styles.items()},
+        )
+    rows_of = "with the best filter" if cutoff is None else f"with rows filtered at {cutoff:g} Hz"
     title = f"Errors, priors within {prior}"
-    return Drawing(
-        f"comparison_{_stem(prior)}",
+    return CaptionedFigure(
+        f"comparison_{file_stem(prior)}",
         title,
-        f"Mean over the draws of each metric, truncated methods {how}; less is better.",
+        f"Mean of each metric over the draws, truncated methods {rows_of}; smaller is better.",
         figure,
         f"{title}: a panel for each metric, a row for each of the data sets {', '.join(data)}, a "
         f"marker for each of {', '.join(styles)}.",
     )
 
 
+def _no_scores(prior: str, data: Sequence[str]) -> StudyError:
+    return StudyError(
+        f"no scores of {prior} for {', '.join(data)}; choose a prior and data of the study", "E709"
+    )
+
+
 def _means(
     scores: Scores, data: str, prior: str, method: str, cutoff: float | None
-) -> dict[str, float]:
+) -> Mapping[str, float]:
     if cutoff is None:
         return scores.best(data, prior, method)
-    # The prior, and methods with windows, have no filter.
-    return dict(scores.at(data, prior, method, cutoff) or scores.at(data, prior, method, None))
+    # The prior, and methods that average over windows, have no filter.
+    return scores.at(data, prior, method, cutoff) or scores.at(data, prior, method, None)
 
 
-def grid_drawing(
+def filter_figure(
     scores: Scores,
     data: str,
     prior: str,
@@ -327,8 +296,8 @@ def grid_drawing(
     thesis: Scores | None = None,
     *,
     shown: Sequence[str] = KEYS,
-) -> Drawing:
-    """Draw each metric against the filter's cutoff (thesis, Table C.1).
+) -> CaptionedFigure:
+    """Plot each metric against the filter's cutoff (thesis, Table C.1).
 
     Parameters
     ----------
@@ -338,55 +307,59 @@ def grid_drawing(
     methods : sequence of str
         "ref" and names of methods, in the order of the legend.
     thesis : Scores, optional
-        The thesis's values, as `symbid_ros.study.thesis` gives them; hollow markers.
+        The thesis's values from `symbid_ros.study.thesis`, shown as hollow markers.
     shown : sequence of str
-        Keys of the metrics that have panels.
+        Keys of the metrics to plot.
 
     Raises
     ------
     StudyError
-        When there is nothing to draw.
+        If there is nothing to plot.
     """
     drawn = [method for method in methods if scores.filters(data, prior, method)]
     if not drawn:
-        raise StudyError(f"no scores of {prior} for {data}; draw what the study has", "E709")
+        raise _no_scores(prior, [data])
     tried = {c for m in drawn for c in scores.filters(data, prior, m) if c is not None}
-    # Without a filter nothing is cut off: that lies beyond the highest cutoff.
+    # Unfiltered rows come last, as if their cutoff were infinite.
     cutoffs = [*sorted(tried - {0.0}), *sorted(tried & {0.0})]
     compared = False
-    styles = looks(LABELS[method] for method in drawn)
+    styles = label_styles(TITLES[method] for method in drawn)
     metrics = [metric for metric in METRICS if metric.key in shown]
-    with stack(len(metrics), 1.7, other_height=0.75) as (figure, panels):
+    with stacked_panels(len(metrics), 1.7, other_height=0.75) as (figure, panels):
         for axes, metric in zip(panels, metrics, strict=True):
-            drawn_values: list[float] = []
+            plotted: list[float] = []
             for method in drawn:
-                style = styles[LABELS[method]]
+                style = styles[TITLES[method]]
                 case = Case(data, prior, method)
                 places, values = _points(scores, case, cutoffs, metric.key)
                 if places == [_NO_FILTER]:
-                    axes.axhline(values[0], **curve(style))
-                axes.plot(places, values, **curve(style) | marks(style))
-                drawn_values += values
+                    axes.axhline(values[0], **line_options(style))
+                axes.plot(places, values, **line_options(style) | marker_options(style))
+                plotted += values
                 if thesis is None:
                     continue
                 places, values = _points(thesis, replace(case, data=DATA), cutoffs, metric.key)
-                axes.plot(places, values, linestyle="none", **marks(style, hollow=True))
+                hollow = marker_options(style, hollow=True)
+                axes.plot(places, values, linestyle="none", **hollow)
                 compared |= bool(values)
-                drawn_values += values
-            scale_errors(axes, "y", np.array(drawn_values), SCORES_LOGARITHMIC_ABOVE)
+                plotted += values
+            scale_errors(axes, "y", np.array(plotted), SCORES_LOGARITHMIC_ABOVE)
             axes.set_title(f"{metric.title} [{metric.unit}]", loc="left", fontsize="medium")
-        _label_cutoffs(panels[-1], cutoffs)
-        entries = {label: curve(s) | marks(s) for label, s in styles.items()}
+        names = [f"{cutoff:g}" if cutoff else "none" for cutoff in cutoffs]
+        panels[-1].set_xticks([_NO_FILTER, *range(len(cutoffs))], ["any", *names])
+        panels[-1].set_xlim(_NO_FILTER - 0.25, len(cutoffs) - 0.75)
+        panels[-1].set_xlabel("cutoff of the filter [Hz]")
+        entries = {label: line_options(s) | marker_options(s) for label, s in styles.items()}
         if compared:
-            entries["thesis"] = {"linestyle": "none", **marks(_THESIS, hollow=True)}
-        legend(figure, entries)
+            entries["thesis"] = {"linestyle": "none", **marker_options(_THESIS, hollow=True)}
+        add_legend(figure, entries)
     title = f"Errors against the filter, data set {data}, priors within {prior}"
-    return Drawing(
-        f"grid_{_stem(data)}_{_stem(prior)}",
+    return CaptionedFigure(
+        f"grid_{file_stem(data)}_{file_stem(prior)}",
         title,
-        "Mean over the draws of each metric against the cutoff of the rows' filter, less is "
-        "better. Level lines: the prior, and methods whose rows are averaged over windows instead."
-        + (" Hollow: the thesis's values (Table C.1)." if compared else ""),
+        "Mean of each metric over the draws against the cutoff of the rows' filter; smaller is "
+        "better. Horizontal lines: the prior, and methods that average rows over windows."
+        + (" Hollow markers: the thesis's values (Table C.1)." if compared else ""),
         figure,
         f"{title}: a panel for each metric, a curve for each of {', '.join(styles)}"
         f"{', the thesis’s values as hollow markers' if compared else ''}.",
@@ -396,7 +369,7 @@ def grid_drawing(
 def _points(
     scores: Scores, case: Case, cutoffs: Sequence[float], key: str
 ) -> tuple[list[int], list[float]]:
-    """Return places along the axis and one metric's values there, whatever the case's filter."""
+    """Return positions along the axis and one metric's values there, for any filter."""
     places, values = [], []
     for place, cutoff in enumerate([None, *cutoffs], _NO_FILTER):
         means = scores.at(case.data, case.prior, case.method, cutoff)
@@ -404,16 +377,3 @@ def _points(
             places.append(place)
             values.append(means[key])
     return places, values
-
-
-def _label_cutoffs(axes: Axes, cutoffs: Sequence[float]) -> None:
-    names = [f"{cutoff:g}" if cutoff else "none" for cutoff in cutoffs]
-    axes.set_xticks([_NO_FILTER, *range(len(cutoffs))], ["any", *names])
-    axes.set_xlim(_NO_FILTER - 0.25, len(cutoffs) - 0.75)
-    axes.set_xlabel("cutoff of the filter [Hz]")
-
-
-def _stem(text: str) -> str:
-    """Return what of a name can be in a file's and in an id."""
-    words = text.replace("±", "").replace("%", "percent").split()
-    return "_".join("".join(c if c.isalnum() or c in ".+-_" else "" for c in w) for w in words)

@@ -1,4 +1,4 @@
-"""Simulated logs, the robots in them, and their rows behind each filter."""
+"""Simulated logs, their robots, and their rows after each filter."""
 
 import shutil
 from functools import lru_cache
@@ -21,7 +21,7 @@ from symbid_ros.study.plan import SimulatedLog
 from symbid_ros.study.sensor_subsets import SensorSubset, observe_subset
 from symbid_ros.study.study_folder import StudyFolder
 
-# Distance between the noise seeds of a log and its tare; equal noise would cancel.
+# Difference between the noise seeds of a log and its tare; equal noise would cancel.
 TARE_SEED_OFFSET = 100_000
 
 
@@ -33,7 +33,7 @@ def record_log(log: SimulatedLog, folder: StudyFolder) -> None:
 
 
 def record_tare(log: SimulatedLog, folder: StudyFolder) -> None:
-    """Simulate the same robot hanging still, and write its bag."""
+    """Simulate the same robot, suspended at rest, and write its bag."""
     options = _options(log) | {"noise_seed": log.noise_seed + TARE_SEED_OFFSET}
     _record_atomically(Simulator("tare", **options), folder.tare(log))
 
@@ -45,7 +45,7 @@ def fold_rows(
     cutoff: float | None,
     channels: Channels,
 ) -> None:
-    """Write a log's rows behind one filter; cutoff None: averaged over windows."""
+    """Write a log's rows after one filter; cutoff None: averaged over windows."""
     low_pass = None if cutoff is None else LowPass(cutoff, channels)
     parameters = nominal_parameters(log)
     bag = folder.log(log)
@@ -53,7 +53,7 @@ def fold_rows(
     write_archive(folder.rows(log, sensors, cutoff), observe_subset(dataset, parameters, sensors))
 
 
-# One log after the other: all filters of a log use the same reading of its bag.
+# Rows are computed log by log, so all filters of a log share one reading of its bag.
 @lru_cache(maxsize=1)
 def _segments(bag: Path, log: SimulatedLog) -> tuple[Segment, ...]:
     model = nominal_parameters(log).model
@@ -90,8 +90,8 @@ def _options(log: SimulatedLog) -> dict[str, Any]:
 
 def _record_atomically(simulator: Simulator, bag: Path) -> None:
     """Write a bag to a temporary folder and then move it, so that existing bags are complete."""
-    # The bag's file is named after its folder, which therefore has the final name already.
-    unfinished = bag.parent / ".begun" / bag.name
+    # The bag's file is named after its folder, which therefore has its final name from the start.
+    unfinished = bag.parent / ".unfinished" / bag.name
     shutil.rmtree(unfinished, ignore_errors=True)
     unfinished.parent.mkdir(parents=True, exist_ok=True)
     record(simulator, unfinished)

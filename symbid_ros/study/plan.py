@@ -1,15 +1,19 @@
-"""The schema of a study's file: logs, priors, filters, methods and figures."""
+"""Plans of studies: the schema of their YAML files, and how a file is read."""
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from symbid_ros.choices import GAUSSIAN, METHODS, Channels, Criterion, Method
+from symbid_ros.errors import StudyError
 from symbid_ros.estimation.prior import Kind
+from symbid_ros.package_paths import config_file, share_directory
 from symbid_ros.study.scores import METRICS, REFERENCE
 from symbid_ros.study.sensor_subsets import SensorSubset
+from symbid_ros.user_files import load_yaml
 
 Seed = Annotated[int, Field(ge=0)]
 Count = Annotated[int, Field(ge=1, le=1000)]
@@ -22,7 +26,7 @@ METRIC_KEYS: dict[Metric, str] = dict(zip(get_args(Metric), METRICS, strict=True
 
 
 class PlanEntry(BaseModel):
-    """An entry of the file; an unknown key is an error."""
+    """An entry of a plan; unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -39,7 +43,7 @@ class SimulatedLog(PlanEntry):
     motion_seed, noise_seed, error_seed : int
         Seeds of the motion, of the sensor noise and of the systematic errors.
     noise : float
-        Factor on the standard deviations of noise.yaml; 0: ideal sensors.
+        Factor on the standard deviations of `noise.yaml`; 0: ideal sensors.
     friction : bool
         Whether the joints have friction and armature.
     errors : str
@@ -57,7 +61,7 @@ class SimulatedLog(PlanEntry):
 
     @property
     def identity(self) -> str:
-        """The name of its bag; equal logs have equal names and are simulated once."""
+        """Name of its bag; equal logs have equal names and are simulated once."""
         parts = [f"{self.scenario} of {self.moves} moves {self.motion_seed}"]
         parts.append(f"noise {self.noise:g} x {self.noise_seed}" if self.noise else "no noise")
         parts += ["friction"] if self.friction else []
@@ -89,7 +93,7 @@ class DataSet(SimulatedLog):
 
 
 class PriorSpread(PlanEntry):
-    """How far priors are drawn from the truth, in one of three ways (see `symbid prior`)."""
+    """Half-width of the priors about the truth, in one of three forms (see `symbid prior`)."""
 
     percent: Amount | None = None
     absolute: Amount | None = None
@@ -103,7 +107,7 @@ class PriorSpread(PlanEntry):
 
     @property
     def kind(self) -> Kind:
-        """Which of the three it is."""
+        """Which of the three forms it is."""
         return "percent" if self.percent else "absolute" if self.absolute else "consistent"
 
     @property
@@ -112,7 +116,7 @@ class PriorSpread(PlanEntry):
         return self.percent or self.absolute or self.consistent or 0.0
 
     def __str__(self) -> str:
-        """Return its label in tables."""
+        """Return the label in tables."""
         unit = {"percent": " %", "absolute": "", "consistent": " % (possible links)"}[self.kind]
         return f"±{self.amount:g}{unit}"
 
@@ -141,10 +145,8 @@ class FigurePlan(PlanEntry):
         The data set identified from.
     prior : PriorSpread
         The prior of Fig. 3 to 6.
-    com, torque, momentum : float
-        Cutoffs of the WLS-RC estimates in Fig. 3, 4 and 5, Hz.
-    links, parameters : float
-        Cutoffs for Fig. 6 and Table D.1, Hz.
+    com, torque, momentum, links, parameters : float
+        Cutoffs of the truncated methods' rows for Fig. 3, 4, 5 and 6 and Table D.1, Hz.
     """
 
     data: Name
@@ -157,7 +159,7 @@ class FigurePlan(PlanEntry):
 
 
 class AccelerationPlan(PlanEntry):
-    """Logs whose joint accelerations are filtered (thesis, Eq. 4.2 and Fig. 4.3)."""
+    """Logs whose joint accelerations are compared with filtered ones (Eq. 4.2 and Fig. 4.3)."""
 
     cutoff: Annotated[float, Field(gt=0, lt=500)]
     logs: dict[Name, SimulatedLog]
@@ -168,11 +170,11 @@ class ClosedLoopPlan(PlanEntry):
 
     Attributes
     ----------
+    data : str
+        The data set identified from.
     priors : list of PriorSpread
     iterations : int
         Number of draws of each prior.
-    data : str
-        The data set identified from.
     filter : float
         Cutoff of the truncated methods' rows, Hz.
     moves, motion_seed : int
@@ -188,7 +190,7 @@ class ClosedLoopPlan(PlanEntry):
 
 
 class Plan(PlanEntry):
-    """One study.
+    """The plan of one study.
 
     Attributes
     ----------
@@ -258,7 +260,7 @@ class Plan(PlanEntry):
         for where, part in (("figures", self.figures), ("closed_loop", self.closed_loop)):
             if part is not None and part.data not in self.data:
                 raise ValueError(
-                    f"{where}: unknown data set {part.data!r}{did_you_mean(part.data, self.data)}"
+                    f"{where}: unknown data set {part.data!r}{_did_you_mean(part.data, self.data)}"
                 )
         if self.figures is not None:
             self._check_figures(self.figures)
@@ -272,11 +274,11 @@ class Plan(PlanEntry):
         return self
 
     def validation_log(self, data: str) -> SimulatedLog:
-        """Return the ideal log on which estimates from one data set are evaluated."""
+        """Return the ideal log on which estimates from a data set are evaluated."""
         return self.validation.model_copy(update={"friction": self.data[data].friction})
 
     def noisy_validation_log(self, data: str) -> SimulatedLog:
-        """Return the same log with sensor noise, as a real robot would record it."""
+        """Return the same log with sensor noise."""
         return self.validation_log(data).model_copy(update={"noise": 1.0})
 
     @property
@@ -291,7 +293,7 @@ class Plan(PlanEntry):
 
     @property
     def truncated_methods(self) -> list[Method]:
-        """Those of the methods that truncate singular values: the thesis's."""
+        """The thesis's methods among them, which truncate singular values."""
         return [method for method in self.methods if method not in GAUSSIAN]
 
     def _check_figures(self, figures: FigurePlan) -> None:
@@ -308,7 +310,90 @@ class Plan(PlanEntry):
             raise ValueError(f"{where}: {missing[0]:g} Hz is missing from filters; add it there")
 
 
-def did_you_mean(name: str, known: Iterable[str]) -> str:
+def _did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return a suggestion for a misspelt name, empty if no known name is similar."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f" (did you mean {close[0]!r}?)" if close else ""
+
+
+def load_plan(name: str) -> tuple[Plan, Path]:
+    """Read the plan of a study that ships with the package, by name, or of a file.
+
+    Returns
+    -------
+    plan : Plan
+    path : Path
+        The file that was read.
+
+    Raises
+    ------
+    StudyError
+        If the study or file does not exist, or an entry is invalid. The message names the entry
+        and suggests the most similar known name.
+    """
+    path = Path(name)
+    if path.suffix not in (".yaml", ".yml"):
+        known = {file.stem.removeprefix("study_"): file.name for file in shipped_studies()}
+        if name not in known:
+            raise StudyError(
+                f"unknown study {name!r}{_did_you_mean(name, known)}; choose one of "
+                f"{', '.join(sorted(known))}, or give a .yaml file",
+                "E701",
+            )
+        path = config_file(known[name])
+    try:
+        content = load_yaml(path)
+    except OSError as error:
+        raise StudyError(
+            f"{path}: cannot be read ({error.strerror}); give an existing file", "E701"
+        ) from None
+    except ValueError as error:
+        raise StudyError(f"{path}: {error}; correct that line", "E702") from None
+    if not isinstance(content, dict):
+        raise StudyError(f"{path}: not a study; give at least title, data and priors", "E702")
+    try:
+        return Plan.model_validate(content), path
+    except ValidationError as error:
+        # A key of the file may contain a line break.
+        fault = " ".join(_first_fault(error).split())
+        raise StudyError(f"{path}: {fault}", "E702") from None
+
+
+def shipped_studies() -> list[Path]:
+    """Return the files of the studies that ship with the package."""
+    return sorted((share_directory() / "config").glob("study_*.yaml"))
+
+
+def _first_fault(error: ValidationError) -> str:
+    """Return the first fault: the entry, the reason and a suggestion."""
+    faults = error.errors(include_url=False)
+    # A misspelt key also makes the correct one missing, so it is reported first.
+    fault = next((one for one in faults if one["type"] == "extra_forbidden"), faults[0])
+    where = ".".join(str(step) for step in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        fields = _known_keys(fault["loc"][:-1])
+        suggestion = _did_you_mean(str(fault["loc"][-1]), fields)
+        return f"unknown key {where}{suggestion}; known keys are {', '.join(fields)}"
+    # Pydantic prefixes the messages of our own validators with "Value error, ".
+    message = str(fault.get("ctx", {}).get("error", fault["msg"]))
+    return f"{where}: {message}" if where else message
+
+
+def _known_keys(loc: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that the entry at ``loc`` may have."""
+    entries: dict[str, type[PlanEntry]] = {
+        "data": DataSet,
+        "validation": SimulatedLog,
+        "equation": SimulatedLog,
+        "logs": SimulatedLog,
+        "priors": PriorSpread,
+        "prior": PriorSpread,
+        "z": RankSelection,
+        "figures": FigurePlan,
+        "accelerations": AccelerationPlan,
+        "closed_loop": ClosedLoopPlan,
+    }
+    entry: type[PlanEntry] = Plan
+    for step in loc:
+        entry = entries.get(str(step), entry)
+    return list(entry.model_fields)

@@ -1,4 +1,4 @@
-"""A figure with its caption: as files, and as a part of a page."""
+"""Figures with captions, written as files and embedded in the page."""
 
 import io
 from collections.abc import Iterable, Iterator
@@ -17,18 +17,16 @@ from symbid_ros.report.plotting import Style, assign_styles, embed_svg, house_st
 from symbid_ros.study.scores import REFERENCE
 from symbid_ros.study.thesis import TITLES
 
-LABELS = TITLES
-REF = TITLES[REFERENCE]  # as the thesis calls the prior
-WIDTH = 3.75  # inches, as a phone's page: on it no text shrinks
+WIDTH = 3.75  # inches, the width of a phone's page, on which no text is scaled down
 DPI = 200
 
 _CHOSEN = "WLS-RC"
-# Whatever methods a figure shows, each looks the same in all of them.
+# In this order, so that a method has the same style whichever methods a figure shows.
 _OTHERS = ("MAP-LMI", "WLS-R", "WLS-C", "MAP", "OLS")
 
 
 @dataclass(frozen=True)
-class Drawing:
+class CaptionedFigure:
     """A figure of a study.
 
     Attributes
@@ -36,13 +34,13 @@ class Drawing:
     name : str
         Stem of its files; unique within a study.
     title : str
-        With the thesis's number, where it has such a figure.
+        Heading, with the number of the thesis's figure if it has one.
     caption : str
-        What is shown, of what, and the numbers that belong to it.
+        What the figure shows, for which data, and its main numbers.
     figure : matplotlib.figure.Figure
-        Laid out.
+        With a fixed layout.
     description : str
-        What is seen, for those who hear the page.
+        Text for screen readers.
     """
 
     name: str
@@ -53,56 +51,51 @@ class Drawing:
 
     @cached_property
     def svg(self) -> bytes:
-        """The figure as a file of its own."""
-        return self.rendered("svg", {"Creator": None, "Date": None})
+        """The figure as an SVG file, whose text stays text."""
+        return self._rendered("svg", {"Creator": None, "Date": None})
 
-    def rendered(self, kind: str, metadata: dict[str, None]) -> bytes:
-        """Return the figure in a file format, title and description with it."""
+    def _rendered(self, kind: str, metadata: dict[str, None]) -> bytes:
         about = {"Title": self.title, "Description": self.description}
         buffer = io.BytesIO()
         with house_style():
             self.figure.savefig(buffer, format=kind, dpi=DPI, metadata={**about, **metadata})
         return buffer.getvalue()
 
+    def save(self, folder: Path) -> tuple[Path, Path]:
+        """Write NAME.svg and NAME.png; equal figures give equal files.
 
-def save(drawing: Drawing, folder: Path) -> tuple[Path, Path]:
-    """Write NAME.svg, whose text is text, and NAME.png of 200 dpi, each in one step.
+        Returns
+        -------
+        svg, png : Path
 
-    The same drawing makes the same bytes, whenever it is written.
+        Raises
+        ------
+        SymbidError
+            If a file cannot be written.
+        """
+        svg, png = folder / f"{self.name}.svg", folder / f"{self.name}.png"
+        write_through(svg, lambda stream: stream.write(self.svg))
+        pixels = self._rendered("png", {"Software": None})
+        write_through(png, lambda stream: stream.write(pixels))
+        return svg, png
 
-    Returns
-    -------
-    svg, png : Path
-
-    Raises
-    ------
-    SymbidError
-        When the folder cannot be written to.
-    """
-    svg, png = folder / f"{drawing.name}.svg", folder / f"{drawing.name}.png"
-    write_through(svg, lambda stream: stream.write(drawing.svg))
-    pixels = drawing.rendered("png", {"Software": None})
-    write_through(png, lambda stream: stream.write(pixels))
-    return svg, png
-
-
-def inline(drawing: Drawing) -> str:
-    """Return the figure as an ``<svg>`` whose ids are its own on a page with others."""
-    return embed_svg(drawing.svg, drawing.name, drawing.description)
+    def embedded(self) -> str:
+        """Return the figure as an ``<svg>`` element whose ids are unique on the page."""
+        return embed_svg(self.svg, self.name, self.description)
 
 
 @contextmanager
-def stack(
+def stacked_panels(
     count: int, panel_height: float, *, other_height: float, share_x: bool = True
 ) -> Iterator[tuple[Figure, list[Axes]]]:
-    """Give a figure of panels one below the other, and lay it out when they are filled.
+    """Create a column of panels, and fix their layout at the end of the ``with`` block.
 
     Parameters
     ----------
     count : int
         Number of panels.
     panel_height, other_height : float
-        Inches for each panel, and for legend and last axis together.
+        Height of each panel, and of the legend and the last axis together, inches.
     share_x : bool
         Whether only the last panel has ticks along x.
     """
@@ -112,26 +105,26 @@ def stack(
         panels = figure.subplots(count, 1, sharex=share_x, squeeze=False)[:, 0].tolist()
         yield figure, panels
         figure.align_ylabels(panels)
-        settle(figure)
+        fix_layout(figure)
 
 
-def settle(figure: Figure) -> None:
-    """Lay a figure out for good: once more, it would move by rounding and make other bytes."""
+def fix_layout(figure: Figure) -> None:
+    """Lay out a figure once; a second layout would differ by rounding and change the file."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
         figure.set_layout_engine(None)
 
 
-def looks(labels: Iterable[str]) -> dict[str, Style]:
-    """Return the styles of labels, in their order; a method's is the same in every figure."""
-    wanted = list(labels)
-    known = assign_styles([*_OTHERS, *wanted], prior=REF, chosen=_CHOSEN)
-    return {label: known[label] for label in wanted}
+def label_styles(labels: Iterable[str]) -> dict[str, Style]:
+    """Return the styles of labels, in their order; a method has the same in every figure."""
+    shown = list(labels)
+    known = assign_styles([*_OTHERS, *shown], prior=TITLES[REFERENCE], chosen=_CHOSEN)
+    return {label: known[label] for label in shown}
 
 
-def marks(style: Style, *, hollow: bool = False) -> dict[str, Any]:
-    """Return Matplotlib's options for a method's markers; hollow ones are the thesis's."""
+def marker_options(style: Style, *, hollow: bool = False) -> dict[str, Any]:
+    """Return Matplotlib's options for a method's markers, hollow for the thesis's values."""
     thin = style.marker == "|" or hollow
     return {
         "marker": style.marker,
@@ -142,13 +135,13 @@ def marks(style: Style, *, hollow: bool = False) -> dict[str, Any]:
     }
 
 
-def curve(style: Style) -> dict[str, Any]:
+def line_options(style: Style) -> dict[str, Any]:
     """Return Matplotlib's options for a method's line."""
     return {"color": style.colour, "linestyle": style.dash, "linewidth": style.width}
 
 
-def legend(figure: Figure, entries: dict[str, dict[str, Any]], columns: int = 4) -> None:
-    """Put a legend above all panels, an entry for each label's options of a line."""
+def add_legend(figure: Figure, entries: dict[str, dict[str, Any]], columns: int = 4) -> None:
+    """Add a legend above the panels; an entry maps a label to Matplotlib's line options."""
     handles = [Line2D([], [], label=label, **entry) for label, entry in entries.items()]
     figure.legend(
         handles=handles,

@@ -1,4 +1,4 @@
-"""Predictions over time: the thesis's Fig. 3 to 5 and, as the robot itself would, 4.1 and 4.2."""
+"""Predictions over time: Fig. 3 to 5 of the thesis, and 4.1 and 4.2 from a robot's own sensors."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,68 +26,179 @@ from symbid_ros.report.figures import (
 from symbid_ros.report.formatting import significant
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.study.draws import StudyResults
+from symbid_ros.study.evidence import describe_filter
 from symbid_ros.study.plan import FigurePlan
-from symbid_ros.study.plotting import LABELS, Drawing, curve, legend, looks, stack
+from symbid_ros.study.plotting import (
+    CaptionedFigure,
+    add_legend,
+    label_styles,
+    line_options,
+    stacked_panels,
+)
 from symbid_ros.study.scores import REFERENCE
+from symbid_ros.study.thesis import TITLES
 
 TORQUES_SHOWN = 4
+# Every STRIDE-th sample is plotted; a page has fewer pixels than a log has samples.
+STRIDE = 10
+# The prior, the best method of the thesis, and the method that this package proposes.
+METHODS_SHOWN = (REFERENCE, "wls_rc", "map_lmi")
 
 
 @dataclass(frozen=True)
-class Setting:
-    """Of what, and how, predictions are made.
+class PredictedQuantity:
+    """A quantity of which the thesis shows predictions, ideal and realistic ones.
 
     Attributes
     ----------
-    data : str
-        Name of the data set identified from.
-    prior : str
-        How the prior was drawn, such as "±25 %".
-    cutoff : float
-        Hz, of the truncated methods' rows; 0: unfiltered.
-    velocity_cutoff : float or None
-        Hz, of the causal filter of the velocities that realistic predictions use; 0: unfiltered.
-        None when all that is not predicted is ideal.
+    ideal, realistic : tuple of 2 str
+        Stem of the files and title of each figure.
+    subject : str
+        Start of the captions.
+    realistic_input : str
+        End of the realistic caption's list of inputs.
+    unit, scope : str
+        Unit of the error in the captions, and its components if they are not obvious.
+    vector : callable
+        Returns the predicted vector (N, d) in that unit.
+    signals : callable
+        Returns the plotted signals from all predictions and the joint names.
     """
 
-    data: str
-    prior: str
-    cutoff: float
-    velocity_cutoff: float | None = None
+    ideal: tuple[str, str]
+    realistic: tuple[str, str]
+    subject: str
+    realistic_input: str
+    unit: str
+    scope: str
+    vector: Callable[[PredictionSeries], FloatArray]
+    signals: Callable[[Sequence[PredictionSeries], Sequence[str]], list[PredictedSignal]]
 
-    def __str__(self) -> str:
-        """Return a caption's part about them."""
-        rows = f"filtered at {self.cutoff:g} Hz" if self.cutoff else "unfiltered"
-        return (
-            f"Prior drawn within {self.prior}; estimates from data set {self.data}, truncated "
-            f"ones with rows {rows}."
+
+COM = PredictedQuantity(
+    ("fig_3_com", "Fig. 3: CoM position prediction"),
+    ("fig_4_1_com", "Fig. 4.1a: realistic CoM position prediction"),
+    "Centre of mass in the base frame",
+    "",
+    "mm",
+    "",
+    lambda series: 1e3 * series.com,
+    lambda predictions, _: com_signals(predictions),
+)
+TORQUE = PredictedQuantity(
+    ("fig_4_torque", "Fig. 4: joint torque prediction"),
+    ("fig_4_2_torque", "Fig. 4.2: realistic joint torque prediction"),
+    "Torques of the most loaded joints",
+    ", ideal desired accelerations, and contact forces predicted by Eq. 4.1",
+    "Nm",
+    " of all joints together",
+    lambda series: series.torque,
+    lambda predictions, joints: torque_signals(predictions, joints, TORQUES_SHOWN),
+)
+MOMENTUM = PredictedQuantity(
+    ("fig_5_momentum", "Fig. 5: CoM momentum prediction"),
+    ("fig_4_1_momentum", "Fig. 4.1b: realistic CoM momentum prediction"),
+    "Linear momentum, and angular momentum about the centre of mass, in world axes",
+    "",
+    "Ns & Nms",
+    " of all six together",
+    lambda series: np.concatenate([series.linear_momentum, series.angular_momentum], axis=1),
+    lambda predictions, _: momentum_signals(predictions),
+)
+
+
+def describe_estimates(data: str, prior: str, cutoff: float) -> str:
+    """Return the caption's sentence on the prior, the data set and the filter."""
+    return (
+        f"Prior drawn within {prior}; estimates from data set {data}, rows of truncated methods "
+        f"{describe_filter(cutoff)}."
+    )
+
+
+def prediction_figure(
+    quantity: PredictedQuantity,
+    predictions: Sequence[PredictionSeries],
+    joint_names: Sequence[str],
+    estimates: str,
+    velocity_cutoff: float | None = None,
+) -> CaptionedFigure:
+    """Plot the predictions of one quantity over time.
+
+    Parameters
+    ----------
+    quantity : PredictedQuantity
+    predictions : sequence of PredictionSeries
+        All at the same times; one of them is the truth.
+    joint_names : sequence of str
+        Names of the J joints.
+    estimates : str
+        The caption's sentence by :func:`describe_estimates`.
+    velocity_cutoff : float, optional
+        Cutoff of the causal velocity filter of realistic predictions, Hz; default: ideal ones.
+
+    Raises
+    ------
+    StudyError
+        If the truth is missing.
+    """
+    if velocity_cutoff is None:
+        (name, title), source = quantity.ideal, "ideal signals along the validation motion"
+    else:
+        name, title = quantity.realistic
+        source = (
+            "measured joint positions, velocities from a causal Butterworth filter at "
+            f"{velocity_cutoff:g} Hz{quantity.realistic_input}"
         )
+    errors = ", ".join(
+        f"{label} {significant(error)} {quantity.unit}"
+        for label, error in _errors(predictions, quantity.vector).items()
+    )
+    signals = quantity.signals(predictions, joint_names)
+    styles = label_styles(series.label for series in predictions)
+    time = predictions[0].time
+    with stacked_panels(len(signals), 1.2, other_height=0.5) as (figure, panels):
+        for axes, signal in zip(panels, signals, strict=True):
+            draw(axes, signal, predictions, styles)
+            axes.set_xlim(time[0], time[-1])
+            # A title above the panel is upright and takes no more height.
+            axes.set_ylabel("")
+            heading = f"{signal.title} {signal.kind} [{signal.unit}]"
+            axes.set_title(heading, loc="left", fontsize="medium", pad=3)
+        panels[-1].set_xlabel("time [s]")
+        add_legend(figure, {label: line_options(style) for label, style in styles.items()})
+    return CaptionedFigure(
+        name,
+        title,
+        f"{quantity.subject}, predicted from {source}. {estimates} RMSE{quantity.scope}: {errors}.",
+        figure,
+        f"{title}: {signals[0].kind} over {time[-1] - time[0]:.3g} s "
+        f"({', '.join(signal.title for signal in signals)}), a curve for each of "
+        f"{', '.join(styles)}.",
+    )
 
-    @property
-    def realistic(self) -> str:
-        """What a caption says of the predictions' input; empty when it is ideal."""
-        if self.velocity_cutoff is None:
-            return ""
-        if self.velocity_cutoff:
-            return (
-                f"joint positions as measured, velocities from a causal Butterworth filter at "
-                f"{self.velocity_cutoff:g} Hz"
-            )
-        return "joint positions as measured, velocities as differences of them, unfiltered"
+
+def _errors(
+    predictions: Sequence[PredictionSeries], vector: Callable[[PredictionSeries], FloatArray]
+) -> dict[str, float]:
+    """Return the RMS norm of each prediction's deviation from the truth, by label."""
+    vectors = {series.label: vector(series) for series in predictions}
+    if TRUTH not in vectors:
+        raise StudyError(
+            f"predictions of {', '.join(vectors) or 'nothing'}: {TRUTH!r} is missing; add the "
+            "prediction of the true parameters",
+            "E709",
+        )
+    truth = vectors.pop(TRUTH)
+    return {
+        label: float(np.sqrt(np.mean(np.sum((found - truth) ** 2, axis=1))))
+        for label, found in vectors.items()
+    }
 
 
 def realistic_truth(
     parameters: ParameterSet, values: FloatArray, motion: RealisticMotion
 ) -> PredictionSeries:
-    """Return what realistic predictions are judged by: true efforts, and the true model's motion.
-
-    Parameters
-    ----------
-    parameters : ParameterSet
-    values : (p,) float64
-        The true ones.
-    motion : RealisticMotion
-    """
+    """Return true efforts, CoM and momentum, given the true parameters ``values`` (p,)."""
     series = prediction_series(TRUTH, parameters, values, motion.truth)
     return replace(series, torque=motion.truth.samples.effort)
 
@@ -95,16 +206,7 @@ def realistic_truth(
 def realistic_series(
     label: str, motion: RealisticMotion, prediction: RealisticPrediction
 ) -> PredictionSeries:
-    """Return a realistic prediction as what is drawn here; its torques are those of Eq. 4.1.
-
-    Parameters
-    ----------
-    label : str
-        Of the parameter set.
-    motion : RealisticMotion
-    prediction : RealisticPrediction
-        Of it.
-    """
+    """Return a realistic prediction for plotting; its torques are those of Eq. 4.1."""
     stamp = motion.truth.samples.stamp
     return PredictionSeries(
         label=label,
@@ -116,209 +218,55 @@ def realistic_series(
     )
 
 
-def com_drawing(predictions: Sequence[PredictionSeries], setting: Setting) -> Drawing:
-    """Draw the centre of mass in the base frame (thesis, Fig. 3; realistic: Fig. 4.1).
-
-    Parameters
-    ----------
-    predictions : sequence of PredictionSeries
-        One of them the truth, all at the same times.
-    setting : Setting
-
-    Raises
-    ------
-    StudyError
-        When there is no truth among them.
-    """
-    errors = _errors(predictions, lambda series: 1e3 * series.com)
-    if setting.realistic:
-        name, title = "fig_4_1_com", "Fig. 4.1a: realistic CoM position prediction"
-        how = f"Centre of mass in the base frame; {setting.realistic}."
-    else:
-        name, title = "fig_3_com", "Fig. 3: CoM position prediction"
-        how = "Centre of mass in the base frame along the validation motion."
-    caption = f"{how} {setting} {_told(errors, 'mm')}"
-    return _drawing(name, title, caption, com_signals(predictions), predictions)
-
-
-def torque_drawing(
-    predictions: Sequence[PredictionSeries], joint_names: Sequence[str], setting: Setting
-) -> Drawing:
-    """Draw the torques of the joints that carry most (thesis, Fig. 4; realistic: Fig. 4.2).
-
-    Parameters
-    ----------
-    predictions : sequence of PredictionSeries
-        One of them the truth, all at the same times.
-    joint_names : sequence of str
-        Of their J torques.
-    setting : Setting
-
-    Raises
-    ------
-    StudyError
-        When there is no truth among them.
-    """
-    errors = _errors(predictions, lambda series: series.torque)
-    if setting.realistic:
-        name, title = "fig_4_2_torque", "Fig. 4.2: realistic joint torque prediction"
-        how = (
-            f"Torques of the joints that carry most; {setting.realistic}, desired accelerations "
-            "ideal, contact forces predicted by Eq. 4.1."
-        )
-    else:
-        name, title = "fig_4_torque", "Fig. 4: joint torque prediction"
-        how = (
-            "Torques of the joints that carry most along the validation motion, with perfect "
-            "knowledge of the external forces."
-        )
-    caption = f"{how} {setting} {_told(errors, 'Nm', ' of all joints together')}"
-    quantities = torque_signals(predictions, joint_names, TORQUES_SHOWN)
-    return _drawing(name, title, caption, quantities, predictions)
-
-
-def momentum_drawing(predictions: Sequence[PredictionSeries], setting: Setting) -> Drawing:
-    """Draw linear and angular momentum about the CoM (thesis, Fig. 5; realistic: Fig. 4.1).
-
-    Parameters
-    ----------
-    predictions : sequence of PredictionSeries
-        One of them the truth, all at the same times.
-    setting : Setting
-
-    Raises
-    ------
-    StudyError
-        When there is no truth among them.
-    """
-    errors = _errors(
-        predictions,
-        lambda series: np.concatenate([series.linear_momentum, series.angular_momentum], axis=1),
-    )
-    how = "Linear momentum, and angular momentum about the centre of mass, in world axes"
-    if setting.realistic:
-        name, title = "fig_4_1_momentum", "Fig. 4.1b: realistic CoM momentum prediction"
-        how = f"{how}; {setting.realistic}."
-    else:
-        name, title = "fig_5_momentum", "Fig. 5: CoM momentum prediction"
-        how = f"{how}, along the validation motion."
-    caption = f"{how} {setting} {_told(errors, 'Ns & Nms', ' of all six together')}"
-    return _drawing(name, title, caption, momentum_signals(predictions), predictions)
-
-
-def _drawing(
-    name: str,
-    title: str,
-    caption: str,
-    quantities: Sequence[PredictedSignal],
-    predictions: Sequence[PredictionSeries],
-) -> Drawing:
-    styles = looks(series.label for series in predictions)
-    with stack(len(quantities), 1.2, other_height=0.5) as (figure, panels):
-        for axes, quantity in zip(panels, quantities, strict=True):
-            draw(axes, quantity, predictions, styles)
-            axes.set_xlim(predictions[0].time[0], predictions[0].time[-1])
-            # Above the panel it needs no more height than there is, and no turning of the head.
-            axes.set_ylabel("")
-            heading = f"{quantity.title} {quantity.kind} [{quantity.unit}]"
-            axes.set_title(heading, loc="left", fontsize="medium", pad=3)
-        panels[-1].set_xlabel("time [s]")
-        legend(figure, {label: curve(style) for label, style in styles.items()})
-    shown = ", ".join(quantity.title for quantity in quantities)
-    duration = predictions[0].time[-1] - predictions[0].time[0]
-    return Drawing(
-        name,
-        title,
-        caption,
-        figure,
-        f"{title}: {quantities[0].kind} over {duration:.3g} s ({shown}), "
-        f"a curve each for {', '.join(styles)}.",
-    )
-
-
-def _errors(
-    predictions: Sequence[PredictionSeries], vector: Callable[[PredictionSeries], FloatArray]
-) -> dict[str, float]:
-    """Return how far each is from the truth, root mean square of the vector's norm."""
-    vectors = {series.label: vector(series) for series in predictions}
-    if TRUTH not in vectors:
-        raise StudyError(
-            f"predictions of {', '.join(vectors) or 'nothing'}: no {TRUTH!r} among them; add the "
-            "true parameters' to compare with",
-            "E709",
-        )
-    truth = vectors.pop(TRUTH)
-    return {
-        label: float(np.sqrt(np.mean(np.sum((found - truth) ** 2, axis=1))))
-        for label, found in vectors.items()
-    }
-
-
-def _told(errors: Mapping[str, float], unit: str, of: str = "") -> str:
-    figures = ", ".join(f"{label} {significant(error)} {unit}" for label, error in errors.items())
-    return f"RMSE{of}: {figures}."
-
-
-# One instant in so many is drawn: more than a page has pixels.
-STRIDE = 10
-# Beside the prior and the thesis's best, what this package proposes.
-SHOWN = (REFERENCE, "wls_rc", "map_lmi")
-
-
-def ideal_drawings(results: StudyResults, figures: FigurePlan) -> tuple[Drawing, ...]:
-    """Draw predictions along the ideal validation motion."""
-    parameters = results.true_parameters(figures.data)
-    ideal = results.folder.log(results.plan.validation_log(figures.data))
+def ideal_figures(results: StudyResults, plan: FigurePlan) -> tuple[CaptionedFigure, ...]:
+    """Plot predictions along the ideal validation motion."""
+    parameters = results.true_parameters(plan.data)
+    ideal = results.folder.log(results.plan.validation_log(plan.data))
     motion = read_true_motion([ideal], parameters.model)[::STRIDE]
 
-    def series(cutoff: float) -> list[PredictionSeries]:
-        return [
-            prediction_series(label, parameters, values, motion)
-            for label, values in _shown(results, figures, cutoff).items()
-        ]
+    def predict(values: Mapping[str, FloatArray]) -> list[PredictionSeries]:
+        return [prediction_series(label, parameters, v, motion) for label, v in values.items()]
 
-    return _drawings(figures, parameters.model.joint_names, series, None)
+    return _figures(results, plan, predict, None)
 
 
-def realistic_drawings(results: StudyResults, figures: FigurePlan) -> tuple[Drawing, ...]:
-    """Draw the same as the robot itself could have predicted it from noisy sensors."""
-    parameters = results.true_parameters(figures.data)
+def realistic_figures(results: StudyResults, plan: FigurePlan) -> tuple[CaptionedFigure, ...]:
+    """Plot predictions from the noisy sensors of the robot along the same motion."""
+    parameters = results.true_parameters(plan.data)
     low_pass = CausalLowPass()
-    log = results.folder.log(results.plan.noisy_validation_log(figures.data))
-    whole = read_realistic_motion([log], parameters.model, low_pass)
-    motion = RealisticMotion(whole.measured[::STRIDE], whole.truth[::STRIDE])
+    log = results.folder.log(results.plan.noisy_validation_log(plan.data))
+    full = read_realistic_motion([log], parameters.model, low_pass)
+    motion = RealisticMotion(full.measured[::STRIDE], full.truth[::STRIDE])
 
-    def series(cutoff: float) -> list[PredictionSeries]:
-        shown = _shown(results, figures, cutoff)
-        true = realistic_truth(parameters, shown.pop(TRUTH), motion)
-        return [true] + [
-            realistic_series(label, motion, predict_realistic(parameters, values, motion))
-            for label, values in shown.items()
+    def predict(values: Mapping[str, FloatArray]) -> list[PredictionSeries]:
+        return [
+            realistic_truth(parameters, v, motion)
+            if label == TRUTH
+            else realistic_series(label, motion, predict_realistic(parameters, v, motion))
+            for label, v in values.items()
         ]
 
-    return _drawings(figures, parameters.model.joint_names, series, low_pass.cutoff)
+    return _figures(results, plan, predict, low_pass.cutoff)
 
 
-def _drawings(
-    figures: FigurePlan,
-    joint_names: Sequence[str],
-    series: Callable[[float], list[PredictionSeries]],
+def _figures(
+    results: StudyResults,
+    plan: FigurePlan,
+    predict: Callable[[Mapping[str, FloatArray]], list[PredictionSeries]],
     velocity_cutoff: float | None,
-) -> tuple[Drawing, ...]:
-    def setting(cutoff: float) -> Setting:
-        return Setting(figures.data, str(figures.prior), cutoff, velocity_cutoff)
-
-    return (
-        com_drawing(series(figures.com), setting(figures.com)),
-        torque_drawing(series(figures.torque), joint_names, setting(figures.torque)),
-        momentum_drawing(series(figures.momentum), setting(figures.momentum)),
-    )
-
-
-def _shown(results: StudyResults, figures: FigurePlan, cutoff: float) -> dict[str, FloatArray]:
-    """Return the truth and what the first draw's prior and estimates are, by label."""
-    values = {TRUTH: results.true_parameters(figures.data).values}
-    for method in SHOWN:
-        if method == REFERENCE or method in results.plan.methods:
-            values[LABELS[method]] = results.estimate(figures.data, figures.prior, method, cutoff)
-    return values
+) -> tuple[CaptionedFigure, ...]:
+    """Plot each quantity for the truth, the first draw's prior and estimates from it."""
+    true = results.true_parameters(plan.data)
+    figures = []
+    for quantity, cutoff in ((COM, plan.com), (TORQUE, plan.torque), (MOMENTUM, plan.momentum)):
+        values = {TRUTH: true.values} | {
+            TITLES[method]: results.estimate(plan.data, plan.prior, method, cutoff)
+            for method in METHODS_SHOWN
+            if method in results.plan.compared
+        }
+        estimates = describe_estimates(plan.data, str(plan.prior), cutoff)
+        joints = true.model.joint_names
+        figures.append(
+            prediction_figure(quantity, predict(values), joints, estimates, velocity_cutoff)
+        )
+    return tuple(figures)

@@ -1,4 +1,4 @@
-"""Errors of each method: of single draws, and means over the draws."""
+"""Errors of each method, for single draws and as means over the draws."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -47,7 +47,7 @@ class DrawResult:
     links : tuple of float
         Mean relative parameter error of each link, %.
     impossible : int
-        Number of links that are not physically possible.
+        Number of physically impossible links.
     values : tuple of float
         The estimated parameters.
     """

@@ -1,6 +1,7 @@
-"""The tasks of a study, in stages that depend on the stages before them."""
+"""The tasks of a study, in stages; each stage needs the results of those before it."""
 
 from dataclasses import dataclass
+from itertools import product
 
 from symbid_ros.choices import GAUSSIAN
 from symbid_ros.report.content import TRUTH
@@ -40,7 +41,7 @@ def study_stages(plan: Plan, folder: StudyFolder) -> tuple[Stage, ...]:
             ("simulating", _log_tasks(plan, folder)),
             ("folding rows", _row_tasks(plan, folder)),
             ("identifying", _draw_tasks(plan, folder)),
-            ("checking", [*_closed_loop_tasks(plan, folder), *_check_tasks(plan, folder)]),
+            ("checking", _check_tasks(plan, folder)),
         )
     )
 
@@ -56,11 +57,9 @@ def _log_tasks(plan: Plan, folder: StudyFolder) -> list[Task]:
         logs += [plan.equation.model_copy(update={"friction": on}) for on in (False, True)]
     tasks = [Task(folder.log(log), record_log, (log, folder), 2.0 * log.moves) for log in logs]
     # The longest first, so that all workers finish at about the same time.
-    return sorted(tasks, key=lambda task: -task.cost) + [
-        Task(folder.tare(log), record_tare, (log, folder), 5.0)
-        for log in plan.data.values()
-        if log.cure
-    ]
+    tasks.sort(key=lambda task: -task.cost)
+    tares = [log for log in plan.data.values() if log.cure]
+    return tasks + [Task(folder.tare(log), record_tare, (log, folder), 5.0) for log in tares]
 
 
 def _row_tasks(plan: Plan, folder: StudyFolder) -> list[Task]:
@@ -81,40 +80,24 @@ def _row_tasks(plan: Plan, folder: StudyFolder) -> list[Task]:
 
 
 def _draw_tasks(plan: Plan, folder: StudyFolder) -> list[Task]:
-    return [
-        Task(
-            folder.draw(name, spread, iteration),
-            solve_draw,
-            (plan, folder, name, spread, iteration),
-            40.0 if data.cure else 1.5,
-        )
-        for name, data in plan.data.items()
-        for spread in plan.priors
-        for iteration in range(plan.iterations)
-    ]
-
-
-def _closed_loop_tasks(plan: Plan, folder: StudyFolder) -> list[Task]:
-    loop = plan.closed_loop
-    if loop is None:
-        return []
-    cost = 1.5 * loop.moves
-    tasks = [
-        Task(
-            folder.loop(spread, iteration, method),
-            run_closed_loop,
-            (loop, folder, spread, iteration, method),
-            cost,
-        )
-        for spread in loop.priors
-        for iteration in range(loop.iterations)
-        for method in plan.compared
-    ]
-    return [Task(folder.check(TRUTH), run_true_closed_loop, (loop, folder), cost), *tasks]
+    tasks = []
+    for name, data in plan.data.items():
+        cost = 40.0 if data.cure else 1.5
+        for spread, iteration in product(plan.priors, range(plan.iterations)):
+            arguments = (plan, folder, name, spread, iteration)
+            tasks.append(Task(folder.draw(name, spread, iteration), solve_draw, arguments, cost))
+    return tasks
 
 
 def _check_tasks(plan: Plan, folder: StudyFolder) -> list[Task]:
     tasks = []
+    if (loop := plan.closed_loop) is not None:
+        cost = 1.5 * loop.moves
+        tasks.append(Task(folder.check(TRUTH), run_true_closed_loop, (loop, folder), cost))
+        tasks += [
+            Task(folder.loop(*run), run_closed_loop, (loop, folder, *run), cost)
+            for run in product(loop.priors, range(loop.iterations), plan.compared)
+        ]
     if plan.equation is not None:
         output = folder.check("equation")
         tasks.append(Task(output, check_equation, (plan.equation, folder), 5.0))

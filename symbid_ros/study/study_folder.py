@@ -1,14 +1,19 @@
-"""The layout of a study's folder, by which an interrupted study resumes."""
+"""The files of a study's folder, by which an interrupted study resumes."""
 
+import json
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeVar
 
 from symbid_ros.atomic_write import write_text
 from symbid_ros.errors import StudyError
 from symbid_ros.package_paths import package_version
 from symbid_ros.study.plan import Plan, PriorSpread, SimulatedLog
 from symbid_ros.study.sensor_subsets import SensorSubset
+
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -18,7 +23,7 @@ class StudyFolder:
     Attributes
     ----------
     out : Path
-        Holds the page, tables and figures; intermediate files are in its ``work/``.
+        Holds the page, tables and figures. Intermediate files are in its folder ``work``.
     """
 
     out: Path
@@ -34,7 +39,7 @@ class StudyFolder:
         Raises
         ------
         StudyError
-            If it holds other files, or results of another plan or version.
+            If the folder holds other files, or results of another plan or version.
         """
         mark = self.work / "plan.json"
         text = plan.model_dump_json(indent=1) + f"\n{package_version()}\n"
@@ -60,7 +65,7 @@ class StudyFolder:
         return self.work / "logs" / log.identity
 
     def tare(self, log: SimulatedLog) -> Path:
-        """Return the bag of the same robot hanging still."""
+        """Return the bag of the same robot, suspended at rest."""
         return self.work / "logs" / f"tare, {log.identity}"
 
     def robot(self, log: SimulatedLog) -> Path:
@@ -83,3 +88,24 @@ class StudyFolder:
     def check(self, name: str) -> Path:
         """Return the file of one check's results."""
         return self.work / "checks" / f"{name}.json"
+
+
+def write_result(file: Path, content: object) -> None:
+    """Write the result of a task as JSON."""
+    write_text(file, json.dumps(content) + "\n")
+
+
+def read_result(file: Path, parse: Callable[[Any], Result]) -> Result:
+    """Return what ``parse`` makes of the JSON in a file.
+
+    Raises
+    ------
+    StudyError
+        If the file is missing or damaged.
+    """
+    try:
+        return parse(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise StudyError(
+            f"{file}: cannot be read ({error}); delete it and start the study again", "E705"
+        ) from None

@@ -1,13 +1,13 @@
 """Tables of values next to the thesis's, as Markdown, as CSV and for the page.
 
-Not pandas data frames: a cell holds a value, the thesis's value and a mark, and pandas is no
-dependency of studies.
+They are not pandas data frames, as a cell also holds the thesis's value and whether it is the best.
 """
 
 import csv
 import io
 import math
-from collections.abc import Iterable, Iterator
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from symbid_ros.report.formatting import ABSENT, significant
@@ -17,18 +17,16 @@ REFERENCE_NOTE = " The second value, if any, is the thesis's, followed by the ra
 
 @dataclass(frozen=True)
 class Cell:
-    """One value or a few words.
+    """One value, or a text.
 
     Attributes
     ----------
-    value : float or None
-        Our value, if there is one.
-    reference : float or None
-        The thesis's value, if it has one.
+    value, reference : float or None
+        Our value and the thesis's, if they exist.
     text : str
-        Shown in place of the value.
+        Shown instead of the value.
     best : bool
-        Whether it is the smallest of its group.
+        Whether the value is the smallest of its group.
     has_ratio : bool
         Whether to show the ratio of ours to the thesis's: useful for errors, but not for
         estimates.
@@ -61,6 +59,11 @@ class Cell:
         return value if self.ratio is None else f"{value}, ×{significant(self.ratio, 2)}"
 
 
+def text_cells(*texts: str) -> tuple[Cell, ...]:
+    """Return a cell for each text."""
+    return tuple(Cell(text=text) for text in texts)
+
+
 @dataclass(frozen=True)
 class Column:
     """A column's title and unit; text and counts have no unit."""
@@ -73,16 +76,8 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Row:
-    """One row of a table.
-
-    Attributes
-    ----------
-    labels : tuple of Cell
-        What the row is about, such as prior, method and filter.
-    cells : tuple of Cell
-        One for each column.
-    """
+class TableRow:
+    """A row: its labels, such as prior, method and filter, and a cell for each column."""
 
     labels: tuple[Cell, ...]
     cells: tuple[Cell, ...]
@@ -90,7 +85,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Table:
-    """One table.
+    """A table of a study.
 
     Attributes
     ----------
@@ -98,11 +93,9 @@ class Table:
         Stem of its files.
     title, caption : str
         The heading and the sentence below it.
-    headings : tuple of Column
-        Headers of the labels.
-    columns : tuple of Column
-        Headers of the cells.
-    rows : tuple of Row
+    headings, columns : tuple of Column
+        Headers of the labels and of the cells.
+    rows : tuple of TableRow
         In the order shown.
     notes : tuple of str
         Sentences below the table.
@@ -113,7 +106,7 @@ class Table:
     caption: str
     headings: tuple[Column, ...]
     columns: tuple[Column, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
     notes: tuple[str, ...] = ()
 
     @property
@@ -139,43 +132,36 @@ class Table:
     def csv(self) -> str:
         """The table with all digits, under one line of headers.
 
-        A column with a value of the thesis in any row is followed by two columns: the thesis's
-        value, and the ratio of ours to it.
+        A column for which the thesis has values is followed by two columns: the thesis's value,
+        and the ratio of ours to it.
         """
+        columns = [
+            [_csv_header(heading), *(_csv_cell(row.labels[index]) for row in self.rows)]
+            for index, heading in enumerate(self.headings)
+        ]
+        for index, column in enumerate(self.columns):
+            cells = [row.cells[index] for row in self.rows]
+            columns.append([_csv_header(column), *map(_csv_cell, cells)])
+            if any(cell.reference is not None for cell in cells):
+                header = _csv_header(Column(f"{column.title} of the thesis", column.unit))
+                columns.append([header, *(_csv_number(cell.reference) for cell in cells)])
+            if any(cell.ratio is not None for cell in cells):
+                header = f"{column.title} ratio"
+                columns.append([header, *(_csv_number(cell.ratio) for cell in cells)])
         text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow([*map(_csv_header, self.headings), *self._csv_headers()])
-        for row in self.rows:
-            writer.writerow([*map(_csv_cell, row.labels), *self._csv_values(row)])
+        csv.writer(text, lineterminator="\n").writerows(zip(*columns, strict=True))
         return text.getvalue()
 
-    def _csv_headers(self) -> Iterator[str]:
-        for index, column in enumerate(self.columns):
-            yield _csv_header(column)
-            if self._has_reference(index):
-                yield _csv_header(Column(f"{column.title} of the thesis", column.unit))
-            if self._has_ratio(index):
-                yield f"{column.title} ratio"
 
-    def _csv_values(self, row: Row) -> Iterator[str]:
-        for index, cell in enumerate(row.cells):
-            yield _csv_cell(cell)
-            if self._has_reference(index):
-                yield _csv_number(cell.reference)
-            if self._has_ratio(index):
-                yield _csv_number(cell.ratio)
-
-    def _has_reference(self, index: int) -> bool:
-        return any(row.cells[index].reference is not None for row in self.rows)
-
-    def _has_ratio(self, index: int) -> bool:
-        return any(row.cells[index].ratio is not None for row in self.rows)
-
-
-def reference_note(rows: Iterable[Row]) -> str:
+def reference_note(rows: Iterable[TableRow]) -> str:
     """Return the caption's sentence on the thesis's values, empty if no row has any."""
     known = any(cell.reference is not None for row in rows for cell in row.cells)
     return REFERENCE_NOTE if known else ""
+
+
+def file_stem(text: str) -> str:
+    """Return a text with only the characters that file names and ids may have."""
+    return re.sub(r"[^\w.+-]", "", text.replace("%", "percent").replace(" ", "_"))
 
 
 def _markdown_cell(cell: Cell) -> str:

@@ -1,12 +1,11 @@
-"""The thesis's tables with our figures in them, and one for studies that it did not make."""
+"""The thesis's tables with values of a study, and a comparison table for other studies."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.errors import StudyError
 from symbid_ros.report.content import METRICS as TITLED
 from symbid_ros.report.content import REALISTIC_METRICS, TRUTH
 from symbid_ros.report.formatting import ABSENT
@@ -16,19 +15,27 @@ from symbid_ros.study.checks import AccelerationCheck, EquationResidual
 from symbid_ros.study.evidence import describe_filter, enumerate_words
 from symbid_ros.study.plan import Plan, PriorSpread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Scores
-from symbid_ros.study.table import Cell, Column, Row, Table, reference_note
+from symbid_ros.study.table import (
+    Cell,
+    Column,
+    Table,
+    TableRow,
+    file_stem,
+    reference_note,
+    text_cells,
+)
 from symbid_ros.study.thesis import ACCELERATION_ERRORS, EQUATION_RESIDUALS, TITLES
 
 COUNT = Column("Singular values")
 COLUMNS = (*(Column(metric.title, metric.unit) for metric in TITLED), COUNT)
+BOLD = "Bold: the smallest value for each prior."
 BEST = (
-    "Means over {draws} priors; of each error the least over the filters, which may be another "
-    "filter for each; the number of singular values is the mean over the filters. Bold: the "
-    "least of one prior."
+    "Means over {draws} priors. Each error is the smallest over the filters, each with its own "
+    f"filter; the number of singular values is the mean over the filters. {BOLD}"
 )
 
-# What scales rows and columns, what is done where the data say nothing, and whether every link
-# is one that a body can have (thesis, Table I and Eq. 23–32).
+# Scale of rows and of columns, treatment of unobserved directions, and whether every link is
+# physically possible (thesis, Table I and Eq. 23–32).
 TECHNIQUES: Mapping[str, tuple[str, str, str, str]] = {
     REFERENCE: ("—", "—", "prior", "—"),
     "ols": ("no", "no", "prior, through the nullspace (Eq. 23)", "no"),
@@ -42,7 +49,7 @@ TECHNIQUES: Mapping[str, tuple[str, str, str, str]] = {
 
 @dataclass(frozen=True)
 class Draw:
-    """One draw of the prior, and what the methods made of it.
+    """One draw of the prior, and the estimates from it.
 
     Attributes
     ----------
@@ -51,18 +58,13 @@ class Draw:
     prior : PriorSpread
         How the prior was drawn.
     filter : float
-        Hz, cutoff of the truncated methods' rows.
+        Cutoff of the truncated methods' rows, Hz.
     names, units : tuple of str
         Of the p parameters.
     real : (p,) float64
-        The truth.
+        The true values.
     estimates : dict of str to (p,) float64
         By method, "ref" for the prior itself.
-
-    Raises
-    ------
-    StudyError
-        When the sizes do not agree.
     """
 
     data: str
@@ -73,48 +75,34 @@ class Draw:
     real: FloatArray
     estimates: Mapping[str, FloatArray]
 
-    def __post_init__(self) -> None:
-        sizes = {"units": len(self.units), "real": len(self.real)}
-        sizes |= {method: len(values) for method, values in self.estimates.items()}
-        for what, size in sizes.items():
-            if size != len(self.names):
-                raise StudyError(
-                    f"draw on {self.data}: {what} has {size} entries for {len(self.names)} "
-                    "parameters; give one for each",
-                    "E709",
-                )
 
-
-def tables(plan: Plan, scores: Scores, draw: Draw | None = None) -> tuple[Table, ...]:
-    """Return all tables that a study has the figures for.
-
-    Parameters
-    ----------
-    plan : Plan
-        The study; one with ``thesis`` gets the thesis's tables, any other one comparison.
-    scores : Scores
-        Its means.
-    draw : Draw, optional
-        For Table D.1.
-    """
-    made = [techniques(plan.methods)] if plan.thesis else [comparison(plan, scores)]
+def score_tables(plan: Plan, scores: Scores) -> list[Table]:
+    """Return the tables of errors: those of the thesis for its study, else one comparison."""
     if plan.thesis:
+        tables = []
         for absolute in (False, True):
             if any((spread.kind == "absolute") == absolute for spread in plan.priors):
-                made += [best_over_filters(plan, scores, data, absolute) for data in plan.data]
-        made += [every_filter(plan, scores, data) for data in plan.data]
-    made = [_with_metrics(sheet, plan.shown_metrics) for sheet in made]
-    if draw is not None:
-        made.append(parameters(draw))
-    return tuple(made)
+                tables += [best_table(plan, scores, data, absolute) for data in plan.data]
+        tables += [filter_table(plan, scores, data) for data in plan.data]
+    else:
+        tables = [comparison_table(plan, scores)]
+    kept = [i for i, key in enumerate((*METRICS, RANK)) if key in (*plan.shown_metrics, RANK)]
+    return [
+        replace(
+            table,
+            columns=tuple(COLUMNS[i] for i in kept),
+            rows=tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in table.rows),
+        )
+        for table in tables
+    ]
 
 
-def techniques(methods: Iterable[str]) -> Table:
-    """Return Table I: what each method scales, and what it does where the data say nothing."""
+def technique_table(methods: Iterable[str]) -> Table:
+    """Return Table I: what each method scales, and how it treats unobserved directions."""
     return Table(
         name="table_1",
         title="Table I: solution techniques",
-        caption="The thesis's five, and ours.",
+        caption="The five techniques of the thesis, and ours.",
         headings=(Column("Method"),),
         columns=(
             Column("Rows scaled by"),
@@ -123,29 +111,28 @@ def techniques(methods: Iterable[str]) -> Table:
             Column("Possible links guaranteed"),
         ),
         rows=tuple(
-            Row((Cell(text=TITLES[method]),), tuple(Cell(text=word) for word in words))
-            for method, words in TECHNIQUES.items()
-            if method in _shown(methods)
+            TableRow(text_cells(TITLES[method]), text_cells(*TECHNIQUES[method]))
+            for method in _ordered(methods)
         ),
     )
 
 
-def best_over_filters(plan: Plan, scores: Scores, data: str, absolute: bool) -> Table:
-    """Return Table II or, of absolute priors, Table 4.1: the least errors over the filters."""
+def best_table(plan: Plan, scores: Scores, data: str, absolute: bool) -> Table:
+    """Return Table II or, for absolute priors, Table 4.1: the smallest errors over the filters."""
     printed = thesis.table_4_1() if absolute else thesis.table_2()
     rows = []
     for spread in (str(one) for one in plan.priors if (one.kind == "absolute") == absolute):
-        means = {method: scores.best(data, spread, method) for method in _shown(plan.methods)}
+        means = {method: scores.best(data, spread, method) for method in _ordered(plan.methods)}
         rows += [
-            Row(
-                (Cell(text=spread), Cell(text=TITLES[method])),
-                _figures(found, printed.best(thesis.DATA, spread, method), _least(means.values())),
+            TableRow(
+                text_cells(spread, TITLES[method]),
+                _score_cells(found, printed.best(thesis.DATA, spread, method), means.values()),
             )
             for method, found in means.items()
             if found
         ]
     return Table(
-        name=f"table_{'4_1' if absolute else '2'}_{_stem(data)}",
+        name=f"table_{'4_1' if absolute else '2'}_{file_stem(data)}",
         title=f"Table {'4.1' if absolute else 'II'}: best over the filters, {data}",
         caption=BEST.format(draws=plan.iterations) + reference_note(rows),
         headings=(Column("Prior"), Column("Method")),
@@ -154,54 +141,46 @@ def best_over_filters(plan: Plan, scores: Scores, data: str, absolute: bool) -> 
     )
 
 
-def every_filter(plan: Plan, scores: Scores, data: str) -> Table:
+def filter_table(plan: Plan, scores: Scores, data: str) -> Table:
     """Return Table C.1: every prior, method and filter."""
     rows = []
     for spread in map(str, plan.priors):
         tried = {
             (method, cutoff): scores.at(data, spread, method, cutoff)
-            for method in _shown(plan.methods)
+            for method in _ordered(plan.methods)
             for cutoff in scores.filters(data, spread, method)
         }
-        rows += [
-            Row(
-                (Cell(text=spread), Cell(text=TITLES[method]), _filter(method, cutoff)),
-                _figures(
-                    means,
-                    thesis.table_c1().at(thesis.DATA, spread, method, cutoff),
-                    _least(tried.values()),
-                ),
-            )
-            for (method, cutoff), means in tried.items()
-        ]
+        for (method, cutoff), means in tried.items():
+            printed = thesis.table_c1().at(thesis.DATA, spread, method, cutoff)
+            labels = (*text_cells(spread, TITLES[method]), _filter_cell(method, cutoff))
+            rows.append(TableRow(labels, _score_cells(means, printed, tried.values())))
     return Table(
-        name=f"table_c1_{_stem(data)}",
+        name=f"table_c1_{file_stem(data)}",
         title=f"Table C.1: every filter, {data}",
-        caption=f"Means over {plan.iterations} priors. Bold: the least of one prior."
-        + reference_note(rows),
+        caption=f"Means over {plan.iterations} priors. {BOLD}{reference_note(rows)}",
         headings=(Column("Prior"), Column("Method"), Column("Filter", "Hz")),
         columns=COLUMNS,
         rows=tuple(rows),
     )
 
 
-def comparison(plan: Plan, scores: Scores) -> Table:
+def comparison_table(plan: Plan, scores: Scores) -> Table:
     """Return the errors of every data set, prior and method."""
     rows = []
     for data in plan.data:
         for spread in map(str, plan.priors):
-            means = {method: scores.best(data, spread, method) for method in _shown(plan.methods)}
+            means = {method: scores.best(data, spread, method) for method in _ordered(plan.methods)}
             rows += [
-                Row(
-                    (Cell(text=data), Cell(text=spread), Cell(text=TITLES[method])),
-                    _figures(found, {}, _least(means.values())),
+                TableRow(
+                    text_cells(data, spread, TITLES[method]),
+                    _score_cells(found, {}, means.values()),
                 )
                 for method, found in means.items()
                 if found
             ]
     filters = ""
     if plan.truncated_methods:
-        names = enumerate_words(TITLES[method] for method in _shown(plan.truncated_methods)[1:])
+        names = enumerate_words(TITLES[method] for method in _ordered(plan.truncated_methods)[1:])
         filters = f"; rows of {names} {describe_filter(plan.filters[0])}"
     return Table(
         name="comparison",
@@ -209,7 +188,7 @@ def comparison(plan: Plan, scores: Scores) -> Table:
         caption=(
             BEST.format(draws=plan.iterations)
             if plan.truncated_methods and len(plan.filters) > 1
-            else f"Means over {plan.iterations} priors{filters}. Bold: the least of one prior."
+            else f"Means over {plan.iterations} priors{filters}. {BOLD}"
         ),
         headings=(Column("Data"), Column("Prior"), Column("Method")),
         columns=COLUMNS,
@@ -217,62 +196,42 @@ def comparison(plan: Plan, scores: Scores) -> Table:
     )
 
 
-def _with_metrics(sheet: Table, shown: Sequence[str]) -> Table:
-    """Return a sheet of errors with some of them alone; any other as it is."""
-    if sheet.columns != COLUMNS:
-        return sheet
-    kept = [i for i, name in enumerate((*METRICS, RANK)) if name in shown or name == RANK]
-    return replace(
-        sheet,
-        columns=tuple(COLUMNS[i] for i in kept),
-        rows=tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in sheet.rows),
-    )
-
-
-def _shown(methods: Iterable[str]) -> list[str]:
+def _ordered(methods: Iterable[str]) -> list[str]:
+    """Return the prior and the methods in the order of tables."""
     chosen = {REFERENCE, *methods}
     return [method for method in TITLES if method in chosen]
 
 
-def _least(rows: Iterable[Mapping[str, float]]) -> dict[str, float]:
-    found = list(rows)
-    return {
-        name: min(values)
-        for name in METRICS
-        if (values := [means[name] for means in found if name in means])
-    }
-
-
-def _figures(
-    means: Mapping[str, float], printed: Mapping[str, float], least: Mapping[str, float]
+def _score_cells(
+    means: Mapping[str, float],
+    printed: Mapping[str, float],
+    group: Collection[Mapping[str, float]],
 ) -> tuple[Cell, ...]:
-    def cells() -> Iterator[Cell]:
-        for name in (*METRICS, RANK):
-            value = means.get(name)
-            best = value is not None and value == least.get(name)
-            yield Cell(value, printed.get(name), best=best)
+    """Return the cells of :data:`COLUMNS`; the smallest error within the group is marked."""
 
-    return tuple(cells())
+    def is_best(name: str) -> bool:
+        return name != RANK and means[name] == min(one[name] for one in group if name in one)
+
+    return tuple(
+        Cell(means.get(name), printed.get(name), best=name in means and is_best(name))
+        for name in (*METRICS, RANK)
+    )
 
 
-def _filter(method: str, cutoff: float | None) -> Cell:
+def _filter_cell(method: str, cutoff: float | None) -> Cell:
     if cutoff is not None:
         return Cell(cutoff, text=f"{cutoff:g}" if cutoff else "none")
     return Cell(text=ABSENT if method == REFERENCE else "windows")
 
 
-def _stem(data: str) -> str:
-    return data.replace(" ", "_")
-
-
-def parameters(draw: Draw) -> Table:
-    """Return Table D.1: every parameter, what each method made of it, and how far off that is."""
+def parameter_table(draw: Draw) -> Table:
+    """Return Table D.1: true value, estimates and relative errors of every parameter."""
     printed = thesis.table_d1()
     methods = [method for method in TITLES if method in draw.estimates]
     rows = []
     for index, (name, unit) in enumerate(zip(draw.names, draw.units, strict=True)):
         real = float(draw.real[index])
-        # The thesis's robot had no friction and its columns came first, in the same order.
+        # The thesis's robot has no friction; its parameters are the first columns, in equal order.
         known = index < len(printed.real) and np.isclose(real, printed.real[index])
         cells = [Cell(real)]
         for method in methods:
@@ -282,31 +241,34 @@ def parameters(draw: Draw) -> Table:
                 if known and method in printed.estimates
                 else None
             )
-            cells += [Cell(own, theirs, has_ratio=False), Cell(_off(own, real), _off(theirs, real))]
-        rows.append(Row((Cell(text=name), Cell(text=unit)), tuple(cells)))
+            errors = Cell(_relative_error(own, real), _relative_error(theirs, real))
+            cells += [Cell(own, theirs, has_ratio=False), errors]
+        rows.append(TableRow(text_cells(name, unit), tuple(cells)))
     columns = [Column("Real")]
     for method in methods:
         columns += [Column(TITLES[method]), Column(f"{TITLES[method]} error", "%")]
+    note = reference_note(rows)
     return Table(
         name="table_d1",
         title=f"Table D.1: parameters, {draw.data}",
         caption=(
             f"One draw of a {draw.prior} prior, rows of the truncated methods filtered at "
-            f"{draw.filter:g} Hz; errors relative to the real value." + reference_note(rows)
+            f"{draw.filter:g} Hz; errors relative to the real value.{note}"
         ),
         headings=(Column("Parameter"), Column("Unit")),
         columns=tuple(columns),
         rows=tuple(rows),
         notes=(
-            "The thesis's figures are one draw of a ±25 % prior at 50 Hz, another one than ours: "
-            "single ratios tell of the draws as much as of the methods.",
+            "The thesis's values are from another draw, of a ±25 % prior at 50 Hz: single ratios "
+            "depend on the draws as much as on the methods.",
         )
-        if reference_note(rows)
+        if note
         else (),
     )
 
 
-def _off(value: float | None, real: float) -> float | None:
+def _relative_error(value: float | None, real: float) -> float | None:
+    """Return the error, %; None without a value or for a true value of zero."""
     return None if value is None or real == 0 else 100 * abs(value - real) / abs(real)
 
 
@@ -317,44 +279,43 @@ def equation_table(residuals: Sequence[EquationResidual]) -> Table:
     """Return Appendix B's check of the equation of motion."""
     return Table(
         name="appendix_b",
-        title="Appendix B: does the equation of motion close?",
+        title="Appendix B: residual of the equation of motion",
         caption=(
             "Root mean square of y − K φ at the true parameters on noise-free logs, norm per "
-            "sample; with friction at instants at which no joint may stick. Second the order of "
-            "magnitude that the thesis states."
+            "sample. With friction, only samples at which no joint may stick count. The second "
+            "value is the order of magnitude that the thesis states."
         ),
         headings=(Column("Robot"), Column("Model"), Column("Contact forces")),
         columns=(Column("RMSE", "N, Nm"),),
         rows=tuple(
-            Row(
-                (Cell(text=one.robot), Cell(text=one.model), Cell(text=one.wrenches)),
+            TableRow(
+                text_cells(one.robot, one.model, one.wrenches),
                 (Cell(one.rmse, EQUATION_RESIDUALS.get((one.robot, one.model, one.wrenches))),),
             )
             for one in residuals
         ),
         notes=(
-            "The thesis reaches 1e-14 with friction in Simscape, whose contact forces are exact; "
-            "in MuJoCo it takes recorded contact forces and no friction columns (order 1), then "
-            "contact forces rebuilt by Eq. 4.1.",
+            "The thesis reaches 1e-14 with friction in Simscape, whose contact forces are exact. "
+            "In MuJoCo it reaches order 1 with recorded contact forces and no friction columns, "
+            "and the second values with contact forces from Eq. 4.1.",
         ),
     )
 
 
 def acceleration_table(checks: Mapping[str, AccelerationCheck], cutoff: float) -> Table:
-    """Return what a filter does to joint accelerations (Eq. 4.2)."""
+    """Return the errors of filtered joint accelerations (Eq. 4.2)."""
     return Table(
         name="accelerations",
         title="Filtered joint accelerations",
         caption=(
-            f"True joint accelerations, and the error e_a of those differentiated from positions "
+            "True joint accelerations, and the error e_a of second derivatives of positions "
             f"filtered at {cutoff:g} Hz (thesis, Eq. 4.2); root mean square of the norm."
         ),
         headings=(Column("Log"),),
         columns=(Column("Acceleration", "rad/s²"), Column("e_a", "rad/s²")),
         rows=tuple(
-            Row(
-                (Cell(text=name),),
-                (Cell(one.rms), Cell(one.error, ACCELERATION_ERRORS.get(name))),
+            TableRow(
+                text_cells(name), (Cell(one.rms), Cell(one.error, ACCELERATION_ERRORS.get(name)))
             )
             for name, one in checks.items()
         ),
@@ -362,30 +323,27 @@ def acceleration_table(checks: Mapping[str, AccelerationCheck], cutoff: float) -
 
 
 def realistic_table(means: Mapping[str, Mapping[str, float]]) -> Table:
-    """Return the errors of predictions as a robot could make them, by method."""
-    judged = {method: found for method, found in means.items() if method != TRUTH}
-    least = {
-        metric.key: min(found[metric.key] for found in judged.values())
-        for metric in REALISTIC_METRICS
-    }
+    """Return the errors of realistic predictions, by method."""
+
+    def is_best(method: str, key: str) -> bool:
+        smallest = min(found[key] for other, found in means.items() if other != TRUTH)
+        return method != TRUTH and means[method][key] == smallest
+
     return Table(
         name="realistic",
         title="Errors of realistic predictions",
         caption=(
-            "Means over the draws: velocities filtered in real time, accelerations as desired, "
-            "contact forces predicted by Eq. 4.1; “by wrenches”: torques from the measured contact "
-            "forces instead. Bold: the least."
+            "Means over the draws, with velocities filtered in real time, desired accelerations, "
+            "and contact forces predicted by Eq. 4.1; “by wrenches”: torques from the measured "
+            "contact forces instead. Bold: the smallest."
         ),
         headings=(Column("Method"),),
         columns=tuple(Column(metric.title, metric.unit) for metric in REALISTIC_METRICS),
         rows=tuple(
-            Row(
-                (Cell(text=LABELS[method]),),
+            TableRow(
+                text_cells(LABELS[method]),
                 tuple(
-                    Cell(
-                        means[method][metric.key],
-                        best=method != TRUTH and means[method][metric.key] == least[metric.key],
-                    )
+                    Cell(means[method][metric.key], best=is_best(method, metric.key))
                     for metric in REALISTIC_METRICS
                 ),
             )
@@ -396,13 +354,13 @@ def realistic_table(means: Mapping[str, Mapping[str, float]]) -> Table:
 
 
 def balance_table(prior: str, runs: Mapping[str, Sequence[BalanceResult]]) -> Table:
-    """Return how the balance controller did with each method's models."""
+    """Return the results of the balance controller with each method's models."""
     return Table(
         name=f"closed_loop_{prior.replace(' ', '').replace('%', 'percent').replace('±', '')}",
         title=f"Closed loop, priors {prior}",
         caption=(
-            "CoM tracking and the feed-forward share of the torques over the runs that lasted; "
-            "a run ends with a fall, at a joint’s end stop, or when its model allows no torques."
+            "CoM tracking and feed-forward share of the torques over the completed runs. A run "
+            "fails with a fall, at a joint’s end stop, or if its model allows no torques."
         ),
         headings=(Column("Model"),),
         columns=(
@@ -413,22 +371,22 @@ def balance_table(prior: str, runs: Mapping[str, Sequence[BalanceResult]]) -> Ta
             Column("Ended by"),
         ),
         rows=tuple(
-            _balanced(LABELS[method], runs[method])
-            for method in (*LABELS,)
+            _balance_row(LABELS[method], runs[method])
+            for method in LABELS
             if method in runs and (method == REFERENCE or runs[method])
         ),
     )
 
 
-def _balanced(name: str, runs: Sequence[BalanceResult]) -> Row:
-    lasting = [run for run in runs if not run.failure]
-    tracking = [run.com_rmse_mm for run in lasting]
-    share = [100 * run.feed_forward_share for run in lasting]
+def _balance_row(name: str, runs: Sequence[BalanceResult]) -> TableRow:
+    completed = [run for run in runs if not run.failure]
+    tracking = [run.com_rmse_mm for run in completed]
+    share = [100 * run.feed_forward_share for run in completed]
     causes = sorted({run.failure for run in runs if run.failure})
-    return Row(
-        (Cell(text=name),),
+    return TableRow(
+        text_cells(name),
         (
-            Cell(text=f"{len(lasting)} of {len(runs)}"),
+            Cell(text=f"{len(completed)} of {len(runs)}"),
             Cell(float(np.median(tracking)) if tracking else None),
             Cell(max(tracking) if tracking else None),
             Cell(float(np.median(share)) if share else None),

@@ -1,4 +1,4 @@
-"""Conclusions follow from the numbers: the thesis's own, reversed, scaled and incomplete ones."""
+"""Conclusions from the thesis's numbers, and from reversed, scaled and incomplete ones."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -6,14 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from symbid_ros.errors import StudyError
 from symbid_ros.report.content import LinkErrors
 from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import claims, thesis
 from symbid_ros.study.conclusions import (
-    Links,
+    claim_conclusions,
     closed_loop_conclusions,
-    conclusions,
     link_accuracy,
     realistic_conclusion,
 )
@@ -52,7 +50,7 @@ def without(drop: Callable[[Case], bool]) -> Scores:
 
 
 def claimed(scores: Scores) -> set[str]:
-    return {one.claim for one in conclusions(Evidence(scores, thesis.DATA, PRIORS))}
+    return {one.claim for one in claim_conclusions(Evidence(scores, thesis.DATA, PRIORS))}
 
 
 @pytest.mark.parametrize(
@@ -69,14 +67,14 @@ def claimed(scores: Scores) -> set[str]:
         claims.growing_gap,
     ],
 )
-def test_what_the_thesis_concludes_holds_in_its_own_tables(claim: Claim) -> None:
+def test_claims_of_the_thesis_hold_in_its_tables(claim: Claim) -> None:
     found = checked(claim, thesis.published())
     assert found.holds is True, found.finding
     assert found.verdict == "holds"
     assert not found.explanation
 
 
-def test_row_scaling_of_the_thesis_helps_with_scaled_columns_only() -> None:
+def test_row_scaling_of_the_thesis_helps_only_with_scaled_columns() -> None:
     found = checked(claims.row_scaling, thesis.published())
     assert found.verdict == "holds in part"
     # Counted by hand in Table C.1; momentum and CoM position at ±25 % are the two.
@@ -84,7 +82,7 @@ def test_row_scaling_of_the_thesis_helps_with_scaled_columns_only() -> None:
     assert "2 of 8 where they are not" in found.finding
 
 
-def test_nowhere_in_the_thesis_are_there_four_times_as_many_singular_values() -> None:
+def test_thesis_never_has_four_times_as_many_singular_values() -> None:
     found = checked(claims.singular_values, thesis.published())
     assert found.holds is None
     # 11.9 / 4.3 at ±12.5 % and 50 Hz is the largest.
@@ -93,7 +91,7 @@ def test_nowhere_in_the_thesis_are_there_four_times_as_many_singular_values() ->
     assert "unfiltered in 1 of 4" in found.finding
 
 
-def test_figures_of_a_sentence_are_those_of_the_table() -> None:
+def test_sentence_states_the_values_of_the_table() -> None:
     found = checked(claims.best_of_four, thesis.published())
     assert "CoM position at ±25 %: OLS 20.4 mm, WLS-R 18.5 mm, WLS-C 3.28 mm, WLS-RC 0.996 mm" in (
         found.finding
@@ -101,25 +99,25 @@ def test_figures_of_a_sentence_are_those_of_the_table() -> None:
 
 
 @pytest.mark.parametrize(
-    ("claim", "said"),
+    ("claim", "text"),
     [
-        (claims.best_of_four, "best of the four in none of 10 errors"),
+        (claims.best_of_four, "best of the four in 0 of 10 errors"),
         (claims.best_of_four, "behind OLS in every error"),
         (claims.column_scaling, "Scaled columns lower 0 of 20 errors"),
         (claims.singular_values, "0 of 16 comparisons"),
-        (claims.absolute_errors, "none of 5 errors, behind OLS in generalised force and CoM"),
-        (claims.prior_dependence, "Parameter error over the prior's"),
+        (claims.absolute_errors, "0 of 5 errors, behind OLS in generalised force and CoM"),
+        (claims.prior_dependence, "Ratio of the parameter error to the prior's"),
         (claims.better_than_prior, "behind Ref. in joint torque and parameters"),
     ],
 )
-def test_reversed_order_reverses_the_sentences(claim: Claim, said: str) -> None:
+def test_reversed_order_reverses_the_sentences(claim: Claim, text: str) -> None:
     found = checked(claim, renamed(REVERSED))
-    assert said in found.finding
+    assert text in found.finding
     assert found.holds is not True
     assert found.explanation
 
 
-def test_row_scaling_that_only_helps_lowers_no_performance() -> None:
+def test_row_scaling_that_only_helps_refutes_the_claim() -> None:
     found = checked(claims.row_scaling_alone, renamed({"wls_r": "wls_c", "wls_c": "wls_r"}))
     assert found.holds is False
     assert "Scaling the rows alone lowers every error at ±12.5 % and ±25 % (" in found.finding
@@ -143,7 +141,7 @@ def test_unfiltered_order_follows_the_unfiltered_means() -> None:
     assert "with the best filter WLS-RC is ahead in 0 of 10" in same.finding
 
 
-def test_gap_that_shrinks_is_said_to_shrink() -> None:
+def test_shrinking_gap_refutes_the_claim() -> None:
     other = {str(thesis.PRIORS[0]): thesis.PRIORS[1], str(thesis.PRIORS[1]): thesis.PRIORS[0]}
     scores = changed(
         lambda case, means: (
@@ -157,8 +155,8 @@ def test_gap_that_shrinks_is_said_to_shrink() -> None:
     assert "does not grow in every error at ±12.5 % to ±25 %" in found.explanation
 
 
-def test_near_ties_are_no_lead() -> None:
-    """All methods within two percent of each other: none is best."""
+def test_ties_do_not_count_as_leads() -> None:
+    """All methods are within two percent of each other."""
     generator = np.random.default_rng(5)
     scores = changed(
         lambda case, means: (
@@ -168,13 +166,13 @@ def test_near_ties_are_no_lead() -> None:
     )
     found = checked(claims.best_of_four, scores)
     assert found.holds is False
-    assert "none of 10 errors, within 5 % in 10" in found.finding
+    assert "0 of 10 errors, within 5 % in 10" in found.finding
     assert checked(claims.row_scaling_alone, scores).holds is False
 
 
 @pytest.mark.parametrize("factor", [1e-3, 0.7, 1e4])
 @pytest.mark.parametrize("names", [{}, REVERSED])
-def test_units_do_not_decide(factor: float, names: dict[str, str]) -> None:
+def test_verdicts_do_not_depend_on_units(factor: float, names: dict[str, str]) -> None:
     plain = renamed(names)
     scaled = Scores(
         {
@@ -182,13 +180,13 @@ def test_units_do_not_decide(factor: float, names: dict[str, str]) -> None:
             for case, means in plain.means.items()
         }
     )
-    before = conclusions(Evidence(plain, thesis.DATA, PRIORS))
-    after = conclusions(Evidence(scaled, thesis.DATA, PRIORS))
+    before = claim_conclusions(Evidence(plain, thesis.DATA, PRIORS))
+    after = claim_conclusions(Evidence(scaled, thesis.DATA, PRIORS))
     assert [one.holds for one in before] == [one.holds for one in after]
     assert [one.claim for one in before] == [one.claim for one in after]
 
 
-def test_missing_numbers_leave_claims_out() -> None:
+def test_claims_without_numbers_are_omitted() -> None:
     everything = claimed(thesis.published())
     assert len(everything) == 11
     unfiltered = everything - claimed(without(lambda case: case.filter == 0))
@@ -200,14 +198,13 @@ def test_missing_numbers_leave_claims_out() -> None:
     one_prior = everything - claimed(without(lambda case: case.prior == "±12.5 %"))
     assert all("follows" in claim or "gap" in claim for claim in one_prior)
     assert len(one_prior) == 2
-    # Without the prior itself nothing can be better than it.
     no_prior = everything - claimed(without(lambda case: case.method == REFERENCE))
     assert all("prior" in claim for claim in no_prior)
     assert not claimed(without(lambda case: case.method in FOUR))
-    assert conclusions(Evidence(thesis.published(), "another log", PRIORS)) == ()
+    assert claim_conclusions(Evidence(thesis.published(), "another log", PRIORS)) == []
 
 
-def test_error_that_is_not_finite_counts_as_missing() -> None:
+def test_nan_error_counts_as_missing() -> None:
     scores = changed(
         lambda case, means: (case, means | {METRICS[0]: np.nan} if case.method == "ols" else means)
     )
@@ -215,7 +212,7 @@ def test_error_that_is_not_finite_counts_as_missing() -> None:
 
 
 def ours(factor: float) -> Scores:
-    """The thesis's means beside a MAP-LMI that is ``factor`` times better than the best."""
+    """Return the thesis's means, and a MAP-LMI ``factor`` times better than its best method."""
     published = thesis.published()
     extra = {}
     for spread in PRIORS:
@@ -226,7 +223,7 @@ def ours(factor: float) -> Scores:
     return Scores({**published.means, **extra})
 
 
-def test_our_lead_is_told_in_factors() -> None:
+def test_lead_of_map_lmi_is_stated_as_factors() -> None:
     found = checked(claims.map_lmi_is_best, ours(5.0))
     assert found.holds is True
     assert "at least 5.0 (generalised force), 5.0 (joint torque)" in found.finding
@@ -237,50 +234,42 @@ def test_our_lead_is_told_in_factors() -> None:
     assert checked(claims.map_lmi_is_best, ours(1.01)).holds is False
 
 
-def test_evidence_is_told_where_a_claim_fails_and_only_there() -> None:
+def test_explanation_is_given_only_if_a_claim_fails() -> None:
     row_errors = {0.0: 40.0, 30.0: 12.5, 70.0: 20.0}
     failed = checked(claims.best_of_four, renamed(REVERSED), row_errors)
     assert (
-        "at the true parameters the rows are off by 40.0 N & Nm RMS unfiltered and "
+        "the residual of the rows at the true parameters is 40.0 N & Nm RMS unfiltered and "
         "12.5 N & Nm RMS filtered at 30 Hz"
     ) in failed.explanation
     assert failed.explanation.startswith("Singular values kept at ±25 %: ")
     assert not checked(claims.best_of_four, thesis.published(), row_errors).explanation
 
 
-def links(outer: float, inner: float) -> Links:
+def accuracy(outer: float, inner: float) -> Conclusion | None:
     names = ("base", "thigh", "shank", "foot")
     errors = np.array([inner, inner, 0.9 * outer, outer])
-    return Links(
-        LinkErrors(names, {"ref": np.full(4, 12.5), "wls_rc": errors, "ols": 10 * errors}),
-        (0, 1, 2, 3),
-    )
+    percent = {"ref": np.full(4, 12.5), "wls_rc": errors, "ols": 10 * errors}
+    return link_accuracy(LinkErrors(names, percent), (0, 1, 2, 3))
 
 
 def test_outer_links_are_compared_with_inner_ones() -> None:
-    found = link_accuracy(links(12.0, 3.0))
+    found = accuracy(12.0, 3.0)
     assert found is not None
     assert found.holds is True
     assert (
-        "mean of the outer links over that of the inner ones: OLS 3.8 and WLS-RC 3.8"
+        "ratio of the mean of the outer links to that of the inner ones: OLS 3.8 and WLS-RC 3.8"
         in found.finding
     )
-    alike = link_accuracy(links(12.0, 12.0))
+    alike = accuracy(12.0, 12.0)
     assert alike is not None
     assert alike.holds is False
-    assert "largest over smallest of the prior itself: 1.0" in alike.explanation
-    inverse = link_accuracy(links(3.0, 12.0))
+    assert "ratio of largest to smallest for the prior itself: 1.0" in alike.explanation
+    inverse = accuracy(3.0, 12.0)
     assert inverse is not None
     assert inverse.holds is False
-    assert not any(
-        "links" in one.claim
-        for one in conclusions(Evidence(thesis.published(), thesis.DATA, PRIORS))
-    )
-    with pytest.raises(StudyError, match="3 depths for 4 links"):
-        Links(links(1.0, 1.0).errors, (0, 1, 2))
 
 
-def test_realistic_gain_is_told_by_difference_and_factor() -> None:
+def test_realistic_gain_is_checked_by_difference_and_factor() -> None:
     ideal = {"ref": 3.6, "wls_rc": 1.8, "truth": 0.0}
     more = realistic_conclusion(ideal, {"ref": 9.0, "wls_rc": 3.0, "truth": 0.5})
     assert more is not None
@@ -290,7 +279,7 @@ def test_realistic_gain_is_told_by_difference_and_factor() -> None:
     in_part = realistic_conclusion(ideal, {"ref": 9.0, "wls_rc": 6.0, "truth": 5.5})
     assert in_part is not None
     assert in_part.holds is None
-    assert "even the true parameters err by 5.50 Nm" in in_part.explanation
+    assert "even the true parameters have an error of 5.50 Nm" in in_part.explanation
     less = realistic_conclusion(ideal, {"ref": 4.0, "wls_rc": 3.9})
     assert less is not None
     assert less.holds is False
@@ -304,7 +293,7 @@ def run(com: float, share: float, failure: str = "") -> BalanceResult:
     return BalanceResult(com, (com, com, com), share, 1.0 if failure else None, failure, 20.0)
 
 
-def test_balance_is_compared_over_the_draws_in_which_both_stood() -> None:
+def test_balance_is_compared_over_the_draws_with_which_both_stood() -> None:
     runs = {
         "ref": [run(9.0, 0.8), run(0, 0, "the robot fell"), run(11.0, 0.7)],
         "wls_rc": [run(3.0, 0.9), run(90.0, 0.1), run(5.0, 0.92)],
@@ -318,7 +307,7 @@ def test_balance_is_compared_over_the_draws_in_which_both_stood() -> None:
     assert "3 of 3 runs with WLS-RC, 2 of 3 runs with the prior and 1 of 1 runs with the truth" in (
         better.finding
     )
-    # The run that only one of them lasted is in no mean.
+    # Draws with which only one of them stood are in neither mean.
     assert "4.00 mm with WLS-RC, 10.0 mm with the prior, 2.00 mm with truth" in better.finding
     assert "91.0 % with WLS-RC, 75.0 % with the prior, 99.0 % with truth" in better.finding
     worse = by_method["OLS"]
@@ -326,7 +315,7 @@ def test_balance_is_compared_over_the_draws_in_which_both_stood() -> None:
     assert "joint R_hfe ran into its end stop and the robot fell" in worse.explanation
 
 
-def test_balance_with_better_tracking_and_less_feed_forward_holds_in_part() -> None:
+def test_better_tracking_with_less_feed_forward_holds_in_part() -> None:
     mixed = {"ref": [run(9.0, 0.8)], "map_lmi": [run(2.0, 0.6)]}
     assert closed_loop_conclusions(mixed)[0].holds is None
     worse = {"ref": [run(2.0, 0.9)], "map_lmi": [run(9.0, 0.6)]}
@@ -336,9 +325,9 @@ def test_balance_with_better_tracking_and_less_feed_forward_holds_in_part() -> N
     assert closed_loop_conclusions({"map_lmi": [run(2.0, 0.9)]}) == ()
 
 
-def test_priors_are_taken_in_the_order_of_their_width() -> None:
+def test_order_of_the_priors_does_not_matter() -> None:
     scores = thesis.published()
-    assert conclusions(Evidence(scores, thesis.DATA, PRIORS)) == conclusions(
+    assert claim_conclusions(Evidence(scores, thesis.DATA, PRIORS)) == claim_conclusions(
         Evidence(
             scores,
             thesis.DATA,

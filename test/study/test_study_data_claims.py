@@ -1,4 +1,4 @@
-"""What is said of data sets and methods follows from the means, whichever way they lie."""
+"""Sentences on data sets and methods follow from the means."""
 
 import pytest
 
@@ -31,31 +31,32 @@ def plan(*data: str) -> Plan:
 
 
 @pytest.mark.parametrize(
-    ("ours", "theirs", "told"),
+    ("ours", "theirs", "text"),
     [
         (
             0.2,
             4.0,
-            "MAP-LMI predicts the CoM best, to 0.200 mm; the best truncated method, WLS-RC, "
-            "to 4.00 mm (20 times)",
+            "MAP-LMI has the smallest CoM error, 0.200 mm; the best truncated method, WLS-RC, "
+            "has 4.00 mm (20 times)",
         ),
         (
             4.0,
             0.2,
-            "WLS-RC predicts the CoM best, to 0.200 mm; the best other, MAP-LMI, to 4.00 mm",
+            "WLS-RC has the smallest CoM error, 0.200 mm; the best other method, MAP-LMI, has "
+            "4.00 mm",
         ),
     ],
 )
-def test_the_headline_names_the_best_method(ours, theirs, told):
+def test_headline_names_the_best_method(ours, theirs, text):
     means = scores({("a", "map_lmi"): ours, ("a", "wls_rc"): theirs, ("a", "ref"): 20.0})
-    text = headline(means, plan("a"))
-    assert text.startswith(f"Priors {PRIOR}. On a data ")
-    assert told in text
-    assert "the prior, to 20.0 mm" in text
+    found = headline(means, plan("a"))
+    assert found.startswith(f"Priors {PRIOR}. On a data ")
+    assert text in found
+    assert "the prior has 20.0 mm" in found
 
 
 @pytest.mark.parametrize(("best", "worst"), [("a", "c"), ("c", "a")])
-def test_of_many_data_sets_the_headline_names_the_best_and_the_worst(best, worst):
+def test_headline_of_many_data_sets_names_the_best_and_the_worst(best, worst):
     errors = {best: 0.1, "b": 0.5, worst: 2.0}
     means = scores(
         {(name, "map_lmi"): error for name, error in errors.items()}
@@ -63,11 +64,11 @@ def test_of_many_data_sets_the_headline_names_the_best_and_the_worst(best, worst
         | {(name, "ref"): 20.0 for name in errors}
     )
     text = headline(means, plan("a", "b", "c"))
-    assert f"best with {best}, to 0.100 mm by MAP-LMI" in text
-    assert f"worst with {worst}, to 2.00 mm by MAP-LMI" in text
+    assert f"smallest with {best}, 0.100 mm by MAP-LMI" in text
+    assert f"largest with {worst}, 2.00 mm by MAP-LMI" in text
 
 
-def test_sentences_say_where_a_method_is_worse_than_the_prior():
+def test_sentences_name_data_on_which_a_method_is_worse_than_the_prior():
     means = scores(
         {
             ("a", "map_lmi"): 1.0,
@@ -77,5 +78,5 @@ def test_sentences_say_where_a_method_is_worse_than_the_prior():
         }
     )
     (sentence,) = data_sentences(means, ["a", "b"], PRIOR, ["map_lmi", "wls_rc"])
-    assert "1.00 mm with a at best, 30.0 mm with b at worst (30 times)" in sentence
-    assert sentence.endswith("Less accurate than the prior: b (CoM).")
+    assert "1.00 mm with a (smallest), 30.0 mm with b (largest, 30 times)" in sentence
+    assert sentence.endswith("Less accurate than the prior: b (CoM position).")

@@ -1,4 +1,4 @@
-"""Plans: what ships can be run, and what is wrong is named with what may have been meant."""
+"""Plans: shipped ones are valid; errors name the entry and suggest the closest known name."""
 
 import re
 
@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 from symbid_ros.choices import METHODS
 from symbid_ros.errors import StudyError, SymbidError
 from symbid_ros.package_paths import config_file
-from symbid_ros.study.plan import Plan, PriorSpread
-from symbid_ros.study.plan_file import load_plan, shipped_studies
+from symbid_ros.study.plan import Plan, PriorSpread, load_plan, shipped_studies
 
 NAMES = ("thesis", "excitation", "sensors", "noise", "length", "errors")
 
 
-def test_all_that_ship_are_known_by_name():
+def test_shipped_studies_are_known_by_name():
     assert {file.stem for file in shipped_studies()} == {f"study_{name}" for name in NAMES}
     for name in NAMES:
         plan, path = load_plan(name)
@@ -24,7 +23,7 @@ def test_all_that_ship_are_known_by_name():
         assert plan.thesis == (name == "thesis")
 
 
-def test_the_thesis_study_is_what_the_thesis_did_and_ours_beside():
+def test_thesis_study_has_the_thesis_settings_and_our_methods():
     plan, _ = load_plan("thesis")
     assert [str(spread) for spread in plan.priors] == ["±12.5 %", "±25 %", "±50 %", "±0.125"]
     assert plan.filters == [0, 30, 50, 70, 100]
@@ -39,7 +38,7 @@ def changed(text: str, old: str, new: str) -> str:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "told"),
+    ("old", "new", "message"),
     [
         ("iterations: 20", "iteratons: 20", "unknown key iteratons (did you mean 'iterations'?)"),
         (
@@ -70,11 +69,11 @@ def changed(text: str, old: str, new: str) -> str:
         ("title:", "title: [", "not valid YAML"),
     ],
 )
-def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, told):
+def test_invalid_entry_is_named_in_one_line(tmp_path, old, new, message):
     file = tmp_path / "mine.yaml"
     text = config_file("study_thesis.yaml").read_text(encoding="utf-8")
     file.write_text(changed(text, old, new), encoding="utf-8")
-    with pytest.raises(StudyError, match=re.escape(told)) as caught:
+    with pytest.raises(StudyError, match=re.escape(message)) as caught:
         load_plan(str(file))
     assert str(caught.value).startswith(f"{file}: ")
     assert "\n" not in str(caught.value)
@@ -82,19 +81,19 @@ def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, told):
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         ("thesi", "did you mean 'thesis'"),
         ("walking", "choose one of errors, excitation"),
         ("missing.yaml", "cannot be read"),
     ],
 )
-def test_a_study_that_is_none_is_refused(name, told):
-    with pytest.raises(StudyError, match=told):
+def test_unknown_study_is_rejected(name, message):
+    with pytest.raises(StudyError, match=message):
         load_plan(name)
 
 
-def test_cure_needs_every_sensor():
+def test_cure_needs_all_sensors():
     content = {"title": "A", "priors": [{"percent": 25.0}]}
     with pytest.raises(ValueError, match="cure needs all sensors"):
         Plan.model_validate(content | {"data": {"a": {"cure": True, "sensors": "base_rows"}}})
@@ -103,7 +102,7 @@ def test_cure_needs_every_sensor():
 @pytest.mark.parametrize(
     ("spread", "text"), [({"percent": 12.5}, "±12.5 %"), ({"absolute": 0.125}, "±0.125")]
 )
-def test_priors_are_called_as_the_tables_call_them(spread, text):
+def test_label_of_a_prior_spread(spread, text):
     assert str(PriorSpread(**spread)) == text
 
 
@@ -119,9 +118,7 @@ VALUES |= st.dictionaries(st.text(max_size=8), VALUES, max_size=3)
 )
 @example(place="accelerations", value={"\n": None}, nested="")
 @settings(max_examples=150, deadline=None)
-def test_whatever_an_entry_holds_the_answer_is_a_plan_or_one_line(
-    tmp_path_factory, place, value, nested
-):
+def test_any_entry_gives_a_plan_or_a_one_line_error(tmp_path_factory, place, value, nested):
     content = yaml.safe_load(config_file("study_thesis.yaml").read_text(encoding="utf-8"))
     if nested and isinstance(content.get(place), dict):
         content[place][nested] = value
@@ -129,18 +126,18 @@ def test_whatever_an_entry_holds_the_answer_is_a_plan_or_one_line(
         content[place] = value
     file = tmp_path_factory.mktemp("plans") / "any.yaml"
     file.write_text(yaml.safe_dump(content, allow_unicode=True), encoding="utf-8")
-    told = ""
+    message = ""
     try:
         load_plan(str(file))
     except SymbidError as error:
-        told = str(error)
-    assert "\n" not in told
+        message = str(error)
+    assert "\n" not in message
 
 
-def test_estimates_are_judged_by_the_robot_they_are_of():
+def test_validation_logs_have_the_friction_of_the_data():
     content = {"title": "A", "priors": [{"percent": 25.0}]}
-    plan = Plan.model_validate(content | {"data": {"dry": {}, "rubbing": {"friction": True}}})
-    for name, friction in (("dry", False), ("rubbing", True)):
+    plan = Plan.model_validate(content | {"data": {"smooth": {}, "friction": {"friction": True}}})
+    for name, friction in (("smooth", False), ("friction", True)):
         ideal, noisy = plan.validation_log(name), plan.noisy_validation_log(name)
         assert (ideal.friction, ideal.noise) == (friction, 0.0)
         assert (noisy.friction, noisy.noise) == (friction, 1.0)

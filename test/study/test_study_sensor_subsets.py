@@ -1,4 +1,4 @@
-"""Rows of robots with fewer sensors: against dense algebra, simulated truth and each other."""
+"""Rows of robots with fewer sensors, compared with dense algebra and simulated truth."""
 
 from dataclasses import replace
 from typing import get_args
@@ -55,17 +55,17 @@ def driven_by(parameters, samples, values, rng):
     """Return the samples with random contact wrenches and efforts that cause their motion."""
     model = parameters.model
     needed = equation_of_motion(parameters, samples).K @ values
-    felt = jacobian(model, samples).transpose(0, 2, 1)
-    wrenches = 30 * rng.normal(size=(len(samples), felt.shape[2]))
+    contacts = jacobian(model, samples).transpose(0, 2, 1)
+    wrenches = 30 * rng.normal(size=(len(samples), contacts.shape[2]))
     if model.floating:
-        missing = needed[:, :6] - np.einsum("nij,nj->ni", felt[:, :6], wrenches)
-        wrenches += np.einsum("nij,nj->ni", np.linalg.pinv(felt[:, :6]), missing)
-    effort = (needed - np.einsum("nij,nj->ni", felt, wrenches))[:, 6 * model.floating :]
+        missing = needed[:, :6] - np.einsum("nij,nj->ni", contacts[:, :6], wrenches)
+        wrenches += np.einsum("nij,nj->ni", np.linalg.pinv(contacts[:, :6]), missing)
+    effort = (needed - np.einsum("nij,nj->ni", contacts, wrenches))[:, 6 * model.floating :]
     return replace(samples, wrenches=wrenches.reshape(len(samples), -1, 6), effort=effort)
 
 
 def robot_on_contacts(kind, rng):
-    """Return robots whose contacts' effects are independent, dependent, or partly not felt."""
+    """Return robots whose contact effects are independent, dependent, or partly zero."""
     if kind == "two feet":
         model = random_robot(3, links=12, wrench_frames=2)
     elif kind == "two frames on one link":
@@ -82,7 +82,7 @@ def robot_on_contacts(kind, rng):
 
 
 @pytest.mark.parametrize("kind", ["two feet", "two frames on one link", "fixed base"])
-def test_rows_without_plates_hold_whatever_the_contacts_do(kind):
+def test_rows_without_plates_hold_for_any_contact_wrenches(kind):
     rng = np.random.default_rng(1)
     parameters = robot_on_contacts(kind, rng)
     model = parameters.model
@@ -95,7 +95,7 @@ def test_rows_without_plates_hold_whatever_the_contacts_do(kind):
     scale = np.abs(rows.K * parameters.values).sum(axis=2).max()
     np.testing.assert_allclose(rows.K @ parameters.values, rows.y, atol=1e-11 * scale)
     assert np.abs(rows.K @ (1.1 * parameters.values) - rows.y).max() > 1e-3 * scale
-    # The readings of the wrench sensors that are not there are not looked at.
+    # The readings of the wrench sensors are ignored.
     other = replace(samples, wrenches=rng.normal(size=samples.wrenches.shape))
     np.testing.assert_array_equal(subset.at(other).rows.y, rows.y)
     through = subset.selection.at(samples.position) @ jacobian(model, samples).transpose(0, 2, 1)
@@ -111,29 +111,29 @@ def test_rows_hold_at_the_truth_of_an_ideal_bag(sensors, motion, symbitron):
     assert np.abs(rows.y).max() > 1
 
 
-def test_no_row_that_contacts_leave_free_is_lost(motion, symbitron):
+def test_all_rows_without_contact_wrenches_are_kept(motion, symbitron):
     model = symbitron.model
     annihilator = Annihilator.of(model, motion)
-    # Legs out of parallel planes: every wrench on the feet is felt.
+    # With legs in different planes, every wrench on the feet has an effect.
     apart = motion[:20].position + np.random.default_rng(2).normal(size=(20, len(model.joints)))
-    felt = jacobian(model, replace(motion[:20], position=apart))
+    contacts = jacobian(model, replace(motion[:20], position=apart))
     N = annihilator.at(apart)
-    together = np.concatenate([N, felt], axis=1)
+    together = np.concatenate([N, contacts], axis=1)
     assert np.all(np.linalg.matrix_rank(N, rtol=1e-6) == 4)
     assert np.all(np.linalg.matrix_rank(together, rtol=1e-9) == model.dof)
 
 
-def test_rows_stay_smooth_where_contacts_lose_rank(motion, symbitron):
+def test_rows_are_smooth_where_the_contact_jacobian_loses_rank(motion, symbitron):
     model = symbitron.model
     annihilator = Annihilator.of(model, motion)
-    # No joint feels the feet twisted against each other when both legs bend alike in parallel
-    # planes. Joints come leg by leg.
+    # If both legs have equal angles in parallel planes, opposite moments on the feet load no joint.
+    # Joints are ordered leg by leg.
     names = [joint.name for joint in model.joints]
     legs = motion.position.mean(axis=0).reshape(2, -1).mean(axis=0)
     upright = np.tile(legs, 2)
     upright[[index for index, name in enumerate(names) if name.endswith(("haa", "aie"))]] = 0.0
-    felt = jacobian(model, replace(motion[:1], position=upright[None]))
-    assert np.linalg.matrix_rank(felt[0], rtol=1e-9) == 11
+    contacts = jacobian(model, replace(motion[:1], position=upright[None]))
+    assert np.linalg.matrix_rank(contacts[0], rtol=1e-9) == 11
     along, aside = np.random.default_rng(3).normal(size=(2, len(names)))
 
     def largest_step(count):
@@ -145,7 +145,7 @@ def test_rows_stay_smooth_where_contacts_lose_rank(motion, symbitron):
 
 
 @pytest.mark.parametrize("sensors", PARTS)
-def test_chosen_rows_are_those_of_the_equation_of_motion(sensors, motion, symbitron):
+def test_selected_rows_equal_the_equation_of_motion(sensors, motion, symbitron):
     part = PARTS[sensors]
     rows = SubsetRows.of(symbitron, sensors, motion)
     information = Observations.unwindowed(rows.layout, [rows.at(motion)], 1.0).rows
@@ -162,7 +162,7 @@ def test_chosen_rows_are_those_of_the_equation_of_motion(sensors, motion, symbit
 
 
 @pytest.mark.parametrize("sensors", PARTS)
-def test_chosen_windows_are_those_of_the_equation_of_motion(sensors, record, symbitron):
+def test_selected_windows_equal_the_equation_of_motion(sensors, record, symbitron):
     segment, part = next(iter(record.segments)).cut(0, 4000), PARTS[sensors]
     build = SubsetRows.of(symbitron, sensors, record.samples).build
     every = windowed_rows(segment, equation_rows(symbitron), [0.161])
@@ -174,13 +174,13 @@ def test_chosen_windows_are_those_of_the_equation_of_motion(sensors, record, sym
             np.testing.assert_allclose(a.y, b.y[:, part], atol=1e-12)
 
 
-def test_without_torque_sensors_efforts_are_not_looked_at(motion, symbitron):
+def test_base_rows_ignore_efforts(motion, symbitron):
     rows = SubsetRows.of(symbitron, "base_rows", motion)
     other = replace(motion, effort=motion.effort + 1.0)
     np.testing.assert_array_equal(rows.at(other).rows.y, rows.at(motion).rows.y)
 
 
-def test_every_row_tells_something(record, simulated, symbitron):
+def test_every_subset_gains_information(record, simulated, symbitron):
     prior = draw_prior(symbitron, "percent", 25.0, 3)
     filtered = read_dataset(
         bag_log([simulated("smooth", moves=3, motion_seed=21, noise_seed=5)]),
@@ -206,11 +206,11 @@ def test_estimates_without_plates_cover_the_truth(record, symbitron):
         prior = draw_prior(symbitron, "percent", 25.0, seed)
         found = Solver.of(Problem(observations, symbitron, prior)).posterior
         distances.append(found.factor @ (symbitron.values - found.mean))
-    # Mean square of 440 deviations, of which noise of the one log is shared by all.
+    # Root mean square of 440 deviations; all draws share the noise of one log.
     assert 0.7 < np.sqrt(np.mean(np.square(distances))) < 1.3
 
 
-def test_combinations_of_sticking_joints_are_not_valid():
+def test_combinations_with_sticking_joints_are_invalid():
     rng = np.random.default_rng(6)
     model = with_drives(random_robot(3, links=12, wrench_frames=1), rng)
     parameters = ParameterSet(model, ("viscous", "coulomb", "armature"))
@@ -223,7 +223,7 @@ def test_combinations_of_sticking_joints_are_not_valid():
     assert base.valid.all()
 
 
-def test_a_robot_left_without_rows_is_refused(symbitron):
+def test_robot_without_remaining_rows_is_rejected(symbitron):
     fixed = ParameterSet(random_robot(1, floating=False))
     rng = np.random.default_rng(7)
     with pytest.raises(StudyError, match="base_rows: random has a fixed base; choose other"):

@@ -1,4 +1,4 @@
-"""A small study from the command to the page: its numbers are those of direct calls."""
+"""A small study from the command to the page: its numbers equal those of direct calls."""
 
 import csv
 import json
@@ -30,7 +30,7 @@ from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.study.stages import study_stages
 from symbid_ros.study.study_folder import StudyFolder
-from symbid_ros.study.task_runner import WorkerPool
+from symbid_ros.study.task_runner import run_tasks, worker_pool
 
 KINDS = {"±25 %": ("percent", 25.0), "±0.125": ("absolute", 0.125)}
 COLUMNS = {
@@ -53,7 +53,7 @@ TITLES = {
 
 @pytest.fixture(scope="module")
 def direct(tmp_path_factory) -> dict[tuple[str, str], dict[str, float]]:
-    """Simulate, identify and judge by hand what the plan asks for, prior and method by name."""
+    """Return the mean errors by prior and method, from direct calls."""
     folder = tmp_path_factory.mktemp("direct")
     record(Simulator("smooth", moves=2, motion_seed=5, noise_seed=6), folder / "log")
     record(Simulator("smooth", moves=1, motion_seed=7, ideal=True), folder / "ideal")
@@ -96,7 +96,7 @@ def read_csv(path: Path) -> list[dict[str, str]]:
 
 
 @pytest.mark.parametrize("table", ["table_2_smooth", "table_4_1_smooth", "table_c1_smooth"])
-def test_tables_hold_what_direct_calls_give(small: SmallStudy, direct, table):
+def test_tables_equal_direct_calls(small: SmallStudy, direct, table):
     rows = read_csv(small.out / "tables" / f"{table}.csv")
     assert len(rows) == (14 if table == "table_c1_smooth" else 7)
     names = {title: method for method, title in TITLES.items()}
@@ -117,7 +117,7 @@ def test_ratios_are_ours_over_the_thesis(small: SmallStudy):
     assert rows["MAP-LMI"]["CoM of the thesis [mm]"] == ""
 
 
-def test_parameters_are_the_first_draws(small: SmallStudy):
+def test_parameter_table_shows_the_first_draw(small: SmallStudy):
     rows = read_csv(small.out / "tables/table_d1.csv")
     parameters = ParameterSet(load_model(config_file("symbitron.xml")))
     assert [row["Parameter"] for row in rows] == list(parameters.names)
@@ -126,7 +126,7 @@ def test_parameters_are_the_first_draws(small: SmallStudy):
     np.testing.assert_allclose([float(row["Ref."]) for row in rows], prior.mean)
 
 
-def test_started_again_it_does_nothing_over_and_writes_the_same(small: SmallStudy):
+def test_second_run_repeats_no_task_and_writes_equal_files(small: SmallStudy):
     def files(folder: Path) -> dict[str, bytes]:
         found = (path for path in sorted(folder.rglob("*")) if path.is_file())
         return {str(path.relative_to(small.out)): path.read_bytes() for path in found}
@@ -135,12 +135,12 @@ def test_started_again_it_does_nothing_over_and_writes_the_same(small: SmallStud
     before, times = files(small.out), [path.stat().st_mtime_ns for path in work.rglob("*")]
     again = symbid("study", small.file, "--out", small.out, "--workers", 1)
     assert again.returncode == 0, again.stderr
-    assert again.stderr.count("all there") == 4
+    assert again.stderr.count("all complete") == 4
     assert times == [path.stat().st_mtime_ns for path in work.rglob("*")]
     assert files(small.out) == before
 
 
-def test_lost_steps_are_made_good_to_the_last_digit(small: SmallStudy):
+def test_deleted_results_are_computed_again_exactly(small: SmallStudy):
     folder = StudyFolder(small.out)
     lost = [
         small.out / "work/draws/smooth, percent 25, 1.json",
@@ -149,14 +149,14 @@ def test_lost_steps_are_made_good_to_the_last_digit(small: SmallStudy):
     before = json.loads(lost[0].read_text())
     for file in lost:
         file.unlink()
-    with WorkerPool(2) as pool:
+    with worker_pool(2) as pool:
         for stage in study_stages(small.plan, folder):
-            pool.run(stage.tasks, lambda _: None)
+            run_tasks(pool, stage.tasks, lambda _: None)
     assert all(file.exists() for file in lost)
     assert json.loads(lost[0].read_text()) == before
 
 
-def test_another_plan_is_refused_and_nothing_touched(small: SmallStudy, tmp_path: Path):
+def test_another_plan_is_rejected_and_files_stay(small: SmallStudy, tmp_path: Path):
     other = tmp_path / "other.yaml"
     other.write_text(small.file.read_text().replace("prior_seed: 8", "prior_seed: 9"))
     page = (small.out / "report.html").read_bytes()
@@ -167,7 +167,7 @@ def test_another_plan_is_refused_and_nothing_touched(small: SmallStudy, tmp_path
     assert (small.out / "report.html").read_bytes() == page
 
 
-def test_interrupted_it_leaves_no_process_and_nothing_half_done(tmp_path: Path):
+def test_interrupted_study_leaves_no_process_and_no_partial_bag(tmp_path: Path):
     plan, out = tmp_path / "small.yaml", tmp_path / "out"
     plan.write_text(PLAN, encoding="utf-8")
     command = [str(Path(sys.executable).parent / "symbid"), "study", str(plan)]
@@ -177,13 +177,13 @@ def test_interrupted_it_leaves_no_process_and_nothing_half_done(tmp_path: Path):
         start_new_session=True,
         text=True,
     ) as study:
-        begun = out / "work/logs/.begun"
-        until(lambda: begun.is_dir() and any(begun.iterdir()))
+        unfinished = out / "work/logs/.unfinished"
+        until(lambda: unfinished.is_dir() and any(unfinished.iterdir()))
         study.send_signal(signal.SIGINT)
-        _, told = study.communicate(timeout=300)
+        _, output = study.communicate(timeout=300)
     assert study.returncode == 130
-    assert told.splitlines()[-1] == "symbid: interrupted"
-    assert "Traceback" not in told
+    assert output.splitlines()[-1] == "symbid: interrupted"
+    assert "Traceback" not in output
 
     def gone() -> bool:
         try:
@@ -197,7 +197,7 @@ def test_interrupted_it_leaves_no_process_and_nothing_half_done(tmp_path: Path):
 
 
 def until(condition) -> None:
-    """Wait for what another process does, at most five minutes."""
+    """Wait at most five minutes for another process."""
     deadline = time.monotonic() + 300
     while not condition():
         assert time.monotonic() < deadline
@@ -205,7 +205,7 @@ def until(condition) -> None:
 
 
 class Resources(HTMLParser):
-    """Collects addresses and checks that every reference within the page leads somewhere."""
+    """Collects the addresses, ids and tags of a page."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -222,7 +222,7 @@ class Resources(HTMLParser):
                 self.addresses.append(value)
 
 
-def test_the_page_is_self_contained(small: SmallStudy):
+def test_page_is_self_contained(small: SmallStudy):
     text = (small.out / "report.html").read_text(encoding="utf-8")
     page = Resources()
     page.feed(text)
@@ -259,7 +259,7 @@ def test_page_and_folder_show_every_table_and_figure(small: SmallStudy):
     assert len(figures) == text.count("<figure>")
 
 
-def test_the_equation_of_motion_closes_with_friction_and_without(small: SmallStudy):
+def test_equation_of_motion_holds_with_and_without_friction(small: SmallStudy):
     rows = read_csv(small.out / "tables/appendix_b.csv")
     error = {(r["Robot"], r["Model"], r["Contact forces"]): float(r["RMSE [N, Nm]"]) for r in rows}
     for robot, model in (
@@ -271,14 +271,14 @@ def test_the_equation_of_motion_closes_with_friction_and_without(small: SmallStu
     assert error["with friction", "rigid links", "measured"] > 0.1
 
 
-def test_vibration_is_what_a_filter_takes_off(small: SmallStudy):
+def test_filter_degrades_vibrating_accelerations(small: SmallStudy):
     rows = {r["Log"]: r for r in read_csv(small.out / "tables/accelerations.csv")}
     shaking, floating = (float(rows[log]["e_a [rad/s²]"]) for log in ("vibrating", "floating"))
     assert shaking > 5 * floating
     assert float(rows["vibrating"]["e_a of the thesis [rad/s²]"]) == 57.0
 
 
-def test_the_controller_does_best_with_the_best_model(small: SmallStudy):
+def test_controller_tracks_best_with_the_best_model(small: SmallStudy):
     rows = {r["Model"]: r for r in read_csv(small.out / "tables/closed_loop_25percent.csv")}
     truth, ours = (float(rows[m]["CoM tracking, median [mm]"]) for m in ("Truth", "MAP-LMI"))
     assert ours < truth + 1.0

@@ -1,4 +1,4 @@
-"""Work in processes: done once, gone on with, and errors that arrive whole."""
+"""Tasks in processes: each runs once, interrupted studies resume, and errors reach the caller."""
 
 import multiprocessing
 import subprocess
@@ -14,19 +14,20 @@ import study_tasks
 from symbid_ros.errors import StudyError
 from symbid_ros.study.plan import Plan
 from symbid_ros.study.study_folder import StudyFolder
-from symbid_ros.study.task_runner import Task, WorkerPool
+from symbid_ros.study.task_runner import Task, run_tasks, worker_pool
 
 
 def task(place: Path, run=study_tasks.write, *more) -> Task:
     return Task(place, run, (place, *more), 1.0)
 
 
-def test_what_is_there_is_not_done_again(tmp_path):
+def test_completed_tasks_are_not_repeated(tmp_path):
     old, new = tmp_path / "old", tmp_path / "new"
     old.write_text("as it was")
     finished = []
-    with WorkerPool(2) as pool:
-        pool.run(
+    with worker_pool(2) as pool:
+        run_tasks(
+            pool,
             [task(old, study_tasks.write, "again"), task(new, study_tasks.write, "new")],
             finished.append,
         )
@@ -35,11 +36,13 @@ def test_what_is_there_is_not_done_again(tmp_path):
     assert not multiprocessing.active_children()
 
 
-def test_a_tasks_error_arrives_and_what_was_done_stays(tmp_path):
+def test_error_of_a_task_reaches_the_caller_and_results_stay(tmp_path):
     done, bad = tmp_path / "done", tmp_path / "bad"
-    with pytest.raises(StudyError, match="refused") as caught, WorkerPool(1) as pool:
-        pool.run(
-            [task(done, study_tasks.write, "kept"), task(bad, study_tasks.refuse)], lambda _: None
+    with pytest.raises(StudyError, match="refused") as caught, worker_pool(1) as pool:
+        run_tasks(
+            pool,
+            [task(done, study_tasks.write, "kept"), task(bad, study_tasks.refuse)],
+            lambda _: None,
         )
     assert caught.value.code == "E701"
     assert done.read_text() == "kept"
@@ -50,24 +53,24 @@ def test_a_tasks_error_arrives_and_what_was_done_stays(tmp_path):
     assert not running
 
 
-def test_a_killed_process_is_told_of(tmp_path):
-    with pytest.raises(StudyError, match="start the study again to resume"), WorkerPool(1) as pool:
-        pool.run([task(tmp_path / "never", study_tasks.die)], lambda _: None)
+def test_killed_process_is_reported(tmp_path):
+    with pytest.raises(StudyError, match="start the study again to resume"), worker_pool(1) as pool:
+        run_tasks(pool, [task(tmp_path / "never", study_tasks.die)], lambda _: None)
 
 
-def test_a_killed_study_leaves_no_process(tmp_path):
-    """Neither a worker that works nor one that waits for more."""
+def test_killed_study_leaves_no_process(tmp_path):
+    """Both a busy and an idle worker end."""
     places = tmp_path / "working", tmp_path / "waiting"
     script = f"""
 import sys
 from pathlib import Path
 sys.path.append({str(Path(study_tasks.__file__).parent)!r})
 import study_tasks
-from symbid_ros.study.task_runner import Task, WorkerPool
+from symbid_ros.study.task_runner import Task, run_tasks, worker_pool
 if __name__ == "__main__":
     working, waiting = map(Path, {list(map(str, places))!r})
-    with WorkerPool(2) as pool:
-        pool.run([
+    with worker_pool(2) as pool:
+        run_tasks(pool, [
             Task(working, study_tasks.stay, (working,), 1.0),
             Task(waiting, study_tasks.tell, (waiting,), 1.0),
         ], lambda _: None)
@@ -84,14 +87,14 @@ if __name__ == "__main__":
 
 def is_gone(state: Path) -> bool:
     try:
-        # Where nobody collects orphans they stay as zombies.
+        # Without an init process that reaps orphans, they remain as zombies.
         return state.read_text().rpartition(")")[2].split()[0] == "Z"
     except (FileNotFoundError, ProcessLookupError):
         return True
 
 
 def until(condition: Callable[[], bool]) -> None:
-    """Wait for what another process does, at most five minutes."""
+    """Wait at most five minutes for another process."""
     deadline = time.monotonic() + 300
     while not condition():
         assert time.monotonic() < deadline
@@ -104,18 +107,18 @@ def plan(**other) -> Plan:
 
 
 class TestStudyFolder:
-    def test_is_claimed_once_and_found_again(self, tmp_path):
+    def test_reserved_folder_can_be_reserved_again(self, tmp_path):
         folder = StudyFolder(tmp_path / "out")
         folder.reserve(plan())
         mark = (folder.work / "plan.json").read_bytes()
         folder.reserve(plan())
         assert (folder.work / "plan.json").read_bytes() == mark
 
-    def test_another_plans_results_stay_unless_given_up(self, tmp_path):
+    def test_results_of_another_plan_stay_without_overwrite(self, tmp_path):
         folder = StudyFolder(tmp_path / "out")
         folder.reserve(plan())
         result = folder.work / "result"
-        result.write_text("of the first")
+        result.write_text("of the first plan")
         with pytest.raises(StudyError, match="another plan"):
             folder.reserve(plan(iterations=3))
         assert result.exists()
@@ -123,7 +126,7 @@ class TestStudyFolder:
         assert not result.exists()
 
     @pytest.mark.parametrize("overwrite", [False, True])
-    def test_what_is_no_study_is_never_touched(self, tmp_path, overwrite):
+    def test_folder_of_something_else_is_rejected(self, tmp_path, overwrite):
         (tmp_path / "thesis.doc").write_text("mine")
         with pytest.raises(StudyError, match="not the folder of a study"):
             StudyFolder(tmp_path).reserve(plan(), overwrite=overwrite)

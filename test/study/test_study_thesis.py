@@ -1,4 +1,4 @@
-"""The thesis's figures, as the package holds them."""
+"""The values of the thesis's tables."""
 
 import numpy as np
 import pytest
@@ -45,12 +45,12 @@ def test_table_4_1_has_the_absolute_prior() -> None:
     }
 
 
-def test_real_parameters_are_those_of_the_model_in_its_order() -> None:
+def test_real_parameters_equal_the_model() -> None:
     model = ParameterSet(load_model(config_file("symbitron.xml")))
     np.testing.assert_allclose(thesis.table_d1().real, model.values, rtol=1e-12)
 
 
-def test_estimates_err_as_much_as_table_c1_says_on_average() -> None:
+def test_errors_of_table_d1_agree_with_the_mean_of_table_c1() -> None:
     # One draw against the mean of twenty: the well-behaved methods only.
     printed = thesis.table_d1()
     for method in ("wls_c", "wls_rc"):

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from symbid_ros.study.draws import StudyResults
-from symbid_ros.study.plan import Plan
-from symbid_ros.study.plan_file import load_plan
+from symbid_ros.study.plan import Plan, load_plan
 from symbid_ros.study.study_folder import StudyFolder
 
 PLAN = """\

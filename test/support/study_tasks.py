@@ -1,4 +1,4 @@
-"""Tasks for the workers of a study, at a module's top level as these must be."""
+"""Tasks for worker processes, at the top level of a module so that they can be pickled."""
 
 import os
 import signal
