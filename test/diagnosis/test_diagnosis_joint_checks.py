@@ -1,0 +1,230 @@
+"""Joint checks on either side of their limits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from random_robots import random_robot
+
+from symbid_ros.diagnosis.findings import Kind, Severity
+from symbid_ros.diagnosis.joint_checks import DEGREES, JointCheck
+from symbid_ros.signals.streams import JointStream
+
+NAMES = ("hip", "knee", "foot")
+PERIOD = 10_000_000  # ns
+COUNT = 1001
+TIME = np.arange(COUNT) * 1e-2
+OMEGA = 2 * np.pi  # whole turns in 10 s: sines and cosines are orthogonal
+
+
+def stream(position, velocity, effort=1.0):
+    """Return the messages of three joints; what is one number or row is repeated."""
+    values = [np.broadcast_to(each, (COUNT, 3)).copy() for each in (position, velocity, effort)]
+    return JointStream("/joints", NAMES, PERIOD * np.arange(COUNT, dtype=np.int64), *values)
+
+
+def swinging(scale=1.0, orthogonal=0.0, amplitude=0.5):
+    """Return joints whose velocity has this scale and an orthogonal part of that size."""
+    angle = OMEGA * TIME[:, None] + np.arange(3)
+    velocity = scale * np.cos(angle) + orthogonal * np.sin(angle)
+    return stream(amplitude * np.sin(angle), amplitude * OMEGA * velocity)
+
+
+def findings(joints, model=None, during=None):
+    check = JointCheck("/joints", NAMES)
+    check.add(joints, *([] if during is None else [during]))
+    return check.findings(model)
+
+
+@pytest.mark.parametrize(
+    ("scale", "kind", "severity", "says"),
+    [
+        (1.98, None, None, ""),
+        (2.02, Kind.VELOCITY, Severity.WARNING, "velocity of all joints is 2.02 times"),
+        (0.51, None, None, ""),
+        (0.49, Kind.VELOCITY, Severity.WARNING, "velocity of all joints is 0.49 times"),
+        (-0.3, Kind.VELOCITY, Severity.UNUSABLE, "opposite signs"),
+        (1.29 * DEGREES, Kind.UNIT, Severity.WARNING, "velocities of all joints are 57.3 times"),
+        (1.31 * DEGREES, Kind.VELOCITY, Severity.WARNING, "times the rate"),
+        (DEGREES / 1.29, Kind.UNIT, Severity.WARNING, "velocities of all joints"),
+        (DEGREES / 1.31, Kind.VELOCITY, Severity.WARNING, "times the rate"),
+        (1.29 / DEGREES, Kind.UNIT, Severity.UNUSABLE, "positions of all joints are 57.3 times"),
+        (1.31 / DEGREES, Kind.VELOCITY, Severity.WARNING, "times the rate"),
+        (1 / DEGREES / 1.29, Kind.UNIT, Severity.UNUSABLE, "positions of all joints"),
+        (1 / DEGREES / 1.31, Kind.VELOCITY, Severity.WARNING, "times the rate"),
+    ],
+)
+def test_the_scale_of_velocities_is_judged(scale, kind, severity, says):
+    found = findings(swinging(scale))
+    assert [(one.kind, one.severity) for one in found] == [(kind, severity)] * (kind is not None)
+    for one in found:
+        assert says in one.message
+        for name in NAMES:
+            assert one.figures[f"{name}/scale"] == pytest.approx(scale, rel=2e-3)
+
+
+@pytest.mark.parametrize(("correlation", "is_found"), [(0.89, False), (0.91, True)])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_only_velocities_that_match_are_judged(correlation, is_found, sign):
+    scale = 3.0 * sign
+    found = findings(swinging(scale, 3.0 * np.sqrt(1 / correlation**2 - 1)))
+    assert [one.kind for one in found] == [Kind.VELOCITY] * is_found
+
+
+@pytest.mark.parametrize(("rms", "is_found"), [(0.0195, False), (0.0205, True)])
+def test_slow_joints_are_not_checked(rms, is_found):
+    assert len(findings(swinging(-1.0, amplitude=np.sqrt(2) * rms / OMEGA))) == is_found
+
+
+def test_each_joint_is_judged_by_itself():
+    joints = swinging()
+    joints.velocity[:, 0] *= -1
+    joints.velocity[:, 1] *= 3
+    joints.velocity[:, 2] *= DEGREES
+    signs, units, scales = findings(joints)
+    assert list(signs.figures) == ["hip/scale"]
+    assert (units.kind, list(units.figures)) == (Kind.UNIT, ["foot/scale"])
+    assert (scales.kind, list(scales.figures)) == (Kind.VELOCITY, ["knee/scale"])
+    assert "velocity of knee is 3 times" in scales.message
+
+
+def test_slices_add_up_and_messages_of_other_joints_are_ignored():
+    joints = swinging(3.0)
+    check = JointCheck("/joints", NAMES)
+
+    def part(rows):
+        return replace(
+            joints,
+            stamp=joints.stamp[rows],
+            position=joints.position[rows],
+            velocity=joints.velocity[rows],
+            effort=joints.effort[rows],
+        )
+
+    check.add(part(slice(0, 400)))
+    check.add(replace(part(slice(0, 400)), names=("a", "b", "c")))
+    check.add(part(slice(400, 402)))
+    check.add(part(slice(402, None)))
+    (found,) = check.findings(None)
+    assert found.figures["hip/scale"] == pytest.approx(3, rel=2e-3)
+    # Two messages are too few for a slice.
+    joints.effort[::2] = np.nan
+    joints.velocity[:] = joints.velocity / 3
+    check = JointCheck("/joints", NAMES)
+    check.add(part(slice(0, 2)))
+    assert check.findings(None) == []
+    check.add(part(slice(0, 3)))
+    assert "2 of 3 messages have no effort of hip" in check.findings(None)[0].message
+
+
+def test_missing_values_are_counted_from_the_first_stamp_up_to_the_second():
+    joints = swinging()
+    joints.position[[9, 10, 19, 20], 0] = np.nan
+    (found,) = findings(joints, during=(10 * PERIOD, 20 * PERIOD))
+    assert "2 of 10 messages have no position of hip" in found.message
+    assert found.figures == {"messages": 2, "share": 0.2}
+
+
+def robot(lower=-1.0, upper=1.0, kinds=("revolute",) * 3, efforts=(9.0,) * 3):
+    model = random_robot(3, 4)
+    joints = tuple(
+        replace(joint, name=name, kind=kind, effort=effort, lower=lower, upper=upper)
+        for joint, name, kind, effort in zip(model.joints, NAMES, kinds, efforts, strict=True)
+    )
+    return replace(model, joints=joints)
+
+
+def reaching(*high, low=0.0):
+    """Return joints that move slowly from ``low`` to these positions."""
+    position = low + (np.array(high) - low) * np.linspace(0, 1, COUNT)[:, None]
+    return stream(position, np.nan)
+
+
+@pytest.mark.parametrize(
+    ("high", "low", "is_found"),
+    [
+        ((50.0, 50.0, 50.0), 0.0, True),
+        ((50.0, 50.0, 50.0), -50.0, True),
+        ((-50.0, -50.0, -50.0), 0.0, True),
+        ((77.0, 50.0, 0.5), 0.0, True),  # 1.344 rad: within 0.35 of the limit of 1
+        ((78.0, 50.0, 0.5), 0.0, False),  # 1.361 rad
+        ((-77.0, 50.0, 0.5), 0.0, True),
+        ((-78.0, 50.0, 0.5), 0.0, False),
+        ((50.0, 50.0, 1.3), 0.0, True),  # two of three leave their limits
+        ((50.0, 1.3, 1.3), 0.0, False),  # one of three
+        ((6.2, 6.2, 6.2), 0.0, False),  # less than a turn
+        ((6.4, 6.2, 6.2), 0.0, True),
+        ((0.5, 0.5, 0.5), 0.0, False),
+    ],
+)
+def test_positions_within_their_limits_only_in_degrees_are_in_degrees(high, low, is_found):
+    found = findings(reaching(*high, low=low), robot())
+    assert [one.kind for one in found] == [Kind.UNIT] * is_found
+    for one in found:
+        assert one.severity is Severity.UNUSABLE
+        assert one.figures["largest"] == pytest.approx(max(np.abs(high)))
+        outside = sum(abs(each) > 1.35 for each in high)
+        assert one.figures["joints"] == outside
+
+
+@pytest.mark.parametrize(("end", "count"), [(1.34, 2), (1.36, 3)])
+def test_a_position_may_leave_its_limits_by_a_third_of_a_radian(end, count):
+    (found,) = findings(reaching(50.0, 50.0, end), robot())
+    assert found.figures["joints"] == count
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        robot(lower=-np.inf, upper=np.inf),
+        robot(kinds=("prismatic",) * 3),
+        replace(robot(), joints=tuple(replace(j, name=j.name + "_") for j in robot().joints)),
+    ],
+    ids=["unlimited", "slides", "others"],
+)
+def test_only_known_hinges_with_limits_tell_degrees(model):
+    assert findings(reaching(50.0, 50.0, 50.0), model) == []
+
+
+def test_a_slide_beyond_its_limits_does_not_count_as_degrees():
+    model = robot(kinds=("revolute", "prismatic", "prismatic"))
+    (found,) = findings(reaching(50.0, 400.0, 400.0), model)
+    assert found.figures == {"joints": 1, "largest": 400.0}
+
+
+@pytest.mark.parametrize(("missing", "severity"), [(500, "WARNING"), (501, "UNUSABLE")])
+def test_a_joint_without_position_in_half_of_the_messages_is_unusable(missing, severity):
+    joints = swinging()
+    joints.position[:missing, 1] = np.nan
+    (found,) = findings(joints, robot(lower=-np.inf))
+    assert found.severity is Severity[severity]
+    assert found.figures == {"messages": missing, "share": pytest.approx(missing / COUNT)}
+    # Without a model the joint may not be needed.
+    (found,) = findings(joints)
+    assert found.severity is Severity.WARNING
+
+
+def test_a_joint_that_never_has_a_position_matters_only_to_a_model():
+    joints = swinging()
+    joints.position[:, 1] = np.nan
+    assert findings(joints) == []
+    (found,) = findings(joints, robot(lower=-np.inf))
+    assert found.figures == {"messages": COUNT, "share": 1.0}
+
+
+def test_joints_without_effort_are_named_by_what_they_report():
+    joints = swinging()
+    joints.effort[:, 0], joints.effort[:, 1] = 0.0, np.nan
+    zero, absent = findings(joints, robot(lower=-np.inf))
+    assert "the effort of hip is always zero, its row" in zero.message
+    assert "the effort of knee is in no message, its row" in absent.message
+    assert zero.figures == absent.figures == {"joints": 1}
+    joints.effort[:, 1] = 0.0
+    (both,) = findings(joints, robot(lower=-np.inf))
+    assert "the effort of hip, knee is always zero, their rows" in both.message
+    assert (both.figures, both.severity) == ({"joints": 2}, Severity.WARNING)
+    assert findings(joints, robot(lower=-np.inf, efforts=(0.0, 0.0, 9.0))) == []
+    # All driven joints of a fixed robot are silent.
+    fixed = replace(robot(lower=-np.inf, efforts=(9.0, 9.0, 0.0)), floating=False)
+    (none,) = findings(joints, fixed)
+    assert none.severity is Severity.UNUSABLE
