@@ -1,0 +1,300 @@
+"""Verdicts on wrenches and efforts from given gains, on either side of each limit."""
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from symbid_ros.diagnosis.findings import Kind, Severity
+from symbid_ros.diagnosis.forces import (
+    _effort_findings,
+    _is_known,
+    _median_gain,
+    _reference_gain,
+    _similar_groups,
+    _wrench_findings,
+    check_forces,
+)
+from symbid_ros.diagnosis.gain_rows import GainLayout
+from symbid_ros.diagnosis.gains import GainEstimate
+from symbid_ros.diagnosis.rotation_fit import RotationFit
+
+IDENTITY = np.eye(3)
+QUARTER = Rotation.from_rotvec([0, 0, np.pi / 2]).as_matrix()
+# Far from every rotation and from its reverse.
+ODD = np.diag([1.0, 0.0, 1.0])
+STD = 1e-2
+
+
+@dataclass
+class Robot:
+    """Gains of a robot on two feet with four driven joints, as the estimate would be."""
+
+    wrenches: list = field(default_factory=lambda: [IDENTITY, IDENTITY])
+    efforts: list = field(default_factory=lambda: [1.0] * 4)
+    left: float = 0.01  # of the weight, with gains of one
+    floating: bool = True
+    loaded: tuple = (True, True)
+    driven: int = 4
+    std: float = STD
+
+    def verdict(self):
+        frames = ("left", "right")
+        names = ("a", "b", "c", "d")[: self.driven]
+        layout = GainLayout(frames, ("imu",) * self.floating, tuple(range(self.driven)), names)
+        mean = np.zeros(len(layout))
+        for index, matrix in enumerate(self.wrenches):
+            mean[layout.wrench(index)] = (matrix - IDENTITY).ravel()
+        mean[layout.efforts] = np.array(self.efforts[: self.driven]) - 1
+        covariance = self.std**2 * np.eye(len(mean))
+        gains = GainEstimate(layout, mean, covariance, np.zeros(0), self.left * 500.0, 5.0)
+        statistics = SimpleNamespace(
+            model=SimpleNamespace(floating=self.floating),
+            weight=500.0,
+            is_loaded=np.array(self.loaded),
+            mean_forces=np.array([[0.0, 0, 250], [10, 0, 240]]),
+        )
+        topics = {"left": "/left", "right": "/right"}
+        return check_forces(statistics, gains, "/joints", ("/imu",), topics)
+
+    @property
+    def kinds(self):
+        return [(one.kind, one.stream) for one in self.verdict().findings]
+
+
+def test_gains_of_one_are_clean():
+    verdict = Robot().verdict()
+    assert (verdict.findings, verdict.blamed, verdict.left_out) == ((), "", ())
+    figures = verdict.figures
+    assert figures["gain"] == pytest.approx(1)
+    assert figures["weight_left"] == pytest.approx(0.01)
+    assert figures["weight_left_with_gains"] == pytest.approx(0.01)
+    assert figures["left/gain"] == pytest.approx(1)
+    assert figures["right/angle_deg"] == pytest.approx(0)
+    assert (figures["a/effort_gain"], figures["d/effort_gain_std"]) == (1.0, STD)
+    assert "weight_left" not in Robot(floating=False).verdict().figures
+
+
+@pytest.mark.parametrize(
+    ("robot", "kinds"),
+    [
+        (Robot([-IDENTITY, IDENTITY]), [(Kind.WRENCH_SIGN, "/left")]),
+        (Robot([IDENTITY, QUARTER]), [(Kind.WRENCH_FRAME, "/right")]),
+        (Robot([0.5 * IDENTITY, IDENTITY]), [(Kind.WRENCH_GAIN, "/left")]),
+        (Robot(efforts=[-1.0, 1, 1, 1]), [(Kind.TORQUE_SIGN, "/joints")]),
+        (Robot(efforts=[0.5, 1, 1, 1]), [(Kind.TORQUE_GAIN, "/joints")]),
+        (
+            Robot([-IDENTITY, IDENTITY], [0.5, 1, 1, 1]),
+            [(Kind.WRENCH_SIGN, "/left"), (Kind.TORQUE_GAIN, "/joints")],
+        ),
+        # Three faults of several kinds are one contradiction, of one kind they are three.
+        (Robot([-IDENTITY, QUARTER], [0.5, 1, 1, 1]), [(Kind.CONTRADICTION, "")]),
+        (
+            Robot([0.5 * IDENTITY, QUARTER], [-1, 0.5, 1, 1]),
+            [(Kind.CONTRADICTION, "")],
+        ),
+        (Robot(efforts=[0.5, 0.3, 0.1, 1]), [(Kind.TORQUE_GAIN, "/joints")] * 3),
+    ],
+)
+def test_faults_are_named(robot, kinds):
+    assert robot.kinds == kinds
+    assert robot.verdict().blamed == kinds[0][0].value
+
+
+def test_reversed_gravity_is_the_imus_fault():
+    """All forces and efforts look reversed."""
+    robot = Robot([-IDENTITY, -IDENTITY], [-1.0, -1, -1, -1], left=2.0)
+    assert robot.kinds == [(Kind.IMU_MOUNTING, "/imu")]
+    # One that is not, or none at all, is another fault.
+    for other in (
+        Robot([-IDENTITY, IDENTITY], [-1.0] * 4),
+        Robot([-IDENTITY, -IDENTITY], [-1.0, -1, -1, 1]),
+        Robot([-IDENTITY, -IDENTITY], driven=0),
+        Robot(efforts=[-1.0] * 4, loaded=(False, False)),
+        Robot([-IDENTITY, -ODD], [-1.0] * 4),
+        Robot([-IDENTITY, -IDENTITY], [-1.0] * 4, floating=False),
+    ):
+        assert (Kind.IMU_MOUNTING, "/imu") not in other.kinds
+
+
+@pytest.mark.parametrize("left", [0.34, 0.36])
+@pytest.mark.parametrize(
+    ("robot", "is_explained"),
+    [
+        (Robot(), True),
+        (Robot([ODD, IDENTITY]), False),
+        (Robot(loaded=(False, False)), False),
+        (Robot([0.41 * IDENTITY] * 2, [0.41] * 4), True),
+        (Robot([0.39 * IDENTITY] * 2, [0.39] * 4), False),
+        (Robot([2.45 * IDENTITY] * 2, [2.45] * 4), True),
+        (Robot([2.55 * IDENTITY] * 2, [2.55] * 4), False),
+        (Robot([ODD, IDENTITY], floating=False), True),
+    ],
+)
+def test_a_weight_that_no_gain_explains_is_reported(robot, is_explained, left):
+    robot.left = left
+    found = [kind for kind, _ in robot.kinds if kind is Kind.WEIGHT]
+    assert len(found) == (left > 0.35 and not is_explained)
+    if found:
+        (finding,) = robot.verdict().findings
+        assert finding.figures == {"weight_left": pytest.approx(left), "weight_n": 500.0}
+        assert "36 % of 500 N" in finding.message
+        assert robot.verdict().blamed == Kind.WEIGHT.value
+
+
+def test_wrenches_without_effort_have_no_scale_to_compare_with():
+    unknown = Robot([0.5 * IDENTITY, IDENTITY], std=0.5, efforts=[0.0] * 4)
+    verdict = Robot([1e-1 * IDENTITY, -IDENTITY], driven=0).verdict()
+    assert [one.kind for one in verdict.findings] == [Kind.WRENCH_GAIN, Kind.WRENCH_SIGN]
+    assert verdict.left_out == ()
+    assert unknown.verdict().left_out == ("wrench_gain: there is no effort to compare with",)
+    assert unknown.verdict().findings == ()
+
+
+@pytest.mark.parametrize("common", [0.39, 0.41, 2.45, 2.55])
+def test_gains_that_all_vanish_explain_nothing(common):
+    """A fault is one of its sensor only while the others are near the model."""
+    robot = Robot([common * IDENTITY] * 2, [common, common, common, -common])
+    is_near = 0.4 <= common <= 2.5
+    assert robot.kinds == [(Kind.TORQUE_SIGN, "/joints") if is_near else (Kind.CONTRADICTION, "")]
+
+
+@pytest.mark.parametrize(
+    ("gain", "std", "is_known"),
+    [
+        (1.0, 0.33, True),
+        (1.0, 0.34, False),
+        (-3.0, 0.99, True),
+        (0.1, 0.16, True),
+        (0, 0.17, False),
+    ],
+)
+def test_a_gain_is_known_to_three_deviations(gain, std, is_known):
+    assert _is_known(gain, std) is is_known
+
+
+def fits(*scales):
+    return {i: RotationFit(1, np.eye(3), 0.0, scale, 0.0, 0.0) for i, scale in enumerate(scales)}
+
+
+def known(*gains):
+    return {str(i): (gain, 0.01) for i, gain in enumerate(gains)}
+
+
+@pytest.mark.parametrize(
+    ("wrenches", "efforts", "median", "reference"),
+    [
+        ((), (), 1, 1),
+        ((2.0,), (3.0,), 1, 1),
+        ((2.0,), (1.5, -1.8), 1.8, 1.8),
+        ((2.0, 2.0), (2.6,), 2.0, 2.0),
+        ((2.6, 2.6), (2.6,), 2.6, 1),  # not explained: compared with the model
+        ((0.39, 0.39), (0.39,), 0.39, 1),
+        ((0.41, 0.41), (0.41,), 0.41, 0.41),
+        ((2.45, 2.45), (2.45,), 2.45, 2.45),
+        ((1.5, 1.5), (1.0, 1.0, 1.0), 1.0, 1.0),  # alike: the median of all
+        ((1.7, 1.7), (1.0, 1.0, 1.0), 1.0, 1.0),  # efforts are nearer
+        ((1.1, 1.1), (2.0, 2.0, 2.0), 2.0, 1.1),  # wrenches are nearer
+        ((100.0, 100.0), (9.0, 9.0, 9.0), 9.0, 2.5),
+        ((0.01, 0.01), (0.1, 0.1, 0.1), 0.1, 0.4),
+        ((1.0, 1.0), (0.7, 0.7, 0.7), 0.7, 0.7),
+        ((1.0, 1.0), (0.62, 0.62, 0.62), 0.62, 1.0),
+    ],
+)
+def test_medians_and_reference_gains(wrenches, efforts, median, reference):
+    assert _median_gain(fits(*wrenches), known(*efforts)) == pytest.approx(median)
+    assert _reference_gain(fits(*wrenches), known(*efforts)) == pytest.approx(reference)
+
+
+@pytest.mark.parametrize(
+    ("turn", "common", "kinds"),
+    [
+        (RotationFit(1, IDENTITY, 0.0, 1.0, 0, 0), 1.0, []),
+        (RotationFit(-1, IDENTITY, 0.0, 1.0, 5, 31), 1.0, [Kind.WRENCH_SIGN]),
+        (RotationFit(-1, IDENTITY, 0.0, 1.0, 5, 29), 1.0, []),
+        (RotationFit(1, QUARTER, np.radians(5.1), 1.0, 5, 31), 1.0, [Kind.WRENCH_FRAME]),
+        (RotationFit(1, QUARTER, np.radians(5.1), 1.0, 5, 29), 1.0, []),
+        (RotationFit(1, QUARTER, np.radians(4.9), 1.0, 5, 90), 1.0, []),
+        (RotationFit(-1, QUARTER, 1.0, 1.0, 5, 90), 1.0, [Kind.WRENCH_SIGN]),
+        (RotationFit(1, IDENTITY, 0.0, 1 / 1.59, 0, 0), 1.0, []),
+        (RotationFit(1, IDENTITY, 0.0, 1 / 1.61, 0, 0), 1.0, [Kind.WRENCH_GAIN]),
+        (RotationFit(1, IDENTITY, 0.0, 1 / 0.61, 0, 0), 1.0, []),
+        (RotationFit(1, IDENTITY, 0.0, 1 / 0.59, 0, 0), 1.0, [Kind.WRENCH_GAIN]),
+        (RotationFit(1, IDENTITY, 0.0, 1.0, 0, 0), 2.0, [Kind.WRENCH_GAIN]),
+        (RotationFit(-1, IDENTITY, 0.0, 4.0, 0, 90), 2.0, [Kind.WRENCH_SIGN, Kind.WRENCH_GAIN]),
+    ],
+)
+def test_a_wrench_is_judged_by_sign_frame_and_gain(turn, common, kinds):
+    found = list(_wrench_findings("/left", "left", turn, common))
+    assert [one.kind for one in found] == kinds
+    for one in found:
+        expected = {
+            Kind.WRENCH_SIGN: {
+                "gain": turn.sign * turn.scale / common,
+                "evidence": turn.plain - turn.cost,
+            },
+            Kind.WRENCH_FRAME: {
+                "angle_deg": np.degrees(turn.angle),
+                "evidence": turn.plain - turn.cost,
+            },
+            Kind.WRENCH_GAIN: {"reads": common / turn.scale},
+        }[one.kind]
+        assert one.figures == pytest.approx(expected)
+        is_gain = one.kind is Kind.WRENCH_GAIN
+        assert one.severity is (Severity.WARNING if is_gain else Severity.UNUSABLE)
+
+
+@pytest.mark.parametrize(
+    ("efforts", "common", "expected"),
+    [
+        ([(1, 0.1), (1, 0.1)], 1.0, []),
+        ([(-0.31, 0.1), (1, 0.1)], 1.0, [(Kind.TORQUE_SIGN, ["0/gain"])]),
+        ([(-0.29, 0.1), (1, 0.1)], 1.0, [(Kind.TORQUE_GAIN, ["0"])]),
+        ([(1 / 1.59, 0.01)], 1.0, []),
+        ([(1 / 1.61, 0.01)], 1.0, [(Kind.TORQUE_GAIN, ["0"])]),
+        ([(1 / 0.61, 0.01)], 1.0, []),
+        ([(1 / 0.59, 0.01)], 1.0, [(Kind.TORQUE_GAIN, ["0"])]),
+        ([(0.5, 0.17)], 1.0, []),
+        ([(0.5, 0.16)], 1.0, [(Kind.TORQUE_GAIN, ["0"])]),
+        ([(2.0, 0.01)], 2.0, []),
+        (
+            [(0.5, 0.01), (0.2, 0.01), (0.19, 0.01)],
+            1.0,
+            [(Kind.TORQUE_GAIN, ["0"]), (Kind.TORQUE_GAIN, ["1", "2"])],
+        ),
+    ],
+)
+def test_efforts_are_judged_by_sign_and_gain(efforts, common, expected):
+    gains = {str(i): each for i, each in enumerate(efforts)}
+    found = list(_effort_findings("/joints", gains, common))
+    assert [one.kind for one in found] == [kind for kind, _ in expected]
+    for one, (kind, names) in zip(found, expected, strict=True):
+        if kind is Kind.TORQUE_SIGN:
+            assert list(one.figures) == names
+            assert one.figures["0/gain"] == pytest.approx(gains["0"][0] / common)
+            continue
+        reads = [common / max(gains[name][0], 1e-4 * common) for name in names]
+        assert one.figures["reads"] == pytest.approx(np.median(reads))
+        for name, each in zip(names, reads, strict=True):
+            assert one.figures[f"{name}/reads"] == pytest.approx(each)
+
+
+def test_all_joints_are_named_together_from_three_on():
+    (signs,) = _effort_findings("/joints", known(-1, -1, -1), 1.0)
+    assert "effort of all joints has the wrong sign (gain -1.00" in signs.message
+    (two,) = _effort_findings("/joints", known(-1, -1), 1.0)
+    assert "effort of 0, 1 has" in two.message
+    (part,) = _effort_findings("/joints", known(-1, -1, -1, 1), 1.0)
+    assert "effort of 0, 1, 2 has" in part.message
+    (gains,) = _effort_findings("/joints", known(0.1, 0.1, 0.1), 1.0)
+    assert "effort of all joints reads 10 times" in gains.message
+    (pair,) = _effort_findings("/joints", known(0.1, 0.1), 1.0)
+    assert "effort of 0, 1 reads 10 times" in pair.message
+
+
+def test_similar_errors_are_one_group():
+    reads = {"a": 4.0, "b": 2.0, "c": 3.1, "d": 6.0, "e": 0.1, "f": 6.5}
+    assert list(_similar_groups(reads)) == [["e"], ["b", "c"], ["a", "d"], ["f"]]
+    assert list(_similar_groups({})) == []
