@@ -4,7 +4,7 @@ import json
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -19,10 +19,10 @@ from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.ros.bridge_parameters import robot_name
 from symbid_ros.ros.commands import CommandPublisher
-from symbid_ros.ros.diagnostics import OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import construct, run_node
 from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
+from symbid_ros.ros.reporting import OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.standing_controller import StandingController
 
@@ -200,34 +200,8 @@ def _store(unpaired: dict[int, DecodedMessage], message: DecodedMessage) -> None
         del unpaired[min(unpaired)]
 
 
-@dataclass
-class ControlCounts:
-    """Counts of the controller's answers.
-
-    Attributes
-    ----------
-    answered : int
-        Measurements answered with torques.
-    unanswered : int
-        Measurements for which no torques could be computed.
-    restarts : int
-        Number of times the clock jumped back.
-    """
-
-    answered: int = 0
-    unanswered: int = 0
-    restarts: int = 0
-
-
 class BalanceNode:
-    """Answers the newest measurement with a torque command.
-
-    Parameters
-    ----------
-    node : Node
-    values : dict
-        Values of the node's declared parameters.
-    """
+    """Answers the newest measurement with a torque command."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
@@ -239,7 +213,8 @@ class BalanceNode:
         )
         self._subscriber = FeedbackSubscriber(node, self._controller.joint_names)
         self._publisher = CommandPublisher(node, self._controller.drive_names)
-        self._control_counts = ControlCounts()
+        # Measurements with and without an answer, and backward jumps of the clock.
+        self._answers = {"answered": 0, "unanswered": 0, "restarts": 0}
         self._stamp = 0
         self._heard = float("-inf")
         self._times: list[float] = []  # computing times of the answers since the last status, s
@@ -262,7 +237,7 @@ class BalanceNode:
     def _answer(self, feedback: BalanceFeedback) -> None:
         start = time.monotonic()
         if feedback.stamp < self._stamp:
-            self._control_counts.restarts += 1
+            self._answers["restarts"] += 1
             self._node.get_logger().warning(
                 f"the clock jumped back from {self._stamp / 1e9:.3f} s to "
                 f"{feedback.stamp / 1e9:.3f} s; the motion restarts"
@@ -271,11 +246,11 @@ class BalanceNode:
         try:
             torques = self._controller.torques(feedback)
         except RobotFailureError as error:
-            self._control_counts.unanswered += 1
+            self._answers["unanswered"] += 1
             self._warn(f"not answered: {error}")
             return
         self._publisher.publish(feedback.stamp, torques)
-        self._control_counts.answered += 1
+        self._answers["answered"] += 1
         self._times.append(time.monotonic() - start)
 
     def _warn(self, text: str) -> None:
@@ -283,7 +258,8 @@ class BalanceNode:
 
     def _counts(self) -> dict[str, int]:
         subscriber = self._subscriber
-        return asdict(self._control_counts) | {
+        return {
+            **self._answers,
             "unusable": subscriber.rejected,
             "passed_over": subscriber.skipped,
         }

@@ -1,13 +1,11 @@
 """The topics that the simulated robot publishes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from threading import Event
 
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
-from symbid_ros.messages.layout import Columns, Records
+from symbid_ros.messages.layout import Columns
 from symbid_ros.messages.types import clock_layout, fill_stamp
 from symbid_ros.ros.endpoints import (
     await_acknowledgement,
@@ -21,7 +19,6 @@ from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
 
 
-@dataclass
 class InstantPublisher:
     """Publishes one topic at every ``every``-th instant.
 
@@ -29,32 +26,20 @@ class InstantPublisher:
     patched bytes a fraction of that.
     """
 
-    publisher: Publisher
-    topic: SimulatedTopic
-    every: int
-    count: int = 0
-    _record: Records = field(init=False)
-    _columns: Columns = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._record = self.topic.layout.records(1)
-        self._columns = self.topic.layout.columns(self._record)
-
-    @classmethod
-    def create(
-        cls, node: Node, topic: SimulatedTopic, *, every: int, depth: int
-    ) -> "InstantPublisher":
-        """Create the publisher of a topic on a node."""
-        publisher = node.create_publisher(
+    def __init__(self, node: Node, topic: SimulatedTopic, *, every: int, depth: int) -> None:
+        self.publisher = node.create_publisher(
             message_class(topic.layout.msgtype), topic.name, reliable_qos(depth)
         )
-        return cls(publisher, topic, every)
+        self.every, self.count = every, 0
+        self._topic = topic
+        self._record = topic.layout.records(1)
+        self._columns = topic.layout.columns(self._record)
 
     def publish(self, step: int, instant: Instant) -> None:
         """Publish an instant if ``step`` is a multiple of ``every``."""
         if step % self.every:
             return
-        self.topic.fill(self._columns, instant.stamp, instant)
+        self._topic.fill(self._columns, instant.stamp, instant)
         self.publisher.publish(self._record.tobytes())
         self.count += 1
 
@@ -71,14 +56,6 @@ def clock_topic() -> SimulatedTopic:
 class BridgeTopics:
     """Publishes instants on the topics of sensors, clock and ground truth.
 
-    Parameters
-    ----------
-    node : Node
-    robot : Simulator
-        Simulator with the sensors to publish.
-    values : mapping
-        Values of the node's parameters.
-
     Raises
     ------
     ParameterError
@@ -89,11 +66,11 @@ class BridgeTopics:
         self._robot = robot
         depth = values["queue_depth"]
         self._sensors = [
-            InstantPublisher.create(node, topic, every=topic.every, depth=depth)
+            InstantPublisher(node, topic, every=topic.every, depth=depth)
             for topic in sensor_topics(robot)
         ]
         self._others = [
-            InstantPublisher.create(node, topic, every=every, depth=depth)
+            InstantPublisher(node, topic, every=every, depth=depth)
             for rate, topics in (
                 ("clock_rate", [clock_topic()]),
                 ("ground_truth_rate", truth_topics(robot)),

@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from threading import Event
-from typing import Protocol
 
 import numpy as np
 from rclpy.node import Node
@@ -18,7 +17,7 @@ from symbid_ros.ros.bridge_topics import BridgeTopics
 from symbid_ros.ros.endpoints import await_settled, message_class, reliable_qos
 from symbid_ros.ros.parameters import ParameterError, Values
 from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
-from symbid_ros.simulation.command import Command, CommandCounts, Drives
+from symbid_ros.simulation.command import Command, Drives
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.udp_server import UdpServer
@@ -32,14 +31,7 @@ REASONS = ("malformed", "joints", "length", "not_finite", "beyond_limit", "old",
 
 
 class CommandPublisher:
-    """Publishes torques on the topic ``joint_command`` by patching serialised bytes in place.
-
-    Parameters
-    ----------
-    node : Node
-    drive_names : sequence of str
-        Joint of each drive, in the order of the torques.
-    """
+    """Publishes torques on the topic ``joint_command`` by patching serialised bytes in place."""
 
     def __init__(self, node: Node, drive_names: Sequence[str]) -> None:
         layout = effort_layout(tuple(drive_names))
@@ -151,7 +143,8 @@ class TopicCommands:
     def await_controller(self, stop: Event) -> bool:
         """Wait until commands have a publisher, measurements a subscriber, and discovery settles.
 
-        Commands that are in the queue by then belong to an earlier run and are discarded.
+        Commands that are in the queue by then belong to an earlier run and are discarded. Returns
+        False if ``stop`` is set before.
         """
         await_settled(
             lambda: (self._subscription.publisher_count, max(self._subscriber_counts())),
@@ -243,33 +236,6 @@ class TopicCommands:
         return np.array([names.index(drive) for drive in self._drive_names])
 
 
-class CommandSource(Protocol):
-    """An external controller that commands the drives in lockstep with the simulation."""
-
-    @property
-    def source(self) -> str:
-        """Topic or address on which commands are received."""
-        ...
-
-    @property
-    def controllers(self) -> tuple[str, ...]:
-        """Names or addresses of the current controllers."""
-        ...
-
-    @property
-    def counts(self) -> TopicCommandCounts | CommandCounts:
-        """Counts of received commands."""
-        ...
-
-    def await_controller(self, stop: Event) -> bool:
-        """Wait for a controller; return False if ``stop`` is set before one appears."""
-        ...
-
-    def exchange(self, instant: Instant, stop: Event) -> Command:
-        """Return the command that answers an instant just published, or safe torques."""
-        ...
-
-
 class UdpSource(UdpServer):
     """A command source that receives UDP datagrams."""
 
@@ -282,6 +248,9 @@ class UdpSource(UdpServer):
     def controllers(self) -> tuple[str, ...]:
         """Address of the current controller."""
         return () if self.controller is None else ("{}:{}".format(*self.controller),)
+
+
+CommandSource = TopicCommands | UdpSource
 
 
 def command_source(

@@ -8,7 +8,6 @@ from rclpy.node import Node
 
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.definitions import find_definition
-from symbid_ros.ros.bag_options import RecordOptions
 from symbid_ros.ros.raw_subscription import PolledGroup, RawSubscription, subscribe
 
 
@@ -30,16 +29,6 @@ class TopicFilter:
     names: tuple[str, ...] = ()
     include: re.Pattern[str] | None = None
     exclude: re.Pattern[str] | None = None
-
-    @classmethod
-    def of(cls, options: RecordOptions) -> "TopicFilter":
-        """Return the filter that options define."""
-        pattern = "" if options.all_topics else options.topics_regex
-        return cls(
-            tuple(name for name in options.topics if name),
-            re.compile(pattern) if options.all_topics or pattern else None,
-            re.compile(options.exclude_regex) if options.exclude_regex else None,
-        )
 
     def matches(self, topic: str) -> bool:
         """Return whether ``include`` selects a topic."""

@@ -17,8 +17,8 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.inertia import PARAMETERS, com_from_phi
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.ros.diagnostics import OK, WARN, NodeStatus
 from symbid_ros.ros.endpoints import latched_qos
+from symbid_ros.ros.reporting import OK, WARN, NodeStatus
 
 # Step of a parameter for numerical derivatives of message fields, in its standard deviations.
 STEP = 1e-4
@@ -149,15 +149,7 @@ def wrench_residual_message(estimate: Estimate, base: str, stamp: Time) -> Wrenc
 
 
 class EstimateTopics:
-    """Latched publishers of an estimate.
-
-    Parameters
-    ----------
-    node : Node
-        Node with whose private names the topics begin.
-    parameters : ParameterSet
-        Parameters of the robot.
-    """
+    """Latched publishers of an estimate; the topics' names are private to the node."""
 
     def __init__(self, node: Node, parameters: ParameterSet) -> None:
         def publisher(kind: type[Any], topic: str) -> Publisher:

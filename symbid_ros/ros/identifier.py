@@ -17,7 +17,6 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.identification.result_files import export_urdf, write_identification
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest
-from symbid_ros.ros.diagnostics import StatusPublisher
 from symbid_ros.ros.endpoints import latched_qos
 from symbid_ros.ros.estimate_topics import EstimateTopics, estimate_status
 from symbid_ros.ros.identifier_parameters import (
@@ -29,9 +28,9 @@ from symbid_ros.ros.identifier_parameters import (
     log_options,
     model_of,
 )
-from symbid_ros.ros.node_logging import FaultReporter
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.process import construct, run_node
+from symbid_ros.ros.reporting import FaultReporter, StatusPublisher
 from symbid_ros.shutdown import interruptible
 
 TOPIC = "robot_description"
@@ -44,15 +43,8 @@ def model_file(node: Node, values: dict[str, Any], stop: Event) -> Iterator[dict
 
     Without a model, a temporary file gets the text of the parameter ``robot_description``, or of
     the first valid message on the topic of that name. The file exists as long as the context,
-    because exported models are edited copies of it.
-
-    Parameters
-    ----------
-    node : Node
-    values : dict
-        Values of the identifier's parameters; not changed.
-    stop : Event
-        Ends the wait for a message; the context then yields None.
+    because exported models are edited copies of it. If ``stop`` ends the wait for a message, the
+    context yields None.
     """
     if values["model"]:
         yield values

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from symbid_ros.messages.topics import Topic
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification
 from symbid_ros.online.live_streams import LiveStreams, TopicBuffer
-from symbid_ros.ros.diagnostics import ERROR, OK, WARN, NodeStatus
 from symbid_ros.ros.estimate_topics import estimate_status
+from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus
 
 SILENCE = 2.0  # s without a message until a topic is reported
 RATE_PERIOD = 0.5  # s; shortest time over which rates are computed

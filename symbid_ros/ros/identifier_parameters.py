@@ -2,15 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from symbid_ros.choices import Base
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
-from symbid_ros.options import options_of
-from symbid_ros.ros.parameters import Parameter, ParameterError, parameters_of, require_spelled
-
-Options = TypeVar("Options", IdentifyOptions, LogOptions)
+from symbid_ros.ros.parameters import Parameter, ParameterError, options_from, parameters_of
 
 PARAMETERS = (
     Parameter(
@@ -97,13 +94,7 @@ _FORMERLY_UNSET = {
 
 
 def is_online(values: Mapping[str, Any]) -> bool:
-    """Return whether to identify from topics.
-
-    Raises
-    ------
-    ParameterError
-        When the mode and the bags contradict each other.
-    """
+    """Return whether to identify from topics; raise a ParameterError if bags contradict it."""
     has_bags = bool(given_texts(values["bag"]))
     mode = values["mode"]
     if mode == "offline" and not has_bags:
@@ -116,44 +107,32 @@ def is_online(values: Mapping[str, Any]) -> bool:
 
 
 def model_of(values: Mapping[str, Any]) -> tuple[Path, Base]:
-    """Return the model file and whether its base may move.
-
-    Raises
-    ------
-    ParameterError
-        When no model is named.
-    """
+    """Return the model file and whether its base may move."""
     if not values["model"]:
         raise ParameterError("parameter model: empty; give -p model:=PATH", "E801")
     return Path(values["model"]), values["base"]
 
 
 def identify_options(values: Mapping[str, Any]) -> IdentifyOptions:
-    """Return the options of an identification.
-
-    Raises
-    ------
-    ParameterError
-        When options contradict each other.
-    """
+    """Return the options of an identification; raise a ParameterError if any contradict."""
     earlier = [name for name in ("information", "resume") if values[name]]
     if len(earlier) > 1 or (values["resume"] and not is_online(values)):
         raise ParameterError(
             "parameter resume: for topics only; give information for bags, resume for topics",
             "E801",
         )
-    given = dict(values) | {"information": values["information"] or values["resume"]}
-    if _given(given["total_mass"], "total_mass") is None:
+    given = _without_unset(values) | {"information": values["information"] or values["resume"]}
+    if given["total_mass"] is None:
         given["total_mass_std"] = None
-    return _options(IdentifyOptions, given)
+    return options_from(IdentifyOptions, given)
 
 
 def log_options(values: Mapping[str, Any]) -> LogOptions:
     """Return the topics and the part of a recording to read."""
-    given = dict(values)
+    given = _without_unset(values)
     for name in ("imu_topic", "wrench_topic"):
         given[name] = given_texts(values[name]) or given_texts(values[f"{name}s"])
-    return _options(LogOptions, given)
+    return options_from(LogOptions, given)
 
 
 def given_texts(texts: Sequence[str]) -> tuple[str, ...]:
@@ -166,19 +145,9 @@ def given_path(value: str) -> Path | None:
     return Path(value) if value else None
 
 
-def _options(kind: type[Options], values: Mapping[str, Any]) -> Options:
-    given = {option.name: _given(values[option.name], option.name) for option in options_of(kind)}
-    return require_spelled(lambda: kind(**given))
-
-
-def _given(value: Any, name: str) -> Any:
-    """Return what an option takes for a parameter's value."""
-    if value == "" and name != "frame_prefix":
-        return None
-    if name in _FORMERLY_UNSET and value == _FORMERLY_UNSET[name]:
-        return None
-    return given_texts(value) if isinstance(value, list) and _is_text(value) else value
-
-
-def _is_text(values: Sequence[Any]) -> bool:
-    return all(isinstance(value, str) for value in values)
+def _without_unset(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return values with None in place of those that meant "not given"."""
+    return {
+        name: None if name in _FORMERLY_UNSET and value == _FORMERLY_UNSET[name] else value
+        for name, value in values.items()
+    }

@@ -1,16 +1,20 @@
-"""Arguments of the launch files, generated from the node parameters.
+"""Launch arguments and the files config/*.yaml, generated from the parameters of the nodes.
 
 Launch files get the names, descriptions and command lines from here and repeat no parameter. This
-module does not import launch.
+module does not import launch. Run ``python -m symbid_ros.ros.launch_arguments`` after a change of
+parameters: it writes the files.
 """
 
 import json
+import textwrap
 from collections.abc import Mapping
 from importlib import import_module
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import yaml
 
+from symbid_ros.package_paths import share_directory
 from symbid_ros.ros.parameters import Parameter, ParameterError
 
 # Launch arguments of parameters whose names have another meaning in another node.
@@ -24,6 +28,14 @@ RENAMED = {
     ("player", "start"): "player_start",
     ("player", "topics"): "player_topics",
     ("player", "queue_depth"): "player_queue_depth",
+}
+WIDTH = 96  # of a parameter file
+FILES = {
+    "balance_controller": "balance_controller.yaml",
+    "identifier": "identifier.yaml",
+    "mujoco_bridge": "bridge.yaml",
+    "player": "player.yaml",
+    "recorder": "recorder.yaml",
 }
 
 
@@ -145,3 +157,34 @@ def _value(parameter: Parameter, name: str, text: str) -> Any:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def parameter_file(node: str) -> str:
+    """Return the parameter file of a node with the defaults of all parameters.
+
+    Parameters without a default are commented out.
+    """
+    lines = [f"# Parameters of the node `{node}` and their defaults.", "/**:", "  ros__parameters:"]
+    for parameter in node_parameters(node):
+        about = textwrap.wrap(parameter.description, WIDTH - 6)
+        lines += [f"    # {line}" for line in about]
+        if parameter.default in (None, "", [""]):
+            lines.append(f"    # {parameter.name}:")
+        else:
+            lines.append(f"    {parameter.name}: {_text(parameter.default)}")
+    return "\n".join(lines) + "\n"
+
+
+def _text(value: Any) -> str:
+    text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def main() -> None:
+    """Write all parameter files."""
+    for node, name in FILES.items():
+        Path(share_directory() / "config" / name).write_text(parameter_file(node))
+
+
+if __name__ == "__main__":
+    main()

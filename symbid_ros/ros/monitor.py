@@ -3,12 +3,12 @@
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event, Lock
-from types import TracebackType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -27,7 +27,7 @@ from symbid_ros.report.formatting import ABSENT, fixed, with_std
 from symbid_ros.ros.endpoints import latched_qos, reliable_qos
 from symbid_ros.ros.monitor_messages import (
     IdentifierStatus,
-    LinkEstimate,
+    PublishedLink,
     RobotEstimate,
     StreamCounts,
     read_estimate,
@@ -62,7 +62,7 @@ class MonitorView:
         Fully qualified name of the node.
     estimate : RobotEstimate or None
         Newest estimate; None before the first.
-    first : mapping of str to LinkEstimate
+    first : mapping of str to PublishedLink
         First estimate of each link.
     status : IdentifierStatus
     silence : float
@@ -73,7 +73,7 @@ class MonitorView:
 
     identifier: str
     estimate: RobotEstimate | None
-    first: Mapping[str, LinkEstimate]
+    first: Mapping[str, PublishedLink]
     status: IdentifierStatus
     silence: float
     truth: Mapping[str, FloatArray]
@@ -94,21 +94,15 @@ class Screen:
         self._live = Live(console=console, auto_refresh=False) if console.is_interactive else None
         self._last: MonitorView | None = None
 
-    def __enter__(self) -> "Screen":
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
-        elif self._last is not None and self._last.estimate is not None:
-            self._console.print(page(self._last, self._console))
+    @contextmanager
+    def display(self) -> Iterator[None]:
+        """Keep the live table on the terminal, or print it once at the end."""
+        try:
+            with self._live or nullcontext():
+                yield
+        finally:
+            if self._live is None and self._last is not None and self._last.estimate is not None:
+                self._console.print(page(self._last, self._console))
 
     def show(self, view: MonitorView) -> None:
         """Show a view; a log gets each estimate only once."""
@@ -274,7 +268,7 @@ class Monitor:
         self._lock = Lock()
         self._changed = Event()
         self._estimate: RobotEstimate | None = None
-        self._first: dict[str, LinkEstimate] = {}
+        self._first: dict[str, PublishedLink] = {}
         self._count = 0
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._newest_estimate = self._newest_status = time.monotonic()
@@ -288,7 +282,8 @@ class Monitor:
     def run(self, stop: Event) -> None:
         """Display until stopped or until the wanted number of estimates has arrived."""
         shown = 0.0
-        with Screen(Console(highlight=False)) as screen:
+        screen = Screen(Console(highlight=False))
+        with screen.display():
             while not stop.wait(POLL) and not self._is_done():
                 now = time.monotonic()
                 if self._changed.is_set() or now - shown >= REFRESH:

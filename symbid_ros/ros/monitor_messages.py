@@ -20,7 +20,7 @@ LEVELS = {1: "warning", 2: "error"}
 
 
 @dataclass(frozen=True)
-class LinkEstimate:
+class PublishedLink:
     """Estimate of one link from ``~/estimate``.
 
     Attributes
@@ -57,7 +57,7 @@ class LinkEstimate:
             std: FloatArray = np.hypot(self.std[1:4], self.com * self.std[0]) / abs(self.phi[0])
         return std
 
-    def shrinkage(self, first: "LinkEstimate") -> float:
+    def shrinkage(self, first: "PublishedLink") -> float:
         """Return the factor by which the standard deviations have shrunk since ``first``.
 
         It is the geometric mean over the ten parameters: 10 is one decimal on average. NaN if
@@ -86,14 +86,14 @@ class RobotEstimate:
         Time of the newest data, ns.
     model : str
         Name of the robot.
-    links : tuple of LinkEstimate
+    links : tuple of PublishedLink
     joint_terms, joint_determined : int
         Number of friction, armature and offset terms, and how many the data determine.
     """
 
     stamp: int
     model: str
-    links: tuple[LinkEstimate, ...]
+    links: tuple[PublishedLink, ...]
     joint_terms: int
     joint_determined: int
 
@@ -142,7 +142,7 @@ class IdentifierStatus:
 
 def read_estimate(message: DiagnosticArray) -> RobotEstimate:
     """Parse a message of ``~/estimate``."""
-    links: list[LinkEstimate] = []
+    links: list[PublishedLink] = []
     joint_terms = joint_determined = 0
     for status in message.status:
         values = _values(status)
@@ -179,8 +179,8 @@ def read_status(statuses: Mapping[str, DiagnosticStatus]) -> IdentifierStatus:
 
 def _link(
     status: DiagnosticStatus, values: Mapping[str, str], determined: Sequence[str]
-) -> LinkEstimate:
-    return LinkEstimate(
+) -> PublishedLink:
+    return PublishedLink(
         name=status.name,
         phi=np.array([_number(values.get(name, "")) for name in PARAMETERS]),
         std=np.array([_number(values.get(f"{name}/std", "")) for name in PARAMETERS]),

@@ -13,17 +13,12 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.ros.bridge_parameters import (
-    PARAMETERS,
-    model_path,
-    robot_name,
-    simulator_from,
-)
+from symbid_ros.ros.bridge_parameters import PARAMETERS, model_path, robot_name, simulator_from
 from symbid_ros.ros.bridge_topics import BridgeTopics
 from symbid_ros.ros.commands import CommandSource, TopicCommandCounts, command_source
-from symbid_ros.ros.diagnostics import ERROR, OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.ros.parameters import watch
 from symbid_ros.ros.process import construct, run_node
+from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.simulation.body_inertia import Payload
 from symbid_ros.simulation.command import CommandCounts
 from symbid_ros.simulation.plant import RobotFailureError
@@ -132,21 +127,9 @@ class BridgeState:
         }
         return NodeStatus("simulation", WARN if self.last_fall else OK, message, values)
 
-    def command_status(
-        self, source: str, controllers: Sequence[str], counts: TopicCommandCounts | CommandCounts
-    ) -> NodeStatus:
-        """Return the status of commands from an external controller.
-
-        Parameters
-        ----------
-        source : str
-            Topic or UDP address on which commands are received.
-        controllers : sequence of str
-            Nodes or addresses that send commands.
-        counts : TopicCommandCounts or CommandCounts
-            Counts of received commands.
-        """
-        level, message = OK, "commands are obeyed"
+    def command_status(self, commands: CommandSource) -> NodeStatus:
+        """Return the status of commands from an external controller."""
+        level, message, controllers = OK, "commands are obeyed", commands.controllers
         if self.is_waiting:
             level, message = WARN, "waiting for a controller"
         elif self.is_safe:
@@ -154,11 +137,11 @@ class BridgeState:
         elif len(controllers) > 1:
             level, message = WARN, "several controllers send commands; stop all but one"
         values = {
-            "source": source,
+            "source": commands.source,
             "controllers": ", ".join(controllers) or "none",
             "safe_steps": self.safe_steps,
         }
-        return NodeStatus("commands", level, message, values | flatten(counts))
+        return NodeStatus("commands", level, message, values | flatten(commands.counts))
 
 
 def flatten(counts: TopicCommandCounts | CommandCounts) -> dict[str, int]:
@@ -181,14 +164,7 @@ def format_payload(payload: Payload | None) -> str:
 
 
 class MujocoBridge:
-    """Steps the simulator in real time and publishes its measurements.
-
-    Parameters
-    ----------
-    node : Node
-    values : dict
-        Values of the node's declared parameters.
-    """
+    """Steps the simulator in real time and publishes its measurements."""
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node, self._values = node, values
@@ -356,10 +332,7 @@ class MujocoBridge:
         state, values = self._state, self._values
         found = [state.simulation_status(values["scenario"], self._rate.late)]
         if self._commands is not None:
-            counts = self._commands.counts
-            found.append(
-                state.command_status(self._commands.source, self._commands.controllers, counts)
-            )
+            found.append(state.command_status(self._commands))
         return found
 
 

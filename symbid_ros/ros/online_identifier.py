@@ -20,7 +20,6 @@ from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.online.identification import OnlineEstimate, OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
-from symbid_ros.ros.diagnostics import StatusPublisher
 from symbid_ros.ros.estimate_topics import EstimateTopics
 from symbid_ros.ros.identifier_diagnostics import IdentifierDiagnostics
 from symbid_ros.ros.identifier_parameters import (
@@ -30,9 +29,9 @@ from symbid_ros.ros.identifier_parameters import (
     log_options,
     model_of,
 )
-from symbid_ros.ros.node_logging import FaultReporter
 from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.raw_subscription import RawSubscription
+from symbid_ros.ros.reporting import FaultReporter, StatusPublisher
 from symbid_ros.ros.sensor_topics import SensorTopics, resolve_topics
 
 POLL = 0.005  # s; queues take far longer to fill

@@ -1,7 +1,6 @@
 """Publishers, clock, schedule and services of a replay."""
 
 import time
-from dataclasses import dataclass, field
 from threading import Event
 
 from rclpy.duration import Duration
@@ -25,14 +24,6 @@ def replay_qos(topic: RecordedTopic, depth: int, *, lossless: bool) -> QoSProfil
 
     A latched topic keeps as many messages as all its recorded publishers together, so that a late
     subscriber gets what it would have got at the time of recording.
-
-    Parameters
-    ----------
-    topic : RecordedTopic
-    depth : int
-        Messages to keep for slow subscribers.
-    lossless : bool
-        Whether to wait for them instead of overwriting the oldest message.
     """
     profile = reliable_qos(depth)
     latching = [offer for offer in topic.qos if offer.durability == "transient_local"]
@@ -110,24 +101,11 @@ class ReplayPublisher:
 
 
 class ReplayClock:
-    """Publishes ``/clock`` at a fixed rate of log time.
-
-    Parameters
-    ----------
-    publisher : ReplayPublisher
-        Publisher of ``/clock``.
-    rate : float
-        Messages per second of log time.
-
-    Attributes
-    ----------
-    due : int
-        Log time of the next message, ns.
-    """
+    """Publishes ``/clock`` at a fixed rate, in messages per second of log time."""
 
     def __init__(self, publisher: ReplayPublisher, rate: float) -> None:
         self.publisher = publisher
-        self.due = 0
+        self.due = 0  # log time of the next message, ns
         self._period = round(1e9 / rate)
         self._last = -1
         self._record = clock_layout().records(1)
@@ -146,25 +124,14 @@ class ReplayClock:
             self._last = now
 
 
-@dataclass
 class ReplayControls:
-    """The services pause and restart; they answer in the executor's thread.
+    """The services pause and restart; they answer in the executor's thread."""
 
-    Attributes
-    ----------
-    paused : Event
-        Set while the replay is paused.
-    restarted : Event
-        Set from a request to restart until the replay has restarted.
-    """
-
-    node: Node
-    paused: Event = field(default_factory=Event)
-    restarted: Event = field(default_factory=Event)
-
-    def __post_init__(self) -> None:
-        self.node.create_service(SetBool, "~/pause", self._pause)
-        self.node.create_service(Trigger, "~/restart", self._restart)
+    def __init__(self, node: Node) -> None:
+        self.paused = Event()
+        self.restarted = Event()  # from a request to restart until the replay has restarted
+        node.create_service(SetBool, "~/pause", self._pause)
+        node.create_service(Trigger, "~/restart", self._restart)
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         (self.paused.set if request.data else self.paused.clear)()
@@ -182,15 +149,10 @@ class ReplaySchedule:
 
     Due times do not depend on earlier messages, so a late message does not delay the next one.
 
-    Parameters
+    Attributes
     ----------
     rate : float
         Seconds of log time per second; 0: every message is due at once.
-    controls : ReplayControls
-    stop : Event
-
-    Attributes
-    ----------
     lag, longest_lag : float
         Delay of the newest message, and the longest delay so far, s.
     """

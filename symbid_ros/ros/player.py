@@ -5,18 +5,20 @@ import struct
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from threading import Event
+from typing import Literal
 
 from rclpy.node import Node
 
 from symbid_ros.bags import RecordedMessage, RecordedTopic, Recording
-from symbid_ros.errors import BagError, SymbidError
+from symbid_ros.errors import BagError, OptionError, SymbidError
 from symbid_ros.messages.layout import typestore
 from symbid_ros.messages.topics import Topic, TopicSelection, TopicSelector
 from symbid_ros.messages.types import has_stamp, read_leading_stamp
-from symbid_ros.ros.bag_options import PlayOptions
-from symbid_ros.ros.diagnostics import OK, WARN, NodeStatus, StatusPublisher
+from symbid_ros.options import check_values, option
 from symbid_ros.ros.endpoints import (
     await_acknowledgement,
     await_settled,
@@ -31,9 +33,79 @@ from symbid_ros.ros.playback import (
     ReplaySchedule,
 )
 from symbid_ros.ros.process import run_node
+from symbid_ros.ros.reporting import OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.shutdown import interruptible
 
 LATE = 1.0  # s behind schedule before the status becomes a warning
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayOptions:
+    """Which part of which bags to replay, and how fast.
+
+    Raises
+    ------
+    OptionError
+        When a value is invalid, or two options contradict each other.
+    """
+
+    bag: tuple[Path, ...] = option((), "Bags to replay, merged by log time.")
+    rate: float = option(
+        1.0,
+        "Speed, in seconds of the bag per second; 0: as fast as reliable subscribers acknowledge.",
+        minimum=0.0,
+        maximum=1000.0,
+    )
+    loop: bool = option(False, "Restart at the end of the bag; stamps then jump back.")
+    start: float = option(
+        0.0, "Start, counted from the first message of the bag.", unit="s", minimum=0.0
+    )
+    duration: float = option(
+        0.0, "Length of the part to replay; 0: to the end of the bag.", unit="s", minimum=0.0
+    )
+    topics: tuple[str, ...] = option(
+        (), "Topics to replay.", unset="all of installed types except /clock"
+    )
+    exclude: tuple[str, ...] = option((), "Topics not to replay.")
+    publish_clock: bool = option(False, "Publish /clock for nodes that set use_sim_time.")
+    clock_rate: float = option(
+        100.0,
+        "Rate of /clock, in messages per second of the bag.",
+        unit="Hz",
+        minimum=0.1,
+        maximum=10000.0,
+    )
+    clock_source: Literal["header", "log"] = option(
+        "header", "Time on /clock. header: the newest header stamp replayed; log: the log time."
+    )
+    wait_for_subscribers: bool = option(
+        False,
+        "Start when every sensor topic has a subscriber, or every topic if none is a sensor's.",
+    )
+    lossless: bool = option(
+        True,
+        "Wait for slow reliable subscribers instead of dropping messages. A `rate` of 0 always "
+        "waits.",
+    )
+    queue_depth: int = option(
+        5000,
+        "Messages kept for slow subscribers if not `lossless`.",
+        unit="messages",
+        minimum=1,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse options that are invalid or contradict each other."""
+        check_values(self)
+        if not self.bag:
+            raise OptionError("`bag`: empty; give at least one bag", "E501")
+        if self.publish_clock and "clock" in (name.lstrip("/") for name in self.topics):
+            raise OptionError(
+                "`topics`: `publish_clock` also publishes /clock; remove /clock from `topics` or "
+                "set `publish_clock` to false",
+                "E502",
+            )
+
 
 PARAMETERS = parameters_of(PlayOptions)
 

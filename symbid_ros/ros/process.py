@@ -23,8 +23,8 @@ from rclpy.utilities import remove_ros_args
 
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.package_paths import config_file
-from symbid_ros.ros.node_logging import forward_python_logs
 from symbid_ros.ros.parameters import Parameter, declare
+from symbid_ros.ros.reporting import forward_python_logs
 from symbid_ros.shutdown import interruptible, stop_on_signals
 
 FAILURE = 2  # exit status

@@ -1,15 +1,15 @@
 """Record topics into a bag without losing messages."""
 
 import json
+import re
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from threading import Event, Thread
-from types import TracebackType
-from typing import Self
 
 from rclpy.node import Node
 from rich.console import Console
@@ -17,16 +17,16 @@ from rich.live import Live
 from rich.text import Text
 
 from symbid_ros.bags import BackgroundWriter, BagWriter, QueuedMessage, WriterState
-from symbid_ros.errors import BagError, SymbidError
+from symbid_ros.errors import BagError, OptionError, SymbidError
 from symbid_ros.messages.layout import ENCAPSULATION, typestore
 from symbid_ros.messages.single_message import GapCounter
 from symbid_ros.messages.types import has_stamp, read_leading_stamp
-from symbid_ros.ros.bag_options import RecordOptions
-from symbid_ros.ros.diagnostics import ERROR, OK, WARN, NodeStatus, StatusPublisher
+from symbid_ros.options import check_values, option
 from symbid_ros.ros.discovery import TopicDiscovery, TopicFilter
 from symbid_ros.ros.parameters import Values, options_from, parameters_of
 from symbid_ros.ros.process import run_node
 from symbid_ros.ros.raw_subscription import RawSubscription
+from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus, StatusPublisher
 
 REFRESH = 0.5  # s
 LATE_SYNC = 5.0  # s; a healthy disk syncs within milliseconds
@@ -35,17 +35,90 @@ DISCOVERY_PERIOD = 0.05  # s
 MEGABYTE = 10**6
 STAMPED = ENCAPSULATION + 8  # smallest size of a message with a stamp, bytes
 SLOW = "the disk or the processor was too slow"
+SENSORS = "joint_states", "imu/data", "left_foot/wrench", "right_foot/wrench"
+TRUTH = "ground_truth/joints", "ground_truth/odom", "ground_truth/base_accel"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions:
+    """Which topics to record, and how to write the bag.
+
+    Raises
+    ------
+    OptionError
+        When a value is invalid.
+    """
+
+    bag: Path | None = option(
+        None, "Folder of the new bag.", unset="log_<date>-<time> in the current folder"
+    )
+    topics: tuple[str, ...] = option(
+        (*SENSORS, *TRUTH), "Topics to record, each as soon as it has a publisher."
+    )
+    all_topics: bool = option(False, "Record all other topics that are not hidden as well.")
+    topics_regex: str = option(
+        "", "Also record topics whose full name contains a match of this regular expression."
+    )
+    exclude_regex: str = option(
+        "", "Do not record topics whose full name contains a match of this regular expression."
+    )
+    queue_depth: int = option(
+        5000, "Length of each topic's queue in the middleware.", unit="messages", minimum=1
+    )
+    queue_size: int = option(
+        256,
+        "Size of the queue of messages that wait for the disk. When it is full, the topic with "
+        "the most bytes in it loses messages.",
+        unit="MB",
+        minimum=1,
+    )
+    flush_period: float = option(
+        0.05,
+        "Longest time until data are written; a killed recorder loses only newer data.",
+        unit="s",
+        minimum=0.01,
+        maximum=10.0,
+    )
+    sync_period: float = option(
+        0.5,
+        "Time between two syncs to the disk; a power cut loses only newer data.",
+        unit="s",
+        minimum=0.05,
+        maximum=3600.0,
+    )
+    split_size: int = option(
+        0, "Size after which a new file is started; 0: never.", unit="MB", minimum=0
+    )
+    split_duration: float = option(
+        0.0, "Time after which a new file is started; 0: never.", unit="s", minimum=0.0
+    )
+    stop_when_silent: float = option(
+        0.0,
+        "Stop when no message has arrived for this time since the last one; 0: never.",
+        unit="s",
+        minimum=0.0,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse invalid values."""
+        check_values(self)
+        for name in ("topics_regex", "exclude_regex"):
+            try:
+                re.compile(getattr(self, name))
+            except re.error as error:
+                raise OptionError(
+                    f"`{name}`: invalid regular expression ({error}); give one such as ^/camera/",
+                    "E501",
+                ) from error
+
+
 PARAMETERS = parameters_of(RecordOptions)
 
 
 class RecordingProgress:
     """Shows the progress of a writer in one line of a terminal; without a terminal, nothing.
 
-    Parameters
-    ----------
-    bag : str
-        Path of the bag.
-    console : Console
+    The context manager ``display`` keeps the line on the terminal.
     """
 
     def __init__(self, bag: str, console: Console) -> None:
@@ -55,23 +128,10 @@ class RecordingProgress:
             if console.is_interactive
             else None
         )
+        self.display: AbstractContextManager[object] = self._live or nullcontext()
         self._began = self._shown = time.monotonic()
         self._messages = 0
         self._rate = 0.0
-
-    def __enter__(self) -> Self:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
 
     def show(self, state: WriterState) -> None:
         """Update the line twice a second."""
@@ -134,7 +194,7 @@ class Recorder:
         options = options_from(RecordOptions, values)
         path = options.bag or Path(datetime.now().strftime("log_%Y_%m_%d-%H_%M_%S"))
         self._silence = options.stop_when_silent
-        self._discovery = TopicDiscovery(node, TopicFilter.of(options), options.queue_depth)
+        self._discovery = TopicDiscovery(node, _topic_filter(options), options.queue_depth)
         self._topics: list[_RecordedTopic] = []
         self._discovery_error: Exception | None = None
         self._bag = BagWriter(
@@ -164,7 +224,7 @@ class Recorder:
             When no message was received or not all messages could be written.
         """
         try:
-            with self._progress:
+            with self._progress.display:
                 self._record(stop)
         finally:
             self._complete()
@@ -275,6 +335,15 @@ class Recorder:
                 if topic.gaps is not None
             },
         }
+
+
+def _topic_filter(options: RecordOptions) -> TopicFilter:
+    pattern = "" if options.all_topics else options.topics_regex
+    return TopicFilter(
+        tuple(name for name in options.topics if name),
+        re.compile(pattern) if options.all_topics or pattern else None,
+        re.compile(options.exclude_regex) if options.exclude_regex else None,
+    )
 
 
 def _clock_time(nanoseconds: int) -> str:

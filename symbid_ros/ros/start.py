@@ -3,39 +3,10 @@
 import os
 import signal
 import sys
+from functools import partial
 from importlib import import_module
 
 from symbid_ros.package_paths import missing_extra
-
-
-def mujoco_bridge() -> None:
-    """Run the node ``mujoco_bridge``."""
-    _run("mujoco_bridge")
-
-
-def balance_controller() -> None:
-    """Run the node ``balance_controller``."""
-    _run("balance_controller")
-
-
-def recorder() -> None:
-    """Run the node ``recorder``."""
-    _run("recorder")
-
-
-def player() -> None:
-    """Run the node ``player``."""
-    _run("player")
-
-
-def identifier() -> None:
-    """Run the node ``identifier``."""
-    _run("identifier")
-
-
-def monitor() -> None:
-    """Run the node ``monitor``."""
-    _run("monitor")
 
 
 def _run(node: str) -> None:
@@ -53,3 +24,11 @@ def _run(node: str) -> None:
         print(f"{node}: {advice}; or source ROS 2's setup.bash", file=sys.stderr)
         sys.exit(2)
     run()
+
+
+mujoco_bridge = partial(_run, "mujoco_bridge")
+balance_controller = partial(_run, "balance_controller")
+recorder = partial(_run, "recorder")
+player = partial(_run, "player")
+identifier = partial(_run, "identifier")
+monitor = partial(_run, "monitor")

@@ -6,8 +6,9 @@ from typing import Any
 import pytest
 
 from symbid_ros.errors import OptionError
-from symbid_ros.ros.bag_options import PlayOptions, RecordOptions
 from symbid_ros.ros.parameters import ParameterError, options_from, parameters_of
+from symbid_ros.ros.player import PlayOptions
+from symbid_ros.ros.recorder import RecordOptions
 
 
 def values(kind: type, **given: Any) -> dict[str, Any]:

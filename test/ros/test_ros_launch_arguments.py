@@ -14,12 +14,13 @@ from rclpy.node import Node
 
 from symbid_ros.ros.launch_arguments import (
     COMMON,
+    FILES,
     argument_name,
     launch_arguments,
     node_arguments,
     node_parameters,
+    parameter_file,
 )
-from symbid_ros.ros.parameter_files import FILES, parameter_file
 from symbid_ros.ros.parameters import ParameterError, declare
 
 ROOT = Path(__file__).parents[2]
@@ -171,7 +172,7 @@ def test_an_argument_that_is_not_of_its_type_is_refused_by_name(node, name, text
 @pytest.mark.parametrize("node", [node for node in NODES if node != "monitor"])
 def test_the_parameter_file_states_the_nodes_own_defaults(node: str) -> None:
     text = (ROOT / "config" / FILES[node]).read_text()
-    assert text == parameter_file(node), "run python -m symbid_ros.ros.parameter_files"
+    assert text == parameter_file(node), "run python -m symbid_ros.ros.launch_arguments"
     stated = yaml.safe_load(text)["/**"]["ros__parameters"]
     own = {parameter.name: parameter.default for parameter in node_parameters(node)}
     # A parameter without a default, such as a path, is left to the user.

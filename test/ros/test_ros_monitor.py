@@ -334,6 +334,7 @@ def test_absurd_values_are_displayed_as_far_as_possible(seed: int) -> None:
     shown = view(message, status=health, truth={"base": TRUNK})
     assert any("base" in line for line in rendered(shown, 200)), rendered(shown, 200)
     console = Console(file=StringIO(), width=200)
-    with Screen(console) as screen:
+    screen = Screen(console)
+    with screen.display():
         screen.show(shown)
     assert "data to" in console.file.getvalue()

@@ -13,7 +13,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
-from symbid_ros.ros.node_logging import forward_python_logs
+from symbid_ros.ros.reporting import forward_python_logs
 
 MARK = "the last of these messages"
 DEADLINE = 120.0  # s; only a hang takes longer

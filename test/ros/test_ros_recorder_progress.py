@@ -8,8 +8,8 @@ from rich.console import Console
 
 from symbid_ros.bags import WriterState
 from symbid_ros.errors import BagError
-from symbid_ros.ros.diagnostics import ERROR, OK, WARN
 from symbid_ros.ros.recorder import LATE_SYNC, REFRESH, RecordingProgress
+from symbid_ros.ros.reporting import ERROR, OK, WARN
 
 STATE = WriterState(messages=12_345, size=67_800_000, queued=4321, dropped={}, sync_age=0.2)
 LOSING = WriterState(
@@ -22,7 +22,7 @@ def shown(state: WriterState, width: int, *, is_terminal: bool = True) -> str:
     file = StringIO()
     console = Console(file=file, width=width, force_terminal=is_terminal, color_system=None)
     progress = RecordingProgress("/data/walk", console)
-    with progress:
+    with progress.display:
         time.sleep(REFRESH)  # the shortest time between two updates
         progress.show(state)
         text = file.getvalue()

@@ -22,9 +22,9 @@ from symbid_ros.messages.types import IMU, JOINT_STATE
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.ros.identifier_diagnostics import StreamMonitor
 from symbid_ros.ros.identifier_parameters import PARAMETERS
-from symbid_ros.ros.node_logging import forward_python_logs
 from symbid_ros.ros.online_identifier import OnlineIdentifier
 from symbid_ros.ros.parameters import declare
+from symbid_ros.ros.reporting import forward_python_logs
 from symbid_ros.ros.sensor_topics import missing_topics
 
 DEADLINE = 240.0  # s; only a hang takes longer
