@@ -1,12 +1,11 @@
-"""Identify a robot: from its topics while it runs, or from a bag.
+"""Identify a robot from its topics while it runs, or from a bag.
 
     ros2 launch symbid_ros identify.launch.py model:=robot.urdf monitor:=true
     ros2 launch symbid_ros identify.launch.py model:=robot.urdf bag:=log out:=result
 
-Without a model the identifier waits for `robot_description`. Either way the estimate stays on
-latched topics until Ctrl-C; `ros2 service call /identifier/save std_srvs/srv/Trigger` writes what
-a running robot has told. `ros2 launch symbid_ros identify.launch.py --show-args` lists every
-argument.
+Without a model, the identifier waits for `robot_description`. The estimate stays on latched topics
+until Ctrl-C. Online, `ros2 service call /identifier/save std_srvs/srv/Trigger` writes the current
+estimate to `out`. `ros2 launch symbid_ros identify.launch.py --show-args` lists all arguments.
 """
 
 from launch import Action, LaunchContext, LaunchDescription
@@ -51,7 +50,7 @@ def _nodes(context: LaunchContext) -> list[Action]:
         namespace=given["namespace"],
         arguments=node_arguments("identifier", given),
         output="screen",
-        # Without it the monitor would wait. Other nodes may be a whole robot's: they go on.
+        # The monitor would wait for it. Other nodes may belong to the robot and keep running.
         on_exit=EmitEvent(event=ShutdownProcess(process_matcher=matches_action(monitor))),
         sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
         sigkill_timeout="10",

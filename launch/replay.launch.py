@@ -1,10 +1,10 @@
-"""Replay a bag in its own time and identify the robot as if it were running.
+"""Replay a bag at its recorded rate and identify the robot as if it were running.
 
     ros2 launch symbid_ros replay.launch.py bag:=log model:=robot.urdf rate:=2.0 monitor:=true
 
-Every argument of identify.launch.py may be given as well. The estimate stays on latched topics
-until Ctrl-C; everything ends when a node fails. For a second robot beside another that publishes
-/clock give `namespace:=robot2 clock:=false`.
+All arguments of identify.launch.py are accepted as well. The estimate stays on latched topics until
+Ctrl-C. All nodes end when one of them fails. If another robot already publishes /clock, give
+`namespace:=robot2 clock:=false`.
 """
 
 from launch import Action, LaunchContext, LaunchDescription
@@ -27,7 +27,7 @@ from symbid_ros.ros.launch_arguments import launch_arguments, node_arguments
 
 
 def generate_launch_description() -> LaunchDescription:
-    # The bag has no default here, publish_clock is `clock`.
+    # Here the bag is required, and publish_clock is called clock.
     arguments = [DeclareLaunchArgument("bag", description="bag to replay")]
     arguments += [
         DeclareLaunchArgument(name, default_value=default, description=description)
@@ -41,12 +41,12 @@ def generate_launch_description() -> LaunchDescription:
     identify = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(share_directory() / "launch" / "identify.launch.py")),
         launch_arguments={
-            "bag": "",  # the identifier is to follow the topics, not to read the bag itself
+            "bag": "",  # the identifier reads the topics instead
             "use_sim_time": LaunchConfiguration("use_sim_time"),
         }.items(),
     )
     failure = RegisterEventHandler(OnProcessExit(on_exit=_end_after_failure))
-    # In a group of its own, lest the player lose its bag.
+    # The group limits the empty bag to the identifier.
     return LaunchDescription(
         [*arguments, failure, OpaqueFunction(function=_player), GroupAction([identify])]
     )
@@ -54,7 +54,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def _player(context: LaunchContext) -> list[Action]:
     given = context.launch_configurations
-    # The player stamps /clock itself and must not wait for it.
+    # The player publishes /clock, so it must not wait for it.
     own = {name: text for name, text in given.items() if name != "use_sim_time"}
     player = Node(
         package=PACKAGE,
@@ -71,5 +71,5 @@ def _player(context: LaunchContext) -> list[Action]:
 
 
 def _end_after_failure(event: ProcessExited, _: LaunchContext) -> list[Action]:
-    """Shut down when a node fails: the others would wait for it."""
+    """Shut down when a node fails, because the others would wait for it."""
     return [Shutdown(reason=f"{event.process_name} failed")] if event.returncode else []

@@ -3,8 +3,8 @@
     ros2 launch symbid_ros simulate.launch.py scenario:=vibrating recorder_bag:=log
     ros2 launch symbid_ros simulate.launch.py command_source:=topic payload_mass:=2.0
 
-Everything ends when the motion does, the bag is then complete, or when one of the nodes fails. For
-a second robot beside another that publishes /clock give `namespace:=robot2 clock:=false`.
+All nodes end when the motion ends, with a complete bag, or when one of them fails. If another robot
+already publishes /clock, give `namespace:=robot2 clock:=false`.
 """
 
 from launch import Action, LaunchContext, LaunchDescription
@@ -35,7 +35,7 @@ def generate_launch_description() -> LaunchDescription:
 
 def _nodes(context: LaunchContext) -> list[Action]:
     given = context.launch_configurations
-    # Without a recorder nobody may ever subscribe, and the robot would wait for it.
+    # Without a recorder there may be no subscriber to wait for.
     preset = {"wait_for_subscribers": given["record"] in TRUE}
     no_clock = {} if given["clock"] in TRUE else {"clock_rate": 0.0}
     bridge = Node(
@@ -55,7 +55,7 @@ def _nodes(context: LaunchContext) -> list[Action]:
         arguments=node_arguments("balance_controller", given),
         output="screen",
         condition=IfCondition(EqualsSubstitution(LaunchConfiguration("command_source"), "topic")),
-        on_exit=Shutdown(reason="the controller has ended, for which the bridge would wait"),
+        on_exit=Shutdown(reason="the controller, which the bridge waits for, has ended"),
         sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
         sigkill_timeout="10",
     )
@@ -66,7 +66,7 @@ def _nodes(context: LaunchContext) -> list[Action]:
         arguments=node_arguments("recorder", given),
         output="screen",
         condition=IfCondition(LaunchConfiguration("record")),
-        on_exit=Shutdown(reason="the recorder has ended, for which the bridge would wait"),
+        on_exit=Shutdown(reason="the recorder, which the bridge waits for, has ended"),
         sigterm_timeout="10",  # a busy machine may need longer than launch's 5 s
         sigkill_timeout="10",
     )

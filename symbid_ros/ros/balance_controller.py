@@ -70,11 +70,7 @@ class BalanceFeedback:
 class FeedbackSubscriber:
     """Subscribes to ``joint_states`` and ``imu/data`` and pairs messages with equal stamps.
 
-    Parameters
-    ----------
-    node : Node
-    joint_names : sequence of str
-        Order of the joints in arrays. Messages may list them in any order.
+    Messages may list the joints in any order.
 
     Attributes
     ----------

@@ -88,7 +88,6 @@ class TopicCommands:
 
     Parameters
     ----------
-    node : Node
     drives : Drives
         Torque limits and safe torques.
     drive_names : sequence of str
@@ -97,12 +96,9 @@ class TopicCommands:
         Number of subscribers of each topic that a controller may need.
     republish : callable
         Publishes the measurements of an instant again.
-    timeout : float
-        Longest wait for a command, s of real time.
 
     Attributes
     ----------
-    counts : TopicCommandCounts
     is_controlled : bool
         Whether a controller answers.
     """
@@ -256,15 +252,7 @@ CommandSource = TopicCommands | UdpSource
 def command_source(
     node: Node, robot: Simulator, topics: BridgeTopics, values: Values
 ) -> CommandSource | None:
-    """Return the command source that parameters select, None for the internal controller.
-
-    Raises
-    ------
-    SimulationError
-        When the UDP address cannot be bound.
-    ParameterError
-        When the parameter ``errors`` leaves instants without feedback for a controller.
-    """
+    """Return the command source that parameters select, None for the internal controller."""
     source, timeout = values["command_source"], values["command_timeout"]
     if source == INTERNAL:
         return None

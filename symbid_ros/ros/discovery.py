@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from rclpy.node import Node
 
@@ -44,27 +44,16 @@ class TopicFilter:
         return self.exclude is None or self.exclude.search(topic) is None
 
 
-@dataclass
 class TopicDiscovery:
-    """Subscribes to each wanted topic as soon as it has a publisher.
+    """Subscribes to each wanted topic as soon as it has a publisher, with queues of ``depth``."""
 
-    Parameters
-    ----------
-    node : Node
-    wanted : TopicFilter
-    depth : int
-        Length of each queue, messages.
-    """
-
-    node: Node
-    wanted: TopicFilter
-    depth: int
-    _group: PolledGroup = field(default_factory=PolledGroup)
-    _seen: set[str] = field(default_factory=set)
-
-    def __post_init__(self) -> None:
-        names = map(self.node.resolve_topic_name, self.wanted.names)
-        self._missing = {name for name in names if self.wanted.permits(name)}
+    def __init__(self, node: Node, wanted: TopicFilter, depth: int) -> None:
+        self.wanted = wanted
+        self._node, self._depth = node, depth
+        self._group = PolledGroup()
+        self._seen: set[str] = set()
+        names = map(node.resolve_topic_name, wanted.names)
+        self._missing = {name for name in names if wanted.permits(name)}
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -81,27 +70,17 @@ class TopicDiscovery:
         on_found: Callable[[RawSubscription], None],
         on_skip: Callable[[str, SymbidError], None],
     ) -> None:
-        """Subscribe to topics that have appeared.
+        """Subscribe to topics that have appeared and report each new subscription.
 
-        Parameters
-        ----------
-        on_found : callable
-            Called with each new subscription.
-        on_skip : callable
-            Called with the name of each topic that only matches a pattern and whose type is not
-            installed, and with the error.
-
-        Raises
-        ------
-        SymbidError
-            When the type of a named topic is not installed.
+        A type that is not installed raises a SymbidError for a named topic. For a topic that only
+        matches a pattern, the error is reported as the reason why it is skipped.
         """
         for topic in self.missing:
             if self._subscribe(topic, on_found):
                 self._missing.discard(topic)
         if self.wanted.include is None:
             return
-        for topic, _ in self.node.get_topic_names_and_types():
+        for topic, _ in self._node.get_topic_names_and_types():
             if topic in self._seen or topic in self._missing or not self.wanted.matches(topic):
                 continue
             try:
@@ -111,11 +90,11 @@ class TopicDiscovery:
                 on_skip(topic, error)
 
     def _subscribe(self, topic: str, on_found: Callable[[RawSubscription], None]) -> bool:
-        publishers = self.node.get_publishers_info_by_topic(topic)
+        publishers = self._node.get_publishers_info_by_topic(topic)
         if not publishers:
             return False
         find_definition(publishers[0].topic_type)
-        subscription = subscribe(self.node, topic, self.depth, self._group)
+        subscription = subscribe(self._node, topic, self._depth, self._group)
         if subscription is None:
             return False
         self._seen.add(topic)

@@ -54,39 +54,20 @@ PARAMETERS = (
 
 @dataclass(frozen=True)
 class MonitorView:
-    """State of an identifier at one moment.
+    """State of an identifier at one moment."""
 
-    Attributes
-    ----------
-    identifier : str
-        Fully qualified name of the node.
-    estimate : RobotEstimate or None
-        Newest estimate; None before the first.
-    first : mapping of str to PublishedLink
-        First estimate of each link.
-    status : IdentifierStatus
-    silence : float
-        Time since the identifier's last status, or since the start of the monitor, s.
-    truth : mapping of str to (10,) float64
-        True parameters by link; empty if unknown.
-    """
-
-    identifier: str
-    estimate: RobotEstimate | None
-    first: Mapping[str, PublishedLink]
+    identifier: str  # fully qualified name of the node
+    estimate: RobotEstimate | None  # the newest; None before the first
+    first: Mapping[str, PublishedLink]  # first estimate of each link
     status: IdentifierStatus
-    silence: float
-    truth: Mapping[str, FloatArray]
+    silence: float  # time since the last status, or since the start of the monitor, s
+    truth: Mapping[str, FloatArray]  # true parameters (10,) by link; empty if unknown
 
 
 class Screen:
     """Displays views: a live table on a terminal; elsewhere a log line for each estimate.
 
     Without a terminal, the table is printed once at the end.
-
-    Parameters
-    ----------
-    console : Console
     """
 
     def __init__(self, console: Console) -> None:

@@ -78,24 +78,13 @@ class PublishedLink:
 
 @dataclass(frozen=True)
 class RobotEstimate:
-    """Estimate of a robot from ``~/estimate``.
+    """Estimate of a robot from ``~/estimate``."""
 
-    Attributes
-    ----------
-    stamp : int
-        Time of the newest data, ns.
-    model : str
-        Name of the robot.
-    links : tuple of PublishedLink
-    joint_terms, joint_determined : int
-        Number of friction, armature and offset terms, and how many the data determine.
-    """
-
-    stamp: int
-    model: str
+    stamp: int  # time of the newest data, ns
+    model: str  # name of the robot
     links: tuple[PublishedLink, ...]
-    joint_terms: int
-    joint_determined: int
+    joint_terms: int  # number of friction, armature and offset terms
+    joint_determined: int  # number of them that the data determine
 
     @property
     def parameters(self) -> int:
@@ -120,19 +109,10 @@ class StreamCounts:
 
 @dataclass(frozen=True)
 class IdentifierStatus:
-    """Statuses of the identifier on ``/diagnostics``.
+    """Statuses of the identifier on ``/diagnostics``."""
 
-    Attributes
-    ----------
-    values : mapping of str to str
-        Values of the status ``estimate``.
-    warnings : tuple of str
-        Level and message of every status that is not OK.
-    streams : tuple of StreamCounts
-    """
-
-    values: Mapping[str, str]
-    warnings: tuple[str, ...]
+    values: Mapping[str, str]  # of the status "estimate"
+    warnings: tuple[str, ...]  # level and message of every status that is not OK
     streams: tuple[StreamCounts, ...]
 
     def number(self, key: str) -> float:

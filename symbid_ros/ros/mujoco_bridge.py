@@ -77,35 +77,18 @@ class FixedRate:
 
 @dataclass
 class BridgeState:
-    """Counts and state of the simulation.
+    """Counts and state of the simulation."""
 
-    Attributes
-    ----------
-    starts, falls : int
-        Number of times the motion has started, and has ended in a fall.
-    steps, safe_steps : int
-        Simulated periods, and how many of them used safe torques because no command arrived.
-    time : float
-        Simulated time, s.
-    last_fall : str
-        Cause and time of the latest fall; empty if there was none.
-    payload : Payload or None
-        Payload that the robot carries.
-    is_waiting, is_paused, is_safe : bool
-        Whether simulated time waits for a controller, whether it is paused by the service, and
-        whether the drives only brake.
-    """
-
-    starts: int = 0
-    falls: int = 0
-    steps: int = 0
-    safe_steps: int = 0
-    time: float = 0.0
-    last_fall: str = ""
-    payload: Payload | None = None
-    is_waiting: bool = False
-    is_paused: bool = False
-    is_safe: bool = False
+    starts: int = 0  # of the motion
+    falls: int = 0  # motions that ended in a fall
+    steps: int = 0  # simulated periods
+    safe_steps: int = 0  # periods with safe torques, because no command arrived
+    time: float = 0.0  # simulated time, s
+    last_fall: str = ""  # cause and time of the latest fall
+    payload: Payload | None = None  # that the robot carries
+    is_waiting: bool = False  # whether simulated time waits for a controller
+    is_paused: bool = False  # whether the service has paused it
+    is_safe: bool = False  # whether the drives only brake
 
     def simulation_status(self, scenario: str, late_steps: int) -> NodeStatus:
         """Return the status of the simulation."""

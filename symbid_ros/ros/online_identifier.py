@@ -119,10 +119,7 @@ class OnlineIdentifier:
     def run(self, stop: Event) -> None:
         """Identify until stopped, save the final estimate if wanted, and print counts as JSON.
 
-        Raises
-        ------
-        EstimateError
-            When there is no estimate at the end.
+        Without an estimate at the end, this raises an EstimateError.
         """
         try:
             self._await_topics(stop)

@@ -73,26 +73,14 @@ class DecodedMessage:
 
 @dataclass(frozen=True)
 class RawSubscription:
-    """Subscribes to one topic, once for each incompatible quality of service of its publishers.
-
-    Attributes
-    ----------
-    node : Node
-    topic, msgtype : str
-        Fully qualified name and type.
-    depth : int
-        Length of the queue, messages.
-    group : PolledGroup
-    qos : tuple of OfferedQos
-        Profiles that the publishers offered when the topic was found.
-    """
+    """Subscribes to one topic, once for each incompatible quality of service of its publishers."""
 
     node: Node
-    topic: str
+    topic: str  # fully qualified name
     msgtype: str
-    depth: int
+    depth: int  # length of the queue, messages
     group: PolledGroup
-    qos: tuple[OfferedQos, ...]
+    qos: tuple[OfferedQos, ...]  # profiles that the publishers offered when the topic was found
     _subscriptions: list[Subscription] = field(default_factory=list)
     _returned: list[ReceivedMessage] = field(default_factory=list)
     _recent: dict[tuple[int, int], None] = field(default_factory=dict)
@@ -142,13 +130,7 @@ class RawSubscription:
 class DecodedSubscription:
     """Subscribes with best effort, which matches every publisher, and decodes the messages.
 
-    Parameters
-    ----------
-    node : Node
-    topic, msgtype : str
-        Relative name, and for example ``sensor_msgs/msg/JointState``.
-    depth : int
-        Length of the queue, messages; a full queue drops the oldest.
+    A full queue drops the oldest message.
     """
 
     def __init__(self, node: Node, topic: str, msgtype: str, depth: int) -> None:
@@ -174,13 +156,7 @@ class DecodedSubscription:
                 yield taken[0]
 
     def decode(self, payload: bytes) -> DecodedMessage:
-        """Decode a message; one with the layout of a recent message costs a comparison.
-
-        Raises
-        ------
-        DataError
-            When the bytes are not a message of this type.
-        """
+        """Decode a message, or raise a DataError; a recent layout costs only a comparison."""
         return DecodedMessage(*self._messages.decode(payload))
 
 

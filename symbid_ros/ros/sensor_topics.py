@@ -1,4 +1,4 @@
-"""A robot's sensor topics on the graph: found, told apart from those of other robots, and kept."""
+"""Finds a robot's sensor topics on the graph and excludes those of other robots."""
 
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -68,12 +68,7 @@ class CandidateTopic:
     def examine(self, frames: frozenset[str], prefix: str) -> None:
         """Read messages until one has a frame of the model, and put that one back.
 
-        Parameters
-        ----------
-        frames : frozenset of str
-            Frames of the model.
-        prefix : str
-            Prefix of the sensors' frames that the model's frames lack.
+        The sensors' frames begin with a prefix that the model's ``frames`` lack.
         """
         if self.topic.msgtype == JOINT_STATE:
             self.is_placed = True
@@ -100,26 +95,14 @@ class SensorTopics:
     a while. Each topic is subscribed to as soon as it appears, so that no message is lost. A topic
     of an IMU or wrench sensor is accepted when a message has a frame of the model. Of several
     topics with the same frame, those that are named, remapped or the node's own imu/data come
-    first, then the shortest path.
-
-    Attributes
-    ----------
-    node : Node
-    own : RobotTopics
-        Topics that may belong to the robot.
-    model : RobotModel
-        Model whose frames the sensors have; a floating base needs an IMU.
-    settle : float
-        Time without a new topic after which the search is complete, s.
-    depth : int
-        Length of each queue, messages.
+    first, then the shortest path. A floating base needs an IMU.
     """
 
     node: Node
     own: RobotTopics
     model: RobotModel
-    settle: float
-    depth: int
+    settle: float  # time without a new topic after which the search is complete, s
+    depth: int  # length of each queue, messages
     _candidates: dict[Topic, CandidateTopic] = field(default_factory=dict)
     _group: PolledGroup = field(default_factory=PolledGroup)
     _chosen: frozenset[Topic] = frozenset()
@@ -281,13 +264,7 @@ class SensorTopics:
 def resolve_topics(node: Node, selection: TopicSelection, arguments: Sequence[str]) -> RobotTopics:
     """Return the fully qualified names of a selection, with remapping rules applied.
 
-    Parameters
-    ----------
-    node : Node
-    selection : TopicSelection
-        Topics as the parameters name them.
-    arguments : sequence of str
-        Arguments of the process; rcl applies the remapping rules in them but does not list them.
+    The rules are read from the arguments of the process: rcl applies but does not list them.
     """
 
     def all_of(names: tuple[str, ...] | None) -> tuple[str, ...] | None:
@@ -323,16 +300,7 @@ def missing_topics(
 ) -> dict[str, str]:
     """Return a message for each missing topic or kind of sensor, naming the parameter to correct.
 
-    Parameters
-    ----------
-    selection : TopicSelection
-        Wanted topics, by fully qualified names.
-    found : collection of Topic
-        Topics found so far.
-    graph : mapping of str to sequence of str
-        Types of each topic that has a publisher.
-    floating : bool
-        Whether the robot's base floats and therefore needs an IMU.
+    The graph holds the types of each topic that has a publisher. A floating base needs an IMU.
     """
     missing: dict[str, str] = {}
     names = {topic.name for topic in found}
