@@ -17,18 +17,6 @@ from symbid_ros.errors import OptionError
 _KEY = "option"
 
 
-@dataclass(frozen=True)
-class _Note:
-    help: str
-    unit: str
-    minimum: float | None
-    maximum: float | None
-    group: str
-    metavar: str
-    unset: str
-    live: bool
-
-
 def option(
     default: Any,
     help: str,
@@ -62,8 +50,17 @@ def option(
     live : bool
         Whether a node may change it while it runs.
     """
-    note = _Note(help, unit, minimum, maximum, group, metavar, unset, live)
-    return field(default=default, metadata={_KEY: note})
+    notes = {
+        "help": help,
+        "unit": unit,
+        "minimum": minimum,
+        "maximum": maximum,
+        "group": group,
+        "metavar": metavar,
+        "unset": unset,
+        "live": live,
+    }
+    return field(default=default, metadata={_KEY: notes})
 
 
 @dataclass(frozen=True)
@@ -191,7 +188,7 @@ def spelled(message: str, spelling: Callable[[str], str]) -> str:
     return re.sub(r"`([a-z][a-z_]*)`", lambda found: spelling(found[1]), message)
 
 
-def _option(name: str, hint: Any, default: Any, note: _Note) -> Option:
+def _option(name: str, hint: Any, default: Any, notes: Mapping[str, Any]) -> Option:
     present = [one for one in _alternatives(hint) if one is not NoneType]
     hint = present[0]
     choices: tuple[str, ...] = ()
@@ -203,7 +200,6 @@ def _option(name: str, hint: Any, default: Any, note: _Note) -> Option:
         hint = next(one for one in _alternatives(arguments[0]))
     if get_origin(hint) is Literal:
         choices, hint = get_args(hint), str
-    notes: Mapping[str, Any] = vars(note)
     return Option(name, hint, default, choices, is_sequence, length, **notes)
 
 

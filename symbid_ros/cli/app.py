@@ -1,4 +1,4 @@
-"""The ``symbid`` command: one line for every error, exit status 2."""
+"""The command ``symbid``: its subcommands, and errors as one line with exit status 2."""
 
 import logging
 import os
@@ -27,10 +27,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-_ALL = demo, simulate, prior, identify, evaluate, report, study, udp_client
 USAGE = 2  # status after an error that the user can correct
 
-for command in _ALL:
+for command in (demo, simulate, prior, identify, evaluate, report, study, udp_client):
     app.command(command.__name__.replace("_", "-"))(command)
 app.add_typer(bag, name="bag")
 
@@ -48,14 +47,14 @@ def _symbid(
         typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    # The matrices are small, so BLAS threads would slow each other down, and other programs on the
-    # robot's computer too. The last digits of results would depend on their number. The variables
-    # take effect because NumPy and SciPy are imported later.
+    # The matrices are small, so several BLAS threads would slow down each other and other programs
+    # on the robot's computer, and the last digits of results would depend on their number. The
+    # variables take effect because NumPy and SciPy are imported later.
     os.environ["OPENBLAS_NUM_THREADS"] = os.environ["OMP_NUM_THREADS"] = "1"
 
 
 def run() -> int:
-    """Run the command line and return its status; a user's error prints one line and returns 2."""
+    """Run the command line and return its exit status; print an error as one line."""
     console = Console(stderr=True, soft_wrap=True)
     handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
     handler.setFormatter(_Formatter("%(message)s"))

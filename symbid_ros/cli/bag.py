@@ -1,4 +1,4 @@
-"""``symbid bag``: what is in a bag, what is wrong with it, and how to save a damaged one."""
+"""The commands ``bag info``, ``bag recover`` and ``bag doctor``."""
 
 import json
 from pathlib import Path
@@ -12,7 +12,7 @@ from symbid_ros.messages.log_options import LogOptions
 if TYPE_CHECKING:
     from symbid_ros.diagnosis.findings import Diagnosis
 
-app = typer.Typer(help="Look into bags, judge them and recover damaged ones.", no_args_is_help=True)
+app = typer.Typer(help="Describe, check and recover bags.", no_args_is_help=True)
 
 Bag = Annotated[Path, typer.Argument(help="A bag's folder or file.", show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
@@ -20,7 +20,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 
 @app.command()
 def info(bag: Bag, as_json: Json = False) -> None:
-    """Show files, topics and times of a bag, finished or not."""
+    """Show files, topics and times of a bag, complete or interrupted."""
     from symbid_ros.bags import bag_info
     from symbid_ros.cli.tables import print_info
 
@@ -37,15 +37,15 @@ def recover(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of the new bag. Default: beside the old one, its name with _recovered.",
+            help="Folder of the new bag. Default: that of the bag, with _recovered appended.",
             show_default=False,
         ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Save what an interrupted or damaged bag holds into a new one, and count what is lost.
+    """Copy the intact messages of an interrupted or damaged bag to a new bag; count lost ones.
 
-    The bag itself is left as it is. Exit status: 0 nothing lost, 1 something, 2 everything.
+    The bag itself is not changed. Exit status: 0 nothing lost, 1 data lost, 2 nothing recovered.
     """
     from symbid_ros.bags import recover as recover_bag
     from symbid_ros.cli.tables import print_recovery
@@ -70,14 +70,14 @@ def doctor(
     model: Annotated[
         Path | None,
         typer.Option(
-            help="Robot model, URDF or MJCF; without it each stream is judged by itself alone.",
+            help="Robot model, URDF or MJCF. Default: each stream is checked by itself.",
             show_default=False,
         ),
     ] = None,
     base: BaseKind = "auto",
     as_json: Json = False,
 ) -> None:
-    """Judge whether a log serves to identify a robot, stream by stream and against its model.
+    """Check whether a log is suitable for identification: each stream, and all against the model.
 
     Exit status: 0 clean, 1 warnings, 2 unusable.
     """
@@ -93,7 +93,7 @@ def doctor(
 
 
 def print_verdict(diagnosis: "Diagnosis", *, as_json: bool) -> None:
-    """Print what the doctor found, as JSON or as tables."""
+    """Print the findings of the doctor as JSON or as tables."""
     from symbid_ros.cli.tables import print_diagnosis
 
     if as_json:

@@ -1,4 +1,4 @@
-"""A command's flags, generated from dataclasses of options."""
+"""Flags of commands, generated from dataclasses of options."""
 
 import inspect
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from symbid_ros.options import Option, options_of, spelled
 Model = Annotated[Path, typer.Option(help="Robot model, URDF or MJCF.")]
 BaseKind = Annotated[
     Base,
-    typer.Option(help="Whether the base of a URDF may move; auto: it does unless it is 'world'."),
+    typer.Option(help="Base of a URDF; auto: floating, unless the root link is named 'world'."),
 ]
 
 
@@ -26,7 +26,7 @@ def flag(name: str) -> str:
 def with_flags(function: Callable[..., None]) -> Callable[..., None]:
     """Replace each parameter that is a dataclass of options by one flag for each option.
 
-    The function gets the dataclass, made of the values of its flags.
+    The function receives the dataclass with the values of the flags.
     """
     hints = get_type_hints(function, include_extras=True)
     groups: dict[str, type] = {}
@@ -39,15 +39,15 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
             shown += [_parameter(option) for option in options]
         else:
             shown.append(parameter.replace(annotation=hint))
-    # Python wants parameters without a default first; typer does not mind the kind.
+    # Keyword-only parameters may be in any order; others need those without a default first.
     shown = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in shown]
 
     @wraps(function)
     def command(**values: Any) -> None:
         for name, kind in groups.items():
             given = {option.name: values.pop(option.name) for option in options_of(kind)}
-            # None is a flag that was not given.
-            values[name] = kind(**{k: _value(v) for k, v in given.items() if v is not None})
+            # None means that the flag was not given.
+            values[name] = kind(**{key: v for key, v in given.items() if v is not None})
         function(**values)
 
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
@@ -90,8 +90,3 @@ def _help(option: Option) -> str:
     if option.unset:
         words.append(f"Default: {spelled(option.unset, flag)}.")
     return " ".join(words)
-
-
-def _value(value: Any) -> Any:
-    """Return what a field takes."""
-    return tuple(value) if isinstance(value, list) else value

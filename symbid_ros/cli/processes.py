@@ -1,4 +1,4 @@
-"""ROS nodes as child processes: started together, stopped cleanly together."""
+"""ROS nodes as child processes, in a ROS domain of their own."""
 
 import json
 import os
@@ -14,7 +14,7 @@ from typing import Any
 
 from symbid_ros.errors import SymbidError
 from symbid_ros.package_paths import config_file
-from symbid_ros.shutdown import unwind
+from symbid_ros.shutdown import exit_on_signals
 
 STOPPING_TIME = 120.0  # s; a recorder has to finish its bag, possibly on a busy machine
 
@@ -23,24 +23,19 @@ STOPPING_TIME = 120.0  # s; a recorder has to finish its bag, possibly on a busy
 def private_graph() -> Iterator[dict[str, str]]:
     """Yield environment variables that isolate nodes in a ROS domain of their own.
 
-    Within the block, SIGTERM and SIGHUP unwind the stack as Ctrl-C does, so that nodes in ``with``
+    From then on SIGTERM and SIGHUP unwind the stack as Ctrl-C does, so that nodes in ``with``
     blocks end with the command.
     """
-    numbers = signal.SIGTERM, signal.SIGHUP
-    before = {number: signal.signal(number, unwind) for number in numbers}
-    try:
-        with unused_domain() as domain:
-            yield os.environ | {
-                "ROS_DOMAIN_ID": str(domain),
-                "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            }
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    exit_on_signals()
+    with unused_domain() as domain:
+        yield os.environ | {
+            "ROS_DOMAIN_ID": str(domain),
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        }
 
 
 class NodeProcess:
-    """One node in a process of its own, which ends with the ``with`` block.
+    """A node in a child process, which ends with the ``with`` block.
 
     Parameters
     ----------
@@ -71,7 +66,7 @@ class NodeProcess:
         self.name, self.log = name, log
         arguments = ["--params-file", str(config_file(file))] if file else []
         for key, value in parameters.items():
-            arguments += ["-p", f"{key}:={_yaml(value)}"]
+            arguments += ["-p", f"{key}:={json.dumps(value)}"]  # read as YAML, which includes JSON
         start = f"from symbid_ros.ros.start import {name}; {name}()"
         with log.open("wb") as stream:
             self._process = subprocess.Popen(
@@ -163,24 +158,20 @@ class NodeProcess:
         return output.decode().splitlines() if output else []
 
     def _failure(self) -> SymbidError:
-        words = self.log.read_text(errors="replace").strip().splitlines()
+        lines = self.log.read_text(errors="replace").strip().splitlines()
         status = self._process.returncode
-        reason = words[-1] if words else f"killed by signal {-status}"
-        if not words and status >= 0:
-            reason = f"exit status {status}"
+        reason = f"exit status {status}" if status >= 0 else f"killed by signal {-status}"
+        reason = lines[-1] if lines else reason
         return SymbidError(f"{self.name} failed: {reason} (see {self.log})", "E553")
 
 
-def _yaml(value: object) -> str:
-    """Return a parameter's value as the YAML that --ros-args reads; JSON is YAML."""
-    return json.dumps(value)
-
-
-DOMAINS = range(1, 102)  # above lie the ephemeral ports of Linux
-# Ports of RTPS 2.5, 9.6.2.3: a participant listens at FIRST + DOMAIN · domain + 10 + 2 · number.
-FIRST, DOMAIN = 7400, 250
-PARTICIPANT, PARTICIPANTS = 10, 20
-MARK = 2  # no participant uses this one
+DOMAINS = range(1, 102)  # higher domains use the ephemeral ports of Linux
+# Ports of RTPS 2.5, 9.6.2.3: a participant listens at PORT_BASE + DOMAIN_GAIN · domain
+# + PARTICIPANT_OFFSET + PARTICIPANT_GAIN · participant.
+PORT_BASE, DOMAIN_GAIN = 7400, 250
+PARTICIPANT_OFFSET, PARTICIPANT_GAIN = 10, 2
+PARTICIPANTS = 20  # checked for each domain
+RESERVATION_OFFSET = 2  # no participant uses this port
 
 
 @contextmanager
@@ -195,9 +186,9 @@ def unused_domain(domains: Sequence[int] = DOMAINS) -> Iterator[int]:
         If all of them are in use.
     """
     for domain in random.sample(domains, len(domains)):
-        mark = _marked(domain)
-        if mark is not None:
-            with closing(mark):
+        reservation = _reserve(domain)
+        if reservation is not None:
+            with closing(reservation):
                 yield domain
             return
     raise SymbidError(
@@ -206,27 +197,27 @@ def unused_domain(domains: Sequence[int] = DOMAINS) -> Iterator[int]:
     )
 
 
-def _marked(domain: int) -> socket.socket | None:
+def _reserve(domain: int) -> socket.socket | None:
     """Return a socket that reserves a domain, or None if the domain is in use."""
-    base = FIRST + DOMAIN * domain
-    mark = _bound(base + MARK)
-    if mark is None:
+    base = PORT_BASE + DOMAIN_GAIN * domain
+    reservation = _bind(base + RESERVATION_OFFSET)
+    if reservation is None:
         return None
-    for number in range(PARTICIPANTS):
-        probe = _bound(base + PARTICIPANT + 2 * number)
+    for participant in range(PARTICIPANTS):
+        probe = _bind(base + PARTICIPANT_OFFSET + PARTICIPANT_GAIN * participant)
         if probe is None:
-            mark.close()
+            reservation.close()
             return None
         probe.close()
-    return mark
+    return reservation
 
 
-def _bound(port: int) -> socket.socket | None:
+def _bind(port: int) -> socket.socket | None:
     """Return a socket bound to a loopback port, or None if the port is in use."""
-    owner = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        owner.bind(("127.0.0.1", port))
+        bound.bind(("127.0.0.1", port))
     except OSError:
-        owner.close()
+        bound.close()
         return None
-    return owner
+    return bound

@@ -17,7 +17,7 @@ from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.report.content import METRICS, MethodResult, best_labels
 from symbid_ros.report.formatting import significant
 
-SHOWN = 20  # gaps listed at most; --json has them all
+SHOWN = 20  # number of lost ranges to print; --json gives all
 
 
 def print_info(info: BagInfo) -> None:
@@ -41,7 +41,7 @@ def print_info(info: BagInfo) -> None:
 
 
 def print_recovery(recovery: RecoveryReport) -> None:
-    """Print what was recovered from a bag, what is lost and where."""
+    """Print how many messages of a bag were kept and lost, and where."""
     console = Console(highlight=False)
     table = _table("topic", "type", "kept", "lost")
     for topic in recovery.topics:
@@ -51,18 +51,17 @@ def print_recovery(recovery: RecoveryReport) -> None:
     for hole in recovery.holes[:SHOWN]:
         console.print(Text(_hole(hole)), soft_wrap=True)
     if len(recovery.holes) > SHOWN:
-        console.print(f"and {len(recovery.holes) - SHOWN} more holes, see --json")
+        console.print(f"and {len(recovery.holes) - SHOWN} more lost ranges, see --json")
     if recovery.repeated:
-        console.print(f"{recovery.repeated} chunks were there twice")
+        console.print(f"{recovery.repeated} repeated chunks left out")
     for count, name in (
         (recovery.attachments, "attachments"),
         (recovery.metadata, "metadata records"),
     ):
         if count.kept or count.lost:
             console.print(f"{name}: {count.kept} kept, {count.lost} lost")
-    verdict = f"{recovery.kept} messages kept, {recovery.lost} lost"
-    if not recovery.is_counted:
-        verdict += " for certain, and a number that nothing tells"
+    at_least = "" if recovery.is_counted else "at least "
+    verdict = f"{recovery.kept} messages kept, {at_least}{recovery.lost} lost"
     console.print(Text(verdict, style="green" if recovery.is_whole else "red"), soft_wrap=True)
     console.print(Text(f"wrote {recovery.out}"), soft_wrap=True)
 
@@ -159,10 +158,10 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
             _verdict(diagnosis.of(stream.topic)),
         )
     console.print(table)
-    # The terminal wraps long lines, so that a pipe receives them complete.
+    # Rich does not wrap these lines, so that a pipe receives them complete.
     for finding in diagnosis.findings:
-        told = Text(f"{finding.kind.value}: ", style=STYLES[finding.severity])
-        console.print(told.append(finding.message, style=""), soft_wrap=True)
+        line = Text(f"{finding.kind.value}: ", style=STYLES[finding.severity])
+        console.print(line.append(finding.message, style=""), soft_wrap=True)
     for reason in diagnosis.left_out:
         console.print(Text(f"left out: {reason}", style="dim"), soft_wrap=True)
     severity = diagnosis.severity
@@ -180,17 +179,9 @@ def _verdict(findings: tuple[Finding, ...]) -> Text:
 
 
 def print_estimate(estimate: Estimate, out: Path) -> None:
-    """Print alarms, masses, verdicts and where the files are.
-
-    Parameters
-    ----------
-    estimate : Estimate
-        The estimate.
-    out : Path
-        Folder of its files.
-    """
+    """Print alarms, the table of links, the verdict and the folder ``out`` of the files."""
     console = Console(highlight=False)
-    # The terminal wraps long lines, so that a pipe receives them complete.
+    # Rich does not wrap these lines, so that a pipe receives them complete.
     for alarm in estimate.verdict.alarms if estimate.verdict is not None else ():
         console.print(Text(f"alarm: {alarm}", style="bold red"), soft_wrap=True)
     console.print(links_table(estimate))
@@ -241,7 +232,7 @@ def _lines(estimate: Estimate, out: Path) -> list[RenderableType]:
 def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
     lines: list[RenderableType] = [
         f"{len(verdict.directions)} of {parameters} directions determined, "
-        f"{verdict.gain:.0f} bit gained"
+        f"{verdict.gain:.0f} bits gained"
     ]
     if verdict.sensors:
         known = sum(error.determined for error in verdict.sensors)
@@ -249,8 +240,8 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
     if not verdict.alarms:
         return [*lines, Text("no alarm", style="green")]
     count = len(verdict.alarms)
-    told = "1 alarm" if count == 1 else f"{count} alarms"
-    return [*lines, Text(f"{told}: do not trust these numbers yet", style="bold red")]
+    alarms = "1 alarm" if count == 1 else f"{count} alarms"
+    return [*lines, Text(f"{alarms}: do not trust these numbers yet", style="bold red")]
 
 
 def errors_table(title: str, errors: Mapping[str, float]) -> Table:

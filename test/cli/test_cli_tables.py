@@ -39,7 +39,7 @@ def test_each_link_has_its_line(printed):
 def test_rows_alarms_and_files_have_theirs(printed):
     assert printed()[-4:] == [
         "4321 rows of each coordinate, averaged over windows of 161 ms, condition 1e+03",
-        "2 of 20 directions determined, 62 bit gained",
+        "2 of 20 directions determined, 62 bits gained",
         "no alarm",
         "wrote out/: estimate.json, information.npz, model.urdf, model.xml",
     ]
