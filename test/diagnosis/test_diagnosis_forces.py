@@ -242,6 +242,12 @@ def test_a_wrench_is_judged_by_sign_frame_and_gain(turn, common, kinds):
             Kind.WRENCH_GAIN: {"reads": common / turn.scale},
         }[one.kind]
         assert one.figures == pytest.approx(expected)
+        says = {
+            Kind.WRENCH_SIGN: f"(gain {turn.sign * turn.scale / common:.2f} relative",
+            Kind.WRENCH_FRAME: f"rotated by {np.degrees(turn.angle):.0f} degrees from left",
+            Kind.WRENCH_GAIN: f"/left: reads {common / turn.scale:.3g} times",
+        }[one.kind]
+        assert says in one.message
         is_gain = one.kind is Kind.WRENCH_GAIN
         assert one.severity is (Severity.WARNING if is_gain else Severity.UNUSABLE)
 

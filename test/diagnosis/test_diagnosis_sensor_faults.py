@@ -1,10 +1,17 @@
 """What identification leaves out of a log: messages of a frozen sensor, or of one at its limit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from symbid_ros.diagnosis.findings import Kind
-from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
+from symbid_ros.diagnosis.sensor_faults import (
+    ExtremeCounts,
+    FreezeDetector,
+    SaturationDetector,
+    mask_faulty_messages,
+)
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 COUNT = 2000
@@ -100,3 +107,144 @@ def test_a_sensor_frozen_for_the_shortest_time_up_to_the_end_is_masked(streams) 
     left, (finding,) = mask_faulty_messages(streams)
     assert finding.figures["frozen_s"] == pytest.approx(0.1)
     assert len(left.imus[0].stamp) == COUNT - 101
+
+
+@pytest.mark.parametrize(("length", "is_frozen"), [(100, False), (101, True)])
+@pytest.mark.parametrize("start", [0, 500, -101])
+def test_a_frozen_reading_lasts_a_tenth_of_a_second(streams, length, is_frozen, start) -> None:
+    """From its first message to its last, at any place of the log."""
+    (wrench,) = streams.wrenches
+    first = start if start >= 0 else COUNT - length
+    wrench.force[first : first + length] = wrench.force[first]
+    wrench.torque[first : first + length] = wrench.torque[first]
+    left, findings = mask_faulty_messages(streams)
+    assert len(findings) == is_frozen
+    assert len(left.wrenches[0].stamp) == COUNT - length * is_frozen
+    for one in findings:
+        assert one.figures == pytest.approx({"frozen_s": 0.1, "since_s": first * 1e-3})
+
+
+@pytest.mark.parametrize(("length", "is_frozen"), [(19, False), (20, True)])
+def test_a_frozen_reading_repeats_twenty_times(streams, length, is_frozen) -> None:
+    """At 100 Hz a tenth of a second is eleven messages."""
+    slow = np.arange(0, COUNT, 10)
+    joints = streams.joints
+    fewer = {name: getattr(joints, name)[slow] for name in ("stamp", "position", "velocity")}
+    joints = replace(joints, effort=joints.effort[slow], **fewer)
+    joints.effort[50 : 50 + length, 1] = 0.1
+    _, findings = mask_faulty_messages(replace(streams, joints=joints))
+    assert [one.kind for one in findings] == [Kind.FROZEN] * is_frozen
+    for one in findings:
+        assert one.figures["frozen_s"] == pytest.approx(0.19)
+        assert "effort of b is frozen" in one.message
+
+
+@pytest.mark.parametrize(("period", "is_frozen"), [(8, False), (12, True)])
+def test_a_reading_that_often_repeats_is_not_frozen(streams, period, is_frozen) -> None:
+    """It must change with nine of ten messages outside of its runs."""
+    effort = streams.joints.effort
+    effort[::period, 0] = effort[np.arange(0, COUNT, period) - 1, 0]
+    effort[1000:1200, 0] = 3.0
+    _, findings = mask_faulty_messages(streams)
+    assert [one.kind for one in findings] == [Kind.FROZEN] * is_frozen
+
+
+@pytest.mark.parametrize(("share", "is_frozen"), [(0.45, False), (0.55, True)])
+def test_another_reading_must_move_while_one_is_frozen(streams, share, is_frozen) -> None:
+    rest = slice(800, 1200)
+    everything = [streams.joints.position, streams.joints.effort]
+    everything += [streams.imus[0].angular_velocity, streams.imus[0].linear_acceleration]
+    everything += [streams.wrenches[0].force, streams.wrenches[0].torque]
+    for values in everything:
+        values[rest] = values[800]
+    moves = (np.arange(400) * share).astype(int)  # changes with this share of the messages
+    streams.joints.position[rest, 0] = 10 + moves
+    _, findings = mask_faulty_messages(streams)
+    assert bool(findings) is is_frozen
+
+
+def test_readings_are_counted_from_the_first_stamp_up_to_the_second(streams) -> None:
+    detector = FreezeDetector()
+    millisecond = 1_000_000
+    detector.add(streams, (0, 100 * millisecond))
+    detector.add(streams, (100 * millisecond, 150 * millisecond))
+    assert set(detector.readings) == {
+        ("/joint_states", "position of a"),
+        ("/joint_states", "position of b"),
+        ("/joint_states", "effort of a"),
+        ("/joint_states", "effort of b"),
+        ("/imu", ""),
+        ("/wrench", ""),
+    }
+    for counts in detector.readings.values():
+        assert (counts.messages, counts.changes, counts.frozen_messages) == (150, 150, 0)
+        assert not counts.is_frozen
+    saturation = SaturationDetector()
+    saturation.add(streams, (0, 100 * millisecond))
+    # The first message of a slice has no change.
+    assert set(saturation.values.values()) == {99}
+    assert saturation.limits == {}
+
+
+@pytest.mark.parametrize(
+    ("lengths", "is_limit"),
+    [
+        ([10], True),
+        ([9], False),
+        ([5, 5], True),
+        ([4, 4, 4], False),
+        ([5, 1, 4], True),
+        ([5, 1, 3], False),
+    ],
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_limit_is_reached_ten_times_and_five_in_a_row(streams, lengths, is_limit, sign) -> None:
+    (imu,) = streams.imus
+    start = 100
+    for length in lengths:
+        imu.angular_velocity[start : start + length, 1] = 5.0 * sign
+        start += length + 50
+    found = SaturationDetector()
+    found.add(streams)
+    key = ("/imu", "angular_velocity.y", sign)
+    assert found.limits == ({key: (5.0 * sign, sum(lengths))} if is_limit else {})
+    for one in found.findings():
+        assert f"is exactly {5 * sign} in {sum(lengths)} messages" in one.message
+        assert ("never more" if sign > 0 else "never less") in one.message
+
+
+def test_extreme_values_are_kept_with_their_longest_runs() -> None:
+    counts = ExtremeCounts()
+    counts.add(np.array([1.0, 1, 2, 1, 3, 3, 3]), np.array([1.0, 2.0, 3.0]))
+    counts.add(np.array([3.0, 2, 3]), np.array([3.0, 2.0]))
+    assert dict(counts.counts) == {1.0: 3, 2.0: 2, 3.0: 5}
+    assert counts.longest == {1.0: 2, 2.0: 1, 3.0: 3}
+    for sign, kept in ((1, range(4, 21)), (-1, range(17))):
+        counts = ExtremeCounts()
+        values = np.arange(21.0)
+        counts.add(values, values)
+        counts.keep(sign)
+        assert sorted(counts.counts) == sorted(counts.longest) == list(kept)
+
+
+@pytest.mark.parametrize(
+    ("at_limit", "next_value", "is_limit"), [(10, 2, True), (14, 3, False), (15, 3, True)]
+)
+def test_a_limit_is_five_times_as_frequent_as_the_next_values(
+    at_limit, next_value, is_limit
+) -> None:
+    for sign in (1, -1):
+        counts = ExtremeCounts()
+        values = sign * np.repeat([9.0, 8.0, 7.0], [at_limit, next_value, 1])
+        counts.add(values, np.unique(values))
+        assert counts.limit(sign) == ((9.0 * sign, at_limit) if is_limit else None)
+
+
+@pytest.mark.parametrize(("levels", "is_limit"), [(49, False), (50, True)])
+def test_a_coarse_channel_has_no_limit(streams, levels, is_limit) -> None:
+    force = streams.wrenches[0].force
+    force[:, 0] = np.arange(COUNT) % (levels - 1)
+    force[500:1000, 0] = levels - 1
+    found = SaturationDetector()
+    found.add(streams)
+    assert (("/wrench", "wrench.force.x", 1) in found.limits) is is_limit
