@@ -29,12 +29,15 @@ if TYPE_CHECKING:
     from symbid_ros.identification.api import merge as merge
     from symbid_ros.identification.api import regressor as regressor
     from symbid_ros.identification.evaluation import Metrics as Metrics
+    from symbid_ros.identification.force_errors import ForceError as ForceError
     from symbid_ros.identification.options import IdentifyOptions as IdentifyOptions
     from symbid_ros.identification.result import ForcePrediction as ForcePrediction
     from symbid_ros.identification.result import LinkEstimate as LinkEstimate
     from symbid_ros.identification.result import LogInformation as LogInformation
     from symbid_ros.identification.result import ParameterEstimate as ParameterEstimate
     from symbid_ros.identification.result import Result as Result
+    from symbid_ros.identification.validation import Validation as Validation
+    from symbid_ros.identification.validation import validate as validate
     from symbid_ros.messages.log_options import LogOptions as LogOptions
     from symbid_ros.model.load import load_model as load_model
     from symbid_ros.model.tree import RobotModel as RobotModel
@@ -49,6 +52,7 @@ _HOMES = {
     "DataError": "errors",
     "Diagnosis": "diagnosis.findings",
     "EstimateError": "errors",
+    "ForceError": "identification.force_errors",
     "ForcePrediction": "identification.result",
     "IdentifyOptions": "identification.options",
     "LinkEstimate": "identification.result",
@@ -64,6 +68,7 @@ _HOMES = {
     "Result": "identification.result",
     "RobotModel": "model.tree",
     "SymbidError": "errors",
+    "Validation": "identification.validation",
     "diagnose": "identification.api",
     "evaluate": "offline.bags",
     "identify": "identification.api",
@@ -71,6 +76,7 @@ _HOMES = {
     "load_model": "model.load",
     "merge": "identification.api",
     "regressor": "identification.api",
+    "validate": "identification.validation",
 }
 __all__ = sorted([*_HOMES, "__version__"])  # noqa: PLE0605
 

@@ -22,6 +22,8 @@ SensorErrorKind = Literal[
 METHODS: tuple[Method, ...] = get_args(Method)
 # Those that weight data against a prior, and use pseudo-measurements.
 GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")
+FILTERS: tuple[Filter, ...] = get_args(Filter)
+CHANNELS: tuple[Channels, ...] = get_args(Channels)
 TERMS: tuple[Term, ...] = get_args(Term)
 SENSOR_ERROR_KINDS: tuple[SensorErrorKind, ...] = get_args(SensorErrorKind)
 

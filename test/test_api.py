@@ -20,6 +20,7 @@ NAMES = [
     "DataError",
     "Diagnosis",
     "EstimateError",
+    "ForceError",
     "ForcePrediction",
     "IdentifyOptions",
     "LinkEstimate",
@@ -35,6 +36,7 @@ NAMES = [
     "Result",
     "RobotModel",
     "SymbidError",
+    "Validation",
     "__version__",
     "diagnose",
     "evaluate",
@@ -43,6 +45,7 @@ NAMES = [
     "load_model",
     "merge",
     "regressor",
+    "validate",
 ]
 
 

@@ -16,6 +16,7 @@ from symbid_ros.cli.estimates import evaluate, identify, prior, report
 from symbid_ros.cli.flags import flag
 from symbid_ros.cli.simulate import simulate, udp_client
 from symbid_ros.cli.study import study
+from symbid_ros.cli.validate import compare, validate
 from symbid_ros.errors import SymbidError
 from symbid_ros.options import spelled
 from symbid_ros.package_paths import package_version
@@ -29,7 +30,9 @@ app = typer.Typer(
 )
 USAGE = 2  # status after an error that the user can correct
 
-for command in (demo, simulate, prior, identify, evaluate, report, study, udp_client):
+COMMANDS = demo, simulate, prior, identify, validate, compare, evaluate, report, study, udp_client
+
+for command in COMMANDS:
     app.command(command.__name__.replace("_", "-"))(command)
 app.add_typer(bag, name="bag")
 

@@ -13,6 +13,8 @@ from symbid_ros.bags import BagInfo, FileInfo, LostRange, RecoveryReport
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.verdict import Verdict
+from symbid_ros.identification.force_errors import ForceError
+from symbid_ros.identification.validation import Comparison, Validation, percent
 from symbid_ros.messages.topics import OfferedQos
 from symbid_ros.report.content import METRICS, MethodResult, best_labels
 from symbid_ros.report.formatting import significant
@@ -279,3 +281,66 @@ def metrics_table(methods: Sequence[MethodResult]) -> Table:
         ]
         table.add_row(Text(method.label), *cells)
     return table
+
+
+def print_validation(found: Validation) -> None:
+    """Print errors by coordinate, total mass, intervals and the verdict."""
+    console = Console(highlight=False)
+    console.print(Text(f"{found.model}, {found.method}"), soft_wrap=True)
+    table = _error_table("")
+    for error in found.coordinates:
+        table.add_row(*_error_cells(error))
+    table.add_section()
+    for error in found.groups:
+        table.add_row(*_error_cells(error))
+    console.print(table)
+    console.print(Text("before: original model, after: identified model"), soft_wrap=True)
+    if found.slow is not None:
+        console.print(f"slow stretches: {found.slow_seconds:.1f} s, loaded by gravity alone")
+    if (mass := found.mass) is not None:
+        console.print(
+            f"total mass: {mass.before:.2f} kg → {mass.after:.2f} kg, while the forces show "
+            f"{mass.measured:.2f} ± {mass.std:.2f} kg",
+            soft_wrap=True,
+        )
+    if found.coverage is not None and found.normalized_square is not None:
+        console.print(
+            f"intervals: {100 * found.coverage:.0f} % of the errors lie in their 90 % interval, "
+            f"normalised square {found.normalized_square:.2f}",
+            soft_wrap=True,
+        )
+    style = "green" if found.is_better else "bold red"
+    console.print(Text(found.verdict, style=style), soft_wrap=True)
+
+
+def _error_table(first: str) -> Table:
+    """Return a table of errors, narrow enough for 80 columns."""
+    table = Table(pad_edge=False, box=box.SIMPLE_HEAD)
+    table.add_column(first, overflow="fold")
+    for header in ("measured", "before", "after", "before %", "after %", "in 90 %"):
+        table.add_column(header, justify="right", no_wrap=True)
+    return table
+
+
+def _error_cells(error: ForceError, name: str | None = None) -> list[Text | str]:
+    """Return the cells of an error, by default under its own name."""
+    inside = "–" if error.coverage is None else f"{100 * error.coverage:.0f} %"
+    return [
+        Text(error.name if name is None else name),
+        f"{significant(error.measured)} {error.unit}",
+        significant(error.rmse_before),
+        significant(error.rmse_after),
+        percent(error.percent_before),
+        percent(error.percent_after),
+        inside,
+    ]
+
+
+def print_comparison(found: Comparison) -> None:
+    """Print the results by their errors, the best first."""
+    console = Console(highlight=False)
+    table = _error_table("result")
+    for one in found.ranking:
+        table.add_row(*_error_cells(one.main, one.result))
+    console.print(table)
+    console.print(Text(found.verdict), soft_wrap=True)

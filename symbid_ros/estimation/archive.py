@@ -4,6 +4,7 @@ import math
 import zipfile
 import zlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from tokenize import TokenError
 from typing import IO, Any, BinaryIO
@@ -23,8 +24,27 @@ MAX_BYTES = 512 << 20  # of all arrays, unpacked
 LARGEST_ENTRY = 1e15  # far above an hour of large forces at a high rate
 
 
+@dataclass(frozen=True)
+class SensorCalibration:
+    """What predictions with identified sensor errors need in addition to their values.
+
+    Attributes
+    ----------
+    factor : (s, r) float64
+        The sensor errors' rows of L, where L Lᵀ is the covariance of all unknowns.
+    linearization : (p + s,) float64
+        Parameters and sensor errors at which the rows were linearized.
+    """
+
+    factor: FloatArray
+    linearization: FloatArray
+
+
 def write_archive(
-    path: Path, observations: Sequence[Observations], deviation_factor: FloatArray | None = None
+    path: Path,
+    observations: Sequence[Observations],
+    deviation_factor: FloatArray | None = None,
+    calibration: SensorCalibration | None = None,
 ) -> None:
     """Write observations of one robot over one or several windows.
 
@@ -36,6 +56,8 @@ def write_archive(
         Observations with the same layout.
     deviation_factor : (p, r) float64, optional
         Factor L of the estimate's covariance L Lᵀ, from which intervals can be computed.
+    calibration : SensorCalibration, optional
+        Of the sensor errors, if they were identified.
     """
     layout = observations[0].layout
     content: dict[str, Any] = {
@@ -60,6 +82,9 @@ def write_archive(
         }
     if deviation_factor is not None:
         content["deviation_factor"] = deviation_factor
+    if calibration is not None:
+        content["sensor_factor"] = calibration.factor
+        content["linearization"] = calibration.linearization
     write_through(path, lambda stream: np.savez_compressed(stream, **content))
 
 
@@ -125,6 +150,31 @@ def load_deviation_factor(path: Path) -> FloatArray | None:
             f"{path}: its deviation_factor is not a finite matrix; identify the log again", "E410"
         )
     return factor
+
+
+def load_calibration(path: Path) -> SensorCalibration | None:
+    """Return what predictions with sensor errors need, or None if none were identified.
+
+    Raises
+    ------
+    EstimateError
+        When the file is missing, damaged or not an information.npz.
+    """
+    content = _read(path)
+    names = "sensor_factor", "linearization"
+    if not all(name in content for name in names):
+        return None
+    factor, linearization = (content[name] for name in names)
+    fits = factor.ndim == 2 and linearization.ndim == 1
+    if not fits or not all(
+        one.dtype == np.float64 and np.all(np.isfinite(one)) for one in (factor, linearization)
+    ):
+        raise EstimateError(
+            f"{path}: its sensor_factor or linearization is not a finite array; identify the log "
+            "again",
+            "E410",
+        )
+    return SensorCalibration(factor, linearization)
 
 
 def _information(

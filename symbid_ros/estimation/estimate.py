@@ -1,6 +1,7 @@
 """The estimate: identified parameters with their uncertainty, provenance and verdict."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,33 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.atomic_write import write_text
+from symbid_ros.choices import CHANNELS, FILTERS, Channels, Filter
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.user_files import load_json
+
+MODEL_FILES = "model.urdf", "model.xml"
+
+
+@dataclass(frozen=True)
+class RowSettings:
+    """How the rows of an identification were made; options that do not apply are None.
+
+    Attributes
+    ----------
+    filter : {"weak", "butterworth", "savitzky_golay"}
+    window : float or None
+        Length of the windows, s.
+    cutoff : float or None
+        Cutoff frequency of butterworth, Hz.
+    channels : str or None
+        Signals that butterworth filters.
+    """
+
+    filter: Filter
+    window: float | None = None
+    cutoff: float | None = None
+    channels: Channels | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +81,12 @@ class Estimate:
     known : dict of str to float
         Joint terms ``<joint>/<viscous|coulomb|armature>`` of the model file that were not
         identified; the equation of motion contains them.
+    rows : RowSettings or None
+        How the rows were made; None for windows of the verdict's length.
+    model_file : str
+        File of the result that has the kinematics of the user's file; empty if not saved.
+    base : str
+        Whether the robot's base is ``floating`` or ``fixed``; empty if not saved.
     """
 
     method: str
@@ -75,6 +106,9 @@ class Estimate:
     software: str
     verdict: Verdict | None = None
     known: dict[str, float] = field(default_factory=dict)
+    rows: RowSettings | None = None
+    model_file: str = ""
+    base: str = ""
 
     def document(self) -> dict[str, object]:
         """Return the content of estimate.json; values that the method cannot give are None."""
@@ -104,6 +138,9 @@ class Estimate:
             "software": self.software,
             "verdict": None if self.verdict is None else asdict(self.verdict),
             "known": self.known,
+            "rows": None if self.rows is None else asdict(self.rows),
+            "model_file": self.model_file,
+            "base": self.base,
         }
 
     def write(self, path: Path) -> None:
@@ -151,6 +188,9 @@ def load_estimate(path: Path) -> Estimate:
             software=document["software"],
             verdict=_verdict(document["verdict"]),
             known=_known(document.get("known", {})),
+            rows=_rows(document.get("rows")),
+            model_file=_one_of(document.get("model_file", ""), ("", *MODEL_FILES)),
+            base=_one_of(document.get("base", ""), ("", "floating", "fixed")),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(
@@ -165,6 +205,23 @@ def load_estimate(path: Path) -> Estimate:
                 f"{path}: {kind} of {name} is not finite; identify the log again", "E409"
             )
     return estimate
+
+
+def _rows(document: dict[str, Any] | None) -> RowSettings | None:
+    if document is None:
+        return None
+    numbers = [document[name] for name in ("window", "cutoff") if document[name] is not None]
+    if any(isinstance(one, bool) or not 0 <= one < np.inf for one in numbers):
+        raise ValueError("rows has a window or cutoff that is negative or not finite")
+    _one_of(document["filter"], FILTERS)
+    _one_of(document["channels"], (None, *CHANNELS))
+    return RowSettings(**document)
+
+
+def _one_of(value: Any, allowed: Sequence[Any]) -> Any:
+    if value not in allowed:
+        raise ValueError(f"{value!r} is not one of {', '.join(map(repr, allowed))}")
+    return value
 
 
 def _known(document: dict[str, Any]) -> dict[str, float]:

@@ -13,7 +13,7 @@ from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.problem import Problem
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.sensor_errors import LinearizationPoint, SensorErrors, calibrating_rows
+from symbid_ros.signals.sensor_errors import CalibratingRows, LinearizationPoint, SensorErrors
 from symbid_ros.signals.weak_form import ALL_WINDOWS, FORCES, MOTION, suited_windows
 
 logger = logging.getLogger(__name__)
@@ -128,7 +128,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     suited = suited_windows(ALL_WINDOWS, segment.rate)
     shortest, longest = suited[0], suited[-1]
     for _ in range(PASSES - 1):
-        build = calibrating_rows(parameters, errors, point)
+        build = CalibratingRows(parameters, errors, point)
         (observations,) = observe(dataset.segments, build, layout, (longest,), ())
         found = posterior(
             observations,
@@ -138,7 +138,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
             tolerance=POINT_CONVERGED,
         )
         point = LinearizationPoint(found.mean[:p], found.mean[p:])
-    build = calibrating_rows(parameters, errors, point)
+    build = CalibratingRows(parameters, errors, point)
     return replace(
         problem,
         observations=observe(dataset.segments, build, layout, (shortest, longest), MOTION + FORCES),

@@ -97,13 +97,7 @@ class AlignedLog:
 
     def contiguous_segments(self) -> tuple[Segment, ...]:
         """Return all segments, those that continue one another joined."""
-        segments: list[Segment] = []
-        for segment in self:
-            if segments and segments[-1].is_continued_by(segment):
-                segments[-1] = concatenated([segments[-1], segment])
-            else:
-                segments.append(segment)
-        return tuple(segments)
+        return joined_segments(self)
 
     def _read(self, *, warn: bool) -> Iterator[Segment]:
         checks = self._checks if warn else None
@@ -129,6 +123,17 @@ class AlignedLog:
                     coverage.take(segment)
                     yield segment
         coverage.check(warn=warn)
+
+
+def joined_segments(segments: Iterable[Segment]) -> tuple[Segment, ...]:
+    """Return segments, those that continue one another joined."""
+    joined: list[Segment] = []
+    for segment in segments:
+        if joined and joined[-1].is_continued_by(segment):
+            joined[-1] = concatenated([joined[-1], segment])
+        else:
+            joined.append(segment)
+    return tuple(joined)
 
 
 @dataclass

@@ -16,6 +16,7 @@ from symbid_ros.dynamics.regressor import Samples
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.constraints import mirror_rows, total_mass_row
+from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.information import INCOMPATIBLE
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements
@@ -86,7 +87,14 @@ class LoadedProblem:
 
     def solve(self, method: Method | None = None) -> Identification:
         """Identify with one method, by default that of the options."""
-        method = method or self.options.method
+        found = self._solve(method or self.options.method)
+        options = self.options
+        settings = RowSettings(
+            options.row_filter, found.window or options.window, options.cutoff, options.channels
+        )
+        return replace(found, estimate=replace(found.estimate, rows=settings))
+
+    def _solve(self, method: Method) -> Identification:
         if method == "map_lmi":
             return self.solver.map_lmi()
         if method == "map":

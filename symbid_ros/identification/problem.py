@@ -12,6 +12,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.sensor_errors import CalibratingRows
 from symbid_ros.signals.weak_form import RowBuilder, equation_rows
 
 
@@ -58,7 +59,7 @@ class Problem:
         Input files, recorded in the estimate.
     has_wrenches : bool
         Whether the robot has wrench sensors.
-    calibrated_rows : RowBuilder or None
+    calibrated_rows : CalibratingRows or None
         Builds rows with columns for sensor errors; None without these unknowns.
     """
 
@@ -71,7 +72,7 @@ class Problem:
     needs_longest_window: bool = False
     inputs: tuple[str, ...] = ()
     has_wrenches: bool = True
-    calibrated_rows: RowBuilder | None = None
+    calibrated_rows: CalibratingRows | None = None
 
     @property
     def row_builder(self) -> RowBuilder:

@@ -14,17 +14,16 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import load_archive, write_archive
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, AlignedLog, Processing
+from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.loaded_problem import merged_observations
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result_files import write_identification
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.sensor_samples import build_samples
-from symbid_ros.signals.weak_form import sampled_rows, windowed_rows
 
 if TYPE_CHECKING:
     import pandas
@@ -268,22 +267,17 @@ class Result:
         stamp, measured, predicted = (np.concatenate(each) for each in zip(*parts, strict=True))
         return ForcePrediction(stamp, self._parameters.model.coordinates, measured, predicted)
 
+    @property
+    def predictor(self) -> ForcePredictor:
+        """Predicts forces on the rows of this identification."""
+        return ForcePredictor.of(self._identification, self._parameters)
+
     def _rows(self, log: Log) -> Iterator[tuple[IntArray, FloatArray, FloatArray]]:
-        parameters, found = self._parameters, self._identification
-        aligned = AlignedLog(log, parameters.model)
-        smoothing = Processing.of(self.options).smoothing
-        if smoothing is not None:
-            samples = build_samples(
-                aligned.contiguous_segments(), parameters.model, smoothing, log.source
-            )
-            for block in samples.blocks(SAMPLES_AT_ONCE):
-                single = sampled_rows(parameters, block)
-                predicted = single.rows.K @ found.unknowns
-                yield single.stamp, *_forces(single.rows.y, predicted, single.valid)
-            return
-        for segment in aligned:
-            for (rows,) in windowed_rows(segment, found.rows, [found.window], ()):
-                yield rows.stamp, *_forces(rows.mean.y, rows.mean.K @ found.unknowns, rows.valid)
+        predictor = self.predictor
+        segments = AlignedLog(log, self._parameters.model)
+        for part in predictor.rows(segments, log.source):
+            predicted = part.rows.K @ predictor.unknowns
+            yield part.stamp, *_forces(part.rows.y, predicted, part.valid)
 
     def to_frame(self) -> "pandas.DataFrame":
         """Return the parameters as a table, one row each, indexed by name.

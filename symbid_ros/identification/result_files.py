@@ -11,8 +11,13 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import check_writable, staged, write_text
 from symbid_ros.errors import EstimateError, SymbidError
-from symbid_ros.estimation.archive import load_deviation_factor, write_archive
-from symbid_ros.estimation.estimate import Estimate, load_estimate
+from symbid_ros.estimation.archive import (
+    SensorCalibration,
+    load_calibration,
+    load_deviation_factor,
+    write_archive,
+)
+from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, load_estimate
 from symbid_ros.estimation.prior import load_prior
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_files, replaced_values
@@ -24,7 +29,7 @@ from symbid_ros.user_files import load_json
 
 logger = logging.getLogger(__name__)
 
-RESULT_FILES = "model.urdf", "model.xml", "information.npz", "estimate.json"
+RESULT_FILES = *MODEL_FILES, "information.npz", "estimate.json"
 
 
 def check_output(parameters: ParameterSet, out: Path) -> None:
@@ -58,9 +63,13 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
     estimate = found.estimate
     results: dict[str, Callable[[Path], object]] = {
         "information.npz": lambda path: write_archive(
-            path, found.observations, found.deviation_factor
+            path, found.observations, found.deviation_factor, found.calibration
         ),
-        "estimate.json": estimate.write,
+        "estimate.json": replace(
+            estimate,
+            model_file=_model_file(parameters.model),
+            base="floating" if parameters.model.floating else "fixed",
+        ).write,
     }
     models: dict[str, Callable[[Path], object]] = {
         "model.urdf": lambda path: write_text(path, export_urdf(estimate, parameters)),
@@ -81,6 +90,14 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
     if lost := {name: write for name, write in results.items() if name in failures}:
         done = ", ".join(filter(None, [done, _write_to_temporary_folder(lost)]))
     raise EstimateError(f"{first}; {done}; not written: {', '.join(failures)}", "E522")
+
+
+def _model_file(model: RobotModel) -> str:
+    """Return the name of the exported file that has the kinematics of the user's file."""
+    try:
+        return MODEL_FILES[is_mjcf(Path(model.source))]
+    except SymbidError:  # the file has gone; estimate.json is written all the same
+        return ""
 
 
 def _write_mjcf(path: Path, files: Mapping[PurePosixPath, str]) -> None:
@@ -168,12 +185,15 @@ class EstimatedModel:
         With parameters in the order of the columns; None for a prior.
     deviation_factor : (p, r) float64 or None
         L of the posterior covariance L Lᵀ; None if there is none.
+    calibration : SensorCalibration or None
+        None without identified sensor errors.
     """
 
     parameters: ParameterSet
     values: FloatArray
     estimate: Estimate | None = None
     deviation_factor: FloatArray | None = None
+    calibration: SensorCalibration | None = None
 
 
 def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
@@ -211,7 +231,33 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
                 "E523",
             )
         factor = factor[order]
-    return EstimatedModel(parameters, ordered.value, ordered, factor)
+    calibration = load_calibration(archive)
+    if calibration is not None:
+        calibration = _calibration_in_order(calibration, order, estimate, factor, archive)
+    return EstimatedModel(parameters, ordered.value, ordered, factor, calibration)
+
+
+def _calibration_in_order(
+    calibration: SensorCalibration,
+    order: list[int],
+    estimate: Estimate,
+    factor: FloatArray | None,
+    archive: Path,
+) -> SensorCalibration:
+    """Return the calibration with the robot's parameters in another order."""
+    count = 0 if estimate.verdict is None else len(estimate.verdict.sensors)
+    size = 0 if factor is None else factor.shape[1]
+    if calibration.factor.shape != (count, size) or len(calibration.linearization) != (
+        len(order) + count
+    ):
+        raise EstimateError(
+            f"{archive}: its sensor errors are not those of estimate.json; identify the log again",
+            "E523",
+        )
+    point = calibration.linearization
+    return SensorCalibration(
+        calibration.factor, np.concatenate([point[: len(order)][order], point[len(order) :]])
+    )
 
 
 def _ordered(estimate: Estimate, order: list[int]) -> Estimate:

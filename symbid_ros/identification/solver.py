@@ -8,6 +8,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import Method
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.archive import SensorCalibration
 from symbid_ros.estimation.constraints import Bounds
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.observations import Observations, whiteness
@@ -20,6 +21,7 @@ from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.package_paths import package_version
+from symbid_ros.signals.sensor_errors import CalibratingRows
 from symbid_ros.signals.weak_form import RowBuilder
 
 SOFTWARE = f"symbid_ros {package_version()}"
@@ -34,8 +36,8 @@ class Identification:
     estimate : Estimate
     observations : tuple of Observations
         The data for each window length.
-    deviation_factor : (p, r) float64 or None
-        L of the robot's parameters' covariance L Lᵀ; None for truncated methods.
+    factor : (p + s, r) float64 or None
+        L of the covariance L Lᵀ of all unknowns; None for truncated methods.
     window : float
         Window length of the rows that were solved, s; 0 for rows at single instants.
     unknowns : (p + s,) float64
@@ -46,10 +48,30 @@ class Identification:
 
     estimate: Estimate
     observations: tuple[Observations, ...]
-    deviation_factor: FloatArray | None
+    factor: FloatArray | None
     window: float
     unknowns: FloatArray
     rows: RowBuilder
+
+    @property
+    def deviation_factor(self) -> FloatArray | None:
+        """(p, r) L of the robot's parameters' covariance L Lᵀ; None for truncated methods."""
+        return None if self.factor is None else self.factor[: len(self.estimate.names)]
+
+    @property
+    def calibration(self) -> SensorCalibration | None:
+        """What predictions with sensor errors need; None without sensor errors."""
+        if self.factor is None or not isinstance(self.rows, CalibratingRows):
+            return None
+        point = self.rows.linearization
+        return SensorCalibration(
+            self.factor[len(self.estimate.names) :], np.concatenate([point.phi, point.theta])
+        )
+
+    @property
+    def chosen(self) -> Observations:
+        """The observations that were solved."""
+        return next(one for one in self.observations if one.window == self.window)
 
 
 @dataclass(frozen=True)
@@ -141,7 +163,7 @@ class Solver:
         return Identification(
             replace(estimate, verdict=verdict),
             problem.observations,
-            found.deviation_factor[:p],
+            found.deviation_factor,
             self.chosen.window,
             value,
             problem.row_builder,

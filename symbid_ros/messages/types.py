@@ -36,11 +36,12 @@ TIME = (Nodetype.NAME, "builtin_interfaces/msg/Time")
 _STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 
 
-def joint_state_layout(names: tuple[str, ...]) -> Layout:
-    """Return the layout of a JointState with all four arrays filled."""
+def joint_state_layout(names: tuple[str, ...], *, has_motion: bool = True) -> Layout:
+    """Return the layout of a JointState; without motion, of one with efforts alone."""
     zeros = np.zeros(len(names))
+    motion = zeros if has_motion else zeros[:0]
     return message_layout(
-        JOINT_STATE, name=list(names), position=zeros, velocity=zeros, effort=zeros
+        JOINT_STATE, name=list(names), position=motion, velocity=motion, effort=zeros
     )
 
 

@@ -15,7 +15,7 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import RowBuilder, SampledRows, valid_coordinates, valid_rows
+from symbid_ros.signals.weak_form import SampledRows, valid_coordinates, valid_rows
 
 # Typical calibration errors: standard deviations per component.
 DEVIATIONS = {
@@ -268,24 +268,36 @@ def _fill_plates(
             C[:, :, errors.places[kind]] = change.reshape(len(readings), model.dof, -1)
 
 
-def calibrating_rows(
-    parameters: ParameterSet, errors: SensorErrors, linearization: LinearizationPoint
-) -> RowBuilder:
-    """Return a builder of rows in the robot's parameters and its sensors' errors."""
+@dataclass(frozen=True)
+class CalibratingRows:
+    """Builds rows in the robot's parameters and its sensors' errors, a ``RowBuilder``.
 
-    def build(readings: SensorSamples) -> Iterator[SampledRows]:
+    Attributes
+    ----------
+    parameters : ParameterSet
+        The robot's p columns.
+    errors : SensorErrors
+        The r columns that follow.
+    linearization : LinearizationPoint
+    """
+
+    parameters: ParameterSet
+    errors: SensorErrors
+    linearization: LinearizationPoint
+
+    def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
+        """Yield the rows of sensor samples."""
+        parameters, errors, point = self.parameters, self.errors, self.linearization
         for start in range(0, len(readings), CHUNK):
             part = readings[start : start + CHUNK]
-            samples = at_base(errors.corrected(part, linearization.theta), parameters.model)
+            samples = at_base(errors.corrected(part, point.theta), parameters.model)
             rows = equation_of_motion(parameters, samples)
-            C = _interpolated_columns(parameters, errors, linearization, part)
+            C = _interpolated_columns(parameters, errors, point, part)
             yield valid_rows(
                 part.stamp,
-                Rows(np.concatenate([rows.K, -C], axis=2), rows.y - C @ linearization.theta),
+                Rows(np.concatenate([rows.K, -C], axis=2), rows.y - C @ point.theta),
                 valid_coordinates(parameters, samples.velocity),
             )
-
-    return build
 
 
 def _interpolated_columns(

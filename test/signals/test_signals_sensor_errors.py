@@ -14,9 +14,9 @@ from symbid_ros.signals.sensor_errors import (
     DEVIATIONS,
     KINDS,
     UNITS,
+    CalibratingRows,
     LinearizationPoint,
     SensorErrors,
-    calibrating_rows,
     error_columns,
 )
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
@@ -210,7 +210,7 @@ def test_rows_close_at_the_true_parameters_and_errors(robot):
     draw = errors.std * np.random.default_rng(2).standard_normal(len(errors))
 
     def closure(theta, pilot):
-        build = calibrating_rows(parameters, errors, pilot)
+        build = CalibratingRows(parameters, errors, pilot)
         ((rows,),) = windowed_rows(spoilt(segment, errors, theta), build, [0.321])
         left = rows.mean.K @ np.concatenate([phi, theta]) - rows.mean.y
         return np.linalg.norm(left) / np.linalg.norm(rows.mean.y)
@@ -234,7 +234,7 @@ def test_noise_in_the_columns_of_gains_is_known():
     kinds = ("plate_gain", "torque_gain")
     errors = SensorErrors.of(kinds, parameters.model, segment.wrench_frames, segment.imu_frames)
     p, truth = len(parameters), np.append(parameters.values, np.zeros(len(errors)))
-    build = calibrating_rows(
+    build = CalibratingRows(
         parameters, errors, LinearizationPoint(parameters.values, np.zeros(len(errors)))
     )
 

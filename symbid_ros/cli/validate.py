@@ -1,0 +1,83 @@
+"""``symbid validate`` and ``symbid compare``."""
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from symbid_ros.cli.flags import with_flags
+from symbid_ros.errors import SymbidError
+from symbid_ros.messages.log_options import LogOptions
+
+HeldOut = Annotated[
+    list[Path],
+    typer.Option(help="Bag that the identification did not use, in sequence if several."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of tables.")]
+
+
+@with_flags
+def validate(
+    result: Annotated[
+        Path, typer.Argument(help="Folder of an identification.", show_default=False)
+    ],
+    bag: HeldOut,
+    log: LogOptions,
+    predictions: Annotated[
+        Path | None,
+        typer.Option(help="Bag folder to write measured and predicted efforts to."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compare an identified robot with a log that was not used; no truth is needed.
+
+    Torques of the original and of the identified model are predicted from the measured motion,
+    and compared with the measured ones.
+
+    Exit status: 0 better than the original model, 1 not better, 2 error.
+    """
+    from symbid_ros.cli.tables import print_validation
+    from symbid_ros.identification.validation import validate as judge
+    from symbid_ros.offline.bags import load_bag
+    from symbid_ros.offline.predictions import write_predictions
+
+    if predictions is not None and os.path.lexists(predictions):
+        raise SymbidError(
+            f"{predictions}: exists; choose another --predictions, or remove it", "E551"
+        )
+    found = judge(result, load_bag(bag, options=log))
+    if predictions is not None:
+        write_predictions(found.efforts, predictions)
+    if as_json:
+        typer.echo(json.dumps(found.document(), indent=1))
+    else:
+        print_validation(found)
+    if not found.is_better:
+        raise typer.Exit(1)
+
+
+@with_flags
+def compare(
+    results: Annotated[
+        list[Path], typer.Argument(help="Folders of identifications.", show_default=False)
+    ],
+    bag: HeldOut,
+    log: LogOptions,
+    as_json: Json = False,
+) -> None:
+    """Rank identifications of one robot by their error on a log that none of them used.
+
+    All are judged on the same rows: windows of the longest length among them, where the equation
+    of motion holds for each.
+    """
+    from symbid_ros.cli.tables import print_comparison
+    from symbid_ros.identification.validation import compare as rank
+    from symbid_ros.offline.bags import load_bag
+
+    found = rank(results, load_bag(bag, options=log))
+    if as_json:
+        typer.echo(json.dumps(found.document(), indent=1))
+    else:
+        print_comparison(found)

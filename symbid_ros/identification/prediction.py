@@ -1,0 +1,353 @@
+"""Forces that an identified robot predicts, on the same rows as its identification."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.choices import SENSOR_ERROR_KINDS, Base
+from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
+from symbid_ros.errors import EstimateError, SymbidError
+from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings, load_estimate
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.identification.dataset import SAMPLES_AT_ONCE, Processing, joined_segments
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.result_files import load_estimated_model
+from symbid_ros.identification.solver import Identification
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_errors import CalibratingRows, LinearizationPoint, SensorErrors
+from symbid_ros.signals.sensor_samples import SensorSamples, at_base, build_samples
+from symbid_ros.signals.weak_form import (
+    RowBuilder,
+    SampledRows,
+    check_windows,
+    equation_rows,
+    sampled_rows,
+    windowed_rows,
+)
+
+CHUNK = 512  # samples whose efforts and gravity are computed at once
+
+
+@dataclass(frozen=True)
+class PredictionRows:
+    """Consecutive rows of a log.
+
+    Attributes
+    ----------
+    stamp : (N,) int64
+        Centres of the windows, or single instants, ns.
+    rows : Rows
+        In all unknowns.
+    valid : (N, n) bool
+        Where the equation holds.
+    effort : (N, n) float64
+        Measured motor efforts; zero on a floating base.
+    gravity : (N, n) float64
+        Forces that hold the identified links still.
+    """
+
+    stamp: IntArray
+    rows: Rows
+    valid: BoolArray
+    effort: FloatArray
+    gravity: FloatArray
+
+
+@dataclass(frozen=True)
+class ForcePredictor:
+    """An identified robot and the rows on which its forces are predicted.
+
+    Attributes
+    ----------
+    name : str
+        Name of the result.
+    parameters : ParameterSet
+        The robot's p parameters.
+    estimate : Estimate
+        Parameters in the order of the columns.
+    sensor_names : tuple of str
+        The s sensor errors.
+    unknowns : (p + s,) float64
+        Identified parameters and sensor errors.
+    linearization : (p + s,) float64
+        Where the rows were linearized in the sensor errors.
+    factor : (p + s, r) float64 or None
+        L of the covariance L Lᵀ of the unknowns; None for truncated methods.
+    noise : (n,) float64 or None
+        Variance of a row's residual in the identified log, (Nm)² or N²; None if it is unknown.
+    settings : RowSettings
+        How rows are made.
+    seconds : frozenset of int
+        Fingerprints of the seconds that were identified.
+    """
+
+    name: str
+    parameters: ParameterSet
+    estimate: Estimate
+    sensor_names: tuple[str, ...]
+    unknowns: FloatArray
+    linearization: FloatArray
+    factor: FloatArray | None
+    noise: FloatArray | None
+    settings: RowSettings
+    seconds: frozenset[int]
+
+    @classmethod
+    def of(cls, found: Identification, parameters: ParameterSet) -> "ForcePredictor":
+        """Return the predictor of an identification."""
+        estimate, calibration = found.estimate, found.calibration
+        return cls(
+            name="result",
+            parameters=parameters,
+            estimate=estimate,
+            sensor_names=_sensor_names(estimate),
+            unknowns=found.unknowns,
+            linearization=found.unknowns if calibration is None else calibration.linearization,
+            factor=found.factor,
+            noise=_row_noise(found.chosen, found.unknowns, estimate, parameters.model),
+            settings=estimate.rows or RowSettings("weak", found.window),
+            seconds=_seconds(found.observations),
+        )
+
+    @classmethod
+    def load(cls, folder: Path) -> "ForcePredictor":
+        """Read the predictor of a saved result.
+
+        Raises
+        ------
+        EstimateError, ModelError
+            When a file is missing, malformed or belongs to another result.
+        """
+        saved = load_estimate(folder / "estimate.json")
+        found = load_estimated_model(folder, _load_robot(folder, saved))
+        estimate = found.estimate
+        if estimate is None:
+            raise EstimateError(f"{folder}: holds a prior; give the folder of a result", "E527")
+        observations = load_archive(folder / "information.npz")
+        sensors = () if estimate.verdict is None else estimate.verdict.sensors
+        unknowns = np.concatenate([found.values, [one.value for one in sensors]])
+        calibration, factor = found.calibration, found.deviation_factor
+        if sensors and factor is not None:
+            if calibration is None:
+                raise EstimateError(
+                    f"{folder}: was written by an earlier version, which did not save what "
+                    "predictions with sensor errors need; identify the log again",
+                    "E527",
+                )
+            factor = np.concatenate([factor, calibration.factor])
+        settings = estimate.rows
+        if settings is None:
+            window = None if estimate.verdict is None else estimate.verdict.window
+            settings = RowSettings("weak", window)
+        of_window = [one for one in observations if one.window == (settings.window or 0.0)]
+        if settings.filter != "weak":
+            of_window = list(observations[:1])
+        noise = None
+        if of_window:
+            stored = _as_stored(of_window[0], estimate, unknowns)
+            noise = _row_noise(of_window[0], stored, estimate, found.parameters.model)
+        return cls(
+            name=str(folder),
+            parameters=found.parameters,
+            estimate=estimate,
+            sensor_names=_sensor_names(estimate),
+            unknowns=unknowns,
+            linearization=unknowns if calibration is None else calibration.linearization,
+            factor=factor,
+            noise=noise,
+            settings=settings,
+            seconds=_seconds(observations),
+        )
+
+    @property
+    def original(self) -> FloatArray:
+        """(p + s,) parameters of the original model with the identified sensor errors."""
+        count = len(self.parameters)
+        return np.concatenate([self.estimate.prior, self.unknowns[count:]])
+
+    def over_windows(self, window: float) -> "ForcePredictor":
+        """Return a predictor of rows averaged over windows of another length, s.
+
+        The noise of its rows is unknown.
+        """
+        return replace(self, settings=RowSettings("weak", window), noise=None)
+
+    def rows(self, segments: Iterable[Segment], source: str) -> Iterator[PredictionRows]:
+        """Yield the rows of the segments of a log named ``source``.
+
+        Raises
+        ------
+        DataError
+            When the rate of the log is too low for the windows.
+        EstimateError
+            When the log has other sensors than those whose errors were identified.
+        """
+        settings = self.settings
+        if settings.filter != "weak":
+            yield from self._filtered_rows(joined_segments(segments), source)
+            return
+        if not settings.window:
+            raise EstimateError(
+                f"{self.name}: does not say how its rows were averaged; identify the log again",
+                "E527",
+            )
+        windows = (settings.window,)
+        first = None
+        for segment in segments:
+            check_windows(windows, segment.rate, source)
+            first = first or segment
+            build, correct = self._builders(first, source)
+            main = windowed_rows(segment, build, windows, ())
+            beside = windowed_rows(segment, correct, windows, ())
+            for (rows,), (other,) in zip(main, beside, strict=True):
+                effort, gravity = np.moveaxis(other.mean.K, 2, 0)
+                yield PredictionRows(rows.stamp, rows.mean, rows.valid, effort, gravity)
+
+    def _filtered_rows(
+        self, segments: tuple[Segment, ...], source: str
+    ) -> Iterator[PredictionRows]:
+        settings = self.settings
+        options = IdentifyOptions(
+            filter=settings.filter,
+            window=settings.window,
+            cutoff=settings.cutoff,
+            channels=settings.channels,
+        )
+        smoothing = Processing.of(options).smoothing
+        assert smoothing is not None  # any filter but "weak" has one
+        samples = build_samples(segments, self.parameters.model, smoothing, source)
+        for block in samples.blocks(SAMPLES_AT_ONCE):
+            single = sampled_rows(self.parameters, block)
+            effort, gravity = np.moveaxis(self._effort_and_gravity(block), 2, 0)
+            yield PredictionRows(single.stamp, single.rows, single.valid, effort, gravity)
+
+    def _builders(self, segment: Segment, source: str) -> tuple[RowBuilder, RowBuilder]:
+        """Return builders of rows in the unknowns, and of columns of effort and gravity."""
+        parameters = self.parameters
+        model, count = parameters.model, len(parameters)
+        errors, order = self._errors(segment, source)
+        theta = self.unknowns[count:][order]
+
+        def columns(readings: SensorSamples) -> Iterator[SampledRows]:
+            for start in range(0, len(readings), CHUNK):
+                part = readings[start : start + CHUNK]
+                corrected = part if errors is None else errors.corrected(part, theta)
+                pair = self._effort_and_gravity(at_base(corrected, model))
+                flat = np.zeros(pair.shape[:2])
+                yield SampledRows(part.stamp, Rows(pair, flat), np.ones(flat.shape, dtype=bool))
+
+        if errors is None:
+            return equation_rows(parameters), columns
+        point = self.linearization
+        linearization = LinearizationPoint(point[:count], point[count:][order])
+        ordered = CalibratingRows(parameters, errors, linearization)
+
+        def in_own_order(readings: SensorSamples) -> Iterator[SampledRows]:
+            back = np.argsort(order)
+            for part in ordered(readings):
+                K = part.rows.K
+                K = np.concatenate([K[..., :count], K[..., count:][..., back]], axis=2)
+                yield replace(part, rows=Rows(K, part.rows.y))
+
+        return in_own_order, columns
+
+    def _errors(self, segment: Segment, source: str) -> tuple[SensorErrors | None, IntArray]:
+        """Return the sensor errors of a log, and the places of its errors among the unknowns."""
+        if not self.sensor_names:
+            return None, np.zeros(0, dtype=np.int64)
+        parts = [name.rpartition("/")[2] for name in self.sensor_names]
+        kinds = [kind for kind in SENSOR_ERROR_KINDS if any(one.startswith(kind) for one in parts)]
+        errors = SensorErrors.of(
+            kinds, self.parameters.model, segment.wrench_frames, segment.imu_frames
+        )
+        if set(errors.names) != set(self.sensor_names):
+            other = sorted(set(errors.names) ^ set(self.sensor_names))[0].rpartition("/")[0]
+            raise EstimateError(
+                f"{source}: its sensors are not those whose errors {self.name} holds ({other} is "
+                "in one of them only); give a log of the same sensors",
+                "E528",
+            )
+        return errors, np.array([self.sensor_names.index(name) for name in errors.names])
+
+    def _effort_and_gravity(self, samples: Samples) -> FloatArray:
+        """Return (N, n, 2) motor efforts, and forces that hold the identified links still."""
+        parameters = self.parameters
+        model = parameters.model
+        joints, base = np.zeros_like(samples.velocity), np.zeros_like(samples.base_specific_force)
+        still = replace(
+            samples,
+            velocity=joints,
+            acceleration=joints,
+            base_angular_velocity=base,
+            base_angular_acceleration=base,
+        )
+        inertial = slice(0, parameters.inertial)
+        K = equation_of_motion(parameters, still).K[..., inertial]
+        pair = np.zeros((len(samples), model.dof, 2))
+        pair[:, 6 * model.floating :, 0] = np.nan_to_num(samples.effort)
+        model.fold_followers(pair)
+        pair[..., 1] = K @ self.unknowns[inertial]
+        return pair
+
+
+def _load_robot(folder: Path, estimate: Estimate) -> RobotModel:
+    """Return the robot of a result's folder; earlier versions did not say which file has it."""
+    name = estimate.model_file
+    if not name:
+        is_mjcf = any(one.endswith(".xml") for one in estimate.inputs)
+        name = MODEL_FILES[is_mjcf]
+    base: Base = "floating" if estimate.base == "floating" else "auto"
+    if estimate.base == "fixed":
+        base = "fixed"
+    try:
+        return load_model(folder / name, base)
+    except SymbidError as error:
+        raise EstimateError(
+            f"{folder}: its model cannot be read ({error}); identify the log again", "E527"
+        ) from None
+
+
+def _sensor_names(estimate: Estimate) -> tuple[str, ...]:
+    return () if estimate.verdict is None else tuple(one.name for one in estimate.verdict.sensors)
+
+
+def _seconds(observations: Iterable[Observations]) -> frozenset[int]:
+    return frozenset[int]().union(*(one.seconds for one in observations))
+
+
+def _as_stored(one: Observations, estimate: Estimate, unknowns: FloatArray) -> FloatArray:
+    """Return the unknowns in the order of the stored rows."""
+    names = (*estimate.names, *_sensor_names(estimate))
+    place = {name: index for index, name in enumerate(names)}
+    if set(place) != set(one.layout.parameters):
+        raise EstimateError(
+            "information.npz: its parameters are not those of estimate.json; identify the log "
+            "again",
+            "E523",
+        )
+    return np.asarray(unknowns[[place[name] for name in one.layout.parameters]])
+
+
+def _row_noise(
+    one: Observations, unknowns: FloatArray, estimate: Estimate, model: RobotModel
+) -> FloatArray:
+    """Return the variance (n,) of a row's residual; infinite for coordinates with few rows.
+
+    The residuals of the identified log are smaller than the noise, because parameters were fitted
+    to them: by the share of its independent rows that the effective parameters use up.
+    """
+    squares = one.rows.residual_moment(unknowns).diagonal()
+    rows = one.counts.diagonal()
+    effective = 0.0 if estimate.verdict is None else estimate.verdict.effective
+    used = max(int(np.count_nonzero(rows)), 1)
+    left = rows - one.inflation * effective / used
+    variance = np.where(left > 0, squares / np.where(left > 0, left, 1.0), np.inf)
+    place = {name: index for index, name in enumerate(one.layout.coordinates)}
+    return np.asarray(variance[[place[name] for name in model.coordinates]])

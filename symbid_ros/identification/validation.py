@@ -1,0 +1,414 @@
+"""Validation of an identified robot on a log that was not used, without a known truth."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from html import escape
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.errors import EstimateError
+from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.force_errors import (
+    ErrorChange,
+    ForceError,
+    ForceRows,
+    TotalMass,
+    compare_errors,
+)
+from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.result import Result
+from symbid_ros.signals.log import Log
+from symbid_ros.signals.segments import Segment
+
+Advice = Literal["better", "equal", "worse", "mixed"]
+
+FEWEST_SLOW = 10  # rows below which slow stretches are not reported
+WINDOW = 0.161  # s; for comparisons of results without windows
+ALL_JOINTS, SLOW_STRETCHES = "all joints", "slow stretches"
+BASE_MOMENT, BASE_FORCE = "base moment", "base force"
+
+
+@dataclass(frozen=True)
+class PredictedEfforts:
+    """Measured and predicted forces in N windows, for plots; NaN where a row is not used.
+
+    Attributes
+    ----------
+    stamp : (N,) int64
+        Centres of the windows, ns.
+    joints : tuple of str
+        Names of the J joints.
+    measured, before, after : (N, J) float64
+        Motor efforts, measured and predicted by the original and the identified model, Nm or N.
+    base : str
+        Link of a floating base; empty if the base is fixed.
+    wrench_measured, wrench_before, wrench_after : (N, 6) float64
+        Moment and force of the environment in base axes; no columns if the base is fixed.
+    """
+
+    stamp: IntArray
+    joints: tuple[str, ...]
+    measured: FloatArray
+    before: FloatArray
+    after: FloatArray
+    base: str
+    wrench_measured: FloatArray
+    wrench_before: FloatArray
+    wrench_after: FloatArray
+
+    @classmethod
+    def of(cls, rows: ForceRows) -> "PredictedEfforts":
+        """Return the series of a log."""
+        model, first = rows.model, rows.first_joint
+        measured = rows.effort.copy()
+        measured[:, :first] = rows.y[:, :first]
+        measured = np.where(rows.valid, measured, np.nan)
+        before, after = measured - rows.error_before, measured - rows.error_after
+        return cls(
+            rows.stamp,
+            model.joint_names,
+            measured[:, first:],
+            before[:, first:],
+            after[:, first:],
+            model.links[0].name if model.floating else "",
+            measured[:, :first],
+            before[:, :first],
+            after[:, :first],
+        )
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How well an identified robot predicts a log, compared with the original model.
+
+    The rows are those of the identification: the equation of motion averaged over its windows, or
+    at its filtered instants. Identified sensor errors are removed from both predictions.
+
+    Attributes
+    ----------
+    result, model, method, log : str
+        Names of the result, the robot, the method and the log.
+    seconds, seconds_used : float
+        Length of the log, and of its part that the identification used, s.
+    coordinates : tuple of ForceError
+        Moment and force on a floating base, then the joints.
+    torque, base_moment, base_force : ForceError or None
+        All joints, and the wrench on a floating base.
+    slow : ForceError or None
+        All joints on slow stretches, where gravity alone loads them.
+    slow_seconds : float
+        Length of these, s.
+    mass : TotalMass or None
+        None for a fixed base.
+    coverage : float or None
+        Share of errors inside their 90 % interval; None for methods without covariance. The
+        variance is that of the estimate plus that of the residuals of the identified log.
+    normalized_square : float or None
+        Mean of squared errors over their predicted variance; about 1 for right intervals.
+    advice : {"better", "equal", "worse", "mixed"}
+        The identified model compared with the original one, beyond chance.
+    verdict : str
+        The same as a sentence with figures.
+    efforts : PredictedEfforts
+    """
+
+    result: str
+    model: str
+    method: str
+    log: str
+    seconds: float
+    seconds_used: float
+    coordinates: tuple[ForceError, ...]
+    torque: ForceError | None
+    base_moment: ForceError | None
+    base_force: ForceError | None
+    slow: ForceError | None
+    slow_seconds: float
+    mass: TotalMass | None
+    coverage: float | None
+    normalized_square: float | None
+    advice: Advice
+    verdict: str
+    efforts: PredictedEfforts = field(repr=False, compare=False)
+
+    @property
+    def is_better(self) -> bool:
+        """Whether the identified model predicts the log better than the original one."""
+        return self.advice == "better"
+
+    @property
+    def main(self) -> ForceError:
+        """The error that the verdict states: of all joints, or of the base without efforts."""
+        found = self.base_force if self.torque is None else self.torque
+        assert found is not None  # a log has rows of the joints or of the base
+        return found
+
+    @property
+    def percent_before(self) -> float | None:
+        """Error of the original model, percent of the measured torque."""
+        return self.main.percent_before
+
+    @property
+    def percent_after(self) -> float | None:
+        """Error of the identified model, percent of the measured torque."""
+        return self.main.percent_after
+
+    @property
+    def groups(self) -> tuple[ForceError, ...]:
+        """Errors over several coordinates."""
+        every = self.torque, self.slow, self.base_moment, self.base_force
+        return tuple(one for one in every if one is not None)
+
+    def document(self) -> dict[str, object]:
+        """Return everything but the series, for JSON."""
+        errors = {
+            name: None if error is None else error.document()
+            for name in ("torque", "slow", "base_moment", "base_force")
+            for error in [getattr(self, name)]
+        }
+        return {
+            "verdict": self.verdict,
+            "advice": self.advice,
+            "percent_before": self.percent_before,
+            "percent_after": self.percent_after,
+            "result": self.result,
+            "model": self.model,
+            "method": self.method,
+            "log": self.log,
+            "seconds": self.seconds,
+            "seconds_used": self.seconds_used,
+            "coverage": self.coverage,
+            "normalized_square": self.normalized_square,
+            "mass": None if self.mass is None else asdict(self.mass),
+            "slow_seconds": self.slow_seconds,
+            **errors,
+            "coordinates": [one.document() for one in self.coordinates],
+        }
+
+    def __repr__(self) -> str:
+        lines = [f"<Validation of {self.result} on {self.log}: {self.verdict}"]
+        lines += [
+            f"  {one.name}: {one.rmse_before:.3g} → {one.rmse_after:.3g} {one.unit}"
+            f" ({percent(one.percent_before)} → {percent(one.percent_after)})"
+            for one in self.coordinates
+        ]
+        return "\n".join(lines) + ">"
+
+    def _repr_html_(self) -> str:
+        titles = "", "measured", "before", "after", "unit", "before %", "after %"
+        head = "".join(f"<th>{title}</th>" for title in titles)
+        rows = "".join(
+            f"<tr><td>{escape(one.name)}</td><td>{one.measured:.3g}</td>"
+            f"<td>{one.rmse_before:.3g}</td><td>{one.rmse_after:.3g}</td><td>{one.unit}</td>"
+            f"<td>{percent(one.percent_before)}</td><td>{percent(one.percent_after)}</td></tr>"
+            for one in (*self.groups, *self.coordinates)
+        )
+        return (
+            f"<h4>{escape(self.result)} on {escape(self.log)}</h4>"
+            f"<p><b>{escape(self.verdict)}</b></p><table><tr>{head}</tr>{rows}</table>"
+        )
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Several results validated on the same rows of one log.
+
+    Attributes
+    ----------
+    ranking : tuple of Validation
+        The smallest error first.
+    verdict : str
+        Which result to use.
+    """
+
+    ranking: tuple[Validation, ...]
+    verdict: str
+
+    def document(self) -> dict[str, object]:
+        """Return everything but the series, for JSON."""
+        return {"verdict": self.verdict, "ranking": [one.document() for one in self.ranking]}
+
+
+def validate(result: Result | str | Path, log: Log) -> Validation:
+    """Compare what an identified robot predicts for a log with what was measured.
+
+    Parameters
+    ----------
+    result : Result, str or Path
+        A result, or the folder of a saved one.
+    log : Log
+        Measurements that the identification did not use.
+
+    Raises
+    ------
+    SymbidError
+        When a file of the result, or the log, is invalid or belongs to another robot.
+    """
+    predictor = _predictor(result)
+    return validate_segments(predictor, AlignedLog(log, predictor.parameters.model), log.source)
+
+
+def validate_segments(
+    predictor: ForcePredictor, segments: Iterable[Segment], source: str
+) -> Validation:
+    """Validate a result on aligned segments of a log named ``source``; see :func:`validate`."""
+    return _assess(predictor, ForceRows.of(predictor, segments, source), source)
+
+
+def compare(results: Sequence[Result | str | Path], log: Log) -> Comparison:
+    """Rank results by their error on a log, all on the same rows.
+
+    Unless all results have equal rows, the rows are averaged over the longest of their windows.
+    Only rows that are valid for every result count.
+
+    Parameters
+    ----------
+    results : sequence of Result, str or Path
+        Results, or folders of saved ones, of robots with the same joints.
+    log : Log
+        Measurements that no identification used.
+
+    Raises
+    ------
+    SymbidError
+        When a file of a result, or the log, is invalid or belongs to another robot.
+    """
+    predictors = [_predictor(result) for result in results]
+    first = predictors[0]
+    lengths = [one.settings.window for one in predictors if one.settings.filter == "weak"]
+    window = max((length for length in lengths if length), default=WINDOW)
+    has_equal_rows = len({one.settings for one in predictors}) == 1
+    data = []
+    for predictor in predictors:
+        model = predictor.parameters.model
+        if model.coordinates != first.parameters.model.coordinates:
+            raise EstimateError(
+                f"{predictor.name}: its joints are not those of {first.name}; compare results of "
+                "one robot",
+                "E512",
+            )
+        alike = predictor if has_equal_rows else predictor.over_windows(window)
+        data.append(ForceRows.of(alike, AlignedLog(log, model), log.source))
+    valid = np.logical_and.reduce([one.valid for one in data])
+    if not valid.any():
+        raise EstimateError(
+            f"{log.source}: has no row that is valid for every result; give a log in which more "
+            "joints move",
+            "E508",
+        )
+    data = [replace(one, valid=valid) for one in data]
+    found = [
+        _assess(predictor, rows, log.source)
+        for predictor, rows in zip(predictors, data, strict=True)
+    ]
+    order = sorted(range(len(found)), key=lambda index: found[index].main.rmse_after)
+    ranking = tuple(found[index] for index in order)
+    if len(ranking) == 1:
+        return Comparison(ranking, f"{ranking[0].result}: {ranking[0].verdict}")
+    return Comparison(ranking, _ranking_verdict(ranking[:2], [data[index] for index in order[:2]]))
+
+
+def _predictor(result: Result | str | Path) -> ForcePredictor:
+    return result.predictor if isinstance(result, Result) else ForcePredictor.load(Path(result))
+
+
+def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validation:
+    model, joints = rows.model, rows.joints
+    groups: dict[str, IntArray] = {}
+    if len(joints):
+        groups[ALL_JOINTS] = joints
+    if model.floating:
+        groups |= {BASE_MOMENT: np.arange(3), BASE_FORCE: np.arange(3, 6)}
+    errors = {name: rows.error(places, name) for name, places in groups.items()}
+    changes = {name: rows.change(places) for name, places in groups.items()}
+    slow, slow_seconds = None, 0.0
+    if len(joints) and np.count_nonzero(is_slow := rows.is_slow) >= FEWEST_SLOW:
+        slow = rows.selected(is_slow).error(joints, SLOW_STRETCHES)
+        slow_seconds = rows.duration * float(np.mean(is_slow))
+    calibration = rows.calibration()
+    found = Validation(
+        result=predictor.name,
+        model=model.name,
+        method=predictor.estimate.method,
+        log=source,
+        seconds=rows.duration,
+        seconds_used=min(float(len(rows.seconds & predictor.seconds)), rows.duration),
+        coordinates=tuple(
+            rows.error(np.array([place]), model.coordinates[place]) for place in rows.used.tolist()
+        ),
+        torque=errors.get(ALL_JOINTS),
+        base_moment=errors.get(BASE_MOMENT),
+        base_force=errors.get(BASE_FORCE),
+        slow=slow,
+        slow_seconds=slow_seconds,
+        mass=rows.total_mass(predictor) if model.floating else None,
+        coverage=None if calibration is None else calibration[0],
+        normalized_square=None if calibration is None else calibration[1],
+        advice=_advice(changes),
+        verdict="",
+        efforts=PredictedEfforts.of(rows),
+    )
+    return replace(found, verdict=_verdict(found, changes))
+
+
+def _advice(changes: Mapping[str, ErrorChange]) -> Advice:
+    is_better = any(change.is_decrease for change in changes.values())
+    if any(change.is_increase for change in changes.values()):
+        return "mixed" if is_better else "worse"
+    return "better" if is_better else "equal"
+
+
+def _verdict(found: Validation, changes: Mapping[str, ErrorChange]) -> str:
+    used = f"on {found.seconds:.0f} s that were not used"
+    if found.seconds_used > 0:
+        used = (
+            f"on {found.seconds:.0f} s, of which the identification used "
+            f"{found.seconds_used:.0f} s; repeat this with another log"
+        )
+    worse = " and ".join(name for name, change in changes.items() if change.is_increase)
+    start = {
+        "better": "use it",
+        "equal": "hardly differs from the original",
+        "worse": "do not use it, it is worse than the original",
+        "mixed": f"do not use it yet, {worse} got worse",
+    }[found.advice]
+    return f"{start}: {describe_change(found.main)} {used}"
+
+
+def _ranking_verdict(pair: Sequence[Validation], data: Sequence[ForceRows]) -> str:
+    """Compare the best two results."""
+    best, second = data
+    places = best.main
+    change = compare_errors(
+        second.error_after[:, places], best.error_after[:, places], best.y[:, places]
+    )
+    figures = " against ".join(_after(one) for one in pair)
+    if change.is_decrease:
+        return f"{pair[0].result} predicts best: {figures}"
+    return f"{pair[0].result} and {pair[1].result} hardly differ: {figures}"
+
+
+def _after(found: Validation) -> str:
+    main = found.main
+    if main.percent_after is None:
+        return f"{main.rmse_after:.3g} {main.unit}"
+    return percent(main.percent_after)
+
+
+def describe_change(error: ForceError) -> str:
+    """Describe an error before and after, in percent if anything was measured."""
+    if error.percent_before is None or error.percent_after is None:
+        return f"{error.rmse_before:.3g} → {error.rmse_after:.3g} {error.unit}"
+    what = "force on the base" if error.name == BASE_FORCE else "torque"
+    before, after = percent(error.percent_before), percent(error.percent_after)
+    return f"{before} → {after} of the measured {what}"
+
+
+def percent(value: float | None) -> str:
+    """Format a percentage with two or three digits, or a dash for None."""
+    if value is None:
+        return "–"
+    return f"{value:.0f} %" if value >= 100 else f"{value:.{3 if value >= 10 else 2}g} %"
