@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from symbid_ros.signals.log import Log as Log
 
 # Where each public name is defined.
-_HOMES = {
+_MODULES = {
     "BagError": "errors",
     "BaseMotion": "dynamics.imu",
     "DataError": "errors",
@@ -78,15 +78,15 @@ _HOMES = {
     "regressor": "identification.api",
     "validate": "identification.validation",
 }
-__all__ = sorted([*_HOMES, "__version__"])  # noqa: PLE0605
+__all__ = sorted([*_MODULES, "__version__"])  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return import_module("symbid_ros.package_paths").package_version()
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
     globals()[name] = value
     return value
 

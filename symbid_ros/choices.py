@@ -1,4 +1,4 @@
-"""Values that options may take, apart from what they stand for: nothing here imports NumPy."""
+"""Allowed values of options. Nothing here imports NumPy, so that commands start quickly."""
 
 from typing import Literal, NamedTuple, get_args
 
@@ -20,7 +20,7 @@ SensorErrorKind = Literal[
 ]
 
 METHODS: tuple[Method, ...] = get_args(Method)
-# Those that weight data against a prior, and use pseudo-measurements.
+# Methods that combine the data with a prior, and use pseudo-measurements.
 GAUSSIAN: tuple[Method, ...] = ("map_lmi", "map")
 FILTERS: tuple[Filter, ...] = get_args(Filter)
 CHANNELS: tuple[Channels, ...] = get_args(Channels)
@@ -34,7 +34,7 @@ class JointTerm(NamedTuple):
     Attributes
     ----------
     option : str
-        Option of an identification that asks for it.
+        Option of an identification that adds it.
     units : tuple of str
         Of a revolute and of a prismatic joint.
     field : str or None
@@ -42,7 +42,7 @@ class JointTerm(NamedTuple):
     std : float
         Prior standard deviation of a revolute joint whose file gives no value, wide for a leg.
     lever_power : int
-        Power of the lever by which a prismatic joint's value is larger.
+        Power of 1/lever by which ``std`` is larger for a prismatic joint.
     load_share : float
         Standard deviation in the checks of a log, as a share of the joint's load.
     is_nonnegative : bool

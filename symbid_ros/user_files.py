@@ -160,13 +160,13 @@ def load_json(path: Path) -> Any:
     """
     content = read_regular(path, MAX_JSON_BYTES).decode("utf-8")
     try:
-        return json.loads(content, object_pairs_hook=_each_once)
+        return json.loads(content, object_pairs_hook=_reject_repeated_keys)
     except RecursionError:
         raise ValueError("nested too deeply") from None
 
 
-def _each_once(entries: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON object without repeated keys, of which JSON itself would keep the last."""
+def _reject_repeated_keys(entries: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object; raise ValueError for a repeated key, whose last value JSON keeps."""
     content = dict(entries)
     if len(content) < len(entries):
         seen: set[str] = set()

@@ -93,14 +93,14 @@ def test_importing_needs_numpy_alone() -> None:
     assert set(found.stdout.split()) <= {"numpy"}
 
 
-def test_the_same_options_give_what_the_command_gives(folder, result) -> None:
+def test_python_and_the_command_give_equal_results(folder, result) -> None:
     options = sy.IdentifyOptions(prior_percent=25)
     expected = BagRequest((folder / "log",), folder / "robot.xml", options).load().solve().estimate
     np.testing.assert_array_equal(result.estimate.value, expected.value)
     assert result.estimate.inputs == expected.inputs
 
 
-def test_arrays_give_what_their_bag_gives(robot, log, result) -> None:
+def test_arrays_and_their_bag_give_equal_results(robot, log, result) -> None:
     streams = log.streams()
     joints, columns = streams.joints, []
     columns = [joints.names.index(name) for name in robot.measured_joint_names]

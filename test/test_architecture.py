@@ -191,7 +191,7 @@ def test_no_module_stores_code() -> None:
     )
 
 
-def test_no_import_escapes() -> None:
+def test_all_kinds_of_imports_are_found() -> None:
     text = """
 from typing import TYPE_CHECKING
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Outputs appear whole or not at all, and whether they can be written is known beforehand."""
+"""Outputs appear completely or not at all, and paths are checked before a computation."""
 
 import os
 import signal
@@ -52,7 +52,7 @@ def test_in_a_folder_that_exists_only_the_files_written_are_replaced(tmp_path: P
 
 
 @pytest.mark.parametrize("exists", [False, True])
-def test_an_error_leaves_everything_as_it_was(tmp_path: Path, exists: bool) -> None:
+def test_an_error_leaves_everything_unchanged(tmp_path: Path, exists: bool) -> None:
     out = tmp_path / "out"
     if exists:
         write(out, "old")
@@ -71,7 +71,7 @@ def test_an_error_leaves_everything_as_it_was(tmp_path: Path, exists: bool) -> N
 
 
 @pytest.mark.parametrize("exists", [False, True])
-def test_so_does_a_kill(tmp_path: Path, exists: bool) -> None:
+def test_a_kill_leaves_everything_unchanged(tmp_path: Path, exists: bool) -> None:
     out = tmp_path / "out"
     if exists:
         write(out, "old")
@@ -82,13 +82,13 @@ def test_so_does_a_kill(tmp_path: Path, exists: bool) -> None:
         assert contents(out) == {"estimate": "old", "model": "old"}
 
 
-def test_a_place_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
+def test_an_unwritable_path_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(SymbidError, match="out: cannot write"):
         write(tmp_path / "file" / "out", "new")
 
 
-def test_asking_leaves_nothing(tmp_path: Path) -> None:
+def test_a_check_leaves_no_files(tmp_path: Path) -> None:
     check_writable(tmp_path / "deep" / "down")
     check_writable(tmp_path)
     check_output_file(tmp_path / "deep" / "page.html")
@@ -98,7 +98,7 @@ def test_asking_leaves_nothing(tmp_path: Path) -> None:
     assert (tmp_path / "page.html").read_text() == "old"
 
 
-def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
+def test_unwritable_paths_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(SymbidError, match="name a file in it"):
         check_output_file(tmp_path)

@@ -33,7 +33,7 @@ def run(script: str, *words: object, cwd: Path) -> str:
     return done.stdout
 
 
-def test_an_arm_from_arrays_weighs_what_the_true_one_does(tmp_path) -> None:
+def test_an_arm_identified_from_arrays_has_the_true_mass(tmp_path) -> None:
     said = run("arm_from_arrays.py", cwd=tmp_path)
     assert "0 alarms" in said
     errors = [float(line.split()[-2]) for line in said.splitlines() if "another motion" in line]

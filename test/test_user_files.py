@@ -82,7 +82,7 @@ def test_plain_data_are_read(tmp_path):
         (b" " * (user_files.MAX_YAML_BYTES + 1), "larger than 1 MiB"),
     ],
 )
-def test_other_yaml_is_refused(content, expected, tmp_path):
+def test_invalid_yaml_is_rejected(content, expected, tmp_path):
     assert expected in reason(load_yaml, written(tmp_path, content))
 
 
@@ -97,12 +97,12 @@ def test_other_yaml_is_refused(content, expected, tmp_path):
         (b" " * (user_files.MAX_JSON_BYTES + 1), "larger than 64 MiB"),
     ],
 )
-def test_other_json_is_refused(content, expected, tmp_path):
+def test_invalid_json_is_rejected(content, expected, tmp_path):
     assert expected in reason(load_json, written(tmp_path, content))
 
 
 @pytest.mark.parametrize("load", [load_yaml, load_json])
-def test_a_pipe_is_not_waited_for(load, tmp_path):
+def test_special_files_are_rejected(load, tmp_path):
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("/dev/zero")
     for name, message in {

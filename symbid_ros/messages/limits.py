@@ -1,8 +1,8 @@
 """Limits on the sizes that files state about themselves, and decompression within them.
 
-Bags come from anywhere. Each stated size is checked against one of these limits before memory is
-allocated, so that reading a file of any content takes less than 512 MB. Real recordings stay far
-below the limits.
+Bags may come from untrusted sources. Each stated size is checked against one of these limits before
+memory is allocated, so that reading a file of any content takes less than 512 MB. Real recordings
+stay far below the limits.
 """
 
 import threading

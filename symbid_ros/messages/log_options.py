@@ -1,4 +1,4 @@
-"""Options that choose what of a recording, or of live topics, is read."""
+"""Options that select topics, and a part of a recording."""
 
 import math
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ GROUP = "Topics and time"
 
 @dataclass(frozen=True, kw_only=True)
 class LogOptions:
-    """What of a recording to read.
+    """Topics and part of a recording to read.
 
     Raises
     ------
@@ -51,8 +51,7 @@ class LogOptions:
         check_values(self)
         if self.stop is not None and self.stop <= self.start:
             raise OptionError(
-                f"no part of a log lies from `start` {self.start:g} s to `stop` {self.stop:g} s; "
-                "give a later `stop`",
+                f"`stop` {self.stop:g} s is not after `start` {self.start:g} s; give a later one",
                 "E502",
             )
 

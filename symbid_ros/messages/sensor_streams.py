@@ -163,8 +163,8 @@ def _rows(batch: DecodedBatch) -> IntArray | slice:
 def build_joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStream:
     """Return the states of the joints that most messages name, in the order of the first of these.
 
-    Messages that name only other joints, such as a gripper's, are dropped. Missing values are NaN,
-    as drivers use it for unknown values; only the model tells whether a joint matters.
+    Messages that name only other joints, such as a gripper's, are dropped. Missing values become
+    NaN, which drivers use for unknown values. Whether a joint is needed depends on the model.
     """
     topic = decoder.topic.name
     names = _joint_names(decoder)
@@ -210,7 +210,7 @@ def build_joint_stream(decoder: TopicDecoder, tally: DefectCounts) -> JointStrea
 
 
 def build_imu_stream(decoder: TopicDecoder, tally: DefectCounts) -> ImuStream:
-    """Return an IMU's messages; without any orientation (REP-145), that is None."""
+    """Return an IMU's messages; orientation is None if every message marks it absent (REP-145)."""
     topic = decoder.topic.name
     frame_id = _frame_id(decoder)
     stamp = read_stamps(decoder)

@@ -139,9 +139,9 @@ class TopicSelector:
     def wants(self, topic: Topic) -> bool:
         """Return whether the selection may include a topic."""
         return (
-            self._is(topic, JOINT_STATE, self.selection.joints, "joint_states")
-            or self._is(topic, IMU, self.selection.imus, None)
-            or self._is(topic, WRENCH, self.selection.wrenches, "wrench")
+            self._matches(topic, JOINT_STATE, self.selection.joints, "joint_states")
+            or self._matches(topic, IMU, self.selection.imus, None)
+            or self._matches(topic, WRENCH, self.selection.wrenches, "wrench")
         )
 
     def select(self) -> SelectedTopics:
@@ -152,7 +152,7 @@ class TopicSelector:
         BagError
             When a topic is missing or empty, has another type, or is not unique.
         """
-        joints = self._all(JOINT_STATE, self.selection.joints, "joint_states")
+        joints = self._find(JOINT_STATE, self.selection.joints, "joint_states")
         if not joints:
             raise BagError(
                 f"{self.source}: no {JOINT_STATE} topic named joint_states, it holds "
@@ -168,8 +168,8 @@ class TopicSelector:
             )
         chosen = SelectedTopics(
             joints,
-            self._all(IMU, self.selection.imus, None),
-            self._all(WRENCH, self.selection.wrenches, "wrench"),
+            self._find(IMU, self.selection.imus, None),
+            self._find(WRENCH, self.selection.wrenches, "wrench"),
             self.selection.frame_prefix,
             self.selection.joint_names,
         )
@@ -182,7 +182,7 @@ class TopicSelector:
                 )
         return chosen
 
-    def _is(
+    def _matches(
         self, topic: Topic, msgtype: str, names: tuple[str, ...] | None, ending: str | None
     ) -> bool:
         if names is not None:
@@ -190,15 +190,15 @@ class TopicSelector:
         is_named = ending is None or topic.name.rsplit("/", 1)[-1] == ending
         return topic.msgtype == msgtype and is_named and not _is_truth(topic.name)
 
-    def _all(
+    def _find(
         self, msgtype: str, names: tuple[str, ...] | None, ending: str | None
     ) -> tuple[Topic, ...]:
         if names is None:
-            found = [topic for topic in self.counts if self._is(topic, msgtype, None, ending)]
+            found = [topic for topic in self.counts if self._matches(topic, msgtype, None, ending)]
             return tuple(sorted(found, key=lambda topic: topic.name))
-        return tuple(self._named(name, msgtype) for name in names)
+        return tuple(self._find_named(name, msgtype) for name in names)
 
-    def _named(self, name: str, msgtype: str) -> Topic:
+    def _find_named(self, name: str, msgtype: str) -> Topic:
         others = [topic for topic in self.counts if _bare(topic.name) == _bare(name)]
         if not others:
             raise BagError(

@@ -53,7 +53,7 @@ def best_labels(
 ) -> dict[str, frozenset[str]]:
     """Return the labels with the smallest value of each metric, by metric key.
 
-    The truth does not compete. The prior does, which reveals methods that are worse than it.
+    The truth is excluded. The prior is included, which reveals methods that are worse than it.
     """
     best = {}
     for metric in metrics:

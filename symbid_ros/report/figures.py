@@ -11,7 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from symbid_ros.arrays import FloatArray
 from symbid_ros.report.content import TRUTH, LinkErrors, PredictionSeries
 from symbid_ros.report.formatting import significant
-from symbid_ros.report.plotting import Style, downsample, house_style, inline_svg, scale_errors
+from symbid_ros.report.plotting import Style, downsample, figure_style, inline_svg, scale_errors
 
 POINTS = 800  # two samples per pixel column of a panel show every peak
 TORQUES_SHOWN = 6
@@ -122,7 +122,7 @@ def link_error_panel(errors: LinkErrors, styles: dict[str, Style]) -> Panel:
     """Draw each link's mean relative parameter error, one dot per method (thesis Fig. 6)."""
     note = f"mean over the links: {link_means(errors)}"
     title = "Error per link"
-    with house_style():
+    with figure_style():
         figure = link_error_figure(errors, errors.links, styles, width=6.2)
         return Panel(title, inline_svg(figure, "error-per-link", f"{title}; {note}"), note)
 
@@ -178,7 +178,7 @@ def _panel(
     signal: PredictedSignal, predictions: Sequence[PredictionSeries], styles: dict[str, Style]
 ) -> Panel:
     """Draw a signal over time for every parameter set."""
-    with house_style():
+    with figure_style():
         figure = Figure(figsize=_PANEL_INCHES, layout="constrained")
         axes = figure.add_subplot()
         draw(axes, signal, predictions, styles)

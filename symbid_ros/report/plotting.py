@@ -106,7 +106,7 @@ _OTHERS = (
 )
 
 
-def house_style() -> AbstractContextManager[None]:
+def figure_style() -> AbstractContextManager[None]:
     """Return the Matplotlib context in which figures must be created and saved."""
     return rc_context(_RC)  # type: ignore[arg-type]
 

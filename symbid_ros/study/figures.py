@@ -13,7 +13,7 @@ from symbid_ros.errors import StudyError
 from symbid_ros.report.content import METRICS, LinkErrors
 from symbid_ros.report.figures import POINTS, link_error_figure, link_means
 from symbid_ros.report.formatting import significant
-from symbid_ros.report.plotting import INK, Style, downsample, house_style, scale_errors
+from symbid_ros.report.plotting import INK, Style, downsample, figure_style, scale_errors
 from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study.checks import AccelerationCheck
 from symbid_ros.study.plotting import (
@@ -48,7 +48,7 @@ def link_figure(errors: LinkErrors, estimates: str, draws: int) -> CaptionedFigu
     """
     labels = list(errors.percent)
     names = [f"{number}  {link}" for number, link in enumerate(errors.links, 1)]
-    with house_style():
+    with figure_style():
         figure = link_error_figure(errors, names, label_styles(labels), WIDTH)
         fix_layout(figure)
     title = "Fig. 6: mean parameter error of each link"

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from symbid_ros.atomic_write import write_through
-from symbid_ros.report.plotting import Style, assign_styles, embed_svg, house_style
+from symbid_ros.report.plotting import Style, assign_styles, embed_svg, figure_style
 from symbid_ros.study.scores import REFERENCE
 from symbid_ros.study.thesis import TITLES
 
@@ -57,7 +57,7 @@ class CaptionedFigure:
     def _rendered(self, kind: str, metadata: dict[str, None]) -> bytes:
         about = {"Title": self.title, "Description": self.description}
         buffer = io.BytesIO()
-        with house_style():
+        with figure_style():
             self.figure.savefig(buffer, format=kind, dpi=DPI, metadata={**about, **metadata})
         return buffer.getvalue()
 
@@ -99,7 +99,7 @@ def stacked_panels(
     share_x : bool
         Whether only the last panel has ticks along x.
     """
-    with house_style():
+    with figure_style():
         size = WIDTH, count * panel_height + other_height
         figure = Figure(figsize=size, layout="constrained")
         panels = figure.subplots(count, 1, sharex=share_x, squeeze=False)[:, 0].tolist()

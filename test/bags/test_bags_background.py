@@ -1,4 +1,4 @@
-"""A bag behind a queue: slow disks, full queues, failures."""
+"""Writing a bag through a queue: slow disks, full queues, failures."""
 
 import resource
 import shutil

@@ -274,7 +274,7 @@ def test_empty_last_file_of_a_crash_does_not_hide_the_others(tmp_path: Path) -> 
 def test_folder_of_bags_is_rejected_with_their_names(tmp_path: Path) -> None:
     for name in ("monday", "tuesday"):
         joints_only(tmp_path / name, state(1))
-    assert "a folder of bags, monday, tuesday; give these" in refusal(tmp_path)
+    assert "a folder of several bags; give monday, tuesday" in refusal(tmp_path)
 
 
 @pytest.mark.parametrize("storage", list(StoragePlugin))

@@ -61,7 +61,7 @@ def write_into(bag: BagWriter, accepted: list[tuple[str, int, bytes]]) -> None:
 def test_full_disk_leaves_a_complete_bag(disk: Path, limits: dict[str, int]) -> None:
     bag = BagWriter(disk / "log", **limits)
     accepted = write_until_full(bag)
-    bag.salvage()
+    bag.close_after_failure()
     found = whole_messages(disk / "log")
     assert found == accepted[: len(found)]
     assert sum(bag.counts.values()) == len(found)
@@ -75,7 +75,7 @@ def test_file_at_the_size_limit_drops_chunks_for_its_index(tmp_path: Path, size:
     with largest_file(size):
         bag = BagWriter(tmp_path / "log", chunk_size=4096)
         accepted = write_until_full(bag)
-        bag.salvage()
+        bag.close_after_failure()
     found = whole_messages(tmp_path / "log")
     assert found == accepted[: len(found)]
     assert len(found) > 0.7 * len(accepted)

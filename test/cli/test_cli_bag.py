@@ -1,4 +1,4 @@
-"""``symbid bag``: looking into bags and saving damaged ones."""
+"""``symbid bag info`` and ``symbid bag recover`` as a user runs them."""
 
 import json
 from pathlib import Path
@@ -37,7 +37,7 @@ def cut(bag: Path, share: float) -> Path:
     return file
 
 
-def test_info_tells_files_and_topics(symbid_here, bag) -> None:
+def test_info_lists_files_and_topics(symbid_here, bag) -> None:
     told = json.loads(symbid_here("bag", "info", bag, "--json").stdout)
     assert told["count"] == STEPS * 3 // 2
     assert (told["start"], told["end"]) == (START, START + 990_000_000)
@@ -98,7 +98,7 @@ def test_info_of_an_sqlite_bag(symbid_here, tmp_path) -> None:
     assert topic_counts(tmp_path / "old_recovered") == {"/imu": 5}
 
 
-def test_recover_tells_by_its_status_what_was_lost(symbid_here, bag) -> None:
+def test_exit_status_of_recover_shows_whether_data_were_lost(symbid_here, bag) -> None:
     whole = symbid_here("bag", "recover", bag)
     assert whole.returncode == 0
     assert "150 messages kept, 0 lost" in whole.stdout
@@ -126,14 +126,14 @@ def test_recover_tells_by_its_status_what_was_lost(symbid_here, bag) -> None:
 
 
 @pytest.mark.parametrize("command", ["info", "recover"])
-def test_a_bag_that_is_not_there(symbid_here, tmp_path, command) -> None:
+def test_a_missing_bag_is_a_one_line_error(symbid_here, tmp_path, command) -> None:
     ended = symbid_here("bag", command, tmp_path / "nowhere")
     assert ended.returncode == 2
     assert ended.stderr.count("\n") == 1
     assert "nowhere: no such bag" in ended.stderr
 
 
-def test_a_wrong_call_names_its_help(symbid_here) -> None:
+def test_a_usage_error_names_the_help(symbid_here) -> None:
     ended = symbid_here("bag", "recover")
     assert ended.returncode == 2
     assert "see `symbid bag recover --help`" in ended.stderr

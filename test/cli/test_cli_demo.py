@@ -1,4 +1,4 @@
-"""The demo leaves a bag, estimates, models and a report behind."""
+"""The demo writes a bag, estimates, models and a report."""
 
 import json
 
@@ -12,7 +12,7 @@ TITLES = ("prior", "OLS", "WLS-R", "WLS-C", "WLS-RC", "WLS-RC, own z", "MAP", "M
 FOLDERS = {method: method for method in (*METHODS, "map", "map_lmi")} | {"wls_rc_own_z": "wls_rc"}
 
 
-def test_the_demo_leaves_its_artefacts(symbid, tmp_path) -> None:
+def test_the_demo_writes_all_its_files(symbid, tmp_path) -> None:
     out = tmp_path / "demo"
     ended = symbid("demo", "--moves", 1, "--out", out, columns=120)
     assert ended.returncode == 0, ended.stderr

@@ -41,7 +41,7 @@ def test_json_holds_what_the_table_says(symbid_here, tare) -> None:
     assert text.splitlines()[-1] == "warning, 1 found"
 
 
-def test_an_unusable_log_is_told_from_a_doubtful_one(symbid_here, tare, tmp_path) -> None:
+def test_exit_status_separates_unusable_from_doubtful_logs(symbid_here, tare, tmp_path) -> None:
     def elsewhere(messages: Messages) -> None:
         messages.reframe("nowhere")
 
@@ -60,7 +60,7 @@ def test_the_table_fits_a_narrow_terminal(symbid, tare) -> None:
     assert "…" not in text
 
 
-def test_a_bag_that_is_none_is_one_line(symbid_here, tmp_path) -> None:
+def test_an_invalid_bag_is_a_one_line_error(symbid_here, tmp_path) -> None:
     result = symbid_here("bag", "doctor", tmp_path / "none")
     assert result.returncode == 2
     assert len(result.stderr.strip().splitlines()) == 1

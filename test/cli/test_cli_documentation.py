@@ -1,11 +1,10 @@
-"""Each code block of README and the pages under docs/ does what it is shown for.
+"""Each code block of README and docs/ runs and prints what is shown.
 
-Commands of ``symbid`` and Python are run as they stand, in a folder with the reader's own files;
-what a command prints is compared with the page. All other commands (NOT_RUN says why) are held
-against the parser, parameters or launch arguments they are meant for.
+Commands of ``symbid`` and Python code run unchanged, in a folder with the files that a reader would
+have; what a command prints is compared with the page. Other commands (NOT_RUN gives the reasons)
+are checked against the parser, parameters or launch arguments.
 
-``UPDATE_PAGES=1 pytest test/cli/test_cli_documentation.py`` writes into the pages what the commands
-print now.
+``UPDATE_PAGES=1 pytest test/cli/test_cli_documentation.py`` updates the output shown on the pages.
 """
 
 import ast
@@ -184,7 +183,7 @@ def checkout(tmp_path_factory, simulated) -> Path:
     return folder
 
 
-def test_the_pages_show_what_they_did() -> None:
+def test_the_pages_show_what_the_commands_printed() -> None:
     """Should the blocks be written in another way, none of them would be looked at."""
     assert len(RUN) >= 10
     assert sum(each.output is not None for each in RUN) >= 4
@@ -372,7 +371,7 @@ def test_measurements_have_the_options_named() -> None:
 
 
 @pytest.mark.parametrize("command", shown_by("^export"))
-def test_files_that_a_shell_is_pointed_to_exist(command) -> None:
+def test_files_in_shell_commands_exist(command) -> None:
     done = subprocess.run(
         ["bash", "-ec", f"{command.words}; env"],
         cwd=ROOT,

@@ -1,4 +1,4 @@
-"""`symbid evaluate` and `symbid report`, with and without what they can do without."""
+"""`symbid evaluate` and `symbid report`, with and without their optional inputs."""
 
 import json
 from dataclasses import asdict, fields
@@ -91,7 +91,7 @@ def test_a_page_without_truth_shows_what_was_found(symbid, model, short, found, 
     assert "methods" not in page.attributes("id")
 
 
-def test_what_no_page_can_show_is_refused_in_one_line(
+def test_invalid_report_requests_are_one_line_errors(
     symbid_here, model, short, prior, found, tmp_path
 ) -> None:
     file = tmp_path / "report.html"
@@ -125,7 +125,7 @@ def test_realistic_predictions_come_beside_the_ideal_ones(
     assert all(f"{value:.4g}" in ended.stdout for value in realistic.values())
 
 
-def test_what_cannot_be_predicted_from_is_refused_in_one_line(
+def test_bags_unsuitable_for_predictions_are_one_line_errors(
     symbid_here, model, short, ideal, prior, copied_without, tmp_path
 ) -> None:
     command = ("evaluate", prior, "--model", model, "--bag", ideal, "--realistic")

@@ -1,4 +1,4 @@
-"""What a user gets wrong ends with one line that helps, and costs nothing."""
+"""A user's mistake ends with one helpful line and leaves earlier files unchanged."""
 
 import json
 import sys
@@ -70,7 +70,7 @@ def test_a_missing_bag(fails, good) -> None:
     fails("nowhere", **good | {"bag": "nowhere"})
 
 
-def test_a_file_that_is_no_bag(fails, good, tmp_path) -> None:
+def test_a_file_that_is_not_a_bag(fails, good, tmp_path) -> None:
     (tmp_path / "notes.mcap").write_text("not a bag")
     fails("notes.mcap", **good | {"bag": tmp_path / "notes.mcap"})
 
@@ -127,12 +127,12 @@ def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
     ],
     ids=lambda value: " ".join(map(str, value.items())) if isinstance(value, dict) else "",
 )
-def test_an_option_that_makes_no_sense(fails, good, given, says) -> None:
+def test_an_invalid_option(fails, good, given, says) -> None:
     fails(says, **good | given)
 
 
 @pytest.mark.parametrize("std", [0, -0.1, float("nan")])
-def test_a_prior_that_is_no_distribution(fails, good, model, tmp_path, std) -> None:
+def test_an_invalid_prior(fails, good, model, tmp_path, std) -> None:
     path = tmp_path / "prior.json"
     parameters = ParameterSet(load_model(model))
     model_prior(parameters).write(path)
@@ -143,12 +143,12 @@ def test_a_prior_that_is_no_distribution(fails, good, model, tmp_path, std) -> N
     fails("prior.json", name, "standard deviation positive", **good | {"prior": path})
 
 
-def test_information_that_is_not_there(fails, good, tmp_path) -> None:
+def test_missing_information(fails, good, tmp_path) -> None:
     path = tmp_path / "information.npz"
     fails("information.npz", "cannot read it", **good | {"information": path})
 
 
-def test_information_that_is_no_archive(fails, good, model) -> None:
+def test_information_that_is_not_an_archive(fails, good, model) -> None:
     said = fails("not an information.npz", **good | {"information": model})
     assert "pickle" not in said, "advice to load what nobody should load"
 
@@ -166,20 +166,20 @@ def test_a_tare_without_wrenches(fails, good, copied_without, tmp_path) -> None:
     fails("blank", "no unloaded wrench sensor", **good | {"tare": bag})
 
 
-def test_a_log_without_wrenches_that_is_to_be_tared(fails, good, copied_without, tmp_path) -> None:
+def test_a_tare_for_a_log_without_wrenches(fails, good, copied_without, tmp_path) -> None:
     bag = copied_without(good["bag"], tmp_path / "afloat", "foot")
     fails("afloat", "do not balance the model's weight", **good | {"bag": bag, "tare": good["bag"]})
 
 
-def test_a_weighing_that_truncated_methods_cannot_use(fails, good) -> None:
+def test_a_total_mass_with_a_truncated_method(fails, good) -> None:
     fails("use --method map or map_lmi", **good | {"method": "wls_rc", "total_mass": 41})
 
 
-def test_a_rank_beyond_what_the_log_has(fails, good) -> None:
+def test_a_rank_larger_than_the_log_supports(fails, good) -> None:
     fails("rank 1000", "--rank 1000 exceeds", **good | {"method": "ols", "rank": 1000})
 
 
-def test_a_topic_that_is_not_there(fails, good) -> None:
+def test_an_unknown_topic(fails, good) -> None:
     fails("/absent", **good | {"imu_topic": "/absent"})
 
 
@@ -194,7 +194,7 @@ def test_a_forgotten_force_plate(fails, good, copied_without, tmp_path) -> None:
     fails("limping", "right_sole", "do not balance the model's weight", **good | {"bag": bag})
 
 
-def test_what_was_there_stays(symbid, good) -> None:
+def test_earlier_files_stay_unchanged(symbid, good) -> None:
     out = good["out"]
     out.mkdir()
     (out / "estimate.json").write_text("of yesterday")
@@ -217,7 +217,7 @@ def test_what_was_there_stays(symbid, good) -> None:
     assert again.stderr.count("\n") == 1
 
 
-def test_values_that_are_no_numbers(fails, good, tmp_path) -> None:
+def test_nan_and_infinite_values(fails, good, tmp_path) -> None:
     class Faulty(Simulator):
         def step(self):
             instant = super().step()
@@ -240,7 +240,7 @@ def test_values_that_are_no_numbers(fails, good, tmp_path) -> None:
         (["dance"], "No such command 'dance'; see `symbid --help`"),
     ],
 )
-def test_a_wrong_call_is_one_line_at_any_width(symbid, arguments, says, columns) -> None:
+def test_a_usage_error_is_one_line_at_any_width(symbid, arguments, says, columns) -> None:
     ended = symbid(*arguments, columns=columns)
     assert ended.returncode == 2
     assert ended.stderr.startswith("symbid: ")

@@ -102,7 +102,7 @@ def test_a_truncated_method_chooses_z_on_a_bag_or_by_itself(
     assert all(after[name] < before[name] for name in METRICS - {"parameter_error_pct"})
 
 
-def test_a_run_goes_on_from_an_earlier_one(symbid, model, log, found, prior, tmp_path) -> None:
+def test_a_run_continues_from_saved_information(symbid, model, log, found, prior, tmp_path) -> None:
     earlier = json.loads((found / "estimate.json").read_text())
     both = identified(
         symbid,
@@ -157,7 +157,7 @@ def test_written_models_hold_the_estimate(found) -> None:
 
 
 @pytest.mark.parametrize("kind", ["found", "truncated"])
-def test_no_truth_leaks_into_an_estimate(
+def test_ground_truth_does_not_affect_an_estimate(
     symbid_here, model, short, ideal, prior, kind, copied_without, request, tmp_path
 ) -> None:
     """With a prior file neither the model's inertias nor the ground truth are looked at."""
@@ -219,7 +219,7 @@ def test_a_log_in_degrees_is_refused_with_the_doctors_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_alarms_come_first_and_status_1_says_that_there_are_some(
+def test_alarms_come_first_and_end_with_status_1(
     symbid_here, model, short, prior, tmp_path
 ) -> None:
     certain = json.loads(prior.read_text())

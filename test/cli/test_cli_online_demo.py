@@ -1,4 +1,4 @@
-"""The online demo identifies while the robot moves, and leaves nothing running however it ends."""
+"""The online demo identifies while the robot moves, and always ends all of its nodes."""
 
 import json
 import os
@@ -120,7 +120,7 @@ def demo(tmp_path: Path) -> Iterator[Demo]:
 
 
 @pytest.mark.parametrize("node", ["identifier", "recorder", "mujoco_bridge"])
-def test_a_node_that_dies_ends_it_in_one_line(demo: Demo, node: str) -> None:
+def test_a_failed_node_ends_the_demo_with_one_line(demo: Demo, node: str) -> None:
     os.kill(demo.nodes[node], signal.SIGKILL)
     status, err = demo.ended()
     assert status == 2
@@ -131,7 +131,7 @@ def test_a_node_that_dies_ends_it_in_one_line(demo: Demo, node: str) -> None:
 @pytest.mark.parametrize(
     ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 128 + signal.SIGTERM)]
 )
-def test_a_signal_ends_it_with_all_of_its_nodes(
+def test_a_signal_ends_the_demo_and_its_nodes(
     demo: Demo, number: signal.Signals, status: int
 ) -> None:
     demo.send(number)

@@ -1,4 +1,4 @@
-"""What options mean, and what becomes of an earlier result."""
+"""Meaning of options, and protection of earlier results."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""Domains of one's own, on a machine with other nodes."""
+"""Unused ROS domains are found and reserved."""
 
 import pytest
 import rclpy
@@ -8,7 +8,7 @@ from symbid_ros.cli.processes import unused_domain
 from symbid_ros.errors import SymbidError
 
 
-def test_nobody_is_given_what_another_has():
+def test_two_callers_get_different_domains():
     with unused_domain([61, 62]) as first, unused_domain([61, 62]) as second:
         assert {first, second} == {61, 62}
         refused = pytest.raises(SymbidError, match="each of 2 ROS domains is in use")

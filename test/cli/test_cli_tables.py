@@ -28,7 +28,7 @@ def printed(capsys, monkeypatch):
     return run
 
 
-def test_each_link_has_its_line(printed):
+def test_each_link_has_a_row(printed):
     lines = printed()
     assert max(map(len, lines)) <= 80
     (line,) = [line for line in lines if "shin [left]" in line]
@@ -36,7 +36,7 @@ def test_each_link_has_its_line(printed):
     assert all(len(cell.strip()) <= 11 for cell in line.split("│"))
 
 
-def test_rows_alarms_and_files_have_theirs(printed):
+def test_the_last_lines_show_rows_directions_alarms_and_files(printed):
     assert printed()[-4:] == [
         "4321 rows of each coordinate, averaged over windows of 161 ms, condition 1e+03",
         "2 of 20 directions determined, 62 bits gained",
@@ -56,14 +56,14 @@ def test_sensor_errors_are_counted(printed):
     assert "1 of 2 sensor errors determined" in printed(verdict=replace(VERDICT, sensors=SENSORS))
 
 
-def test_a_truncated_method_tells_its_rank_and_no_verdict(printed):
+def test_a_truncated_method_shows_its_rank_and_no_verdict(printed):
     assert printed(verdict=None, rank=7)[-2:] == [
         "4321 rows of each coordinate, 7 singular values, condition 1e+03",
         "wrote out/: estimate.json, information.npz, model.urdf, model.xml",
     ]
 
 
-def test_an_impossible_link_is_called_so(printed):
+def test_an_impossible_link_is_marked(printed):
     lines = printed(consistent={"base_link": True, "shin [left]": False}, std=None, determined=None)
     (line,) = [line for line in lines if "shin [left]" in line]
     assert [cell.strip() for cell in line.split("│")[4:7]] == ["–", "–", "no"]
@@ -95,7 +95,7 @@ class TestMetricsTable:
         assert next(line for line in lines if "OLS" in line).split() == ["OLS", *["11813"] * 5]
         assert "…" not in self.printed()
 
-    def test_the_best_is_bold_and_the_truth_does_not_compete(self) -> None:
+    def test_the_best_method_is_bold_and_the_truth_is_excluded(self) -> None:
         bold = "\x1b[1m"
         lines = self.printed(colours=True).splitlines()
         assert next(line for line in lines if "WLS-RC" in line).count(bold) == 5

@@ -1,4 +1,4 @@
-"""``symbid udp-client`` as a user runs it; test/simulation has the loop itself."""
+"""``symbid udp-client`` as a user runs it; test/simulation tests the protocol."""
 
 import signal
 import socket
@@ -10,7 +10,7 @@ import pytest
 from udp_packets import DRIVES, command
 
 
-def test_interrupted_it_says_what_it_did():
+def test_an_interrupted_client_prints_a_summary():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plant:
         plant.bind(("127.0.0.1", 0))
         plant.settimeout(300.0)
@@ -32,7 +32,7 @@ def test_interrupted_it_says_what_it_did():
     assert "1 datagrams ignored" in said
 
 
-def test_silence_ends_it_with_one_line(symbid_here):
+def test_a_silent_simulator_ends_the_client_with_one_line(symbid_here):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
         port = silent.getsockname()[1]

@@ -54,7 +54,7 @@ def find_files(bag: Path) -> list[Path]:
             {file.parent.name for kind in STORAGES for file in bag.glob(f"[!.]*/[!.]*{kind}")}
         )
         if inside:
-            raise BagError(f"{bag}: a folder of bags, {', '.join(inside)}; give these", "E201")
+            raise BagError(f"{bag}: a folder of several bags; give {', '.join(inside)}", "E201")
         raise BagError(
             f"{bag}: not a bag, it holds no .mcap file; give the folder of a recording", "E201"
         )
@@ -71,10 +71,10 @@ def read_metadata(metadata: Path) -> dict[str, Any]:
         content = parse_yaml(text, MAX_YAML_NODES)
         information: dict[str, Any] = content["rosbag2_bagfile_information"]
         names = information["relative_file_paths"]
-        is_listing = all(isinstance(name, str) for name in names)
+        is_valid = all(isinstance(name, str) for name in names)
     except (OSError, ValueError, KeyError, TypeError):
-        is_listing = False
-    if not is_listing:
+        is_valid = False
+    if not is_valid:
         raise BagError(
             f"{metadata}: not a rosbag2 metadata file; give the .mcap file instead", "E209"
         )

@@ -74,7 +74,7 @@ def read_sqlite_summary(file: Path) -> SqliteSummary:
         for number, count in database.execute(
             "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
         ):
-            counts[topics[_known(topics, number)]] += count
+            counts[topics[_require_known(topics, number)]] += count
         ((start, end),) = database.execute("SELECT min(timestamp), max(timestamp) FROM messages")
     return SqliteSummary(counts, qos, start, end, not _find_journals(file))
 
@@ -91,7 +91,7 @@ def read_sqlite_blocks(file: Path) -> Iterator[MessageBlock]:
         ):
             if not isinstance(payload, bytes):
                 raise TypeError("a message is not a blob")
-            waiting[topics[_known(topics, number)]].append((len(data), len(payload)))
+            waiting[topics[_require_known(topics, number)]].append((len(data), len(payload)))
             data += payload
             if len(data) >= BLOCK_SIZE:
                 yield _block(data, waiting)
@@ -115,7 +115,9 @@ def read_sqlite_index(file: Path) -> FileIndex:
             )
             return [
                 StoredMessage(
-                    time, _known(registry.channels, number), decompress_message(payload, MAX_CHUNK)
+                    time,
+                    _require_known(registry.channels, number),
+                    decompress_message(payload, MAX_CHUNK),
                 )
                 for number, time, payload in rows
             ]
@@ -197,7 +199,7 @@ def _texts(values: Sequence[object]) -> list[str]:
     return texts
 
 
-def _known(topics: Collection[int], number: int) -> int:
+def _require_known(topics: Collection[int], number: int) -> int:
     if number not in topics:
         raise ValueError("a message's topic was never announced")
     return number

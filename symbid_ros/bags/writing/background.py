@@ -222,7 +222,7 @@ class BackgroundWriter:
         if self.failure is None:
             self._guard(self._bag.close)
         if self.failure is not None:
-            self._bag.salvage()
+            self._bag.close_after_failure()
 
     def discard(self) -> None:
         """Remove the bag."""

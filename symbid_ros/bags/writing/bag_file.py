@@ -69,7 +69,7 @@ class BagFile:
         self.mcap.finish()
         self.is_finished = True
 
-    def salvage(self, information: Callable[[], Mapping[str, Any]]) -> None:
+    def finish_after_failure(self, information: Callable[[], Mapping[str, Any]]) -> None:
         """Finish after a failed write, without the messages that do not fit on the disk."""
         self.mcap.abandon()
         while True:
@@ -77,8 +77,8 @@ class BagFile:
                 return self.finish(information)
             except OSError:
                 self.mcap.abandon()
-                room = self.mcap.summary.size + 2 * len(str(information()))
-                if not self.mcap.remove_last_chunks(room):
+                needed = self.mcap.summary.size + 2 * len(str(information()))
+                if not self.mcap.remove_last_chunks(needed):
                     raise
 
     @property
@@ -121,14 +121,14 @@ class Reserve:
 
     def __init__(self, folder: Path) -> None:
         self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
-        self._held = 0
+        self._reserved = 0
 
-    def hold(self, size: int) -> None:
+    def extend(self, size: int) -> None:
         """Reserve at least ``size`` bytes; raise OSError if the disk is too full."""
-        if size > self._held:
-            held = size + size // 2 + STEP
-            os.posix_fallocate(self._file.fileno(), 0, held)
-            self._held = held
+        if size > self._reserved:
+            reserved = size + size // 2 + STEP
+            os.posix_fallocate(self._file.fileno(), 0, reserved)
+            self._reserved = reserved
 
     def release(self) -> None:
         """Release the space permanently."""

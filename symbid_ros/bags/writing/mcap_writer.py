@@ -102,16 +102,16 @@ class SummaryBuilder:
         end : int
             End of the file.
         """
-        gone: list[StoredChunk] = []
+        removed: list[StoredChunk] = []
         cut = end
         while self.chunks and end - cut < size:
-            gone.append(self.chunks.pop())
-            cut = gone[-1].offset
-            self.size -= len(gone[-1].index_record)
+            removed.append(self.chunks.pop())
+            cut = removed[-1].offset
+            self.size -= len(removed[-1].index_record)
         # A channel announced after the cut has no message left, but stays in the summary.
         for opcode in INDEXES:
             self._records[opcode] = [entry for entry in self._records[opcode] if entry[0] < cut]
-        return gone
+        return removed
 
     def encode(self, position: int, counts: dict[int, int]) -> bytes:
         """Return the end of a file whose data section ends at ``position``.
@@ -320,13 +320,13 @@ class McapWriter:
 
     def remove_last_chunks(self, size: int) -> bool:
         """Remove the last chunks, at least ``size`` bytes; return False if there is no chunk."""
-        gone = self.summary.remove_last(size, self._position)
-        if not gone:
+        removed = self.summary.remove_last(size, self._position)
+        if not removed:
             return False
-        for chunk in gone:
+        for chunk in removed:
             for channel, count in chunk.counts.items():
                 self._counts[channel] -= count
-        self._cut(gone[-1].offset)
+        self._cut(removed[-1].offset)
         return True
 
     def finish(self) -> None:

@@ -20,9 +20,9 @@ class BagWriter:
     """Writes one bag: complete once closed, and removed if the context is left by an exception.
 
     Until `close` succeeds, the folder has no metadata.yaml and the last file no footer, which marks
-    an interrupted bag. Disk space for both is reserved from the beginning, so that `salvage` can
-    complete the bag after a failed write. `flush` and `close` fail if the file was deleted or
-    moved.
+    an interrupted bag. Disk space for both is reserved from the beginning, so that
+    `close_after_failure` can complete the bag after a failed write. `flush` and `close` fail if the
+    file was deleted or moved.
 
     Parameters
     ----------
@@ -123,12 +123,12 @@ class BagWriter:
         except BagError as error:
             raise BagError(f"{self.path}: topic {name}: {error}", error.code) from error
         topic = TopicMetadata(name, msgtype, tuple(qos), definition.type_hash)
-        self._require_health()
+        self._require_no_failure()
         try:
             channel = self._current.add_topic(topic)
             self._topics[channel] = topic
             self._described += 2 * len(str(topic))
-            self._hold_room()
+            self._reserve_space()
         except OSError as error:
             raise self._failure(error) from error
         return channel
@@ -138,7 +138,7 @@ class BagWriter:
     ) -> None:
         """Append a serialised message; times in nanoseconds."""
         published = log_time if publish_time is None else publish_time
-        self._require_health()
+        self._require_no_failure()
         try:
             if self._first is None:
                 self._first = log_time
@@ -151,11 +151,11 @@ class BagWriter:
 
     def flush(self) -> None:
         """Write the open chunk to the operating system."""
-        self._require_health()
+        self._require_no_failure()
         try:
             self._require_file()
             self._current.mcap.end_chunk()
-            self._hold_room()
+            self._reserve_space()
         except OSError as error:
             raise self._failure(error) from error
 
@@ -180,7 +180,7 @@ class BagWriter:
         """
         if self._is_closed:
             return
-        self._require_health()
+        self._require_no_failure()
         try:
             self._require_file()
             self._reserve.release()
@@ -198,7 +198,7 @@ class BagWriter:
                 "E220",
             )
 
-    def salvage(self) -> None:
+    def close_after_failure(self) -> None:
         """Complete the bag after a failed write; `counts` are then the messages in it.
 
         A file that was deleted or moved is no longer part of it.
@@ -211,7 +211,7 @@ class BagWriter:
             return
         try:
             if not self._current.is_finished:
-                self._current.salvage(self._information)
+                self._current.finish_after_failure(self._information)
             self._complete()
         except OSError as error:
             raise BagError(
@@ -237,7 +237,7 @@ class BagWriter:
         else:
             self.discard()
 
-    def _require_health(self) -> None:
+    def _require_no_failure(self) -> None:
         if self._has_failed:
             raise BagError(
                 f"{self.path}: an earlier write failed, so the bag takes no more messages; record "
@@ -258,7 +258,7 @@ class BagWriter:
     def _abandon(self) -> None:
         """Finish the current file, which is no longer in the bag's folder, if possible."""
         with suppress(OSError):
-            self._current.salvage(self._information)
+            self._current.finish_after_failure(self._information)
         for file in [*self._unsynced, self._current]:
             with suppress(OSError):
                 file.sync()
@@ -295,11 +295,11 @@ class BagWriter:
         for topic in self._topics.values():
             self._current.add_topic(topic)
         self._described += DESCRIPTION
-        self._hold_room()
+        self._reserve_space()
 
-    def _hold_room(self) -> None:
+    def _reserve_space(self) -> None:
         # The metadata is written to the last file and to metadata.yaml.
-        self._reserve.hold(self._current.mcap.summary.size + 2 * self._described)
+        self._reserve.extend(self._current.mcap.summary.size + 2 * self._described)
 
     def _complete(self) -> None:
         """Sync the files, then write and sync metadata.yaml."""
