@@ -1,0 +1,127 @@
+"""`symbid validate` and `symbid compare`: figures, exit statuses, JSON and bags for plots."""
+
+import json
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from symbid_ros.bags import read_truth
+
+
+@pytest.fixture(scope="module")
+def prior(symbid_here, model, tmp_path_factory):
+    path = tmp_path_factory.mktemp("prior") / "prior.json"
+    ended = symbid_here("prior", "--model", model, "--percent", 25, "--seed", 3, "--out", path)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    return path
+
+
+@pytest.fixture(scope="module")
+def found(symbid_here, model, short, prior, tmp_path_factory):
+    out = tmp_path_factory.mktemp("found") / "result"
+    options = ("--prior", prior, "--unchecked", "--out", out)
+    ended = symbid_here("identify", short, "--model", model, *options)
+    assert ended.returncode == 0
+    return out
+
+
+def test_percentages_agree_with_an_evaluation_against_the_truth(
+    symbid_here, model, ideal, prior, found, tmp_path
+) -> None:
+    ended = symbid_here("validate", found, "--bag", ideal, "--json")
+    assert (ended.returncode, ended.stderr) == (0, "")
+    figures = json.loads(ended.stdout)
+    effort = read_truth([ideal]).effort
+    measured = np.sqrt(np.mean(np.sum(effort**2, axis=1)))
+    assert figures["torque"]["measured"] == pytest.approx(measured, rel=0.01)
+    for subject, when in ((prior, "before"), (found, "after")):
+        file = tmp_path / "figures.json"
+        options = ("--model", model, "--bag", ideal, "--json", file)
+        assert symbid_here("evaluate", subject, *options).returncode == 0
+        torque = json.loads(file.read_text())["torque_rmse"]
+        assert figures[f"percent_{when}"] == pytest.approx(100 * torque / measured, rel=0.05)
+    assert figures["advice"] == "better"
+    assert figures["mass"]["measured"] == pytest.approx(41.05, abs=0.02)
+
+
+def test_the_table_ends_with_a_verdict(symbid_here, ideal, found) -> None:
+    ended = symbid_here("validate", found, "--bag", ideal)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    *_, verdict = ended.stdout.strip().splitlines()
+    assert verdict.startswith("use it: ")
+    assert verdict.endswith("on 6 s that were not used")
+    for line in ("R_hfe", "base/force_z", "all joints", "total mass: ", "90 % interval"):
+        assert line in ended.stdout
+
+
+def test_a_result_that_is_not_better_ends_with_status_1(
+    symbid_here, ideal, found, tmp_path
+) -> None:
+    """Values and prior exchanged: the identified model is the wrong one."""
+    worse = tmp_path / "worse"
+    worse.mkdir()
+    for file in found.iterdir():
+        (worse / file.name).write_bytes(file.read_bytes())
+    document = json.loads((found / "estimate.json").read_text())
+    for one in document["parameters"].values():
+        one["value"], one["prior"] = one["prior"], one["value"]
+    (worse / "estimate.json").write_text(json.dumps(document))
+    ended = symbid_here("validate", worse, "--bag", ideal)
+    assert (ended.returncode, ended.stderr) == (1, "")
+    assert "do not use it, it is worse than the original" in ended.stdout
+
+    ranked = symbid_here("compare", worse, found, "--bag", ideal, "--json")
+    assert (ranked.returncode, ranked.stderr) == (0, "")
+    comparison = json.loads(ranked.stdout)
+    assert [one["result"] for one in comparison["ranking"]] == [str(found), str(worse)]
+    assert comparison["verdict"].startswith(f"{found} predicts best")
+    shown = symbid_here("compare", worse, found, "--bag", ideal).stdout
+    assert comparison["verdict"] in shown
+
+
+def test_predicted_efforts_are_a_bag(symbid_here, ideal, found, tmp_path) -> None:
+    folder = tmp_path / "predictions"
+    options = ("--bag", ideal, "--predictions", folder)
+    assert symbid_here("validate", found, *options).returncode == 0
+    with AnyReader([folder], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+        read: dict[str, list] = {}
+        for connection, time, data in reader.messages():
+            message = reader.deserialize(data, connection.msgtype)
+            stamp = message.header.stamp
+            assert time == stamp.sec * 1_000_000_000 + stamp.nanosec
+            read.setdefault(connection.topic, []).append(message)
+    names = "measured", "original", "identified"
+    assert set(read) == {
+        f"/{name}/{kind}" for name in names for kind in ("joint_states", "base_wrench")
+    }
+    efforts = {
+        name: np.array([message.effort for message in read[f"/{name}/joint_states"]])
+        for name in names
+    }
+    first = read["/measured/joint_states"][0]
+    assert (len(first.position), len(first.velocity)) == (0, 0)
+    figures = json.loads(symbid_here("validate", found, "--bag", ideal, "--json").stdout)
+    errors = {one["name"]: one for one in figures["coordinates"]}
+    for name, key in (("original", "rmse_before"), ("identified", "rmse_after")):
+        rmse = np.sqrt(np.mean((efforts["measured"] - efforts[name]) ** 2, axis=0))
+        expected = [errors[joint][key] for joint in first.name]
+        np.testing.assert_allclose(rmse, expected, rtol=1e-6, atol=1e-9)
+    weight = np.mean([m.wrench.force.z for m in read["/measured/base_wrench"]])
+    assert weight > 300
+    assert read["/measured/base_wrench"][0].header.frame_id == "base_link"
+
+    again = symbid_here("validate", found, *options)
+    assert again.returncode == 2
+    assert "exists; choose another --predictions" in again.stderr
+
+
+def test_errors_are_one_line_and_status_2(symbid_here, ideal, tmp_path) -> None:
+    for words in (
+        ("validate", tmp_path / "gone", "--bag", ideal),
+        ("compare", tmp_path / "gone", "--bag", ideal),
+    ):
+        ended = symbid_here(*words)
+        assert (ended.returncode, ended.stdout) == (2, "")
+        assert ended.stderr.count("\n") == 1

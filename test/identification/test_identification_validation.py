@@ -1,0 +1,273 @@
+"""A result is judged on a log that was not used: errors, intervals, mass and verdict."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from analytic_log import analytic_samples
+from random_logs import LogPlan, random_streams, small_robot
+
+import symbid_ros as sy
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.force_errors import compare_errors
+from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.validation import compare
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.parameters import ParameterSet
+
+TRAINING, HELD_OUT = 3, 4  # seeds of motions
+START = 100_000_000_000
+
+
+def log_of(robot, seed, *, count=3000, noise=1.0, start=0):
+    streams = random_streams(robot, LogPlan(250.0, count, start=start, noise=noise), seed)
+    return sy.Log.from_streams(streams)
+
+
+class Case:
+    """A robot, a model of it that is wrong by 25 %, and two logs of different motions."""
+
+    def __init__(self, folder, *, floating, suffix="xml") -> None:
+        robot = small_robot(5, floating=floating, links=4)
+        text = mjcf_text if suffix == "xml" else urdf_text
+        file = folder / f"robot.{suffix}"
+        file.write_text(text(robot))
+        base = "auto" if suffix == "xml" else ("fixed", "floating")[floating]
+        self.robot = sy.load_model(file, base)
+        self.parameters = ParameterSet(self.robot)
+        drawn = draw_prior(self.parameters, "consistent", 25, 1)
+        wrong = folder / f"wrong.{suffix}"
+        wrong.write_text(text(self.parameters.apply(drawn.mean)))
+        self.wrong = sy.load_model(wrong, base)
+        self.training = log_of(self.robot, TRAINING)
+        self.held_out = log_of(self.robot, HELD_OUT, start=START)
+
+    def identified(self, **options) -> sy.Result:
+        return sy.identify(self.wrong, self.training, unchecked=True, **options)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory) -> Case:
+    return Case(tmp_path_factory.mktemp("arm"), floating=False)
+
+
+@pytest.fixture(scope="module")
+def walker(tmp_path_factory) -> Case:
+    return Case(tmp_path_factory.mktemp("walker"), floating=True)
+
+
+@pytest.fixture(scope="module")
+def found(arm) -> sy.Validation:
+    return sy.validate(arm.identified(), arm.held_out)
+
+
+def test_the_error_before_is_that_of_the_original_model(arm, found) -> None:
+    stamp = np.arange(0, 12_000_000_000, 4_000_000)
+    samples = analytic_samples(arm.parameters, stamp, HELD_OUT)
+    rows = equation_of_motion(arm.parameters, samples)
+    error = rows.y - rows.K @ ParameterSet(arm.wrong).values
+    expected = np.sqrt(np.mean(error**2, axis=0))
+    assert [one.name for one in found.coordinates] == list(arm.robot.joint_names)
+    np.testing.assert_allclose([one.rmse_before for one in found.coordinates], expected, rtol=0.05)
+    np.testing.assert_allclose(
+        [one.measured for one in found.coordinates],
+        np.sqrt(np.mean(samples.effort**2, axis=0)),
+        rtol=0.05,
+    )
+    norm = np.sqrt(np.sum(expected**2))
+    assert found.torque.rmse_before == pytest.approx(norm, rel=0.05)
+    assert found.percent_before == pytest.approx(100 * norm / found.torque.measured, rel=0.05)
+
+
+def test_the_error_after_is_that_of_the_prediction(arm, found) -> None:
+    prediction = arm.identified().predict(arm.held_out)
+    expected = prediction.rmse
+    assert {one.name: one.rmse_after for one in found.coordinates} == pytest.approx(expected)
+    efforts = found.efforts
+    np.testing.assert_array_equal(efforts.stamp, prediction.stamp)
+    np.testing.assert_allclose(efforts.measured - efforts.after, prediction.error, atol=1e-9)
+
+
+def test_an_identified_model_is_recommended(found) -> None:
+    assert found.is_better
+    assert found.percent_after < 0.2 * found.percent_before
+    assert found.seconds_used == 0
+    assert found.seconds == pytest.approx(12, abs=0.1)
+    assert found.verdict.startswith("use it: ")
+    assert "on 12 s that were not used" in found.verdict
+    assert found.verdict in repr(found)
+    assert "<td>joint_0</td>" in found._repr_html_()
+
+
+def test_intervals_hold_the_share_of_errors_that_they_claim(found) -> None:
+    assert found.coverage == pytest.approx(0.9, abs=0.06)
+    assert found.normalized_square == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_log_that_was_used_is_named(arm) -> None:
+    verdict = sy.validate(arm.identified(), arm.training).verdict
+    assert "of which the identification used 12 s; repeat this with another log" in verdict
+
+
+def test_a_model_that_became_worse_is_refused(arm) -> None:
+    """A payload in the identified log is absent from the other one."""
+    phi = arm.robot.phi.copy()
+    phi[-1] *= 3
+    loaded = log_of(arm.robot.with_phi(phi), TRAINING)
+    result = sy.identify(arm.robot, loaded, unchecked=True)
+    found = sy.validate(result, arm.held_out)
+    assert (found.advice, found.is_better) == ("worse", False)
+    assert found.percent_after > 2 * found.percent_before
+    assert found.verdict.startswith("do not use it")
+
+
+def test_a_model_that_was_right_hardly_differs(arm) -> None:
+    result = sy.identify(arm.robot, arm.training, unchecked=True)
+    found = sy.validate(result, arm.held_out)
+    assert (found.advice, found.is_better) == ("equal", False)
+    assert found.verdict.startswith("hardly differs from the original")
+
+
+OPTIONS = [
+    {},
+    {"friction": True, "offset": True},
+    {"sensor_errors": "typical"},
+    {"filter": "butterworth", "cutoff": 30.0},
+    {"filter": "savitzky_golay", "window": 0.05},
+    {"method": "wls_rc", "window": 0.161},
+]
+
+
+CASES = [
+    *(("xml", options) for options in OPTIONS),
+    *(("urdf", options) for options in OPTIONS[:3]),
+]
+
+
+@pytest.mark.parametrize(("suffix", "options"), CASES, ids=str)
+def test_a_saved_result_suffices(options, suffix, tmp_path) -> None:
+    case = Case(tmp_path, floating=True, suffix=suffix)
+    result = case.identified(**options)
+    folder = result.save(tmp_path / "result")
+    predictor = ForcePredictor.load(folder)
+    assert predictor.parameters.model.floating
+    expected = sy.validate(result, case.held_out)
+    found = sy.validate(folder, case.held_out)
+    assert (found.coverage is None) == (result.estimate.method == "wls_rc")
+    np.testing.assert_allclose(found.efforts.before, expected.efforts.before, atol=1e-6)
+    np.testing.assert_allclose(found.efforts.after, expected.efforts.after, atol=1e-6)
+    figures = ["percent_before", "percent_after"]
+    figures += ["coverage", "normalized_square"] if expected.coverage is not None else []
+    for name in figures:
+        assert getattr(found, name) == pytest.approx(getattr(expected, name), rel=1e-4)
+    assert (found.advice, found.seconds_used) == (expected.advice, expected.seconds_used)
+    assert json.loads(json.dumps(found.document(), allow_nan=False))["advice"] == found.advice
+
+
+def test_the_forces_on_a_floating_base_weigh_the_robot(walker) -> None:
+    found = sy.validate(walker.identified(), walker.held_out)
+    true = walker.robot.phi[:, 0].sum()
+    mass = found.mass
+    assert mass.before == pytest.approx(walker.wrong.phi[:, 0].sum())
+    assert abs(mass.before - true) > 10 * mass.std
+    assert mass.measured == pytest.approx(true, abs=max(4 * mass.std, 1e-3 * true))
+    assert mass.after == pytest.approx(true, rel=0.01)
+    force = found.base_force
+    assert (force.unit, found.base_moment.unit) == ("N", "Nm")
+    assert force.percent_after < 0.1 * force.percent_before
+    wrench = found.efforts.wrench_measured
+    rms = np.sqrt(np.mean(np.sum(wrench[:, 3:] ** 2, axis=1)))
+    assert force.measured == pytest.approx(rms)
+
+
+def test_slow_stretches_show_gravity_alone(arm) -> None:
+    """A model with right masses and centres of mass but wrong inertias errs in fast motion only."""
+    robot = arm.robot
+    time = np.arange(0, 24, 0.004)
+    speed = np.where(time < 12, 0.1, 4.0)
+    angle = np.cumsum(speed) * 0.004
+    ratio = np.array([1.0, 1.3, 0.7])
+    position = np.sin(np.outer(angle, ratio))
+    velocity = np.gradient(position, 0.004, axis=0)
+    acceleration = np.gradient(velocity, 0.004, axis=0)
+    effort = sy.regressor(robot, position, velocity, acceleration) @ arm.parameters.values
+    noise = np.random.default_rng(1).normal(0, 0.02, effort.shape)
+    log = sy.Log.from_arrays(robot, time=time, position=position, effort=effort + noise)
+    phi = robot.phi.copy()
+    phi[:, 4:] *= 2
+    wrong = robot.with_phi(phi)
+    found = sy.validate(sy.identify(wrong, arm.training, unchecked=True), log)
+    assert found.slow_seconds == pytest.approx(12, abs=2)
+    assert found.slow.rmse_before < 0.05 * found.torque.rmse_before
+    assert found.slow.name == "slow stretches"
+
+
+def test_errors_differ_beyond_chance_and_by_a_relevant_amount() -> None:
+    rng = np.random.default_rng(2)
+    force = np.full((400, 2), 10.0)
+    first = rng.normal(size=(400, 2))
+    smaller = compare_errors(first, 0.5 * rng.normal(size=(400, 2)), force)
+    assert smaller.is_decrease
+    assert smaller.log_ratio == pytest.approx(np.log(0.5), abs=0.1)
+    assert compare_errors(0.5 * first, first, force).is_increase
+    same = compare_errors(first, rng.normal(size=(400, 2)), force)
+    assert not same.is_decrease
+    assert not same.is_increase
+    irrelevant = compare_errors(first, 0.99 * first, force)
+    assert irrelevant.half_width < 1e-9
+    assert not irrelevant.is_decrease
+    nothing = compare_errors(0 * first, 0 * first, force)
+    assert (nothing.log_ratio, nothing.half_width) == (0, 0)
+    # One block that errs by chance is no evidence.
+    burst = first.copy()
+    burst[:40] *= 5
+    assert not compare_errors(first, burst, force).is_increase
+
+
+def test_results_are_ranked_on_equal_rows(arm, tmp_path) -> None:
+    good = arm.identified().save(tmp_path / "good")
+    rough = arm.identified(method="wls_rc", rank=3, window=0.081).save(tmp_path / "rough")
+    found = compare([rough, good], arm.held_out)
+    assert [one.result for one in found.ranking] == [str(good), str(rough)]
+    best, second = found.ranking
+    assert best.main.rows == second.main.rows
+    assert best.main.measured == pytest.approx(second.main.measured)
+    assert best.percent_after < second.percent_after
+    assert found.verdict.startswith(f"{good} predicts best: ")
+    alike = compare([good, arm.identified()], arm.held_out)
+    assert "hardly differ" in alike.verdict
+    assert compare([good], arm.held_out).verdict.startswith(f"{good}: use it")
+
+
+def test_results_of_different_robots_are_not_compared(arm, walker) -> None:
+    with pytest.raises(sy.EstimateError, match="its joints are not those of"):
+        compare([arm.identified(), walker.identified()], arm.held_out)
+
+
+def test_a_log_of_other_sensors_is_refused(walker) -> None:
+    result = walker.identified(sensor_errors="plate_offset")
+    streams = random_streams(walker.robot, LogPlan(250.0, 3000), HELD_OUT)
+    wrench, *others = streams.wrenches
+    log = sy.Log.from_streams(
+        replace(streams, wrenches=(replace(wrench, frame_id="imu_link"), *others))
+    )
+    with pytest.raises(sy.EstimateError, match="its sensors are not those whose errors"):
+        sy.validate(result, log)
+
+
+def test_a_log_that_is_too_short_is_refused(arm) -> None:
+    with pytest.raises(sy.SymbidError, match="too short"):
+        sy.validate(arm.identified(), log_of(arm.robot, HELD_OUT, count=60))
+
+
+def test_an_incomplete_folder_is_refused(arm, tmp_path) -> None:
+    folder = arm.identified().save(tmp_path / "result")
+    (folder / "model.xml").unlink()
+    with pytest.raises(sy.EstimateError, match="its model cannot be read") as refusal:
+        sy.validate(folder, arm.held_out)
+    assert refusal.value.code == "E527"
+    with pytest.raises(sy.EstimateError, match="cannot read it"):
+        sy.validate(tmp_path / "elsewhere", arm.held_out)
