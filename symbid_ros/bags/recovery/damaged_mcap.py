@@ -205,8 +205,8 @@ class DamagedMcapReader:
     registry: SchemaRegistry
     repeated: int = 0
     damaged: Counter[int] = field(default_factory=Counter)
-    _size: int = 0
-    _allowance: int = 0
+    _size: int = field(init=False)
+    _allowance: int = field(init=False)
     _has_chunks: bool = False
     _seen: set[tuple[int, int, int, int]] = field(default_factory=set)
 
