@@ -1,12 +1,13 @@
-"""Accuracy and honesty of an estimator over several logs and priors, as a Markdown table.
+"""Accuracy and interval coverage of an estimator over several logs and priors.
 
 Usage: .venv/bin/python bench/estimators.py [--seed 100] [--draws 9] [--cases smooth vibrating]
 [--method map_lmi] [--percent 25]
 
-One draw is a prior and a log with its noise. Logs are simulated into a temporary folder, one at a
-time; the estimates are judged on ideal smooth logs with other moves. Cases: smooth, vibrating,
-each without errors; errors, a smooth log of a robot with typical systematic errors, identified
-with a tare and a weighing; uncured, the same without. A draw takes about a minute.
+Prints a Markdown table. One draw is a prior and a log with its noise. Logs are simulated one by one
+into a temporary folder. The estimates are evaluated on an ideal smooth log of another motion. The
+cases smooth and vibrating have no systematic errors. In the case errors, a smooth log of a robot
+with typical systematic errors is identified with a tare and a weighing, in the case uncured without
+them. A draw takes about a minute.
 """
 
 import argparse
@@ -38,7 +39,7 @@ from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
 MODEL = config_file("symbitron.xml")
-# case: scenario, systematic errors, whether they are cured
+# By case: scenario, systematic errors, and whether they are estimated
 CASES = {
     "smooth": ("smooth", "", False),
     "vibrating": ("vibrating", "", False),
@@ -46,30 +47,31 @@ CASES = {
     "uncured": ("smooth", "typical", False),
 }
 WEIGHING_STD = 0.02  # kg
-# Every so many samples of the ideal log are judged: its motion is slow.
+# Every STRIDE-th sample of the ideal log is evaluated, as its motion is slow.
 STRIDE = 5
-# Between the seeds of cases: with the same noise, windows that average a vibration away would
-# show one draw twice.
-APART = 10_000
+# Difference between the seeds of cases. With equal noise, two cases would be almost equal draws,
+# as windows average vibrations out.
+SEED_OFFSET = 10_000
 
 
 @dataclass(frozen=True)
 class Score:
-    """What one draw gave.
+    """The result of one draw.
 
     Attributes
     ----------
     gen_force, torque, com, parameters : float
         Errors, N and Nm, Nm, mm, %.
     impossible : int
-        Links that no body can have.
+        Number of physically impossible links.
     covered, com_covered : float
-        Share of the truth inside 90 % intervals: of determined parameters, of the centre of mass.
+        Share of true values inside 90 % intervals, of determined parameters and of the CoM.
     squares : (d,) float64
-        Squares of normalised errors in the determined directions.
+        Squared normalised errors in the determined directions.
     alarms : int
+        Number of alarms of the verdict.
     window : float
-        s.
+        Window length, s.
     """
 
     gen_force: float
@@ -85,12 +87,14 @@ class Score:
 
 
 def main() -> None:
-    """Simulate, identify, judge, print."""
+    """Simulate, identify, evaluate and print."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--seed", type=int, default=100, help="first seed of motion and noise")
-    options.add_argument("--draws", type=int, default=9, help="priors times logs of each case")
-    options.add_argument("--priors", type=int, default=3, help="of each log")
-    options.add_argument("--moves", type=int, default=20, help="of each log")
+    options.add_argument(
+        "--draws", type=int, default=9, help="number of priors times logs of each case"
+    )
+    options.add_argument("--priors", type=int, default=3, help="priors of each log")
+    options.add_argument("--moves", type=int, default=20, help="moves of each log")
     options.add_argument("--percent", type=float, default=25.0)
     options.add_argument("--method", choices=METHODS, default="map_lmi")
     options.add_argument("--cases", nargs="+", choices=CASES, default=["smooth", "vibrating"])
@@ -127,7 +131,7 @@ def draws(
 ) -> Iterator[Score]:
     """Yield the scores of one case, several priors for each log."""
     scenario, errors, cured = CASES[case]
-    start = given.seed + APART * list(CASES).index(case)
+    start = given.seed + SEED_OFFSET * list(CASES).index(case)
     for seed in range(start, start + given.draws, given.priors):
         robot = {"errors": errors, "error_seed": seed, "noise_seed": seed}
         log, tare = folder / "log", folder / "tare"
@@ -171,7 +175,7 @@ def identified(
 def score(
     found: Identification, prior: Prior, parameters: ParameterSet, motion: TrueMotion
 ) -> Score:
-    """Judge one estimate."""
+    """Evaluate one estimate."""
     estimate, factor, truth = found.estimate, found.deviation_factor, parameters.values
     metrics = evaluate(parameters, {"": estimate.value}, truth, motion)[""]
     covered = com_covered = np.nan

@@ -1,11 +1,11 @@
-"""How much memory a long log takes: it is read slice by slice, so hardly more than a short one.
+"""Memory and time of identifying a long log, which is read slice by slice.
 
-One simulated Symbitron log is written again and again with later stamps until it has the length
-asked for, and identified in a process of its own. Shown are the time and the peak memory.
+One simulated Symbitron log is repeated with later stamps up to the requested length, and identified
+in its own process. The table shows the time and the peak memory.
 
     .venv/bin/python bench/long_log.py [--minutes 2 20 60]
 
-Takes about 12 s a minute of log, and 30 MB of disk.
+Takes about 12 s and 30 MB of disk per minute of log.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
-from reading import peak_memory
+from process_usage import peak_memory
 
 from symbid_ros.bags import BagWriter
 from symbid_ros.bags.container.files import read_blocks
@@ -32,7 +32,7 @@ MODEL = config_file("symbitron.xml")
 
 
 def lengthened(log: Path, out: Path, minutes: float) -> None:
-    """Write the sensor messages of a log until they last so long."""
+    """Repeat the sensor messages of a log until they last ``minutes``."""
     decoders: dict[str, TopicDecoder] = {}
     for block in read_blocks([log]):
         for topic, spans in block.spans.items():
@@ -56,12 +56,11 @@ def lengthened(log: Path, out: Path, minutes: float) -> None:
 
 
 def identify(bag: Path) -> tuple[float, float]:
-    """Return seconds and peak memory in MB of one identification."""
-    begun = time.perf_counter()
+    """Return duration, s, and peak memory, MB, of one identification."""
+    start = time.perf_counter()
     options = IdentifyOptions(prior_percent=25.0, method="map")
     BagRequest((bag,), MODEL, options).load().solve()
-    took = time.perf_counter() - begun
-    return took, peak_memory()
+    return time.perf_counter() - start, peak_memory()
 
 
 def main() -> None:

@@ -1,10 +1,10 @@
-"""Bridge, recorder and online identifier together: what is lost, what it costs, how old it is.
+"""Bridge, recorder and online identifier together: lost messages, processor time and latency.
 
-The three run as processes on a private domain, the robot at 1 kHz in real time. Printed are
+The three run as processes in a private domain, the robot at 1 kHz in real time. Printed are
 
-- messages published, recorded and identified from;
-- the identifier's processor time in every second, as a share of one core;
-- the age of the estimate: how far its newest data lie behind the robot's clock, at all times.
+- messages published, recorded and used for identification;
+- the identifier's processor time in each second, as a share of one core;
+- the age of the estimate: the time between its newest data and the robot's clock.
 
     .venv/bin/python bench/online.py [--minutes 5] [--solve-period 1.0]
 """
@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from process_usage import processor_seconds
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, qos_profile_sensor_data
@@ -30,60 +31,55 @@ from symbid_ros.simulation.simulator import Simulator
 
 WARM_UP = 5.0  # s
 MOVES_PER_MINUTE = 30
-TICKS = os.sysconf("SC_CLK_TCK")
 LATCHED = QoSProfile(depth=10, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Watch:
-    """Reads the clock and the estimates' stamps, and the identifier's processor time."""
+class OnlineMonitor:
+    """Measures the age of the estimates and the identifier's processor time."""
 
     def __init__(self, node: Node, pid: int) -> None:
         self._pid = pid
-        self._clock = self._until = 0.0
+        self._clock = self._newest = 0.0
         self.ages: list[float] = []
         self.shares: list[float] = []
-        self._used, self._looked = self._seconds(), time.monotonic()
+        self._used, self._measured = processor_seconds(pid), time.monotonic()
         node.create_subscription(Clock, "/clock", self._tick, qos_profile_sensor_data)
         node.create_subscription(DiagnosticArray, "identifier/estimate", self._estimate, LATCHED)
 
     def _tick(self, message: Clock) -> None:
         self._clock = message.clock.sec + 1e-9 * message.clock.nanosec
-        if self._until and self._clock > WARM_UP:
-            self.ages.append(self._clock - self._until)
+        if self._newest and self._clock > WARM_UP:
+            self.ages.append(self._clock - self._newest)
 
     def _estimate(self, message: DiagnosticArray) -> None:
-        self._until = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self._newest = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
 
-    def look(self) -> None:
-        """Take the processor time of the second that has passed, once it has."""
+    def measure(self) -> None:
+        """Store the processor time of the last second, once it is complete."""
         now = time.monotonic()
-        if now - self._looked >= 1.0:
-            used = self._seconds()
+        if now - self._measured >= 1.0:
+            used = processor_seconds(self._pid)
             if self._clock > WARM_UP:
-                self.shares.append((used - self._used) / (now - self._looked))
-            self._used, self._looked = used, now
-
-    def _seconds(self) -> float:
-        fields = Path(f"/proc/{self._pid}/stat").read_text().rsplit(")", 1)[1].split()
-        return (int(fields[11]) + int(fields[12])) / TICKS
+                self.shares.append((used - self._used) / (now - self._measured))
+            self._used, self._measured = used, now
 
 
 def main() -> None:
-    """Run the three nodes and print what they did."""
+    """Run the three nodes and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=5.0)
     parser.add_argument("--solve-period", type=float, default=1.0)
-    asked = parser.parse_args()
-    moves = max(1, round(MOVES_PER_MINUTE * asked.minutes))
+    arguments = parser.parse_args()
+    moves = max(1, round(MOVES_PER_MINUTE * arguments.minutes))
     seconds = Simulator("smooth", moves=moves).steps * 1e-3
     print(f"{moves} moves, {seconds:.0f} s, {os.cpu_count()} cores")
     with tempfile.TemporaryDirectory() as folder, private_graph() as graph:
-        run(Path(folder), graph, moves, asked.solve_period)
+        run(Path(folder), graph, moves, arguments.solve_period)
 
 
 def run(folder: Path, graph: dict[str, str], moves: int, period: float) -> None:
-    """Start the nodes, watch them to the motion's end and print the figures."""
-    # Python matrices of this size gain nothing from threads, which would only be counted.
+    """Start the nodes, monitor them until the motion ends and print the results."""
+    # Threads do not speed up matrices of this size, but their processor time would count.
     environment = graph | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     os.environ.update(graph)
     model, bag = str(config_file("symbitron.xml")), {"bag": f"{folder}/bag"}
@@ -94,33 +90,36 @@ def run(folder: Path, graph: dict[str, str], moves: int, period: float) -> None:
     ):
         play = {"moves": moves, "wait_for_subscribers": True, "subscribers": 2}
         with NodeProcess("mujoco_bridge", play, environment, folder / "b.log") as bridge:
-            watch = watched(identifier, bridge)
+            monitor = monitor_until_end(identifier, bridge)
             played = bridge.finish()
         recorded = recorder.finish(stop=True)
         identified = identifier.finish(stop=True)
-    report(watch, played, recorded, identified)
+    report(monitor, played, recorded, identified)
 
 
-def watched(identifier: NodeProcess, bridge: NodeProcess) -> Watch:
-    """Watch the identifier until the bridge has ended."""
+def monitor_until_end(identifier: NodeProcess, bridge: NodeProcess) -> OnlineMonitor:
+    """Monitor the identifier until the bridge ends."""
     rclpy.init()
     node = Node("bench")
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    watch = Watch(node, identifier.pid)
+    monitor = OnlineMonitor(node, identifier.pid)
     while bridge.running:
         executor.spin_once(timeout_sec=0.05)
-        watch.look()
+        monitor.measure()
     executor.shutdown()
     node.destroy_node()
     rclpy.try_shutdown()
-    return watch
+    return monitor
 
 
 def report(
-    watch: Watch, played: dict[str, Any], recorded: dict[str, Any], identified: dict[str, Any]
+    monitor: OnlineMonitor,
+    played: dict[str, Any],
+    recorded: dict[str, Any],
+    identified: dict[str, Any],
 ) -> None:
-    """Print the figures."""
+    """Print the results."""
     late = 100 * played["late_steps"] / played["steps"]
     print(f"bridge: real-time factor {played['real_time_factor']:.3f}, {late:.1f} % of steps late")
     print(f"{'topic':<22} {'published':>10} {'recorded':>10} {'identified':>10} {'missing':>8}")
@@ -129,11 +128,13 @@ def report(
         published = played["published"][topic]
         print(f"{topic:<22} {published:>10} {kept:>10} {received:>10} {missing:>8}")
     for name, values, unit in (
-        ("identifier's share of a core", 100 * np.array(watch.shares), "%"),
-        ("age of the estimate", np.array(watch.ages), "s"),
+        ("identifier's share of a core", 100 * np.array(monitor.shares), "%"),
+        ("age of the estimate", np.array(monitor.ages), "s"),
     ):
         middle, high, top = np.percentile(values, [50, 95, 100])
-        print(f"{name}: median {middle:.3g} {unit}, p95 {high:.3g} {unit}, most {top:.3g} {unit}")
+        print(
+            f"{name}: median {middle:.3g} {unit}, p95 {high:.3g} {unit}, maximum {top:.3g} {unit}"
+        )
     print(f"{identified['solves']} estimates")
 
 

@@ -1,14 +1,14 @@
-"""A payload is fastened to a moving robot: is it noticed, is the link named, is its mass followed?
+"""Detection of a payload on a moving robot: delay, named link and estimated mass.
 
-Each row of the table is one simulated Symbitron whose messages an online identification reads with
-a finite memory. Some 30 s after the start 2 kg are fastened to its body or a thigh. Shown are the
-time from then to the alarm, the link it names 5 s after the change, and the mass three memories
-after it, of the estimate and in truth. ``--quiet`` asks how often there is an alarm without a
-change, ``--plot`` draws one run.
+Each row of the table is one simulated Symbitron, identified online with a finite memory. About 30 s
+after the start a payload of 2 kg is attached to its body or a thigh. The row shows the time from
+then to the alarm, the link named 5 s after the change, and the estimated and true mass of the link
+three memories after the change. ``--quiet`` counts alarms without a change, ``--plot`` plots one
+run.
 
     .venv/bin/python bench/payload.py [--seeds 10] [--quiet MINUTES] [--plot FILE.png]
 
-Takes about half a minute a row and process.
+Takes about half a minute per row and process.
 """
 
 import argparse
@@ -51,8 +51,8 @@ PROCESSES = 2
 
 
 @dataclass(frozen=True)
-class Look:
-    """What was known at one time: s, alarm or none, masses (links,) and their deviations."""
+class Snapshot:
+    """The state at one time, s: named links or "", masses (links,) and their deviations, kg."""
 
     time: float
     alarm: str
@@ -61,26 +61,26 @@ class Look:
 
 
 def main() -> None:
-    """Print the table and what else is asked for."""
+    """Print the table, and count alarms or plot a run if requested."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--quiet", type=float, default=0.0, metavar="MINUTES")
     parser.add_argument("--plot", type=Path)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     threadpool_limits(1)
-    if asked.plot is not None:
-        plot(asked.plot)
+    if arguments.plot is not None:
+        plot(arguments.plot)
     with multiprocessing.get_context("spawn").Pool(PROCESSES) as pool:
-        if asked.seeds:
-            table(pool, asked.seeds)
-        if asked.quiet:
+        if arguments.seeds:
+            table(pool, arguments.seeds)
+        if arguments.quiet:
             pieces = PROCESSES
-            alarms = pool.map(partial(quiet, minutes=asked.quiet / pieces), range(pieces))
-            print(f"{asked.quiet:g} minutes without a change: {sum(alarms)} alarms")
+            alarms = pool.map(partial(quiet, minutes=arguments.quiet / pieces), range(pieces))
+            print(f"{arguments.quiet:g} minutes without a change: {sum(alarms)} alarms")
 
 
 def table(pool: Pool, seeds: int) -> None:
-    """Print one row for each seed and link, and what they have in common."""
+    """Print a row for each seed and link, and a summary."""
     runs = [
         (seed, link)
         for seed in range(seeds)
@@ -102,39 +102,39 @@ def table(pool: Pool, seeds: int) -> None:
         right = sum(row[2] == row[0] for row in some)
         near = sum(abs(row[3] - row[5]) <= max(0.1 * row[5], 2 * row[4]) for row in some)
         print(
-            f"{place}: {in_time} of {len(some)} noticed within {NAMED_AFTER:g} s, {right} links "
+            f"{place}: {in_time} of {len(some)} detected within {NAMED_AFTER:g} s, {right} links "
             f"named, {near} masses within 10 % or 2 deviations after {3 * MEMORY:g} s"
         )
 
 
 def _row(run: tuple[int, str]) -> tuple[float, str, float, float, float]:
-    """Return when the alarm came, what it named, the mass found, its deviation and the truth."""
+    """Return delay of the alarm, named link, estimated mass, its deviation, and true mass."""
     seed, link = run
     threadpool_limits(1)
-    begun = BEFORE + float(np.random.default_rng(seed).uniform(0.0, 4.0))
-    looks = list(followed(seed, Payload(link, MASS, PLACES[link]), begun))
-    alarms = [look.time for look in looks if look.alarm]
-    named = [look.alarm for look in looks if look.time <= begun + NAMED_AFTER and look.alarm]
+    attached = BEFORE + float(np.random.default_rng(seed).uniform(0.0, 4.0))
+    snapshots = list(track(seed, Payload(link, MASS, PLACES[link]), attached))
+    alarms = [one.time for one in snapshots if one.alarm]
+    named = [one.alarm for one in snapshots if one.time <= attached + NAMED_AFTER and one.alarm]
     parameters = ParameterSet(load_model(MODEL))
     index = parameters.link_names.index(link)
-    last = next(look for look in looks if look.time >= begun + 3 * MEMORY)
+    last = next(one for one in snapshots if one.time >= attached + 3 * MEMORY)
     truth = float(parameters.link_phi(parameters.values)[index, 0]) + MASS
-    after = alarms[0] - begun if alarms else np.inf
+    after = alarms[0] - attached if alarms else np.inf
     return after, named[-1] if named else "nothing", last.mass[index], last.std[index], truth
 
 
-def followed(seed: int, payload: Payload, begun: float) -> Iterator[Look]:
-    """Yield what is known second by second until three memories after the change."""
-    seconds = begun + 3 * MEMORY + 2.0
+def track(seed: int, payload: Payload, attached: float) -> Iterator[Snapshot]:
+    """Yield a snapshot each second until three memories after the change."""
+    seconds = attached + 3 * MEMORY + 2.0
     simulator = Simulator(
         "smooth",
         moves=40,
         motion_seed=seed,
         noise_seed=seed,
         payload=payload,
-        payload_time=begun,
+        payload_time=attached,
     )
-    yield from _looks(simulator, seconds, seed, MEMORY)
+    yield from _snapshots(simulator, seconds, seed, MEMORY)
 
 
 def quiet(seed: int, *, minutes: float) -> int:
@@ -142,13 +142,15 @@ def quiet(seed: int, *, minutes: float) -> int:
     threadpool_limits(1)
     simulator = Simulator("smooth", moves=round(30 * minutes), motion_seed=1000 + seed)
     before, count = "", 0
-    for look in _looks(simulator, 60 * minutes, 1000 + seed, np.inf):
-        count += bool(look.alarm and not before)
-        before = look.alarm
+    for one in _snapshots(simulator, 60 * minutes, 1000 + seed, np.inf):
+        count += bool(one.alarm and not before)
+        before = one.alarm
     return count
 
 
-def _looks(simulator: Simulator, seconds: float, seed: int, memory: float) -> Iterator[Look]:
+def _snapshots(
+    simulator: Simulator, seconds: float, seed: int, memory: float
+) -> Iterator[Snapshot]:
     simulator.steps = min(simulator.steps, round(seconds * 1e9 / simulator.period_ns))
     parameters = ParameterSet(load_model(MODEL))
     with tempfile.TemporaryDirectory() as folder:
@@ -170,14 +172,14 @@ def _looks(simulator: Simulator, seconds: float, seed: int, memory: float) -> It
                 due += 1_000_000_000
                 outcome = live.solve()
                 if outcome is not None:
-                    yield _look(message.log_time * 1e-9, outcome, parameters)
+                    yield _snapshot(message.log_time * 1e-9, outcome, parameters)
         live.close()
 
 
-def _look(time: float, outcome: OnlineEstimate, parameters: ParameterSet) -> Look:
+def _snapshot(time: float, outcome: OnlineEstimate, parameters: ParameterSet) -> Snapshot:
     estimate, change = outcome.found.estimate, outcome.change
     assert estimate.std is not None
-    return Look(
+    return Snapshot(
         time,
         "" if change is None else " or ".join(one.link for one in change.suspects),
         parameters.link_phi(estimate.value)[:, 0],
@@ -186,20 +188,20 @@ def _look(time: float, outcome: OnlineEstimate, parameters: ParameterSet) -> Loo
 
 
 def plot(file: Path) -> None:
-    """Draw the masses of body and thigh through a change, as they are followed."""
-    link, begun, seed = "R_thigh", BEFORE, 4
+    """Plot the estimated masses of body and thigh before and after a change."""
+    link, attached, seed = "R_thigh", BEFORE, 4
     parameters = ParameterSet(load_model(MODEL))
-    looks = list(followed(seed, Payload(link, MASS, PLACES[link]), begun))
-    time = np.array([look.time for look in looks])
-    alarm = next(look.time for look in looks if look.alarm)
+    snapshots = list(track(seed, Payload(link, MASS, PLACES[link]), attached))
+    time = np.array([one.time for one in snapshots])
+    alarm = next(one.time for one in snapshots if one.alarm)
     truth = parameters.link_phi(parameters.values)[:, 0]
     shown = ("base_link", link)
     figure, axes = plt.subplots(len(shown), 1, sharex=True, figsize=(8, 5), layout="constrained")
     for axis, name in zip(axes, shown, strict=True):
         index = parameters.link_names.index(name)
-        mass = np.array([look.mass[index] for look in looks])
-        std = np.array([look.std[index] for look in looks])
-        true = truth[index] + MASS * (name == link) * (time >= begun)
+        mass = np.array([one.mass[index] for one in snapshots])
+        std = np.array([one.std[index] for one in snapshots])
+        true = truth[index] + MASS * (name == link) * (time >= attached)
         axis.fill_between(time, mass - 2 * std, mass + 2 * std, color="#4477aa", alpha=0.2, lw=0)
         axis.plot(time, mass, color="#4477aa", label="estimate, ± 2 deviations")
         axis.step(time, true, color="#222222", ls="--", lw=1, where="post", label="truth")
@@ -217,7 +219,7 @@ def plot(file: Path) -> None:
         color="#cc3311",
     )
     axes[-1].set_xlabel("time (s)")
-    title = f"{MASS:g} kg fastened to {link} at {begun:g} s, memory {MEMORY:g} s"
+    title = f"{MASS:g} kg attached to {link} at {attached:g} s, memory {MEMORY:g} s"
     figure.suptitle(title, x=0.01, ha="left", fontsize=11)
     figure.savefig(file, dpi=130)
 

@@ -1,8 +1,8 @@
-"""How fast a bag becomes arrays, against rosbags' deserialising reader on the same file.
+"""Time to read a bag into arrays, compared with rosbags' deserializing reader on the same file.
 
-The bag holds joint states of ten joints, an IMU and two wrenches. Each reader runs in a process of
-its own; shown are messages per second, peak memory, and the ratio of times. Our arrays are then
-compared with rosbags' messages, bit for bit.
+The bag contains joint states of ten joints, an IMU and two wrenches. Each reader runs in its own
+process. The table shows messages per second, peak memory, and the ratio of times. Our arrays are
+then compared with rosbags' messages, bit for bit.
 
     .venv/bin/python bench/reading.py [--seconds 300] [--rate 1000]
 
@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from process_usage import peak_memory
 from rosbags.rosbag2 import Reader
 
 from symbid_ros.bags import BagWriter, read_streams
@@ -32,7 +33,7 @@ CHUNK_SIZES = {"recorder's": CHUNK_SIZE, "large": 4 << 20}
 
 
 def write_bag(out: Path, seconds: float, rate: float, chunk_size: int) -> int:
-    """Write smooth motion with the noise of sensors, and return the number of messages."""
+    """Write a smooth motion with sensor noise, and return the number of messages."""
     draw = np.random.default_rng(5).standard_normal
     count = round(seconds * rate)
     stamp = np.rint(np.arange(1, count + 1) * 1e9 / rate).astype(np.int64)
@@ -80,7 +81,7 @@ def load(bag: Path) -> None:
 
 
 def deserialize(bag: Path) -> None:
-    """Read a bag message by message with rosbags; nothing is kept."""
+    """Read a bag message by message with rosbags, and discard the messages."""
     store = typestore()
     with Reader(bag) as reader:
         for connection, _, payload in reader.messages():
@@ -88,28 +89,20 @@ def deserialize(bag: Path) -> None:
 
 
 def measured(read: Callable[[Path], None], bag: Path) -> tuple[float, float]:
-    """Return seconds and peak memory in MB of one reading in a fresh process."""
+    """Return duration, s, and peak memory, MB, of one reading in a new process."""
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(1, mp_context=spawn) as pool:
         return pool.submit(_timed, read, bag).result()
 
 
 def _timed(read: Callable[[Path], None], bag: Path) -> tuple[float, float]:
-    begun = time.perf_counter()
+    start = time.perf_counter()
     read(bag)
-    took = time.perf_counter() - begun
-    return took, peak_memory()
-
-
-def peak_memory() -> float:
-    """Return this process's own peak, MB; what getrusage tells may be its parent's."""
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    (line,) = (line for line in status.splitlines() if line.startswith("VmHWM"))
-    return int(line.split()[1]) * 1024e-6
+    return time.perf_counter() - start, peak_memory()
 
 
 def differences(bag: Path, streams: Streams) -> int:
-    """Return how many numbers of a bag differ from rosbags', in any bit."""
+    """Return the number of values that differ from rosbags' in any bit."""
     joints, (imu,), wrenches = streams.joints, streams.imus, streams.wrenches
     ours = {
         joints.topic: np.hstack([joints.position, joints.velocity, joints.effort]),
@@ -166,7 +159,7 @@ def main() -> None:
                 flush=True,
             )
         different = differences(bag, read_streams([bag]))
-    print(f"numbers that differ from rosbags' in any bit: {different}")
+    print(f"values that differ from rosbags' in any bit: {different}")
 
 
 if __name__ == "__main__":

@@ -1,16 +1,17 @@
-"""The recorder under load and under kill -9: what is lost, what it costs.
+"""The recorder under load and under kill -9: lost messages and processor time.
 
-Four sensor topics are published by a process of their own, their bytes patched in place as the
-bridge does it: 60 s at 1 kHz, then 20 s at 4 kHz. Printed are messages lost, the recorder's
-processor time as a share of one core and the time from stamp to receipt.
+A separate process publishes four sensor topics, as the bridge does: 60 s at 1 kHz, then 20 s at
+4 kHz. Printed are the lost messages, the recorder's processor time as a share of one core, and the
+time from stamp to receipt.
 
 With ``--kills`` a recorder of a 1 kHz and a 5 Hz topic is killed at random times instead, and the
-unfinished bag is read: how old was the oldest message that is missing?
+unfinished bag is read. Printed is the age of the oldest missing message at the time of the kill.
 
-With ``--images`` 5 MB images at 30 Hz are recorded beside the four topics at 1 kHz, with a queue of
-64 MB: what is lost of each topic? Start something else that keeps all cores busy.
+With ``--images`` 5 MB images at 30 Hz are recorded together with the four topics at 1 kHz, with a
+queue of 64 MB. Printed are the lost messages of each topic. Meanwhile run another program that
+keeps all cores busy.
 
-4 kHz needs two cores for itself: look at how late the publisher was before blaming the recorder.
+4 kHz needs two idle cores: messages published late are not the recorder's fault.
 
     .venv/bin/python bench/recorder.py [--seconds 60] [--burst 20] [--kills 100] [--seed 0]
     .venv/bin/python bench/recorder.py --images [--seconds 60]
@@ -31,6 +32,7 @@ from threading import Event
 import numpy as np
 import rclpy
 from mcap.reader import make_reader
+from process_usage import processor_seconds
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
@@ -45,34 +47,33 @@ from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.messages.types import read_leading_stamp
 from symbid_ros.ros.endpoints import reliable_qos
 
-TICKS = os.sysconf("SC_CLK_TCK")
 BOUND = 0.1  # s
 
 
 def main() -> None:
-    """Run what was asked for and print what came of it."""
+    """Run the chosen measurement and print the results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--burst", type=float, default=20.0)
     parser.add_argument("--kills", type=int, default=0)
     parser.add_argument("--images", action="store_true")
     parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}")
     with tempfile.TemporaryDirectory() as folder, private_graph() as graph:
         os.environ.update(graph)
-        if asked.kills:
-            kill(Path(folder), asked.kills, asked.seed)
+        if arguments.kills:
+            kill(Path(folder), arguments.kills, arguments.seed)
             return
-        if asked.images:
-            record_images(Path(folder) / "bag", graph, asked.seconds)
+        if arguments.images:
+            record_images(Path(folder) / "bag", graph, arguments.seconds)
             return
-        for rate, seconds in ((1000.0, asked.seconds), (4000.0, asked.burst)):
+        for rate, seconds in ((1000.0, arguments.seconds), (4000.0, arguments.burst)):
             record(Path(folder) / f"bag_{rate:.0f}", graph, rate, seconds)
 
 
 def record(bag: Path, graph: dict[str, str], rate: float, seconds: float) -> None:
-    """Record so many seconds of four topics at one rate and print the figures."""
+    """Record four topics at one rate and print the results."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     parameters = {"bag": str(bag), "topics": list(SENSORS)}
@@ -80,9 +81,9 @@ def record(bag: Path, graph: dict[str, str], rate: float, seconds: float) -> Non
         publisher = context.Process(target=publish, args=(rate, seconds, theirs))
         publisher.start()
         ours.recv()
-        began, used = time.monotonic(), processor_seconds(recorder.pid)
+        start, used = time.monotonic(), processor_seconds(recorder.pid)
         published, late = ours.recv()
-        share = (processor_seconds(recorder.pid) - used) / (time.monotonic() - began)
+        share = (processor_seconds(recorder.pid) - used) / (time.monotonic() - start)
         publisher.join()
         summary = recorder.finish(stop=True)
     recorded = sum(summary["recorded"].values())
@@ -97,12 +98,12 @@ def record(bag: Path, graph: dict[str, str], rate: float, seconds: float) -> Non
 
 
 def publish(rate: float, seconds: float, pipe: Connection) -> None:
-    """Publish once all topics have a subscriber; tell of the beginning and the end."""
+    """Publish once all topics have a subscriber; report start and end through the pipe."""
     rclpy.init()
     node = rclpy.create_node("robot")
     feeds = [Feed(node, topic, layout, rate) for topic, layout in SENSORS.items()]
     await_subscribers(feeds)
-    pipe.send("begun")
+    pipe.send("started")
     late = feed(feeds, Event(), seconds)
     for each in feeds:
         each.publisher.wait_for_all_acked()
@@ -112,7 +113,7 @@ def publish(rate: float, seconds: float, pipe: Connection) -> None:
 
 
 def record_images(bag: Path, graph: dict[str, str], seconds: float) -> None:
-    """Record images beside the four topics and print what is missing of each."""
+    """Record images together with the four topics and print the lost messages of each."""
     context = multiprocessing.get_context("spawn")
     topics = [*SENSORS, Camera.topic]
     parameters = {"bag": str(bag), "topics": topics, "queue_size": 64}
@@ -139,7 +140,7 @@ def record_images(bag: Path, graph: dict[str, str], seconds: float) -> None:
 
 
 class Camera:
-    """A feed of 5 MB images that do not compress."""
+    """A feed of incompressible 5 MB images."""
 
     topic, rate = "camera", 30.0
 
@@ -156,12 +157,12 @@ class Camera:
 
 
 def publish_images(seconds: float, pipe: Connection) -> None:
-    """Publish images once the topic has a subscriber; tell of the beginning and the end."""
+    """Publish images once the topic has a subscriber; report start and end through the pipe."""
     rclpy.init()
     node = rclpy.create_node("camera")
     camera = Camera(node)
     await_subscribers([camera])
-    pipe.send("begun")
+    pipe.send("started")
     late = feed([camera], Event(), seconds)
     camera.publisher.wait_for_all_acked(Duration(seconds=10))
     pipe.send((len(camera.stamps), late))
@@ -170,7 +171,7 @@ def publish_images(seconds: float, pipe: Connection) -> None:
 
 
 def kill(folder: Path, kills: int, seed: int) -> None:
-    """Kill recorders at random times and print what that cost."""
+    """Kill recorders at random times and print the losses."""
     draw = random.Random(seed)
     losses, standstills = [], []
     recovered = 0
@@ -186,7 +187,7 @@ def kill(folder: Path, kills: int, seed: int) -> None:
     middle, most = np.percentile(losses, [50, 100]) * 1e3
     print(
         f"{kills} kills, {recovered} bags recovered: "
-        f"{middle:.0f} ms lost in the median, {most:.0f} ms at most; "
+        f"median loss {middle:.0f} ms, maximum {most:.0f} ms; "
         f"machine {max(standstills) * 1e3:.0f} ms late at most; load {os.getloadavg()[0]:.1f}"
     )
 
@@ -199,12 +200,6 @@ def latencies(bag: Path) -> np.ndarray:
         return np.array(
             [message.log_time - read_leading_stamp(message.data) for _, _, message in messages]
         )
-
-
-def processor_seconds(pid: int) -> float:
-    """Return the processor time that a process has used."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Cost of the regressor per sample against Pinocchio's in a Python loop, as a Markdown table.
+"""Time of the regressor per sample, compared with Pinocchio's in a Python loop.
 
-Both fill the same kind of array, one matrix per sample; the ratio is of one run on one core.
+Both fill an array with one matrix per sample, on one core. Prints a Markdown table.
 
 Usage: .venv/bin/python bench/regressor.py [--samples 512] [--repeats 20]
 """
@@ -27,7 +27,7 @@ def main() -> None:
     """Time both on a biped, a quadruped and a humanoid."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--samples", type=int, default=512, help="samples in a block")
-    options.add_argument("--repeats", type=int, default=20, help="the fastest of these counts")
+    options.add_argument("--repeats", type=int, default=20, help="repetitions; the fastest counts")
     given = options.parse_args()
     robots = {
         "Symbitron": config_file("symbitron.urdf"),
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def fastest(calls: tuple[Callable[[], None], ...], repeats: int) -> list[float]:
-    """Return the least processor time of each call in s, taken in turns."""
+    """Return the smallest processor time of each call, s; the calls alternate."""
     times = np.empty((repeats, len(calls)))
     for row in times:
         for index, call in enumerate(calls):
@@ -60,7 +60,7 @@ def fastest(calls: tuple[Callable[[], None], ...], repeats: int) -> list[float]:
 
 
 def block(parameters: ParameterSet, count: int) -> Callable[[], None]:
-    """Return a call that writes the equation of motion of random samples."""
+    """Return a call that computes the equation of motion of random samples."""
     samples = random_samples(parameters.model, count)
     return lambda: equation_of_motion(parameters, samples)
 
@@ -83,7 +83,7 @@ def random_samples(model: RobotModel, count: int) -> Samples:
 
 
 def loop(path: Path, count: int) -> Callable[[], None]:
-    """Return a call that asks Pinocchio for one regressor after the other and keeps them."""
+    """Return a call that computes and stores Pinocchio's regressors one by one."""
     model = pinocchio.buildModelFromUrdf(str(path), pinocchio.JointModelFreeFlyer())
     data = model.createData()
     rng = np.random.default_rng(0)

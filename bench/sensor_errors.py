@@ -1,13 +1,13 @@
-"""What each error of the sensors costs, and what tare, weighing and sensor columns give back.
+"""Effect of each sensor error, and of its correction by tare, weighing and sensor columns.
 
-Every row is one simulated log of the Symbitron with that error alone: identified as it is, then
-with `--tare`, `--total-mass` and thereby the sensors' errors as unknowns. The last rows show what
-is left without a tare. Errors are those of the predictions along an ideal log with other moves;
-in brackets what the estimate itself says of its centre of mass (one standard deviation).
+Each row is one simulated log of the Symbitron with that error alone. It is identified as it is, and
+with `--tare` and `--total-mass`, which make the sensor errors unknowns. A row below `typical` shows
+the correction without a tare. Prediction errors are those along an ideal log of another motion. In
+brackets: the estimate's own standard deviation of the centre of mass.
 
     .venv/bin/python bench/sensor_errors.py [--seed N] [--only NAME ...]
 
-Takes about a minute a row.
+Takes about a minute per row.
 """
 
 import argparse
@@ -41,23 +41,26 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=500)
     parser.add_argument("--only", nargs="*", default=NAMES, help="errors to try")
     arguments = parser.parse_args()
-    logging.disable(logging.WARNING)  # a tare loads the overhead support's load cell, as intended
-    print(f"{'error':16} {'as it is':>28} {'cured':>28}  alarms as it is, cured")
+    logging.disable(logging.WARNING)  # a tare loads the load cell as intended
+    print(f"{'error':16} {'uncorrected':>28} {'corrected':>28}  alarms")
     print(f"{'':16} " + f"{'gen. force  torque  CoM mm':>28} " * 2)
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         bench = Bench(Path(folder), arguments.seed)
         for name in arguments.only:
             log, tare = bench.simulate(name, "smooth"), bench.simulate(name, "tare")
             plain = bench.identify(log)
-            cured = bench.identify(log, **WEIGHED, tare=(tare,))
-            print(f"{name or 'none':16} {plain[0]} {cured[0]}  {plain[1]}, {cured[1]}", flush=True)
+            corrected = bench.identify(log, **WEIGHED, tare=(tare,))
+            print(
+                f"{name or 'none':16} {plain[0]} {corrected[0]}  {plain[1]}, {corrected[1]}",
+                flush=True,
+            )
             if name == "typical":
                 without = bench.identify(log, **WEIGHED, sensor_errors=KINDS)
                 print(f"{'  without a tare':16} {'':28} {without[0]}  -, {without[1]}", flush=True)
 
 
 class Bench:
-    """One robot, one prior and one ideal log to be judged on."""
+    """One robot, one prior and one ideal log for evaluation."""
 
     def __init__(self, folder: Path, seed: int) -> None:
         self.folder, self.seed = folder, seed

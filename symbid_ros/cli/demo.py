@@ -1,4 +1,4 @@
-"""``symbid demo``: the whole loop on one machine, from a standing robot to a report."""
+"""``symbid demo``: simulate, record, identify and report on one machine."""
 
 import logging
 from collections.abc import Mapping
@@ -20,19 +20,23 @@ if TYPE_CHECKING:
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for everything the demo makes.")] = Path("demo"),
-    moves: Annotated[int, typer.Option(min=1, max=1000, help="Moves of the centre of mass.")] = 20,
-    percent: Annotated[float, typer.Option(min=1, max=99, help="Prior's half-width in %.")] = 25.0,
+    out: Annotated[Path, typer.Option(help="Folder for all outputs.")] = Path("demo"),
+    moves: Annotated[
+        int, typer.Option(min=1, max=1000, help="Number of moves of the centre of mass.")
+    ] = 20,
+    percent: Annotated[
+        float, typer.Option(min=1, max=99, help="Half-width of the prior, %.")
+    ] = 25.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the prior and the noise.")] = 0,
     online: Annotated[
         bool,
-        typer.Option("--online", help="Identify while the robot moves and show what is known."),
+        typer.Option("--online", help="Identify while the robot moves and show the estimate."),
     ] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the folder of an earlier demo.")
     ] = False,
 ) -> None:
-    """Simulate, publish, record and identify the Symbitron, and report on it."""
+    """Simulate, publish, record and identify the Symbitron, and write a report."""
     from symbid_ros.package_paths import config_file
 
     console = Console()
@@ -41,7 +45,7 @@ def demo(
     draw_demo_prior(out, model, percent, seed)
     demonstrate = demonstrate_online if online else demonstrate_offline
     demonstrate(out, model, moves, seed, console)
-    console.print(f"\n[bold]{out}/report.html[/bold] shows it all; the rest of {out}/ made it.")
+    console.print(f"\nThe report is [bold]{out}/report.html[/bold]; its inputs are in {out}/.")
 
 
 MOTION_SEED, VALIDATION_SEED = 1, 2
@@ -72,8 +76,8 @@ def prepare_folder(out: Path, *, overwrite: bool) -> None:
 def draw_demo_prior(out: Path, model: Path, percent: float, seed: int) -> None:
     """Write ``prior.json``, with each parameter drawn within ``percent`` of the truth.
 
-    It is written first, as it marks the folder as a demo's: --overwrite then accepts the folder of
-    an interrupted demo.
+    It is written first, as it marks the folder as that of a demo. Then --overwrite also accepts the
+    folder of an interrupted demo.
     """
     from symbid_ros.estimation.prior import draw_prior
     from symbid_ros.model.load import load_model
@@ -83,17 +87,17 @@ def draw_demo_prior(out: Path, model: Path, percent: float, seed: int) -> None:
 
 
 def simulate_validation(bag: Path, moves: int, progress: Progress) -> None:
-    """Simulate another motion with ideal sensors to a bag."""
+    """Simulate another motion with ideal sensors, and write its bag."""
     from symbid_ros.simulation.recording import record
     from symbid_ros.simulation.simulator import Simulator
 
     simulator = Simulator("smooth", moves=moves, motion_seed=VALIDATION_SEED, ideal=True)
-    task = progress.add_task("ideal validation bag", total=simulator.steps)
+    task = progress.add_task("simulating a validation bag", total=simulator.steps)
     record(simulator, bag, progress=lambda done, _: progress.update(task, completed=done))
 
 
 def recording_facts(played: Mapping[str, Any], recorded: Mapping[str, Any]) -> dict[str, str]:
-    """Return facts on the recording from the summaries of bridge and recorder."""
+    """Return the report's facts on the recording, from the summaries of bridge and recorder."""
     kept = sum(recorded["recorded"].values())
     # Only topics in both summaries count: the clock is published but not recorded.
     published = sum(played["published"].get(topic, 0) for topic in recorded["recorded"])
@@ -105,7 +109,7 @@ def recording_facts(played: Mapping[str, Any], recorded: Mapping[str, Any]) -> d
 
 
 def demonstrate_offline(out: Path, model: Path, moves: int, seed: int, console: Console) -> None:
-    """Record, identify and report; the demo's folder holds the prior."""
+    """Record, identify and report, with the prior in the folder."""
     with progress_bars(console) as progress:
         facts = _record(out, moves, seed, progress)
         simulate_validation(out / "validation", moves, progress)
@@ -113,7 +117,7 @@ def demonstrate_offline(out: Path, model: Path, moves: int, seed: int, console: 
 
 
 def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, str]:
-    """Run bridge and recorder as processes, and return facts on the recording."""
+    """Run bridge and recorder as processes, and return the report's facts on the recording."""
     from symbid_ros.simulation.simulator import Simulator
 
     motion = {
@@ -125,7 +129,7 @@ def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, s
     }
     simulator = Simulator("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
     seconds = simulator.steps * simulator.period_ns * 1e-9
-    task = progress.add_task("robot moves, topics are recorded", total=seconds)
+    task = progress.add_task("moving the robot and recording", total=seconds)
     logs = out / "log"
     logs.mkdir()
     bag = {"bag": str(out / "bag")}
@@ -150,7 +154,7 @@ def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, s
 def _identify_offline(
     out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
-    """Identify with every method, write the results, and report on all of them."""
+    """Identify with every method, and write the results and the report."""
     from symbid_ros.cli.tables import metrics_table
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing
@@ -162,7 +166,7 @@ def _identify_offline(
     from symbid_ros.report.compose import METHOD_TITLES, OWN_Z, GroundTruth, compose, describe_bags
     from symbid_ros.report.page import write_report
 
-    task = progress.add_task("identification and a report", total=6)
+    task = progress.add_task("identifying and reporting", total=6)
     validation = out / "validation"
     options = IdentifyOptions(prior=out / "prior.json")
     for_thesis = replace(
@@ -202,7 +206,7 @@ def _identify_offline(
         "MAP, MAP-LMI": f"{Processing.of(options)}, no validation data",
         OWN_Z: "the same rows, no validation data",
         "OLS to WLS-RC": f"{Processing.of(for_thesis)}; z chosen on {validation}",
-        "Judged on": f"{validation}, ideal, other moves",
+        "Evaluated on": f"{validation}, ideal, another motion",
         "Software": chosen.estimate.software,
     }
     content = compose(
@@ -220,29 +224,29 @@ def _identify_offline(
 
 
 def _truncations(prepared: "LoadedProblem", validation: Path) -> "dict[tuple[str, str], Estimate]":
-    """Return the thesis's methods on the prepared rows, z chosen without and with validation."""
+    """Return the thesis's estimates from equal rows, with z chosen without and with validation."""
     from symbid_ros.bags import bag_log
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing, read_dataset
     from symbid_ros.report.compose import METHOD_TITLES
 
-    # Only the chosen window's rows are needed.
+    # Only rows of the chosen window are needed.
     log = bag_log([validation], prepared.parameters.model)
     only = Processing(windows=(prepared.solver.chosen.window,))
-    judge = replace(prepared, validation=read_dataset(log, prepared.parameters, only))
+    validated = replace(prepared, validation=read_dataset(log, prepared.parameters, only))
     return {
         (METHOD_TITLES[method], chosen_by): source.solve(method).estimate
         for method in METHODS
-        for chosen_by, source in (("the log itself", prepared), ("the ideal bag", judge))
+        for chosen_by, source in (("the log itself", prepared), ("the ideal bag", validated))
     }
 
 
 POLL = 0.2  # s
-SAVING_TIME = 120.0  # s; on a slow machine the identifier may lag behind
+SAVING_TIME = 120.0  # s; the identifier may lag behind on a slow machine
 
 
 def demonstrate_online(out: Path, model: Path, moves: int, seed: int, console: Console) -> None:
-    """Identify live and report; the demo's folder holds the prior."""
+    """Identify online and report, with the prior in the folder."""
     facts = _identify_online(out, model, moves, seed, console)
     with progress_bars(console) as progress:
         simulate_validation(out / "validation", moves, progress)
@@ -252,13 +256,13 @@ def demonstrate_online(out: Path, model: Path, moves: int, seed: int, console: C
 def _identify_online(
     out: Path, model: Path, moves: int, seed: int, console: Console
 ) -> dict[str, str]:
-    """Run the nodes until the motion has ended and the estimate is saved."""
+    """Run the nodes until the motion ends and the estimate is saved."""
     from symbid_ros.simulation.simulator import Simulator
 
     motion = {"scenario": "smooth", "moves": moves, "motion_seed": MOTION_SEED, "noise_seed": seed}
     simulator = Simulator("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
     seconds = simulator.steps * simulator.period_ns * 1e-9
-    console.print(f"The robot moves for {seconds:.0f} s; Ctrl-C ends it all.\n")
+    console.print(f"The robot moves for {seconds:.0f} s. Ctrl-C stops the demo.\n")
     logs = out / "log"
     logs.mkdir()
     identifier_parameters = {
@@ -280,7 +284,7 @@ def _identify_online(
             log = logs / f"{name}.log"
             return NodeProcess(name, parameters, graph, log, file=file, is_shown=is_shown)
 
-        # The robot waits for recorder and identifier, so that both receive every message.
+        # The robot waits for recorder and identifier, so that both receive all messages.
         awaited = {"wait_for_subscribers": True, "subscribers": 2}
         with (
             node("identifier", identifier_parameters, "identifier.yaml") as identifier,
@@ -292,7 +296,7 @@ def _identify_online(
                 for other in (identifier, recorder, monitor):
                     other.require_running()
             played = bridge.finish()
-            # When stopped, it processes its queue and saves; the monitor still shows that.
+            # The stopped identifier processes its queue and saves, which the monitor still shows.
             identified = identifier.finish(stop=True, patience=SAVING_TIME)
             monitor.stop()
             recorded = recorder.finish(stop=True)
@@ -306,7 +310,7 @@ def _identify_online(
 def _report(
     out: Path, model: Path, facts: dict[str, str], progress: Progress, console: Console
 ) -> None:
-    """Compare the saved estimate with the truth and write the page."""
+    """Compare the saved estimate with the truth, and write the report."""
     from symbid_ros.cli.tables import metrics_table
     from symbid_ros.errors import EstimateError
     from symbid_ros.identification.result_files import load_estimated_model
@@ -321,7 +325,7 @@ def _report(
     )
     from symbid_ros.report.page import write_report
 
-    task = progress.add_task("a report", total=2)
+    task = progress.add_task("reporting", total=2)
     robot = load_model(model)
     subject = load_estimated_model(out / "online", robot)
     estimate = subject.estimate
@@ -339,7 +343,7 @@ def _report(
         {title: estimate},
         subject.parameters,
         chosen=title,
-        metadata=described | {"Judged on": f"{out / 'validation'}, ideal, other moves"},
+        metadata=described | {"Evaluated on": f"{out / 'validation'}, ideal, another motion"},
         ground_truth=ground_truth,
         deviation_factor=subject.deviation_factor,
     )

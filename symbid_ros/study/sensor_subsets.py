@@ -1,4 +1,4 @@
-"""The rows of the equation of motion that remain when a robot lacks sensors.
+"""Rows of the equation of motion for robots without some of the sensors.
 
 The base's rows need no torque sensor, as the motors act between links (Eq. 4). Without wrench
 sensors the contact wrenches f_e are unknown at every instant. The rows
@@ -27,11 +27,11 @@ from symbid_ros.signals.weak_form import CHUNK, SampledRows, valid_coordinates
 
 SensorSubset = Literal["all", "base_rows", "joint_rows", "no_plates"]
 
-# ε over the largest singular value of J_g. Directions of J_g weaker than this share are damped:
-# as they weaken, the directions free of contact wrenches rotate ever faster, up to encoder noise.
-# With the legs in parallel planes, twisting the feet against each other has a share below 1e-3.
+# ε over the largest singular value of J_g. Directions of J_g below this share are damped: the
+# weaker they are, the faster the directions without contact wrenches rotate, so that encoder noise
+# would dominate. Opposite moments on feet with legs in parallel planes have a share below 1e-3.
 DAMPING = 3e-4
-# Number of postures from which the directions free of contact wrenches are chosen.
+# Number of postures from which the directions without contact wrenches are chosen.
 PROBES = 1000
 
 
@@ -52,8 +52,8 @@ class Annihilator:
     frames : tuple of str
         Frames at which unknown wrenches act.
     components : (r,) int64
-        Independent ones among the wrenches' 6 F components, angular first: two frames may be on
-        one link.
+        Independent ones of the wrenches' 6 F components, angular first. If two frames are on one
+        link, some are dependent.
     damping : float
         ε, in J's units.
     basis : (n, n - r) float64
@@ -97,7 +97,7 @@ class Annihilator:
         largest = np.linalg.norm(jacobians, 2, axis=(1, 2)).max()
         components = np.sort(order[:rank])
         full = cls(model, frames, components, DAMPING * float(largest), np.eye(model.dof))
-        # The projection keeps most of the directions that contacts leave free in most postures.
+        # These directions are without contact wrenches in most postures.
         _, directions = np.linalg.eigh(full.at(probes.position).mean(axis=0))
         return replace(full, basis=directions[:, rank:])
 
@@ -123,7 +123,7 @@ def _contact_jacobian(
 
 @dataclass(frozen=True)
 class SubsetRows:
-    """The rows of the equation of motion that some sensors provide.
+    """The rows of the equation of motion that a subset of the sensors provides.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ class SubsetRows:
     layout : RowLayout
         Layout of the remaining rows.
     selection : slice or Annihilator
-        The coordinates whose rows remain, or what eliminates the contact wrenches.
+        The coordinates whose rows remain, or the annihilator of the contact wrenches.
     """
 
     parameters: ParameterSet
@@ -141,11 +141,11 @@ class SubsetRows:
 
     @classmethod
     def of(cls, parameters: ParameterSet, sensors: SensorSubset, samples: Samples) -> "SubsetRows":
-        """Return the rows that some sensors provide.
+        """Return the rows that a subset of the sensors provides.
 
-        Without wrench sensors, the wrench frames and postures of the samples determine how rows
-        are combined. Logs to be merged need the same combination, as their residuals share one
-        covariance.
+        Without wrench sensors, the wrench frames and postures of the samples determine the
+        combination of rows. Logs can be merged only with equal combinations, as their residuals
+        share one covariance.
 
         Raises
         ------
@@ -196,7 +196,7 @@ class SubsetRows:
 def observe_subset(
     dataset: Dataset, parameters: ParameterSet, sensors: SensorSubset
 ) -> tuple[Observations, ...]:
-    """Return the observations that some of the sensors of a log provide.
+    """Return the observations that a subset of the sensors of a log provides.
 
     Rows are averaged over windows or taken at single instants, as in the log's own observations.
 

@@ -1,4 +1,4 @@
-"""Values printed in the thesis, under the names that studies use.
+"""Values printed in the thesis, with the names that studies use.
 
 N. van der Gaag, "Least Squares Inertial Parameter Identification of Bipedal Systems": Tables II
 (chapter 3), 4.1, C.1 and D.1. Table D.1 is one draw of the prior; the others are means over twenty.
@@ -57,13 +57,13 @@ class PrintedParameters:
 
 @cache
 def table_2() -> Scores:
-    """Return Table II: the smallest mean of each error over the filters, which it does not name."""
+    """Return Table II: the smallest mean of each error over the filters."""
     return Scores(dict(_means(_read("table_2")["rows"], PRIORS)))
 
 
 @cache
 def table_4_1() -> Scores:
-    """Return Table 4.1: like Table II, with priors off by an absolute amount."""
+    """Return Table 4.1: as Table II, with an absolute half-width of the priors."""
     return Scores(dict(_means(_read("table_4_1")["rows"], (ABSOLUTE_PRIOR,))))
 
 
@@ -75,7 +75,7 @@ def table_c1() -> Scores:
 
 @cache
 def published() -> Scores:
-    """Return Tables C.1 and 4.1 together, as the means of one study."""
+    """Return Tables C.1 and 4.1 as the means of one study."""
     return Scores({**table_c1().means, **table_4_1().means})
 
 
