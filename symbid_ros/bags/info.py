@@ -29,66 +29,32 @@ from symbid_ros.messages.topics import OfferedQos, Topic
 
 @dataclass(frozen=True)
 class FileInfo:
-    """One file of a bag.
-
-    Attributes
-    ----------
-    name : str
-    size : int
-        Bytes.
-    storage : str
-        ``mcap`` or ``sqlite3``.
-    is_finished, is_indexed : bool
-        Whether it has a footer, and an index of its messages.
-    start, end : int or None
-        First and last log time, nanoseconds; None without a message.
-    counts : dict of Topic to int
-        Messages.
-    compression : tuple of str
-        Of its chunks; empty if none is compressed or it is unknown.
-    recorded_by : str
-        Library that wrote it, as stated in the file; empty if unknown.
-    fault : str
-        What is wrong with it and how to fix it; empty if it seems intact.
-    attachments, metadata : int
-        Number of such records.
-    """
+    """One file of a bag."""
 
     name: str
-    size: int
-    storage: str
-    is_finished: bool
-    is_indexed: bool
-    start: int | None
-    end: int | None
-    counts: dict[Topic, int]
-    compression: tuple[str, ...] = ()
-    recorded_by: str = ""
-    fault: str = ""
-    attachments: int = 0
+    size: int  # bytes
+    storage: str  # mcap or sqlite3
+    is_finished: bool  # whether it has a footer
+    is_indexed: bool  # whether it has an index of its messages
+    start: int | None  # first log time, nanoseconds; None without a message
+    end: int | None  # last log time, nanoseconds; None without a message
+    counts: dict[Topic, int]  # messages
+    compression: tuple[str, ...] = ()  # of its chunks; empty if not compressed or unknown
+    recorded_by: str = ""  # library that wrote it, if the file states it
+    fault: str = ""  # what is wrong with it and how to fix it
+    attachments: int = 0  # number of these records
     metadata: int = 0
 
 
 @dataclass(frozen=True)
 class TopicInfo:
-    """A topic of a bag.
-
-    Attributes
-    ----------
-    name, msgtype : str
-    count : int
-        Messages.
-    rate : float or None
-        Messages per second over the duration of the bag; None if that is zero.
-    qos : tuple of OfferedQos
-        Quality of service that the publishers offered.
-    """
+    """A topic of a bag."""
 
     name: str
     msgtype: str
-    count: int
-    rate: float | None
-    qos: tuple[OfferedQos, ...]
+    count: int  # messages
+    rate: float | None  # messages per second of the bag; None if its duration is zero
+    qos: tuple[OfferedQos, ...]  # offered by the publishers
 
 
 @dataclass(frozen=True)

@@ -19,23 +19,12 @@ METADATA_VERSION = 9  # of ROS 2 Jazzy
 
 @dataclass(frozen=True)
 class TopicMetadata:
-    """A topic as rosbag2 describes it.
-
-    Attributes
-    ----------
-    name, msgtype : str
-    qos : tuple of OfferedQos
-        One entry for each publisher.
-    type_hash : str
-        RIHS01 hash of the type; empty if unknown.
-    encoding : str
-        Encoding of its messages.
-    """
+    """A topic as rosbag2 describes it."""
 
     name: str
     msgtype: str
-    qos: tuple[OfferedQos, ...]
-    type_hash: str
+    qos: tuple[OfferedQos, ...]  # one entry for each publisher
+    type_hash: str  # RIHS01 hash of the type; empty if unknown
     encoding: str = CDR
 
     def channel_metadata(self) -> dict[str, str]:
@@ -56,21 +45,12 @@ class TopicMetadata:
 
 @dataclass(frozen=True)
 class FileMetadata:
-    """One file of a bag.
-
-    Attributes
-    ----------
-    name : str
-    start, end : int
-        First and last log time, nanoseconds; both 0 without a message.
-    counts : dict of int to int
-        Messages by channel.
-    """
+    """One file of a bag."""
 
     name: str
-    start: int
-    end: int
-    counts: Mapping[int, int]
+    start: int  # first log time, nanoseconds; 0 without a message
+    end: int  # last log time, nanoseconds; 0 without a message
+    counts: Mapping[int, int]  # messages by channel
 
     @property
     def count(self) -> int:

@@ -18,21 +18,11 @@ from symbid_ros.messages.topics import Topic, describe_topics
 
 
 class RecordedMessage(NamedTuple):
-    """A recorded message.
+    """A recorded message."""
 
-    Attributes
-    ----------
-    log_time : int
-        Nanoseconds.
-    topic : str
-        Name as recorded.
-    payload : bytes
-        Serialised message with its encapsulation header.
-    """
-
-    log_time: int
-    topic: str
-    payload: bytes
+    log_time: int  # nanoseconds
+    topic: str  # name as recorded
+    payload: bytes  # serialised message with its encapsulation header
 
 
 @dataclass(frozen=True)

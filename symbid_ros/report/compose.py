@@ -15,7 +15,7 @@ from symbid_ros.identification.evaluation import (
     link_errors,
     predict,
 )
-from symbid_ros.identification.intervals import IntervalSummary, summarise_intervals
+from symbid_ros.identification.intervals import summarise_intervals
 from symbid_ros.identification.realistic_prediction import RealisticMotion, evaluate_realistic
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.content import (
@@ -141,6 +141,13 @@ def _add_evaluation(
     candidates |= {" ".join(key): estimate.value for key, estimate in truncations.items()}
     errors = evaluate(parameters, candidates, truth, motion)
     shown = {label: vectors[label] for label in (TRUTH, PRIOR, content.chosen)}
+    intervals, realistic = None, {}
+    if deviation_factor is not None:
+        chosen = vectors[content.chosen]
+        intervals = summarise_intervals(parameters, chosen, deviation_factor, truth, motion)
+    if ground_truth.realistic is not None:
+        compared = {label: vectors[label] for label in (PRIOR, content.chosen, TRUTH)}
+        realistic = evaluate_realistic(parameters, compared, truth, ground_truth.realistic)
     return replace(
         content,
         methods=tuple(
@@ -157,38 +164,14 @@ def _add_evaluation(
                 if label != TRUTH
             },
         ),
-        intervals=_intervals(parameters, vectors[content.chosen], ground_truth, deviation_factor),
-        realistic=_realistic(
-            parameters,
-            {label: vectors[label] for label in (PRIOR, content.chosen, TRUTH)},
-            ground_truth,
-        ),
+        intervals=intervals,
+        realistic={label: asdict(metrics) for label, metrics in realistic.items()},
         truncations=tuple(
             TruncationChoice(*key, estimate.rank, asdict(errors[" ".join(key)]))
             for key, estimate in truncations.items()
             if estimate.rank is not None
         ),
     )
-
-
-def _intervals(
-    parameters: ParameterSet,
-    values: FloatArray,
-    ground_truth: GroundTruth,
-    factor: FloatArray | None,
-) -> IntervalSummary | None:
-    if factor is None:
-        return None
-    return summarise_intervals(parameters, values, factor, ground_truth.values, ground_truth.motion)
-
-
-def _realistic(
-    parameters: ParameterSet, vectors: Mapping[str, FloatArray], ground_truth: GroundTruth
-) -> dict[str, dict[str, float]]:
-    if ground_truth.realistic is None:
-        return {}
-    errors = evaluate_realistic(parameters, vectors, ground_truth.values, ground_truth.realistic)
-    return {label: asdict(metrics) for label, metrics in errors.items()}
 
 
 def prediction_series(

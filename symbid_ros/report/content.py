@@ -16,17 +16,9 @@ TRUTH = "truth"
 
 @dataclass(frozen=True)
 class Metric:
-    """An error measure of estimates.
+    """An error measure of estimates, with a title short enough for 80 columns and phones."""
 
-    Attributes
-    ----------
-    key : str
-        Field name in the evaluation.
-    title, unit : str
-        Column header and unit, short enough for 80 columns and for phones.
-    """
-
-    key: str
+    key: str  # field of the evaluation
     title: str
     unit: str
 
@@ -69,43 +61,21 @@ def best_labels(
 
 @dataclass(frozen=True)
 class MethodResult:
-    """One row in the comparison of methods.
+    """One row in the comparison of methods."""
 
-    Attributes
-    ----------
-    label : str
-        ``prior``, ``truth`` or the title of the method (``WLS-RC``).
-    estimate : Estimate or None
-        None for the prior and the truth.
-    metrics : dict of str to float or None
-        By ``Metric.key``; None without ground truth.
-    """
-
-    label: str
-    estimate: Estimate | None
-    metrics: dict[str, float] | None
+    label: str  # prior, truth or the title of the method, such as WLS-RC
+    estimate: Estimate | None  # None for the prior and the truth
+    metrics: dict[str, float] | None  # by Metric.key; None without ground truth
 
 
 @dataclass(frozen=True)
 class TruncationChoice:
-    """One truncated method with z from one of two sources.
+    """One truncated method with z from one of two sources."""
 
-    Attributes
-    ----------
-    label : str
-        Title of the method.
-    chosen_by : str
-        Data that z was chosen from.
-    rank : int
-        z, the number of singular values.
-    metrics : dict of str to float
-        By ``Metric.key``.
-    """
-
-    label: str
-    chosen_by: str
-    rank: int
-    metrics: dict[str, float]
+    label: str  # title of the method
+    chosen_by: str  # data that z was chosen from
+    rank: int  # z, the number of singular values
+    metrics: dict[str, float]  # by Metric.key
 
 
 @dataclass(frozen=True)

@@ -116,23 +116,11 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class ParameterGroup:
-    """The parameters of one link, or those of all joints.
+    """The parameters of one link, or those of all joints, in the estimate's order."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the link, or ``Joints``.
-    possible : bool
-        Whether the inertia is physically possible; True for joints.
-    summary : str
-        Shown while the table is closed.
-    rows : tuple of ParameterRow
-        In the estimate's order.
-    """
-
-    name: str
-    possible: bool
-    summary: str
+    name: str  # of the link, or Joints
+    possible: bool  # whether the inertia is physically possible; True for joints
+    summary: str  # shown while the table is closed
     rows: tuple[ParameterRow, ...]
 
 

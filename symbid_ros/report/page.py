@@ -33,23 +33,13 @@ _COEFFICIENT = re.compile(r"([+-])(\d\S*) ")
 
 @dataclass(frozen=True)
 class FigureSection:
-    """Panels with a common legend.
+    """Panels with a common legend, side by side on wide screens and stacked on phones."""
 
-    Attributes
-    ----------
-    anchor, title, caption : str
-        Id of the section, heading, and description.
-    panels : tuple of Panel
-        Side by side on wide screens, stacked on phones.
-    legend : dict of str to Style
-        Empty if the panel has a legend of its own.
-    """
-
-    anchor: str
+    anchor: str  # id of the section
     title: str
     caption: str
     panels: tuple[Panel, ...]
-    legend: dict[str, Style]
+    legend: dict[str, Style]  # empty if the panel has a legend of its own
 
 
 def write_report(content: ReportContent, path: Path) -> None:

@@ -71,24 +71,12 @@ _RC = {
 
 @dataclass(frozen=True)
 class Style:
-    """Style of one parameter set; dashes and markers differ as well as colours.
+    """Style of one parameter set; dashes and markers differ as well as colours."""
 
-    Attributes
-    ----------
-    colour : str
-        From the palette of Okabe and Ito, which colour-blind readers can distinguish.
-    dash : str
-        Matplotlib's line style.
-    width : float
-        Line width, points.
-    marker : str
-        Matplotlib's marker.
-    """
-
-    colour: str
-    dash: str
-    width: float
-    marker: str
+    colour: str  # from the palette of Okabe and Ito, which colour-blind readers can distinguish
+    dash: str  # Matplotlib's line style
+    width: float  # line width, points
+    marker: str  # Matplotlib's marker
 
 
 # The truth is a wide dark line below the thin bright line of the estimate: both are visible where

@@ -32,37 +32,20 @@ EXTENT_SIZE = 1 << 20  # bytes of messages outside of chunks that are read toget
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """A topic of a bag.
-
-    Attributes
-    ----------
-    name, msgtype : str
-    encoding : str
-        Message encoding; ROS 2 uses ``cdr``.
-    qos : tuple of OfferedQos
-        Quality of service that its publishers offered; empty if unknown.
-    """
+    """A topic of a bag."""
 
     name: str
     msgtype: str
-    encoding: str
-    qos: tuple[OfferedQos, ...]
+    encoding: str  # of its messages; ROS 2 uses cdr
+    qos: tuple[OfferedQos, ...]  # offered by its publishers; empty if unknown
 
 
 class Extent(NamedTuple):
-    """Consecutive records of a file that hold messages, such as a chunk.
+    """Consecutive records of a file that hold messages, such as a chunk."""
 
-    Attributes
-    ----------
-    start, end : int
-        First and last log time, nanoseconds.
-    offset, length : int
-        Bytes of an MCAP file or rows of an SQLite table.
-    """
-
-    start: int
-    end: int
-    offset: int
+    start: int  # first log time, nanoseconds
+    end: int  # last log time, nanoseconds
+    offset: int  # bytes of an MCAP file, or rows of an SQLite table
     length: int
 
 
@@ -76,26 +59,13 @@ class StoredMessage(NamedTuple):
 
 @dataclass(frozen=True)
 class FileIndex:
-    """The topics of a file and the positions of its messages.
-
-    Attributes
-    ----------
-    file : Path
-    topics : mapping of int to RecordedTopic
-        By channel.
-    extents : tuple of Extent
-        Unsorted; their times may overlap.
-    statistics : mcap Statistics or None
-        Message counts stated by the file.
-    messages : callable
-        Function that returns the messages of an extent in order of recording.
-    """
+    """The topics of a file and the positions of its messages."""
 
     file: Path
-    topics: Mapping[int, RecordedTopic]
-    extents: tuple[Extent, ...]
-    statistics: Statistics | None
-    messages: Callable[[Extent], list[StoredMessage]]
+    topics: Mapping[int, RecordedTopic]  # by channel
+    extents: tuple[Extent, ...]  # unsorted; their times may overlap
+    statistics: Statistics | None  # message counts stated by the file
+    messages: Callable[[Extent], list[StoredMessage]]  # in order of recording
 
 
 def list_topics(registry: SchemaRegistry) -> dict[int, RecordedTopic]:

@@ -171,28 +171,14 @@ def find_messages(data: Buffer, announce: Callable[[int, Buffer], None]) -> "arr
 
 
 class ChunkRecord(NamedTuple):
-    """A chunk as stored in the file.
+    """A chunk as stored in the file."""
 
-    Attributes
-    ----------
-    start, end : int
-        First and last log time as stated, nanoseconds.
-    size : int
-        Stated bytes of the decompressed records.
-    crc : int
-        CRC-32 of the decompressed records; 0 if the writer gave none.
-    compression : str
-        ``zstd``, ``lz4`` or empty.
-    data : memoryview
-        The compressed records.
-    """
-
-    start: int
-    end: int
-    size: int
-    crc: int
-    compression: str
-    data: memoryview
+    start: int  # first log time as stated, nanoseconds
+    end: int  # last log time as stated, nanoseconds
+    size: int  # stated bytes of the decompressed records
+    crc: int  # CRC-32 of the decompressed records; 0 if the writer gave none
+    compression: str  # zstd, lz4 or empty
+    data: memoryview  # the compressed records
 
     @classmethod
     def parse(cls, body: Buffer) -> "ChunkRecord":
@@ -251,26 +237,15 @@ def _decompress_lz4(data: memoryview, size: int) -> bytes:
 
 @dataclass(frozen=True)
 class Attachment:
-    """An attachment as stored in a file; its content may be larger than memory.
+    """An attachment as stored in a file; its content may be larger than memory."""
 
-    Attributes
-    ----------
-    offset, length : int
-        Position and size of its record, header included.
-    log_time, create_time : int
-        Nanoseconds.
-    name, media_type : str
-    data_size : int
-        Bytes of its content.
-    """
-
-    offset: int
-    length: int
-    log_time: int
-    create_time: int
+    offset: int  # of its record
+    length: int  # bytes of its record, header included
+    log_time: int  # nanoseconds
+    create_time: int  # nanoseconds
     name: str
     media_type: str
-    data_size: int
+    data_size: int  # bytes of its content
 
     @classmethod
     def read(cls, stream: BinaryIO, offset: int, length: int) -> "Attachment":

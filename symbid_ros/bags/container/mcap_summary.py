@@ -36,26 +36,13 @@ logger = logging.getLogger("symbid_ros.bags")
 
 @dataclass(frozen=True)
 class McapSummary:
-    """The summary of a finished file.
+    """The summary of a finished file."""
 
-    Attributes
-    ----------
-    registry : SchemaRegistry
-        Schemas, and the channels whose schema is in the summary.
-    statistics : mcap Statistics or None
-    chunks : tuple of mcap ChunkIndex
-        Empty unless requested.
-    data_end : int
-        Position after the data end record.
-    data_crc : int
-        CRC-32 of the file up to its data end record; 0 if the writer gave none.
-    """
-
-    registry: SchemaRegistry
+    registry: SchemaRegistry  # schemas, and the channels whose schema is in the summary
     statistics: Statistics | None
-    chunks: tuple[ChunkIndex, ...]
-    data_end: int
-    data_crc: int
+    chunks: tuple[ChunkIndex, ...]  # empty unless requested
+    data_end: int  # position after the data end record
+    data_crc: int  # CRC-32 of the file up to its data end record; 0 if the writer gave none
 
     @property
     def has_topic_counts(self) -> bool:

@@ -39,25 +39,13 @@ JOURNALS = ("-wal", "-journal")
 
 @dataclass(frozen=True)
 class SqliteSummary:
-    """Topics, times and state of an SQLite file.
+    """Topics, times and state of an SQLite file."""
 
-    Attributes
-    ----------
-    counts : dict of Topic to int
-        Messages.
-    qos : dict of Topic to tuple of OfferedQos
-        Quality of service that publishers offered; empty if unknown.
-    start, end : int or None
-        First and last log time, nanoseconds; None without a message.
-    is_finished : bool
-        Whether its recorder closed it.
-    """
-
-    counts: Mapping[Topic, int]
-    qos: Mapping[Topic, tuple[OfferedQos, ...]]
-    start: int | None
-    end: int | None
-    is_finished: bool
+    counts: Mapping[Topic, int]  # messages
+    qos: Mapping[Topic, tuple[OfferedQos, ...]]  # offered by publishers; empty if unknown
+    start: int | None  # first log time, nanoseconds; None without a message
+    end: int | None  # last log time, nanoseconds; None without a message
+    is_finished: bool  # whether its recorder closed it
 
 
 def read_sqlite_summary(file: Path) -> SqliteSummary:

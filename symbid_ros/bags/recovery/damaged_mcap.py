@@ -155,25 +155,13 @@ class MessageRun(NamedTuple):
 
 
 class DamagedRange(NamedTuple):
-    """Damaged bytes of a file.
-
-    Attributes
-    ----------
-    offset, length : int
-        Position in the file.
-    fault : str
-        What is wrong.
-    messages : dict of int to int
-        Lower bounds of the lost messages by channel.
-    is_counted : bool
-        Whether these are their exact numbers.
-    """
+    """Damaged bytes of a file."""
 
     offset: int
     length: int
-    fault: str
-    messages: dict[int, int]
-    is_counted: bool
+    fault: str  # what is wrong
+    messages: dict[int, int]  # lower bounds of the lost messages by channel
+    is_counted: bool  # whether these are their exact numbers
 
 
 class PrivateRecord(NamedTuple):

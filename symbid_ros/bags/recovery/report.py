@@ -12,32 +12,16 @@ from symbid_ros.messages.topics import Topic
 
 @dataclass(frozen=True)
 class LostRange:
-    """A lost part of a recording.
+    """A lost part of a recording."""
 
-    Attributes
-    ----------
-    file : str
-        Name of the damaged file.
-    offset, length : int
-        Unusable bytes of the file; both 0 for a missing file.
-    fault : str
-        Why they are unusable.
-    after, before : int or None
-        Log times of the messages kept before and after it, nanoseconds; None at either end.
-    messages : int
-        Lower bound of the lost messages.
-    is_counted : bool
-        Whether this is their exact number.
-    """
-
-    file: str
-    offset: int
-    length: int
-    fault: str
-    after: int | None = None
-    before: int | None = None
-    messages: int = 0
-    is_counted: bool = False
+    file: str  # name of the damaged file
+    offset: int  # of the unusable bytes; 0 for a missing file
+    length: int  # number of unusable bytes; 0 for a missing file
+    fault: str  # why they are unusable
+    after: int | None = None  # log time of the last message kept before it, ns; None at the start
+    before: int | None = None  # log time of the first message kept after it, ns; None at the end
+    messages: int = 0  # lower bound of the lost messages
+    is_counted: bool = False  # whether this is their exact number
 
 
 @dataclass(frozen=True)
@@ -60,30 +44,16 @@ class RecordCount:
 
 @dataclass(frozen=True)
 class RecoveryReport:
-    """The result of a recovery.
+    """The result of a recovery."""
 
-    Attributes
-    ----------
-    source, out : Path
-        The damaged bag, which is not changed, and the new one.
-    topics : tuple of TopicRecovery
-    holes : tuple of LostRange
-    attachments, metadata : RecordCount
-        rosbag2's own metadata record, which is rewritten, does not count.
-    repeated : int
-        Chunks that were in the bag twice.
-    is_counted : bool
-        Whether all lost messages are counted; False if some range may have held more.
-    """
-
-    source: Path
-    out: Path
+    source: Path  # the damaged bag, which is not changed
+    out: Path  # the new bag
     topics: tuple[TopicRecovery, ...]
     holes: tuple[LostRange, ...]
     attachments: RecordCount
-    metadata: RecordCount
-    repeated: int
-    is_counted: bool
+    metadata: RecordCount  # without rosbag2's own metadata record, which is rewritten
+    repeated: int  # chunks that were in the bag twice
+    is_counted: bool  # whether all lost messages are counted; False if a range may have held more
 
     @property
     def kept(self) -> int:
@@ -112,30 +82,16 @@ UNKNOWN_TOPIC = Topic("(unknown topic)", "")
 
 @dataclass
 class RecoveryCounts:
-    """Running counts of messages by topic and of other records by opcode, and lost ranges.
-
-    Attributes
-    ----------
-    kept, stated : Counter of Topic
-        Messages that were kept, and that the bag should hold.
-    unassigned : int
-        Lost messages of unknown topics.
-    holes : list of LostRange
-    records, records_lost : Counter of int
-    repeated : int
-        Chunks found twice.
-    is_counted : bool
-        Whether all lost messages are counted.
-    """
+    """Running counts of messages by topic and of other records by opcode, and lost ranges."""
 
     kept: Counter[Topic] = field(default_factory=Counter)
-    stated: Counter[Topic] = field(default_factory=Counter)
-    unassigned: int = 0
+    stated: Counter[Topic] = field(default_factory=Counter)  # messages that the bag should hold
+    unassigned: int = 0  # lost messages of unknown topics
     holes: list[LostRange] = field(default_factory=list)
     records: Counter[int] = field(default_factory=Counter)
     records_lost: Counter[int] = field(default_factory=Counter)
-    repeated: int = 0
-    is_counted: bool = True
+    repeated: int = 0  # chunks found twice
+    is_counted: bool = True  # whether all lost messages are counted
     _latest: int | None = None  # log time of the last message kept of the current file
     _followed: int = 0  # number of lost ranges before that message
 

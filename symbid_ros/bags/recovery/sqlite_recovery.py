@@ -27,18 +27,10 @@ class StoredRow(NamedTuple):
 
 
 class UnreadableRows(NamedTuple):
-    """Rows that cannot be read.
-
-    Attributes
-    ----------
-    first : int
-    stop : int or None
-        The next readable row, or None at the end.
-    fault : str
-    """
+    """Rows that cannot be read."""
 
     first: int
-    stop: int | None
+    stop: int | None  # the next readable row; None at the end
     fault: str
 
 

@@ -89,27 +89,13 @@ class MessageQueue:
 
 @dataclass(frozen=True)
 class WriterState:
-    """Progress of writing a bag.
+    """Progress of writing a bag."""
 
-    Attributes
-    ----------
-    messages : int
-        Messages written to the operating system.
-    size : int
-        Bytes of the files.
-    queued : int
-        Bytes of messages that wait to be written.
-    dropped : dict of str to int
-        Messages dropped because the queue was full, by topic; only topics that lost any.
-    sync_age : float
-        Seconds since the last sync; older data are on the disk.
-    """
-
-    messages: int
-    size: int
-    queued: int
-    dropped: dict[str, int]
-    sync_age: float
+    messages: int  # written to the operating system
+    size: int  # bytes of the files
+    queued: int  # bytes of messages that wait to be written
+    dropped: dict[str, int]  # messages dropped by a full queue, by topic; only topics that lost any
+    sync_age: float  # seconds since the last sync; older data are on the disk
 
 
 class BackgroundWriter:
