@@ -119,7 +119,7 @@ def test_reversed_gravity_is_the_imus_fault():
         assert (Kind.IMU_MOUNTING, "/imu") not in other.kinds
 
 
-@pytest.mark.parametrize("left", [0.34, 0.36])
+@pytest.mark.parametrize("left", [0.34, 0.36, 0.9])
 @pytest.mark.parametrize(
     ("robot", "is_explained"),
     [
@@ -140,7 +140,7 @@ def test_a_weight_that_no_gain_explains_is_reported(robot, is_explained, left):
     if found:
         (finding,) = robot.verdict().findings
         assert finding.figures == {"weight_left": pytest.approx(left), "weight_n": 500.0}
-        assert "36 % of 500 N" in finding.message
+        assert f"{100 * left:.0f} % of 500 N" in finding.message
         assert robot.verdict().blamed == Kind.WEIGHT.value
 
 

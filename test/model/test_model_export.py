@@ -11,13 +11,15 @@ import pinocchio
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from random_robots import random_phi
+from random_robots import random_phi, random_robot
 
 from symbid_ros.atomic_write import write_text
+from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.errors import ModelError
 from symbid_ros.model.export_mjcf import mjcf_files, mjcf_text, replaced_values
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.inertia import (
+    TINY_MASS,
     com_from_phi,
     is_consistent,
     nearest_consistent,
@@ -399,3 +401,95 @@ def test_a_link_written_as_an_empty_element_gets_its_identified_inertia(tmp_path
     phi[1] = [2.0, 0.1, 0.0, 0.2, 0.3, 0.0, -0.01, 0.3, 0.0, 0.2]
     out.write_text(urdf_text(arm.with_phi(phi), path))
     np.testing.assert_allclose(load_model(out, "fixed").phi, phi, atol=1e-15)
+
+
+@pytest.mark.parametrize("write", [urdf_text, mjcf_text])
+@pytest.mark.parametrize("seed", range(3))
+def test_reference_positions_survive_both_formats(write, seed, tmp_path):
+    """A URDF has none, so they are part of its poses; limits and positions stay."""
+    rng = np.random.default_rng(seed)
+    robot = random_robot(seed, links=6)
+    joints = tuple(replace(joint, reference=rng.normal()) for joint in robot.joints)
+    robot = replace(robot, joints=joints)
+    path = tmp_path / ("robot.urdf" if write is urdf_text else "robot.xml")
+    path.write_text(write(robot))
+    again = load_model(path)
+    position = rng.uniform(-2, 2, (5, 5))
+    expected, found = link_poses(robot, position), link_poses(again, position)
+    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-12)
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
+    assert [(one.lower, one.upper) for one in again.joints] == [(-3.0, 3.0)] * 5
+
+
+@pytest.mark.parametrize("floating", [True, False])
+@pytest.mark.parametrize("bare", [0, 1, 3])
+def test_only_moving_links_without_mass_get_a_tiny_one(floating, bare, tmp_path):
+    robot = random_robot(2, links=4, floating=floating)
+    phi = robot.phi.copy()
+    phi[bare] = 0.0
+    compiled = mujoco.MjModel.from_xml_string(mjcf_text(robot.with_phi(phi)))
+    expected = phi[:, 0].copy()
+    expected[bare] = TINY_MASS if floating or bare else 0.0
+    masses = [compiled.body(name).mass[0] for name in robot.link_names]
+    np.testing.assert_allclose(masses, expected, rtol=1e-12)
+    assert (f"link_{bare}" in " ".join(replaced_values(robot.with_phi(phi)))) is bool(
+        floating or bare
+    )
+
+
+@pytest.mark.parametrize("floating", [True, False])
+@pytest.mark.parametrize("index", [0, 3])
+def test_a_link_may_have_mjcfs_name_of_the_world(floating, index, tmp_path):
+    robot = random_robot(1, links=4, floating=floating)
+    links = [replace(one, name="world") if i == index else one for i, one in enumerate(robot.links)]
+    path = tmp_path / "robot.xml"
+    path.write_text(mjcf_text(replace(robot, links=tuple(links))))
+    again = load_model(path)
+    names = list(robot.link_names)
+    # A fixed base of that name is MuJoCo's world, which cannot have inertia.
+    names[index] = "world" if index == 0 and not floating else "world_link"
+    assert list(again.link_names) == names
+    first = 1 if index == 0 and not floating else 0
+    np.testing.assert_allclose(again.phi[first:], robot.phi[first:], atol=1e-9)
+
+
+MESH = """<mujoco>{compiler}
+  <asset><mesh name="shell" file="shell.obj"/></asset>
+  <worldbody><body name="trunk"><freejoint/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+  </body></worldbody>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize(
+    ("compiler", "written"),
+    [
+        ("", '<compiler assetdir="../home"/>'),
+        ('<compiler angle="radian"/>', '<compiler angle="radian" assetdir="../home"/>'),
+        ('<compiler meshdir="m"/>', '<compiler meshdir="../home/m"/>'),
+        (
+            '<compiler texturedir="t" assetdir="a"/>',
+            '<compiler texturedir="../home/t" assetdir="../home/a"/>',
+        ),
+        (
+            '<compiler angle="radian"/><compiler coordinate="local"/>',
+            '<compiler angle="radian" assetdir="../home"/><compiler coordinate="local"/>',
+        ),
+    ],
+)
+def test_meshes_are_found_from_another_folder(compiler, written, tmp_path):
+    home, out = tmp_path / "home", tmp_path / "out"
+    for each in (home / "m", home / "a", out):
+        each.mkdir(parents=True)
+    shell = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    for each in (home, home / "m", home / "a"):
+        (each / "shell.obj").write_text(shell)
+    source = home / "robot.xml"
+    source.write_text(MESH.format(compiler=compiler))
+    robot = load_model(source)
+    (same,) = mjcf_files(robot, source, home).values()
+    assert same == source.read_text()
+    heavier = robot.with_phi(2 * robot.phi)
+    again = saved(mjcf_files(heavier, source, out), out)
+    np.testing.assert_allclose(again.phi, 2 * robot.phi)
+    assert written in next(out.glob("*.xml")).read_text()

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import butter, filtfilt
 
 from symbid_ros.errors import DataError
 from symbid_ros.signals.filters import CausalLowPass, LowPass, SavitzkyGolay, row_inflation
@@ -163,3 +164,86 @@ def test_a_resting_signal_is_left_alone():
 def test_what_is_no_cutoff_is_refused(cutoff):
     with pytest.raises(DataError, match="cutoff"):
         CausalLowPass(cutoff)(np.zeros((10, 1)), RATE)
+
+
+@pytest.mark.parametrize(
+    ("smoothing", "rate", "settling", "stride"),
+    [
+        (LowPass(0), 1000.0, 2, 1),
+        (LowPass(30.0), 1000.0, 100, 6),
+        (LowPass(30.0), 1001.0, 101, 6),
+        (LowPass(30.0, passes=1), 1000.0, 34, 6),
+        (LowPass(30.0, "thesis", passes=1), 1000.0, 100, 6),
+        (LowPass(400.0, passes=1), 1000.0, 3, 1),
+        (LowPass(40.0), 400.0, 30, 2),
+        (LowPass(41.0), 400.0, 30, 1),
+        (LowPass(450.0, passes=1), 901.0, 3, 1),
+        (SavitzkyGolay(0.08), 1000.0, 40, 20),
+        (SavitzkyGolay(0.08), 100.0, 4, 2),
+        (SavitzkyGolay(0.01, 2), 100.0, 2, 1),
+        (SavitzkyGolay(0.01, 3), 100.0, 2, 1),
+        (SavitzkyGolay(0.01, 4), 100.0, 3, 1),
+        (SavitzkyGolay(0.07, 3), 100.0, 4, 2),
+    ],
+)
+def test_edges_and_strides_follow_the_cutoff_or_the_window(smoothing, rate, settling, stride):
+    assert (smoothing.settling(rate), smoothing.stride(rate)) == (settling, stride)
+
+
+@pytest.mark.parametrize(
+    ("smoothing", "says"),
+    [
+        (LowPass(0), "none"),
+        (LowPass(20.0), "second-order Butterworth at 20 Hz, zero phase, 3 passes"),
+        (LowPass(20.0, "thesis"), "second-order Butterworth at 20 Hz, zero phase, the thesis's"),
+        (SavitzkyGolay(0.05, 4), "Savitzky-Golay, 50 ms, degree 4"),
+    ],
+)
+def test_filters_describe_themselves(smoothing, says):
+    assert str(smoothing).startswith(says)
+
+
+@pytest.mark.parametrize("passes", [1, 3])
+@pytest.mark.parametrize("count", [60, 400])
+def test_passes_forwards_and_backwards_are_scipys(passes, count):
+    """The ends are extended by three periods of the cutoff per pass, or by the whole signal."""
+    signal = np.random.default_rng(1).normal(size=(count, 2))
+    low_pass = LowPass(25.0, passes=passes)
+    b, a = butter(2, 25.0, fs=500.0)
+    b, a = (np.atleast_1d(np.poly1d(each) ** passes) for each in (b, a))
+    padding = min(count - 1, 60 * passes)
+    expected = filtfilt(b, a, signal, axis=0, padlen=padding)
+    np.testing.assert_allclose(low_pass.force(signal, 500.0), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("channels", ["all", "thesis"])
+def test_derivatives_are_central_differences_between_passes(channels):
+    signal = np.random.default_rng(2).normal(size=(300, 2))
+    low_pass = LowPass(30.0, channels, passes=2)
+    found = low_pass.motion(signal, 500.0, 2)
+    expected = [low_pass(signal, 500.0, 2 if channels == "all" else 1)]
+    for _ in range(2):
+        slope = np.empty_like(signal)
+        last = expected[-1]
+        slope[1:-1] = (last[2:] - last[:-2]) * 250.0
+        slope[0] = (-1.5 * last[0] + 2 * last[1] - 0.5 * last[2]) * 500.0
+        slope[-1] = (1.5 * last[-1] - 2 * last[-2] + 0.5 * last[-3]) * 500.0
+        expected.append(low_pass(slope, 500.0) if channels == "thesis" else slope)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9 * np.abs(other).max())
+
+
+def test_a_cutoff_is_below_half_the_rate():
+    signal = np.zeros((50, 1))
+    LowPass(49.9).force(signal, 100.0)
+    with pytest.raises(DataError, match="50 Hz is not below half the rate of 100 Hz"):
+        LowPass(50.0).force(signal, 100.0)
+
+
+@pytest.mark.parametrize(("cutoff", "settling"), [(0, 1), (50.0, 41), (30.0, 68)])
+def test_a_causal_filter_settles_within_two_periods(cutoff, settling):
+    low_pass = CausalLowPass(cutoff)
+    assert low_pass.settling(1000.0) == settling
+    if cutoff:
+        step = low_pass(np.r_[0.0, np.ones(999)][:, None], 1000.0)
+        assert np.abs(step[settling:] - 1).max() < 1e-3

@@ -1,6 +1,6 @@
 """Streams to samples, on random robots that move in MuJoCo."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,8 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.alignment import align, align_checked
 from symbid_ros.signals.filters import LowPass
-from symbid_ros.signals.sensor_samples import build_samples
+from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_samples import SensorSamples, build_samples, smoothed
 
 UNFILTERED = LowPass(cutoff=0)
 
@@ -180,3 +181,72 @@ class TestAlignment:
             samples_of(streams, model, LowPass(600))
         with raises_code("E317", "-1"):
             LowPass(-1)
+
+
+def readings(count, joints=2, imus=1, wrenches=1):
+    rng = np.random.default_rng(count)
+
+    def noise(*shape):
+        return rng.normal(size=(count, *shape))
+
+    return SensorSamples(
+        stamp=1_790_000_000_000_000_000 + 1_000_000 * np.arange(count, dtype=np.int64),
+        position=noise(joints),
+        velocity=noise(joints),
+        acceleration=noise(joints),
+        effort=noise(joints),
+        angular_velocity=noise(imus, 3),
+        angular_acceleration=noise(imus, 3),
+        specific_force=noise(imus, 3),
+        wrenches=noise(wrenches, 6),
+        imu_frames=("imu",) * imus,
+        wrench_frames=("sole",) * wrenches,
+    )
+
+
+def test_groups_are_averaged_in_every_channel():
+    whole = readings(10)
+    means = whole.averaged(np.array([0, 3, 4]))
+    for field in fields(SensorSamples):
+        values = getattr(whole, field.name)
+        if field.name in ("imu_frames", "wrench_frames"):
+            assert getattr(means, field.name) == values
+            continue
+        groups = [values[0:3], values[3:4], values[4:10]]
+        if field.name == "stamp":
+            assert means.stamp.tolist() == [int(x[0]) + 500_000 * (len(x) - 1) for x in groups]
+        else:
+            expected = [group.mean(axis=0) for group in groups]
+            np.testing.assert_allclose(getattr(means, field.name), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("length", "edge", "left"), [(20, 3, 14), (7, 3, 1), (6, 3, 0), (5, 0, 5)])
+@pytest.mark.parametrize("frames", [("imu_link",), ()])
+def test_edges_are_removed_and_short_segments_are_empty(length, edge, left, frames):
+    stamp = np.arange(length, dtype=np.int64) * 1_000_000
+    rng = np.random.default_rng(0)
+    count = len(frames)
+    segment = Segment(
+        stamp,
+        1000.0,
+        rng.normal(size=(length, 2)),
+        rng.normal(size=(length, 2)),
+        rng.normal(size=(length, count, 3)),
+        rng.normal(size=(length, count, 3)),
+        rng.normal(size=(length, 1, 6)),
+        frames,
+        ("sole",),
+    )
+    found = smoothed(segment, UNFILTERED, edge)
+    inside = slice(edge, length - edge) if left else slice(0, 0)
+    assert len(found) == left
+    np.testing.assert_array_equal(found.stamp, stamp[inside])
+    np.testing.assert_array_equal(found.position, segment.position[inside])
+    np.testing.assert_array_equal(found.effort, segment.effort[inside])
+    np.testing.assert_array_equal(found.wrenches, segment.wrenches[inside])
+    np.testing.assert_array_equal(found.specific_force, segment.linear_acceleration[inside])
+    np.testing.assert_array_equal(found.angular_velocity, segment.angular_velocity[inside])
+    slope = np.gradient(segment.angular_velocity, 1e-3, axis=0, edge_order=2)[inside]
+    np.testing.assert_allclose(found.angular_acceleration, slope)
+    assert found.velocity.shape == found.acceleration.shape == (left, 2)
+    assert (found.imu_frames, found.wrench_frames) == (frames, ("sole",))
