@@ -8,6 +8,7 @@ import pytest
 from gaussian_logs import gaussian_log, noise_root
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import eigh
 
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.observations import CHANCE, definite, whiteness
@@ -62,6 +63,62 @@ def test_ideal_rows_keep_a_finite_weight(count):
     assert np.all(np.linalg.eigvalsh(found) > 0)
     assert np.all(np.isfinite(np.linalg.inv(np.linalg.cholesky(found))))
     assert np.sqrt(np.diag(found)).max() < 1e-5 * np.abs(exact.y).max()
+
+
+@pytest.mark.parametrize("inflation", [1.0, 4 / 3])
+def test_the_residual_covariance_is_corrected_for_the_weights_that_it_gives(inflation):
+    """By (N + n)/(N - n) for N independent rows of n coordinates."""
+    log = replace(gaussian_log(5, count=200), inflation=inflation)
+    residual = log.y - log.K @ log.truth
+    rows, n = len(log) / inflation, log.K.shape[1]
+    expected = inflation * (rows + n) / (rows - n) * residual.T @ residual / len(log)
+    found = log.observations().residual_covariance(log.truth)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("inflation", [1.0, 4 / 3])
+def test_correlations_need_three_independent_rows_per_coordinate(inflation):
+    n = gaussian_log(5).K.shape[1]
+    for count in (int(3 * n * inflation), int(3 * n * inflation) + 1):
+        log = replace(gaussian_log(5, count=count), inflation=inflation)
+        found = log.observations().residual_covariance(log.truth)
+        is_diagonal = not np.any(found - np.diag(np.diag(found)))
+        assert is_diagonal is (count <= 3 * n * inflation)
+
+
+@pytest.mark.parametrize("inflation", [1.0, 4 / 3])
+@pytest.mark.parametrize("terms", [(), ("viscous", "coulomb", "offset")])
+def test_a_coordinate_needs_five_rows_and_three_per_parameter_of_its_own(inflation, terms):
+    log = replace(gaussian_log(6, count=60, terms=terms), inflation=inflation)
+    coordinate = log.K.shape[1] - 1
+    structure = np.any(log.K != 0, axis=0)
+    own = np.sum(structure[coordinate] & (structure.sum(axis=0) == 1))
+    assert own >= len(terms)
+    needed = (5 + 3 * own) * inflation
+    for count in (int(np.ceil(needed)) - 1, int(np.ceil(needed))):
+        valid = log.valid.copy()
+        valid[count:, coordinate] = False
+        variance = np.diag(replace(log, valid=valid).observations().residual_covariance(log.truth))
+        assert (variance[coordinate] > 1e3 * variance[:coordinate].max()) is np.bool_(
+            count < needed
+        )
+
+
+def test_whiteness_is_the_largest_ratio_of_variances_over_chance():
+    """Against dense moments of logs whose residuals are known."""
+    short, long = (
+        replace(gaussian_log(7, count=count), window=window, inflation=4 / 3)
+        for count, window in ((400, 0.08), (200, 0.24))
+    )
+    moments = []
+    for log in (short, long):
+        residual = log.y - log.K @ log.truth
+        moments.append(residual.T @ residual / len(log))
+    largest = eigh(moments[1], moments[0], eigvals_only=True)[-1]
+    n = short.K.shape[1]
+    chance = (1 + np.sqrt(n / (200 * 3 / 4))) ** 2
+    found = whiteness(short.observations(), long.observations(), short.truth)
+    assert found == pytest.approx(3 * largest / chance, rel=1e-6)
 
 
 def test_overlap_reduces_the_number_of_rows():
