@@ -1,1 +1,1 @@
-"""Whole jobs on messages as they arrive: identify, forget, notice changes."""
+"""Online identification: estimates from messages as they arrive, with forgetting and changes."""

@@ -17,7 +17,7 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
 from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.types import IMU, JOINT_STATE
-from symbid_ros.ros.bridge_parameters import robot_name
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros.commands import CommandPublisher
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import construct, run_node
@@ -201,11 +201,12 @@ class BalanceNode:
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node = node
+        model = Path(values["model"]) if values["model"] else None
         self._controller = StandingController(
             values["scenario"],
             moves=values["moves"],
             motion_seed=values["motion_seed"],
-            model_path=Path(values["model"]) if values["model"] else None,
+            model_path=model,
         )
         self._subscriber = FeedbackSubscriber(node, self._controller.joint_names)
         self._publisher = CommandPublisher(node, self._controller.drive_names)
@@ -214,7 +215,8 @@ class BalanceNode:
         self._stamp = 0
         self._heard = float("-inf")
         self._times: list[float] = []  # computing times of the answers since the last status, s
-        self._status_publisher = StatusPublisher(node, self._current_status, robot_name(values))
+        robot = (model or config_file("symbitron.xml")).stem
+        self._status_publisher = StatusPublisher(node, self._current_status, robot)
 
     def run(self, stop: Event) -> None:
         """Answer measurements until stopped, then print the counts as JSON."""

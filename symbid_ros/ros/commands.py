@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from threading import Event
 
 import numpy as np
@@ -12,17 +12,17 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
 from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.types import JOINT_STATE, fill_stamp, message_layout
-from symbid_ros.ros.bridge_parameters import INTERNAL, UDP
 from symbid_ros.ros.bridge_topics import BridgeTopics
 from symbid_ros.ros.endpoints import await_settled, message_class, reliable_qos
 from symbid_ros.ros.parameters import ParameterError, Values
 from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
-from symbid_ros.simulation.command import Command, Drives
+from symbid_ros.simulation.command import Command, CommandCounts, Drives
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.udp_server import UdpServer
 
-TOPIC = "joint_command"
+INTERNAL, TOPIC, UDP = "internal", "topic", "udp"  # sources of commands
+JOINT_COMMAND = "joint_command"
 DEPTH = 100  # length of the queue, commands; at most one answers the newest measurement
 FIRST_TIMEOUT = 5.0  # s to wait for a controller's first command
 LISTEN = 0.05  # s; longest delay until a stop signal is noticed
@@ -38,7 +38,7 @@ class CommandPublisher:
         self._record = layout.records(1)
         self._columns = layout.columns(self._record)
         self._publisher = node.create_publisher(
-            message_class(JOINT_STATE), TOPIC, reliable_qos(DEPTH)
+            message_class(JOINT_STATE), JOINT_COMMAND, reliable_qos(DEPTH)
         )
 
     def publish(self, stamp: int, torques: FloatArray) -> None:
@@ -116,7 +116,7 @@ class TopicCommands:
         self._node, self._drives, self._timeout = node, drives, timeout
         self._drive_names = tuple(drive_names)
         self._subscriber_counts, self._republish = subscriber_counts, republish
-        self._subscription = DecodedSubscription(node, TOPIC, JOINT_STATE, DEPTH)
+        self._subscription = DecodedSubscription(node, JOINT_COMMAND, JOINT_STATE, DEPTH)
         self._layout: Layout | None = None
         self._indices: IntArray = np.arange(len(self._drive_names))
         self._answered = 0  # stamp of the newest instant that was answered
@@ -247,6 +247,13 @@ class UdpSource(UdpServer):
 
 
 CommandSource = TopicCommands | UdpSource
+
+
+def counts_by_name(counts: TopicCommandCounts | CommandCounts) -> dict[str, int]:
+    """Return counts by name; rejected commands are named ``rejected/<reason>``."""
+    found = asdict(counts)
+    rejected = found.pop("rejected")
+    return found | {f"rejected/{reason}": number for reason, number in rejected.items()}
 
 
 def command_source(

@@ -4,7 +4,8 @@ import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from pathlib import Path
 from queue import SimpleQueue
 from threading import Event
 from typing import Any
@@ -13,21 +14,95 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.ros.bridge_parameters import PARAMETERS, model_path, robot_name, simulator_from
+from symbid_ros.package_paths import config_file
 from symbid_ros.ros.bridge_topics import BridgeTopics
-from symbid_ros.ros.commands import CommandSource, TopicCommandCounts, command_source
-from symbid_ros.ros.parameters import watch
+from symbid_ros.ros.commands import (
+    INTERNAL,
+    TOPIC,
+    UDP,
+    CommandSource,
+    command_source,
+    counts_by_name,
+)
+from symbid_ros.ros.parameters import Parameter, options_from, parameters_of, watch
 from symbid_ros.ros.process import construct, run_node
 from symbid_ros.ros.reporting import ERROR, OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.simulation.body_inertia import Payload
-from symbid_ros.simulation.command import CommandCounts
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.sensors import Instant
-from symbid_ros.simulation.simulator import PayloadFactory
+from symbid_ros.simulation.simulator import PayloadFactory, Simulator, simulator_of
 
 CATCH_UP = 0.1  # s; longer delays are not caught up
 PAUSE_POLL = 0.02  # s between two checks whether a pause has ended
 WARNING_PERIOD = 5.0  # s between two warnings of one kind
+PARAMETERS = (
+    *parameters_of(SimulateOptions),
+    Parameter("model", "", "MJCF file of the robot; empty: the package's Symbitron."),
+    Parameter(
+        "command_source",
+        INTERNAL,
+        "Source of the drive commands: the scenario's own controller (internal), joint_command "
+        "(topic), or UDP datagrams (udp).",
+        choices=(INTERNAL, TOPIC, UDP),
+    ),
+    Parameter(
+        "command_timeout",
+        0.1,
+        "Longest wait for a command before the drives apply safe torques, s of real time.",
+        minimum=0.001,
+        maximum=60.0,
+    ),
+    Parameter("udp_host", "127.0.0.1", "Address on which datagrams are received."),
+    Parameter(
+        "udp_port",
+        5005,
+        "Port on which datagrams are received; 0: any free port, shown on /diagnostics.",
+        minimum=0,
+        maximum=65535,
+    ),
+    Parameter(
+        "udp_reply_port",
+        0,
+        "Port to which measurements are sent; 0: the port from which commands come.",
+        minimum=0,
+        maximum=65535,
+    ),
+    Parameter(
+        "real_time_factor",
+        1.0,
+        "Simulated seconds per second, if the machine and the controller are fast enough.",
+        minimum=0.01,
+        maximum=100.0,
+    ),
+    Parameter(
+        "clock_rate",
+        100.0,
+        "/clock messages per simulated second; 0: none.",
+        minimum=0.0,
+        maximum=1e6,
+    ),
+    Parameter(
+        "ground_truth_rate",
+        100.0,
+        "Messages per simulated second on each ground_truth/ topic; 0: none.",
+        minimum=0.0,
+        maximum=1e6,
+    ),
+    Parameter("queue_depth", 5000, "Messages kept for a slow subscriber.", minimum=1),
+    Parameter(
+        "wait_for_subscribers",
+        False,
+        "Start when every sensor topic has its subscribers, so that no message is lost.",
+    ),
+    Parameter(
+        "subscribers",
+        1,
+        "Number of subscribers that each sensor topic needs before the start.",
+        minimum=1,
+        maximum=100,
+    ),
+)
 
 
 @dataclass
@@ -124,18 +199,7 @@ class BridgeState:
             "controllers": ", ".join(controllers) or "none",
             "safe_steps": self.safe_steps,
         }
-        return NodeStatus("commands", level, message, values | flatten(commands.counts))
-
-
-def flatten(counts: TopicCommandCounts | CommandCounts) -> dict[str, int]:
-    """Return counts by name; rejected commands are named ``rejected/<reason>``."""
-    found: dict[str, int] = {}
-    for name, value in asdict(counts).items():
-        if isinstance(value, Mapping):
-            found |= {f"{name}/{reason}": number for reason, number in value.items()}
-        else:
-            found[name] = value
-    return found
+        return NodeStatus("commands", level, message, values | counts_by_name(commands.counts))
 
 
 def format_payload(payload: Payload | None) -> str:
@@ -151,8 +215,9 @@ class MujocoBridge:
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._node, self._values = node, values
-        self._simulator = simulator_from(values)
-        self._payloads = PayloadFactory(model_path(values))
+        self._model = Path(values["model"]) if values["model"] else None
+        self._simulator = self._new_simulator()
+        self._payloads = PayloadFactory(self._model)
         self._payload = self._payload_of(values)
         self._changes: SimpleQueue[dict[str, Any]] = SimpleQueue()
         self._reset, self._paused = Event(), Event()
@@ -166,7 +231,16 @@ class MujocoBridge:
         watch(node, PARAMETERS, self._changes.put, self._payload_of)
         node.create_service(Trigger, "~/reset", self._on_reset)
         node.create_service(SetBool, "~/pause", self._on_pause)
-        self._status_publisher = StatusPublisher(node, self._current_status, robot_name(values))
+        robot = (self._model or config_file("symbitron.xml")).stem
+        self._status_publisher = StatusPublisher(node, self._current_status, robot)
+
+    def _new_simulator(self) -> Simulator:
+        """Return a simulator at the start of the motion and without payload."""
+        return simulator_of(
+            options_from(SimulateOptions, self._values),
+            model=self._model,
+            is_commanded=self._values["command_source"] != INTERNAL,
+        )
 
     def _payload_of(self, values: Mapping[str, Any]) -> Payload | None:
         return self._payloads.payload(
@@ -190,7 +264,7 @@ class MujocoBridge:
         }
         if self._commands is not None:
             given = {"starts": state.starts, "falls": state.falls, "safe": state.safe_steps}
-            summary["commands"] = given | flatten(self._commands.counts)
+            summary["commands"] = given | counts_by_name(self._commands.counts)
         print(json.dumps(summary), flush=True)
 
     def _run_motion(self, stop: Event) -> None:
@@ -234,7 +308,7 @@ class MujocoBridge:
         self._rate.restart()
 
     def _restart(self, stop: Event) -> None:
-        self._simulator = simulator_from(self._values)
+        self._simulator = self._new_simulator()
         self._start(stop)
 
     def _wait_while_paused(self, stop: Event) -> None:

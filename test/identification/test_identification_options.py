@@ -113,7 +113,7 @@ def test_no_option_exists_in_one_front_end_only() -> None:
 
 def test_no_option_of_a_simulation_exists_in_one_front_end_only() -> None:
     from symbid_ros.cli.simulate import simulate
-    from symbid_ros.ros.bridge_parameters import PARAMETERS
+    from symbid_ros.ros.mujoco_bridge import PARAMETERS
 
     names = {each.name for each in options_of(SimulateOptions)}
     assert names <= set(inspect.signature(simulate).parameters)

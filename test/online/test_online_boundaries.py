@@ -1,4 +1,4 @@
-"""Where blocks are cut, a slow topic off the joint states' clock is as smooth as anywhere."""
+"""A slow topic that is not on the joint states' clock is smooth across block boundaries."""
 
 from pathlib import Path
 
@@ -53,7 +53,7 @@ def offline(bag: Path, model):
 
 
 @pytest.mark.parametrize("read", [live, offline])
-def test_a_slow_topic_is_one_spline_across_all_blocks(bag, model, read) -> None:
+def test_a_slow_topic_is_interpolated_across_block_boundaries(bag, model, read) -> None:
     streams = read_streams([bag])
     (wrench,) = (one for one in streams.wrenches if one.topic == SLOW)
     assert 8 * len(wrench.stamp) < len(streams.joints.stamp)
@@ -69,6 +69,6 @@ def test_a_slow_topic_is_one_spline_across_all_blocks(bag, model, read) -> None:
     at = segments[0].wrench_frames.index(wrench.frame_id)
     found = np.concatenate([segment.wrenches[:, at] for segment in segments])
     expected = spline((stamp - stamp[0]) * 1e-9)
-    # What is ten messages away counts for 0.27 ** 10 = 2e-6.
+    # A message ten messages away has a weight of 0.27 ** 10 = 2e-6.
     largest = np.abs(np.diff(values, axis=0)).max(axis=0)
     assert np.all(np.abs(found - expected) < 1e-5 * largest)

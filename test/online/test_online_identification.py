@@ -1,4 +1,4 @@
-"""Live messages tell what a bag of them tells, whatever happens between."""
+"""Live messages give the same estimate as their bag, in spite of disturbances."""
 
 import logging
 import re
@@ -25,7 +25,7 @@ from symbid_ros.package_paths import config_file
 
 MODEL = config_file("symbitron.xml")
 LOG = {"scenario": "smooth", "moves": 3, "motion_seed": 51, "noise_seed": 52}
-HURRIED = Pace(share=1.0)
+UNPACED = Pace(share=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +50,10 @@ def offline(bag):
 
 @pytest.fixture
 def start(feed):
-    """Begin an online identification, and give it up at the test's end."""
+    """Start online identifications, and close them at the end of the test."""
     begun = []
 
-    def begin(pace=HURRIED, **chosen):
+    def begin(pace=UNPACED, **chosen):
         begun.append(OnlineIdentification(initial(**chosen), feed.selected, pace))
         return begun[-1]
 
@@ -87,7 +87,7 @@ def assert_same(online, offline, *, rel=1e-9):
             assert np.all(np.abs(found - expected) <= rel * np.outer(scale, scale))
 
 
-def test_a_log_fed_live_tells_what_its_bag_tells(start, feed, offline) -> None:
+def test_live_messages_give_the_estimate_of_their_bag(start, feed, offline) -> None:
     live = start()
     outcomes = feed.into(live, solving=1.0)
     # Estimates on the way know what is new, whole block or not.
@@ -105,7 +105,7 @@ def test_a_log_fed_live_tells_what_its_bag_tells(start, feed, offline) -> None:
     assert exact.until == feed.messages[-1][0]
 
 
-def test_an_estimate_knows_the_end_of_a_block_that_is_being_worked_on(start, feed) -> None:
+def test_an_estimate_includes_the_end_of_a_block_still_being_processed(start, feed) -> None:
     live = start(Pace(share=1e-6))
     feed.between(0.0, 3.5).into(live)
     assert live.solve().until == pytest.approx(3.5e9, abs=2e6)
@@ -116,7 +116,7 @@ def test_an_estimate_knows_the_end_of_a_block_that_is_being_worked_on(start, fee
     assert live.solve().until == pytest.approx(5e9, abs=2e6)
 
 
-def test_there_is_news_once_every_topic_has_told_more(start, feed) -> None:
+def test_has_news_once_every_topic_has_newer_messages(start, feed) -> None:
     live = start()
     assert not live.has_news
     feed.between(0.0, 3.0).into(live)
@@ -136,7 +136,7 @@ def test_there_is_news_once_every_topic_has_told_more(start, feed) -> None:
     assert not live.has_news
 
 
-def test_the_same_at_every_boundary(start, feed, parameters, bag) -> None:
+def test_live_and_offline_data_are_equal_at_any_time(start, feed, parameters, bag) -> None:
     from symbid_ros.bags import read_streams
     from symbid_ros.identification.dataset import fold_dataset
     from symbid_ros.signals.alignment import align_checked
@@ -167,7 +167,7 @@ def _cut(streams, stop):
     return replace(streams, joints=joints, imus=imus, wrenches=wrenches)
 
 
-def test_bursts_and_overtaking_change_nothing(start, feed, offline) -> None:
+def test_bursts_and_disordered_messages_change_nothing(start, feed, offline) -> None:
     live = start()
     # Each topic comes in bursts of a quarter of a second, and within it backwards in pairs.
     shuffled = sorted(
@@ -179,7 +179,7 @@ def test_bursts_and_overtaking_change_nothing(start, feed, offline) -> None:
     assert_same(observations, offline.solver.problem.observations)
 
 
-def test_a_clock_that_jumps_back_begins_anew_and_loses_nothing(
+def test_a_backward_clock_jump_restarts_the_clock_and_loses_nothing(
     start, feed, offline, caplog: pytest.LogCaptureFixture
 ) -> None:
     live = start()
@@ -197,7 +197,7 @@ def test_a_clock_that_jumps_back_begins_anew_and_loses_nothing(
     assert_same(live.solve(exactly=True).found.observations, twice)
 
 
-def test_a_run_goes_on_where_an_earlier_one_ended(start, feed, offline, tmp_path: Path) -> None:
+def test_a_run_resumes_from_saved_information(start, feed, offline, tmp_path: Path) -> None:
     first = start()
     feed.between(0.0, 8.0).into(first)
     saved = first.solve(exactly=True).found
@@ -208,25 +208,25 @@ def test_a_run_goes_on_where_an_earlier_one_ended(start, feed, offline, tmp_path
     assert_same(observations, offline.solver.problem.observations)
 
 
-def test_old_rows_fade_and_with_them_the_prior(start, feed, offline) -> None:
+def test_forgetting_discounts_old_rows_and_the_prior(start, feed, offline) -> None:
     live = start(Pace(memory=2.0, share=1.0))
     feed.into(live)
-    faded = live.solve(exactly=True)
-    (known,) = (o for o in faded.found.observations if o.window == 0.161)
+    discounted = live.solve(exactly=True)
+    (known,) = (o for o in discounted.found.observations if o.window == 0.161)
     seconds = (feed.messages[-1][0] // 4_000_000_000 * 4) + 1e-9  # whole blocks, then the rest
     kept = np.exp(-(feed.messages[-1][0] + 1) * 1e-9 / 2.0)
     assert known.kept == pytest.approx(kept, rel=1e-9)
     assert known.rows.samples < seconds * 1e9
-    # A steady state of rows at one rate keeps as many as come in one memory.
+    # At a constant rate, the sum of all weights is the number of rows in one time constant.
     rate = 2 / 0.161
     assert known.rows.samples == pytest.approx(2.0 * rate, rel=0.7)
-    unfaded = Solver.of(replace(offline.solver.problem, observations=(known,)))
-    widened = faded.found.estimate.std / faded.found.estimate.prior
+    solver = Solver.of(replace(offline.solver.problem, observations=(known,)))
+    widened = discounted.found.estimate.std / discounted.found.estimate.prior
     assert np.all(np.isfinite(widened))
-    assert unfaded.posterior.prior.std == pytest.approx(2 * offline.prior.std)
+    assert solver.posterior.prior.std == pytest.approx(2 * offline.prior.std)
 
 
-def test_a_silent_topic_costs_blocks_and_is_named(start, feed) -> None:
+def test_a_silent_topic_loses_blocks_and_is_reported(start, feed) -> None:
     live = start(Pace(lag=0.3, share=1.0))
     feed.between(0.0, 2.0).into(live)
     feed.between(2.0, np.inf).without("/left_foot/wrench").into(live)
@@ -269,7 +269,7 @@ def renamed(payload: bytes) -> bytes:
 def undisturbed(feed):
     """What two seconds of the log tell."""
     part = feed.between(0.0, 2.0)
-    live = OnlineIdentification(initial(), part.selected, HURRIED)
+    live = OnlineIdentification(initial(), part.selected, UNPACED)
     part.into(live)
     value = values_of(live)
     live.close()
@@ -288,7 +288,7 @@ def undisturbed(feed):
     ],
     ids=["malformed", "foreign", "future", "past", "nanosec", "enormous"],
 )
-def test_junk_among_the_messages_changes_nothing(start, undisturbed, spoil, reason) -> None:
+def test_invalid_messages_change_nothing(start, undisturbed, spoil, reason) -> None:
     part, expected = undisturbed
     live = start()
     spoilt(part, spoil).into(live)
@@ -318,10 +318,10 @@ def test_late_and_missing_messages_are_counted(start, feed) -> None:
     assert by_name[topic.name].late == 0
 
 
-def test_a_robot_whose_forces_do_not_carry_it_is_refused(feed) -> None:
+def test_forces_that_do_not_match_the_weight_are_refused(feed) -> None:
     gone = feed.selected.wrenches[0]
     halved = replace(feed.selected, wrenches=feed.selected.wrenches[1:])
-    other = OnlineIdentification(initial(), halved, HURRIED)
+    other = OnlineIdentification(initial(), halved, UNPACED)
     feed.between(0.0, 3.0).without(gone.name).into(other)
     with pytest.raises(DataError, match=r"by \d+ % of the robot's weight"):
         other.solve()
@@ -337,12 +337,12 @@ def test_a_robot_whose_forces_do_not_carry_it_is_refused(feed) -> None:
     ],
     ids=["filter", "sensor errors", "rank"],
 )
-def test_what_takes_a_whole_log_is_refused(start, chosen, says) -> None:
+def test_options_that_need_a_complete_log_are_refused(start, chosen, says) -> None:
     with pytest.raises(EstimateError, match=says):
         start(**chosen)
 
 
-def test_a_memory_set_while_running_holds_from_then_on(start, feed) -> None:
+def test_a_memory_set_while_running_applies_to_later_data(start, feed) -> None:
     def known(first, then):
         live = start(Pace(memory=first, share=1.0), window=0.1)
         for begin, stop, memory in ((0.0, 4.5, then), (4.5, 8.2, np.inf)):
@@ -352,7 +352,7 @@ def test_a_memory_set_while_running_holds_from_then_on(start, feed) -> None:
         return live._accumulator.blocks.observations
 
     # In the first block there is nothing that could fade: only what is set later counts.
-    faded = known(2.0, 2.0)
-    assert_same(known(np.inf, 2.0), faded)
+    discounted = known(2.0, 2.0)
+    assert_same(known(np.inf, 2.0), discounted)
     lasting = known(2.0, np.inf)
-    assert np.trace(gram(faded[0])[0]) < 0.9 * np.trace(gram(lasting[0])[0])
+    assert np.trace(gram(discounted[0])[0]) < 0.9 * np.trace(gram(lasting[0])[0])

@@ -1,4 +1,4 @@
-"""Which messages are a robot's, whoever serialised them."""
+"""Messages of the robot are accepted in any byte order and layout; others are dropped."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_either_byte_order_is_read(check: MessageCheck, little_endian: bool) -> 
     assert check.dropped == 1
 
 
-def test_several_layouts_take_turns(check: MessageCheck) -> None:
+def test_alternating_layouts_are_accepted(check: MessageCheck) -> None:
     for stamp in range(20):
         names = ("L_kfe",) if stamp % 2 else ("R_kfe", "gripper")
         assert check.take(message(stamp, names=names))
@@ -55,11 +55,11 @@ def test_several_layouts_take_turns(check: MessageCheck) -> None:
     assert check.dropped == 3
 
 
-def test_values_that_are_not_numbers_are_left_to_whoever_names_the_joint(check) -> None:
+def test_nan_values_are_accepted(check) -> None:
     assert check.take(message(1, effort=np.nan))
 
 
-def test_a_clock_has_changed_when_two_messages_say_so(check: MessageCheck) -> None:
+def test_two_messages_confirm_a_clock_change(check: MessageCheck) -> None:
     def taken(stamp: int) -> list[int]:
         return [at // MILLISECOND for at, _ in check.take(message(stamp))]
 

@@ -1,4 +1,4 @@
-"""Habits of other robots' drivers: joints in parts, no stamps, missing joints, prefixed frames."""
+"""Variations of other robots' drivers: joints in parts, no stamps, missing joints, prefixed frames."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -149,7 +149,7 @@ def test_joints_of_other_machines_on_the_topic_are_ignored(model, bag: Path, tmp
 
 
 @pytest.mark.parametrize("topic", [JOINTS, "/imu/data", "/left_foot/wrench"])
-def test_messages_without_stamps_are_counted_and_ignored_until_the_driver_is_cured(
+def test_messages_without_stamps_are_counted_and_ignored_until_the_driver_is_fixed(
     topic, feed, model
 ) -> None:
     cured = 2_500_000_000
@@ -168,7 +168,7 @@ def test_messages_without_stamps_are_counted_and_ignored_until_the_driver_is_cur
     assert_equal(found.blocks, heard(clean, model).blocks)
 
 
-def test_a_missing_joint_costs_blocks_and_is_named_until_it_is_published(feed, model) -> None:
+def test_a_missing_joint_loses_blocks_and_is_reported_until_it_is_published(feed, model) -> None:
     def renamed(stamp, name, payload):
         if name != JOINTS or stamp >= 4_000_000_000:
             return payload
@@ -198,7 +198,7 @@ def test_a_prefix_of_frames_is_suggested_and_removed(feed, model) -> None:
     assert_equal(heard(faulty, model, "robot1/").blocks, heard(clean, model).blocks)
 
 
-def test_advice_to_a_live_robot_names_no_bag(bag: Path, model) -> None:
+def test_messages_about_live_topics_do_not_mention_bags(bag: Path, model) -> None:
     streams = read_streams([bag])
     absent = replace(streams.joints, position=np.full_like(streams.joints.position, np.nan))
     few = replace(

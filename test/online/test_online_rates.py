@@ -1,4 +1,4 @@
-"""Slow topics, off each other's clocks, tell live what their bag tells."""
+"""Live topics at low and different rates give the estimate of their bag."""
 
 from pathlib import Path
 
@@ -29,7 +29,7 @@ def robot_and_bag(request, tmp_path_factory) -> tuple[Path, Path, float]:
     return path, write_bag(random_streams(load_model(path), plan, 1), folder / "log"), plan.rate
 
 
-def test_a_slow_log_fed_live_tells_what_its_bag_tells(robot_and_bag, tmp_path) -> None:
+def test_live_messages_at_low_rates_give_the_estimate_of_their_bag(robot_and_bag, tmp_path) -> None:
     model, bag, rate = robot_and_bag
     expected = suited_windows(ALL_WINDOWS, rate)
 

@@ -80,7 +80,7 @@ class Graph:
     def __init__(self, env: dict[str, str]):
         self._env = env
         self._processes: list[NodeProcess] = []
-        self.witness: Callable[[], object] = tuple  # its result is printed when a wait fails
+        self.details: Callable[[], object] = tuple  # its result is printed when a wait fails
         self._context = Context()
         rclpy.init(context=self._context, domain_id=int(env["ROS_DOMAIN_ID"]))
         self.node = Node("observer", context=self._context)
@@ -94,16 +94,16 @@ class Graph:
     def wait_until(self, condition: Callable[[], object]) -> None:
         deadline = time.monotonic() + DEADLINE
         while not condition():
-            assert time.monotonic() < deadline, self._post_mortem()
+            assert time.monotonic() < deadline, self._describe_failure()
             self._executor.spin_once(timeout_sec=0.02)
 
     def wait_for_node(self, name: str) -> None:
         self.wait_until(lambda: name in self.node.get_node_names())
 
-    def _post_mortem(self) -> str:
+    def _describe_failure(self) -> str:
         """End the nodes and return what they have printed."""
-        told = [process.aborted() for process in self._processes]
-        return "\n".join(["the condition was not met in time", str(self.witness()), *told])
+        reports = [process.aborted() for process in self._processes]
+        return "\n".join(["the condition was not met in time", str(self.details()), *reports])
 
     def close(self) -> None:
         for process in self._processes:

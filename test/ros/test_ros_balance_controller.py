@@ -64,10 +64,10 @@ def test_the_robot_moves_as_with_the_internal_controller(graph) -> None:
     graph.wait_until(lambda: places and max(places) > end - 10 * robot.period_ns)
     for process in (controller, bridge):
         process.send(signal.SIGINT)
-    answers, told = controller.ended(), bridge.ended()
-    assert (answers.status, told.status) == (0, 0)
+    answers, bridge_end = controller.ended(), bridge.ended()
+    assert (answers.status, bridge_end.status) == (0, 0)
     assert "WARN" not in answers.err
-    commands = json.loads(told.out)["commands"]
+    commands = json.loads(bridge_end.out)["commands"]
     assert (commands["starts"], commands["falls"], commands["timeouts"]) == (1, 0, 0)
     assert not any(n for key, n in commands.items() if key.startswith("rejected/"))
     assert json.loads(answers.out)["restarts"] == 0
@@ -79,17 +79,17 @@ def test_the_robot_moves_as_with_the_internal_controller(graph) -> None:
         if stamp <= end
     ]
     # The robot does not wait for this subscriber, which gets every message after its first.
-    heard = np.array(sorted(stamp for stamp in places if stamp <= end))
-    assert set(np.diff(heard)) == {10 * robot.period_ns}
-    assert heard[0] < end / 2
+    stamps = np.array(sorted(stamp for stamp in places if stamp <= end))
+    assert set(np.diff(stamps)) == {10 * robot.period_ns}
+    assert stamps[0] < end / 2
     # The moves are 8 cm long; sensor noise and a delay of one period cost millimetres.
     assert max(away) < 0.01
 
 
 def test_each_node_resumes_after_the_other_is_killed(graph) -> None:
-    clock, health = Clocked(graph), StatusProbe(graph)
+    clock, statuses = Clocked(graph), StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT | {"command_timeout": 1.0})
-    graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
+    graph.wait_until(lambda: statuses.message(COMMANDS) == "waiting for a controller")
     assert not clock.stamps, "simulated time waits for a controller"
 
     controller = graph.start("balance_controller")
@@ -97,41 +97,41 @@ def test_each_node_resumes_after_the_other_is_killed(graph) -> None:
     jumps = clock.jumps
     controller.kill()
     # Drives that only brake do not keep it upright: it falls, restarts and waits.
-    graph.wait_until(lambda: health.count(SIMULATION, "falls") == 1)
-    graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
-    assert health.count(COMMANDS, "timeouts") >= 1
-    assert health.count(COMMANDS, "safe_steps") >= 10
-    assert "restarted after" in health.message(SIMULATION)
+    graph.wait_until(lambda: statuses.count(SIMULATION, "falls") == 1)
+    graph.wait_until(lambda: statuses.message(COMMANDS) == "waiting for a controller")
+    assert statuses.count(COMMANDS, "timeouts") >= 1
+    assert statuses.count(COMMANDS, "safe_steps") >= 10
+    assert "restarted after" in statuses.message(SIMULATION)
 
     controller = graph.start("balance_controller")
     graph.wait_until(lambda: clock.jumps == jumps + 1 and clock.now > 0.3)
-    graph.wait_until(lambda: health.message(COMMANDS) == "commands are obeyed")
+    graph.wait_until(lambda: statuses.message(COMMANDS) == "commands are obeyed")
 
     jumps = clock.jumps
     bridge.kill()
-    graph.wait_until(lambda: health.message(CONTROL).startswith("no measurements"))
+    graph.wait_until(lambda: statuses.message(CONTROL).startswith("no measurements"))
     bridge = graph.start("mujoco_bridge", **PATIENT)
     graph.wait_until(lambda: clock.jumps == jumps + 1 and clock.now > 0.3)
     for process in (controller, bridge):
         process.send(signal.SIGTERM)
-    answers, told = controller.ended(), bridge.ended()
-    assert (answers.status, told.status) == (0, 0)
-    assert "Traceback" not in answers.err + told.err
+    answers, bridge_end = controller.ended(), bridge.ended()
+    assert (answers.status, bridge_end.status) == (0, 0)
+    assert "Traceback" not in answers.err + bridge_end.err
     assert answers.err.count("the clock jumped back") == 1
     assert json.loads(answers.out)["restarts"] == 1
 
 
 def test_reset_and_pause(graph) -> None:
-    clock, health = Clocked(graph), StatusProbe(graph)
+    clock, statuses = Clocked(graph), StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT)
     controller = graph.start("balance_controller")
     graph.wait_until(lambda: clock.now > 0.3)
     assert call(graph, Trigger, "/mujoco_bridge/reset").success
     graph.wait_until(lambda: clock.jumps == 1 and clock.now > 0.2)
     assert call(graph, SetBool, "/mujoco_bridge/pause", data=True).success
-    graph.wait_until(lambda: health.message(SIMULATION) == "paused")
-    received, paused = health.received, len(clock.stamps)
-    graph.wait_until(lambda: health.received >= received + 2)
+    graph.wait_until(lambda: statuses.message(SIMULATION) == "paused")
+    received, paused = statuses.received, len(clock.stamps)
+    graph.wait_until(lambda: statuses.received >= received + 2)
     assert len(clock.stamps) == paused
     assert call(graph, SetBool, "/mujoco_bridge/pause", data=False).success
     graph.wait_until(lambda: len(clock.stamps) > paused + 10)
@@ -142,7 +142,7 @@ def test_reset_and_pause(graph) -> None:
 
 
 def test_bad_commands_are_reported_and_ignored(graph) -> None:
-    states, health = [], StatusProbe(graph)
+    states, statuses = [], StatusProbe(graph)
     graph.node.create_subscription(JointState, "joint_states", states.append, RELIABLE)
     commands = graph.node.create_publisher(JointState, "joint_command", RELIABLE)
     bridge = graph.start("mujoco_bridge", **PATIENT)
@@ -165,9 +165,9 @@ def test_bad_commands_are_reported_and_ignored(graph) -> None:
     send(later, still)
     expected = {"not_finite": 1, "beyond_limit": 1, "joints": 2, "future": 1}
     graph.wait_until(
-        lambda: all(health.count(COMMANDS, f"rejected/{key}") == n for key, n in expected.items())
+        lambda: all(statuses.count(COMMANDS, f"rejected/{key}") == n for key, n in expected.items())
     )
-    assert health.count(COMMANDS, "accepted") == 0
+    assert statuses.count(COMMANDS, "accepted") == 0
     assert {nanoseconds(state.header.stamp) for state in states} == {1_000_000}
     send(first.header.stamp, still)
     graph.wait_until(lambda: nanoseconds(states[-1].header.stamp) == 2_000_000)
@@ -179,9 +179,9 @@ def test_bad_commands_are_reported_and_ignored(graph) -> None:
 
 @pytest.mark.parametrize(("source", "number"), [("topic", signal.SIGINT), ("udp", signal.SIGTERM)])
 def test_signals_end_a_bridge_that_waits(graph, source: str, number: signal.Signals) -> None:
-    health = StatusProbe(graph)
+    statuses = StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", command_source=source, udp_port=0)
-    graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
+    graph.wait_until(lambda: statuses.message(COMMANDS) == "waiting for a controller")
     bridge.send(number)
     ended = bridge.ended()
     assert ended.status == 0
@@ -191,9 +191,9 @@ def test_signals_end_a_bridge_that_waits(graph, source: str, number: signal.Sign
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_a_controller_without_measurements(graph, number: signal.Signals) -> None:
-    health = StatusProbe(graph)
+    statuses = StatusProbe(graph)
     controller = graph.start("balance_controller")
-    graph.wait_until(lambda: health.message(CONTROL).startswith("no measurements"))
+    graph.wait_until(lambda: statuses.message(CONTROL).startswith("no measurements"))
     described = descriptors(graph, "/balance_controller", ["scenario", "moves", "use_sim_time"])
     assert all(each.description for each in described)
     controller.send(number)

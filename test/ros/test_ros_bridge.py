@@ -37,12 +37,12 @@ def recorded(graph, tmp_path: Path) -> tuple[Path, dict, dict]:
     """A bag of the bridge's topics with the output of bridge and recorder."""
     recorder = graph.start("recorder", bag=tmp_path / "live", topics=ALL_TOPICS)
     bridge = graph.start("mujoco_bridge", moves=MOVES, wait_for_subscribers=True, motion_seed=3)
-    told = bridge.ended()
+    sent = bridge.ended()
     recorder.send(signal.SIGINT)
-    heard = recorder.ended()
-    assert (told.status, told.err) == (0, "")
-    assert (heard.status, heard.err) == (0, "")
-    return tmp_path / "live", json.loads(told.out), json.loads(heard.out)
+    written = recorder.ended()
+    assert (sent.status, sent.err) == (0, "")
+    assert (written.status, written.err) == (0, "")
+    return tmp_path / "live", json.loads(sent.out), json.loads(written.out)
 
 
 def supporting_force(robot: RobotModel, streams: Streams, part: slice) -> np.ndarray:
@@ -68,15 +68,15 @@ def supporting_force(robot: RobotModel, streams: Streams, part: slice) -> np.nda
 def test_the_recorder_gets_all_messages_that_the_bridge_counts(
     recorded: tuple[Path, dict, dict], tmp_path: Path
 ) -> None:
-    bag, told, heard = recorded
-    steps = told["steps"]
+    bag, sent, written = recorded
+    steps = sent["steps"]
     assert steps == Simulator("smooth", moves=MOVES, motion_seed=3).steps
-    assert told["published"]["/joint_states"] == steps
-    assert told["published"]["/ground_truth/odom"] == -(-steps // 10)
-    assert heard["recorded"] == told["published"] == topic_counts(bag)
-    assert all(gaps["missing"] == 0 for gaps in heard["gaps"].values())
+    assert sent["published"]["/joint_states"] == steps
+    assert sent["published"]["/ground_truth/odom"] == -(-steps // 10)
+    assert written["recorded"] == sent["published"] == topic_counts(bag)
+    assert all(gaps["missing"] == 0 for gaps in written["gaps"].values())
     with AnyReader([bag]) as reader:
-        assert {c.topic: c.msgcount for c in reader.connections} == told["published"]
+        assert {c.topic: c.msgcount for c in reader.connections} == sent["published"]
 
     record(Simulator("smooth", moves=MOVES, motion_seed=3), tmp_path / "direct")
     live, direct = read_streams([bag]), read_streams([tmp_path / "direct"])
@@ -104,11 +104,11 @@ def test_robot_with_friction_and_errors_is_the_same_over_topics(graph, tmp_path:
     robot = {"friction": True, "errors": "typical,sample_rates", "error_seed": 3, "moves": 1}
     recorder = graph.start("recorder", bag=tmp_path / "live", topics=topics)
     bridge = graph.start("mujoco_bridge", scenario="tare", wait_for_subscribers=True, **robot)
-    told = bridge.ended()
+    sent = bridge.ended()
     recorder.send(signal.SIGINT)
-    heard = recorder.ended()
-    assert (told.status, told.err) == (0, "")
-    assert (heard.status, heard.err) == (0, "")
+    written = recorder.ended()
+    assert (sent.status, sent.err) == (0, "")
+    assert (written.status, written.err) == (0, "")
 
     live = read_streams([tmp_path / "live"])
     simulator = Simulator("tare", friction=True, errors=robot["errors"], error_seed=3)
@@ -162,8 +162,8 @@ def test_rates_of_zero_publish_nothing(graph) -> None:
 
 def test_parameters_are_described_and_only_the_payload_can_change(graph) -> None:
     bridge = graph.start("mujoco_bridge", wait_for_subscribers=True)
-    health = StatusProbe(graph)
-    graph.wait_until(lambda: health.received)
+    statuses = StatusProbe(graph)
+    graph.wait_until(lambda: statuses.received)
     names = [parameter.name for parameter in mujoco_bridge.PARAMETERS]
     found = {each.name: each for each in descriptors(graph, "/mujoco_bridge", names)}
     assert all(each.description for each in found.values())
@@ -200,7 +200,7 @@ def test_a_payload_set_while_moving_loads_the_feet(graph, tmp_path: Path) -> Non
     """At rest at the end, the feet also carry the weight of the payload."""
     clock: list[int] = []
     graph.node.create_subscription(Clock, "/clock", lambda m: clock.append(m.clock.sec), RELIABLE)
-    health = StatusProbe(graph)
+    statuses = StatusProbe(graph)
     recorder = graph.start("recorder", bag=tmp_path / "live", topics=ALL_TOPICS)
     bridge = graph.start(
         "mujoco_bridge", moves=1, motion_seed=3, ideal=True, wait_for_subscribers=True
@@ -212,11 +212,11 @@ def test_a_payload_set_while_moving_loads_the_feet(graph, tmp_path: Path) -> Non
     assert all(each.successful for each in results)
     assert set_parameters(graph, "/mujoco_bridge", payload_mass=2.0)[0].successful
     simulation = "/mujoco_bridge: simulation"
-    graph.wait_until(lambda: "2 kg on R_thigh" in health.value(simulation, "payload"))
-    told = bridge.ended()
+    graph.wait_until(lambda: "2 kg on R_thigh" in statuses.value(simulation, "payload"))
+    sent = bridge.ended()
     recorder.send(signal.SIGINT)
-    assert recorder.ended().status == told.status == 0
-    assert re.search(r"payload from [\d.]+ s on: 2 kg on R_thigh at \(0\.2, 0, 0\) m\n", told.err)
+    assert recorder.ended().status == sent.status == 0
+    assert re.search(r"payload from [\d.]+ s on: 2 kg on R_thigh at \(0\.2, 0, 0\) m\n", sent.err)
 
     record(Simulator("smooth", moves=1, motion_seed=3, ideal=True), tmp_path / "without")
     robot = load_model(config_file("symbitron.xml"))
@@ -237,10 +237,10 @@ def test_a_payload_given_at_the_start_is_attached_at_its_time(graph, tmp_path: P
         payload_time=1.5,
         wait_for_subscribers=True,
     )
-    told = bridge.ended()
+    sent = bridge.ended()
     recorder.send(signal.SIGINT)
-    assert recorder.ended().status == told.status == 0
-    assert "payload from 1.501 s on: 3 kg on base_link at (0, 0, 0) m" in told.err
+    assert recorder.ended().status == sent.status == 0
+    assert "payload from 1.501 s on: 3 kg on base_link at (0, 0, 0) m" in sent.err
     hook = read_streams([tmp_path / "live"]).wrenches[-1]
     assert hook.frame_id == "suspension"
     pull = np.linalg.norm(hook.force, axis=1)

@@ -121,16 +121,16 @@ def test_bytes_of_any_serialiser_are_read(bench) -> None:
 
 def test_commands_of_the_own_publisher_are_accepted(bench) -> None:
     loop = bench()
-    heard: list[JointState] = []
-    loop.node.create_subscription(JointState, "joint_command", heard.append, 10)
+    received: list[JointState] = []
+    loop.node.create_subscription(JointState, "joint_command", received.append, 10)
     CommandPublisher(loop.node, DRIVES).publish(7 * MILLISECOND, np.array([1.5, -2.5]))
     assert loop.answer(7) == [1.5, -2.5]
     executor = rclpy.executors.SingleThreadedExecutor(context=loop.node.context)
     executor.add_node(loop.node)
-    while not heard:
+    while not received:
         executor.spin_once(timeout_sec=1.0)
-    assert (heard[0].name, list(heard[0].effort)) == (["knee", "hip"], [1.5, -2.5])
-    assert len(heard[0].position) == len(heard[0].velocity) == 0
+    assert (received[0].name, list(received[0].effort)) == (["knee", "hip"], [1.5, -2.5])
+    assert len(received[0].position) == len(received[0].velocity) == 0
 
 
 BAD = {

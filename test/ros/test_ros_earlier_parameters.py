@@ -10,8 +10,8 @@ from rclpy.node import Node
 
 from symbid_ros.ros import (
     balance_controller,
-    bridge_parameters,
     identifier_parameters,
+    mujoco_bridge,
     player,
     recorder,
 )
@@ -20,7 +20,7 @@ from symbid_ros.ros.parameters import declare
 FILES = Path(__file__).parents[1] / "estimation" / "data" / "earlier_files" / "node_parameters"
 NODES = {
     "balance_controller": balance_controller,
-    "bridge": bridge_parameters,
+    "bridge": mujoco_bridge,
     "identifier": identifier_parameters,
     "player": player,
     "recorder": recorder,

@@ -126,7 +126,7 @@ def test_every_number_has_its_name(estimate, parameters) -> None:
     determined = np.arange(len(parameters)) % 3 > 0
     message = estimate_topics.estimate_message(replace(estimate, determined=determined), STAMP)
     assert message.header.stamp == STAMP
-    told = {
+    published = {
         f"{status.name}/{entry.key}": json.loads(entry.value)
         for status in message.status
         for entry in status.values
@@ -136,4 +136,4 @@ def test_every_number_has_its_name(estimate, parameters) -> None:
         expected[name] = estimate.value[index]
         expected[f"{name}/std"] = estimate.std[index]
         expected[f"{name}/determined"] = bool(determined[index])
-    assert told == expected
+    assert published == expected

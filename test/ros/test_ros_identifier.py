@@ -75,7 +75,7 @@ def test_live_identification_equals_that_of_the_command(graph, tmp_path: Path) -
     draw_prior(parameters, "percent", 25, 4).write(tmp_path / "prior.json")
     given = {"model": model, "prior": tmp_path / "prior.json"}
 
-    heard: dict[str, object] = {}
+    received: dict[str, object] = {}
     links = [link.name for link in parameters.model.links]
     topics = {
         "estimate": DiagnosticArray,
@@ -90,10 +90,10 @@ def test_live_identification_equals_that_of_the_command(graph, tmp_path: Path) -
         graph.node.create_subscription(
             kind,
             f"/identifier/{topic}",
-            lambda message, topic=topic: heard.__setitem__(topic, message),
+            lambda message, topic=topic: received.__setitem__(topic, message),
             LATCHED,
         )
-    graph.wait_until(lambda: len(heard) == len(topics))
+    graph.wait_until(lambda: len(received) == len(topics))
     identifier.send(signal.SIGINT)
     assert identifier.ended().status == 0
 
@@ -101,20 +101,20 @@ def test_live_identification_equals_that_of_the_command(graph, tmp_path: Path) -
     document = command(bag, tmp_path / "command", *options)
     assert same_files(tmp_path / "node", tmp_path / "command")
     assert document["method"] == "map_lmi"
-    assert heard["robot_description"].data == (tmp_path / "node" / "model.urdf").read_text()
+    assert received["robot_description"].data == (tmp_path / "node" / "model.urdf").read_text()
 
-    told = {
+    published = {
         f"{status.name}/{entry.key}": json.loads(entry.value)
-        for status in heard["estimate"].status
+        for status in received["estimate"].status
         for entry in status.values
     }
     for name, entry in document["parameters"].items():
-        assert told[name] == entry["value"]
-        assert told[f"{name}/std"] == entry["std"]
-        assert told[f"{name}/determined"] is entry["determined"]
+        assert published[name] == entry["value"]
+        assert published[f"{name}/std"] == entry["std"]
+        assert published[f"{name}/determined"] is entry["determined"]
     values = {name: entry["value"] for name, entry in document["parameters"].items()}
     for link in links:
-        inertia = heard[f"inertia/{link}"].inertia
+        inertia = received[f"inertia/{link}"].inertia
         assert inertia.m == values[f"{link}/m"]
         moment = [values[f"{link}/mc_{axis}"] for axis in "xyz"]
         com = np.array([inertia.com.x, inertia.com.y, inertia.com.z])
@@ -123,9 +123,11 @@ def test_live_identification_equals_that_of_the_command(graph, tmp_path: Path) -
         at_origin = inertia.izz + inertia.m * (com[0] ** 2 + com[1] ** 2)
         assert at_origin == pytest.approx(values[f"{link}/Izz"], rel=1e-9, abs=1e-12)
     residual = document["residual_rmse"]
-    efforts = dict(zip(heard["effort_residual"].name, heard["effort_residual"].effort, strict=True))
+    efforts = dict(
+        zip(received["effort_residual"].name, received["effort_residual"].effort, strict=True)
+    )
     assert efforts == {name: residual[name] for name in efforts}
-    assert heard["wrench_residual"].wrench.force.z == residual["base/force_z"]
+    assert received["wrench_residual"].wrench.force.z == residual["base/force_z"]
 
 
 def node_and_command(graph, tmp_path: Path, bag: Path, **given: object) -> dict[str, Any]:
@@ -141,9 +143,11 @@ def node_and_command(graph, tmp_path: Path, bag: Path, **given: object) -> dict[
         "identifier", bag=f"['{bag}']", model=model, out=tmp_path / "node", **parameters
     )
     # The files are written before the topics; estimate.json is the last.
-    heard: list[DiagnosticArray] = []
-    graph.node.create_subscription(DiagnosticArray, "/identifier/estimate", heard.append, LATCHED)
-    graph.wait_until(lambda: heard)
+    received: list[DiagnosticArray] = []
+    graph.node.create_subscription(
+        DiagnosticArray, "/identifier/estimate", received.append, LATCHED
+    )
+    graph.wait_until(lambda: received)
     identifier.send(signal.SIGINT)
     assert identifier.ended().status == 0
     options: list[object] = ["--model", model]

@@ -123,18 +123,18 @@ class TestMessages:
         assert not read_estimate(DiagnosticArray()).links
 
     def test_status_combines_warnings_and_streams(self) -> None:
-        told = {
+        statuses = {
             "estimate": status("", age="0.8", samples="120", method="map"),
             "change": status("", DiagnosticStatus.WARN, "leg: changed"),
             "streams": status(
                 "", imu__data__rate="999.6", imu__data__missing="2", joint_states__rate="1000.2 Hz"
             ),
         }
-        health = read_status(told)
-        assert (health.number("age"), health.number("samples")) == (0.8, 120)
-        assert math.isnan(health.number("method"))
-        assert health.warnings == ("warning: leg: changed",)
-        imu, joints = health.streams
+        parsed = read_status(statuses)
+        assert (parsed.number("age"), parsed.number("samples")) == (0.8, 120)
+        assert math.isnan(parsed.number("method"))
+        assert parsed.warnings == ("warning: leg: changed",)
+        imu, joints = parsed.streams
         assert (imu.topic, imu.rate, dict(imu.faults)) == ("imu/data", 999.6, {"missing": 2})
         assert (joints.topic, joints.rate, dict(joints.faults)) == ("joint_states", 1000.2, {})
         assert read_status({}) == IdentifierStatus({}, (), ())
@@ -161,8 +161,8 @@ class TestPage:
         assert "data to 22:13:20 UTC" in rendered(view(real), 80)[0]
 
     def test_the_reason_for_a_missing_estimate_is_reported(self) -> None:
-        told = {"estimate": status("", DiagnosticStatus.ERROR, "the data do not fit the model")}
-        shown = MonitorView("/identifier", None, {}, read_status(told), 0.0, {})
+        statuses = {"estimate": status("", DiagnosticStatus.ERROR, "the data do not fit the model")}
+        shown = MonitorView("/identifier", None, {}, read_status(statuses), 0.0, {})
         assert rendered(shown, 80) == [
             "waiting for /identifier/estimate",
             "error: the data do not fit the model",
@@ -179,9 +179,9 @@ class TestPage:
         assert has_com == (width >= 80)
 
     def test_warnings_are_below_the_table(self) -> None:
-        health = IdentifierStatus({}, ("warning: leg: changed",), ())
+        parsed = IdentifierStatus({}, ("warning: leg: changed",), ())
         leg = link("leg", LEG, STD, level=DiagnosticStatus.WARN)
-        lines = rendered(view(estimate(leg), status=health, silence=9.0), 80)
+        lines = rendered(view(estimate(leg), status=parsed, silence=9.0), 80)
         assert lines[-3:] == [
             "warning: leg: changed",
             "warning: physically impossible: leg",
@@ -200,23 +200,26 @@ class Identifier:
         self._diagnostics = make(DiagnosticArray, "/diagnostics", 10)
         self._count = 0
 
-    def speak(self) -> None:
+    def publish(self) -> None:
         self._count += 1
         std = STD / self._count
         links = link("base_link", TRUNK, std), link("leg", LEG, std)
         self._estimate.publish(estimate(*links, seconds=self._count))
         alarm = DiagnosticStatus.WARN, "leg: its mass has changed"
-        told = [status(f"{self._node}: change", *alarm), status("/other: change", alarm[0], "no")]
-        self._diagnostics.publish(DiagnosticArray(status=told))
+        statuses = [
+            status(f"{self._node}: change", *alarm),
+            status("/other: change", alarm[0], "no"),
+        ]
+        self._diagnostics.publish(DiagnosticArray(status=statuses))
 
 
-def heard(graph, process, identifier: Identifier):
+def publish_until_ended(graph, process, identifier: Identifier):
     """Publish until the monitor ends by itself."""
     with ThreadPoolExecutor(1) as pool:
         ended = pool.submit(process.ended)
 
         def done() -> bool:
-            identifier.speak()
+            identifier.publish()
             return ended.done()
 
         graph.wait_until(done)
@@ -225,7 +228,7 @@ def heard(graph, process, identifier: Identifier):
 
 class TestProcess:
     def test_help_lists_every_parameter(self) -> None:
-        told = subprocess.run(
+        ended = subprocess.run(
             [Path(sys.executable).parent / "monitor", "--help"],
             capture_output=True,
             text=True,
@@ -233,26 +236,26 @@ class TestProcess:
         )
         for parameter in PARAMETERS:
             assert (
-                f"{parameter.name} ({parameter.default!r}): {parameter.description}" in told.stdout
+                f"{parameter.name} ({parameter.default!r}): {parameter.description}" in ended.stdout
             )
 
     def test_a_log_gets_a_line_for_each_estimate_and_a_table_at_the_end(self, graph) -> None:
         monitor = graph.start("monitor", estimates=3, truth=config_file("symbitron.xml"))
-        ended = heard(graph, monitor, Identifier(graph))
+        ended = publish_until_ended(graph, monitor, Identifier(graph))
         assert (ended.status, ended.err) == (0, "")
         lines = ended.out.splitlines()
-        told = [line for line in lines if line.startswith("data to")]
-        assert told
-        assert len(told) == len(set(told))
-        assert all("20 of 20 parameters determined by the data" in line for line in told)
-        assert all("14.000 kg in total" in line for line in told)
+        shown = [line for line in lines if line.startswith("data to")]
+        assert shown
+        assert len(shown) == len(set(shown))
+        assert all("20 of 20 parameters determined by the data" in line for line in shown)
+        assert all("14.000 kg in total" in line for line in shown)
         assert cells(lines, "base_link")[1].startswith("12.0")
         # The true model has no link named leg.
         assert cells(lines, "leg")[-1] == "—"
 
     def test_another_identifier_can_be_watched(self, graph) -> None:
         monitor = graph.start("monitor", estimates=1, identifier="/robot/identifier")
-        ended = heard(graph, monitor, Identifier(graph, "/robot"))
+        ended = publish_until_ended(graph, monitor, Identifier(graph, "/robot"))
         assert ended.status == 0
         assert any(line.startswith("base_link") for line in ended.out.splitlines())
 
@@ -291,7 +294,7 @@ class TestProcess:
                 pass
 
         def is_shown() -> bool:
-            identifier.speak()
+            identifier.publish()
             drain()
             return b"leg: its mass has changed" in shown
 
@@ -330,8 +333,8 @@ def test_absurd_values_are_displayed_as_far_as_possible(seed: int) -> None:
 
     message = estimate(*(absurd(name) for name in ("base", "[/bold]", "base")))
     message.header.stamp.sec = draw.choice([-(2**31), 2**31 - 1])
-    health = read_status({part: absurd(part) for part in ("estimate", "streams", "change")})
-    shown = view(message, status=health, truth={"base": TRUNK})
+    parsed = read_status({part: absurd(part) for part in ("estimate", "streams", "change")})
+    shown = view(message, status=parsed, truth={"base": TRUNK})
     assert any("base" in line for line in rendered(shown, 200)), rendered(shown, 200)
     console = Console(file=StringIO(), width=200)
     screen = Screen(console)

@@ -24,26 +24,26 @@ SENSORS = "[joint_states, imu/data, left_foot/wrench, right_foot/wrench]"
 LATCHED = QoSProfile(depth=10, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
 
-class Ears:
+class EstimateProbe:
     """The identifier's newest estimate, and its statuses by part."""
 
     def __init__(self, graph: Any) -> None:
         self.estimates: list[DiagnosticArray] = []
-        self.health: dict[str, Any] = {}
+        self.statuses: dict[str, Any] = {}
         graph.node.create_subscription(
             DiagnosticArray, "/identifier/estimate", self.estimates.append, LATCHED
         )
-        graph.node.create_subscription(DiagnosticArray, "/diagnostics", self._look, 10)
-        graph.witness = lambda: (len(self.estimates), self.health)
+        graph.node.create_subscription(DiagnosticArray, "/diagnostics", self._keep, 10)
+        graph.details = lambda: (len(self.estimates), self.statuses)
 
-    def _look(self, message: DiagnosticArray) -> None:
+    def _keep(self, message: DiagnosticArray) -> None:
         for status in message.status:
             node, _, part = status.name.partition(": ")
             if node == "/identifier":
-                self.health[part] = status
+                self.statuses[part] = status
 
-    def figures(self, part: str) -> dict[str, str]:
-        return {entry.key: entry.value for entry in self.health[part].values}
+    def values(self, part: str) -> dict[str, str]:
+        return {entry.key: entry.value for entry in self.statuses[part].values}
 
     def until(self) -> float:
         """Return the time of the newest data in the newest estimate, s."""
@@ -94,7 +94,7 @@ def assert_same(live: Path, bag: Path) -> None:
 
 
 def test_topics_give_the_same_estimate_as_their_bag(graph, tmp_path: Path) -> None:
-    ears = Ears(graph)
+    probe = EstimateProbe(graph)
     recorder = graph.start("recorder", bag=tmp_path / "bag", topics=SENSORS)
     live = identifier(graph, out=tmp_path / "live")
     inertias: list[InertiaStamped] = []
@@ -107,9 +107,9 @@ def test_topics_give_the_same_estimate_as_their_bag(graph, tmp_path: Path) -> No
     assert str(tmp_path / "live") in answer.message
     recorder.send(signal.SIGINT)
     recorded = json.loads(recorder.ended().out)["recorded"]
-    graph.wait_until(lambda: ears.until() == played["steps"] * 1e-3 and inertias)
+    graph.wait_until(lambda: probe.until() == played["steps"] * 1e-3 and inertias)
     # Several estimates of the whole robot were published; the last one was saved.
-    assert len(ears.estimates) > 3
+    assert len(probe.estimates) > 3
     offline(tmp_path / "bag", tmp_path / "offline")
     assert_same(tmp_path / "live", tmp_path / "offline")
     document = json.loads((tmp_path / "live" / "estimate.json").read_text())
@@ -119,9 +119,9 @@ def test_topics_give_the_same_estimate_as_their_bag(graph, tmp_path: Path) -> No
     live.send(signal.SIGTERM)
     ended = live.ended()
     assert ended.status == 0
-    told = json.loads(ended.out.splitlines()[-1])
-    assert told["received"] == recorded == {name: played["published"][name] for name in recorded}
-    assert set(told["missing"].values()) == {0}
+    summary = json.loads(ended.out.splitlines()[-1])
+    assert summary["received"] == recorded == {name: played["published"][name] for name in recorded}
+    assert set(summary["missing"].values()) == {0}
 
 
 def test_a_player_serves_as_well_as_a_robot(graph, simulated, tmp_path: Path) -> None:
@@ -139,14 +139,14 @@ def test_a_player_serves_as_well_as_a_robot(graph, simulated, tmp_path: Path) ->
     assert live.ended().status == 0
 
 
-def test_services(graph) -> None:
-    ears = Ears(graph)
+def test_services_solve_enable_and_reset(graph) -> None:
+    probe = EstimateProbe(graph)
     live = identifier(graph, solve_period=0.5)
     early = call(graph, Trigger, "/identifier/solve")
     assert not early.success
     assert "no sensor topics yet" in early.message
     bridge(graph, moves=40)
-    graph.wait_until(lambda: ears.estimates and ears.until() > 2.0)
+    graph.wait_until(lambda: probe.estimates and probe.until() > 2.0)
 
     assert "determined by" in call(graph, Trigger, "/identifier/solve").message
     unnamed = call(graph, Trigger, "/identifier/save")
@@ -155,33 +155,33 @@ def test_services(graph) -> None:
 
     assert call(graph, SetBool, "/identifier/enable", SetBool.Request(data=False)).success
     known = call(graph, Trigger, "/identifier/solve").message
-    graph.wait_until(lambda: ears.health["estimate"].message == "not enabled")
+    graph.wait_until(lambda: probe.statuses["estimate"].message == "not enabled")
     assert call(graph, Trigger, "/identifier/solve").message == known
     assert call(graph, SetBool, "/identifier/enable", SetBool.Request(data=True)).success
 
-    graph.wait_until(lambda: ears.health["estimate"].message != "not enabled")
-    rows = int(ears.figures("estimate")["samples"])
+    graph.wait_until(lambda: probe.statuses["estimate"].message != "not enabled")
+    rows = int(probe.values("estimate")["samples"])
     assert call(graph, Trigger, "/identifier/reset").success
-    graph.wait_until(lambda: int(ears.figures("estimate").get("samples", rows)) < rows)
+    graph.wait_until(lambda: int(probe.values("estimate").get("samples", rows)) < rows)
     live.send(signal.SIGINT)
     assert live.ended().status == 0
 
 
 def test_running_nodes_reconnect_to_restarted_ones(graph) -> None:
-    ears = Ears(graph)
+    probe = EstimateProbe(graph)
     live = identifier(graph, solve_period=0.5)
     robot = bridge(graph, moves=40)
-    graph.wait_until(lambda: ears.estimates and ears.until() > 3.0)
+    graph.wait_until(lambda: probe.estimates and probe.until() > 3.0)
     robot.kill()
     again = bridge(graph, moves=40)
-    graph.wait_until(lambda: ears.figures("streams").get("clock_jumps") == "1")
-    rows = int(ears.figures("estimate")["samples"])
-    graph.wait_until(lambda: int(ears.figures("estimate")["samples"]) > rows)
+    graph.wait_until(lambda: probe.values("streams").get("clock_jumps") == "1")
+    rows = int(probe.values("estimate")["samples"])
+    graph.wait_until(lambda: int(probe.values("estimate")["samples"]) > rows)
 
     live.kill()
-    count = len(ears.estimates)
+    count = len(probe.estimates)
     other = identifier(graph, solve_period=0.5)
-    graph.wait_until(lambda: len(ears.estimates) > count + 1)
+    graph.wait_until(lambda: len(probe.estimates) > count + 1)
     for node in (other, again):
         node.send(signal.SIGINT)
     ended = other.ended()
@@ -191,31 +191,31 @@ def test_running_nodes_reconnect_to_restarted_ones(graph) -> None:
 
 def test_a_late_wrench_topic_restarts_identification(graph, simulated) -> None:
     bag = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
-    ears = Ears(graph)
+    probe = EstimateProbe(graph)
     identifier(graph, solve_period=0.3)
     player = {"bag": f"['{bag}']", "loop": True, "wait_for_subscribers": True}
     without = graph.start("player", topics="[joint_states, imu/data]", **player)
     graph.wait_until(
         lambda: (
-            "estimate" in ears.health
-            and "measured wrenches differ" in ears.health["estimate"].message
+            "estimate" in probe.statuses
+            and "measured wrenches differ" in probe.statuses["estimate"].message
         )
     )
     without.kill()
-    assert not ears.estimates
+    assert not probe.estimates
     graph.start("player", topics=SENSORS, **player)
-    graph.wait_until(lambda: ears.estimates)
+    graph.wait_until(lambda: probe.estimates)
 
 
 def test_a_change_caused_by_a_payload_names_its_link(graph) -> None:
-    ears = Ears(graph)
+    probe = EstimateProbe(graph)
     identifier(graph, memory=5.0)
     bridge(graph, moves=60, motion_seed=3)
-    graph.wait_until(lambda: "change" in ears.health)
+    graph.wait_until(lambda: "change" in probe.statuses)
     graph.wait_until(
-        lambda: ears.health["change"].message == "no change"
+        lambda: probe.statuses["change"].message == "no change"
     )  # there are enough data by now
-    graph.wait_until(lambda: ears.until() > 15.0)
+    graph.wait_until(lambda: probe.until() > 15.0)
     request = SetParameters.Request(
         parameters=[
             Parameter(name="payload_link", value=ParameterValue(type=4, string_value="L_thigh")),
@@ -228,19 +228,19 @@ def test_a_change_caused_by_a_payload_names_its_link(graph) -> None:
     )
     attached = call(graph, SetParameters, "/mujoco_bridge/set_parameters", request)
     assert all(result.successful for result in attached.results)
-    begun = ears.until()
-    graph.wait_until(lambda: "changed" in ears.health["change"].message)
-    assert ears.figures("change")["link"] == "L_thigh"
+    begun = probe.until()
+    graph.wait_until(lambda: "changed" in probe.statuses["change"].message)
+    assert probe.values("change")["link"] == "L_thigh"
     assert (
-        float(ears.figures("change")["since"]) > begun - 2.0
+        float(probe.values("change")["since"]) > begun - 2.0
     )  # at least two updates, a second each
-    graph.wait_until(lambda: abs(float(ears.figures("change")["mass"]) - 2.0) < 0.2)
+    graph.wait_until(lambda: abs(float(probe.values("change")["mass"]) - 2.0) < 0.2)
 
 
 def test_parameters_are_described_and_checked(graph) -> None:
-    ears = Ears(graph)
+    probe = EstimateProbe(graph)
     live = identifier(graph)
-    graph.wait_until(lambda: ears.health)  # live parameters can be set from then on
+    graph.wait_until(lambda: probe.statuses)  # live parameters can be set from then on
     listed = call(graph, ListParameters, "/identifier/list_parameters").result.names
     described = call(
         graph,

@@ -34,16 +34,16 @@ def node(domain: int) -> Iterator[Node]:
 
 
 def test_an_accepted_change_is_reported_once_with_all_live_values(node: Node) -> None:
-    told: list[dict] = []
+    changes: list[dict] = []
     values = declare(node, PARAMETERS)
-    watch(node, PARAMETERS, told.append)
+    watch(node, PARAMETERS, changes.append)
     assert node.set_parameters([Given("mass", value=2.5)])[0].successful
     assert node.set_parameters([Given("mass", value=2.5)])[0].successful
     together = [Given("place", value=[0.0, 0.5, -1.0]), Given("mode", value="fast")]
     assert node.set_parameters_atomically(together).successful
     del values["depth"]
     first = values | {"mass": 2.5}
-    assert told == [first, first | {"place": [0.0, 0.5, -1.0], "mode": "fast"}]
+    assert changes == [first, first | {"place": [0.0, 0.5, -1.0], "mode": "fast"}]
 
 
 @pytest.mark.parametrize(
@@ -72,16 +72,16 @@ def test_an_accepted_change_is_reported_once_with_all_live_values(node: Node) ->
     ],
 )
 def test_a_refused_set_says_why_and_changes_nothing(node: Node, name, value, reason) -> None:
-    told: list[dict] = []
+    changes: list[dict] = []
     values = declare(node, PARAMETERS)
-    watch(node, PARAMETERS, told.append)
+    watch(node, PARAMETERS, changes.append)
     result = node.set_parameters([Given(name, value=value)])[0]
     assert not result.successful
     assert reason in result.reason
     assert "\n" not in result.reason
     together = [Given("offset", value=1.0), Given(name, value=value)]
     assert not node.set_parameters_atomically(together).successful
-    assert told == []
+    assert changes == []
     held = node.get_parameter(name).value
     assert (list(held) if isinstance(values[name], list) else held) == values[name]
     assert node.get_parameter("offset").value == 0.0
@@ -91,12 +91,12 @@ def test_a_single_text_stands_for_a_list_of_one(domain: int) -> None:
     context = Context()
     rclpy.init(context=context, domain_id=domain)
     node = Node("subject", context=context, parameter_overrides=[Given("links", value="thigh")])
-    told: list[dict] = []
+    changes: list[dict] = []
     assert declare(node, PARAMETERS)["links"] == ["thigh"]
-    watch(node, PARAMETERS, told.append)
+    watch(node, PARAMETERS, changes.append)
     for value in (["shank", "foot"], "foot"):
         assert node.set_parameters([Given("links", value=value)])[0].successful
-    assert [values["links"] for values in told] == [["shank", "foot"], ["foot"]]
+    assert [values["links"] for values in changes] == [["shank", "foot"], ["foot"]]
     node.destroy_node()
     context.try_shutdown()
 
@@ -115,15 +115,15 @@ def test_values_that_contradict_each_other_are_refused(node: Node) -> None:
         if values["count"] > 3 and values["mode"] == "fast":
             raise DataError("four are never fast; give count 3 or mode slow", "E501")
 
-    told: list[dict] = []
+    changes: list[dict] = []
     declare(node, PARAMETERS)
-    watch(node, PARAMETERS, told.append, check)
+    watch(node, PARAMETERS, changes.append, check)
     assert node.set_parameters([Given("count", value=4)])[0].successful
     refused = node.set_parameters([Given("mode", value="fast")])[0]
     assert refused.reason == "four are never fast; give count 3 or mode slow"
     both = [Given("mode", value="fast"), Given("count", value=2)]
     assert node.set_parameters_atomically(both).successful
-    assert [values["count"] for values in told] == [4, 2]
+    assert [values["count"] for values in changes] == [4, 2]
 
 
 def test_descriptors_tell_type_range_and_choices(node: Node) -> None:

@@ -94,8 +94,8 @@ class Reports:
     def _receive(self, message: DiagnosticArray) -> None:
         (status,) = message.status
         assert status.name == "/player: replay"
-        facts = {pair.key: pair.value for pair in status.values}
-        self._received.append((status.message, facts))
+        values = {pair.key: pair.value for pair in status.values}
+        self._received.append((status.message, values))
 
     def next(self, count: int) -> list[tuple[str, dict[str, str]]]:
         """Return the next statuses: message and values."""
@@ -104,7 +104,7 @@ class Reports:
         return self._received[known:]
 
 
-def heard_stamps(graph: Any) -> list[int]:
+def received_stamps(graph: Any) -> list[int]:
     """Return the growing list of joint state stamps that an observer receives, ms."""
     stamps: list[int] = []
     graph.node.create_subscription(
@@ -127,15 +127,15 @@ def test_recorder_gets_the_recorded_bytes(graph, tmp_path: Path, rate: float) ->
     topics = "[joint_states, imu/data, note]"
     recorder = graph.start("recorder", bag=tmp_path / "again", topics=topics)
     player = graph.start("player", bag=f"[{log}]", rate=rate, wait_for_subscribers=True)
-    told = player.ended()
+    ended = player.ended()
     recorder.send(signal.SIGINT)
-    heard = recorder.ended()
-    assert (told.status, told.err) == (0, "")
-    assert (heard.status, heard.err) == (0, "")
-    summary = json.loads(told.out)
+    recorded = recorder.ended()
+    assert (ended.status, ended.err) == (0, "")
+    assert (recorded.status, recorded.err) == (0, "")
+    summary = json.loads(ended.out)
     assert summary["published"] == {"/note": 1, "/joint_states": 3000, "/imu/data": 1500}
     assert summary["passes"] == 1
-    assert json.loads(heard.out)["recorded"] == summary["published"]
+    assert json.loads(recorded.out)["recorded"] == summary["published"]
     for topic in summary["published"]:
         assert payloads(tmp_path / "again", topic) == payloads(log, topic)
     again = Recording.of([tmp_path / "again"])
@@ -164,7 +164,7 @@ def test_rate_0_waits_for_a_subscriber_that_keeps_all(graph, tmp_path: Path) -> 
     )
     published = [0, 1]
     while published[-1] == 0 or published[-1] != published[-2]:
-        published += [int(facts["published"]) for _, facts in reports.next(1)]
+        published += [int(values["published"]) for _, values in reports.next(1)]
     assert published[-1] < count
     taken: list[bytes] = []
 
@@ -182,7 +182,7 @@ def test_rate_0_waits_for_a_subscriber_that_keeps_all(graph, tmp_path: Path) -> 
 
 def test_a_part_of_the_bag(graph, tmp_path: Path) -> None:
     log = write_log(tmp_path / "bag", 2000)
-    stamps = heard_stamps(graph)
+    stamps = received_stamps(graph)
     player = graph.start(
         "player",
         bag=f"[{log}]",
@@ -202,7 +202,7 @@ def test_a_part_of_the_bag(graph, tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_loop_jumps_back_until_a_signal(graph, tmp_path: Path, number: signal.Signals) -> None:
     log = write_log(tmp_path / "bag", 400)
-    stamps = heard_stamps(graph)
+    stamps = received_stamps(graph)
     player = graph.start(
         "player",
         bag=f"[{log}]",
@@ -224,7 +224,7 @@ def test_loop_jumps_back_until_a_signal(graph, tmp_path: Path, number: signal.Si
 
 def test_pause_and_restart(graph, tmp_path: Path) -> None:
     log = write_log(tmp_path / "bag", 60_000, period=10)
-    reports, stamps = Reports(graph), heard_stamps(graph)
+    reports, stamps = Reports(graph), received_stamps(graph)
     player = graph.start("player", bag=f"[{log}]", topics="[joint_states]", start=20.0)
     graph.wait_until(lambda: len(stamps) > 20)
     assert call(graph, SetBool, "/player/pause", SetBool.Request(data=True)).success
@@ -233,10 +233,10 @@ def test_pause_and_restart(graph, tmp_path: Path) -> None:
     assert state == "paused"
     assert before == after
     graph.wait_until(lambda: stamps[-1] == round(1000 * float(after["position"])))
-    heard = stamps[-1]
+    last = stamps[-1]
 
     call(graph, SetBool, "/player/pause", SetBool.Request(data=False))
-    graph.wait_until(lambda: stamps[-1] > heard + 100)
+    graph.wait_until(lambda: stamps[-1] > last + 100)
     assert reports.next(1)[0][0] == "playing"
     assert list(np.unique(np.diff(stamps))) == [10]
 
@@ -255,7 +255,7 @@ def test_clock_shows_stamps_or_the_time_of_recording(graph, tmp_path: Path, sour
     graph.node.create_subscription(
         Clock, "/clock", lambda m: shown.append(m.clock.sec * 10**9 + m.clock.nanosec), DEEP
     )
-    stamps = heard_stamps(graph)
+    stamps = received_stamps(graph)
     player = graph.start(
         "player",
         bag=f"[{log}]",
@@ -279,7 +279,7 @@ def test_clock_shows_stamps_or_the_time_of_recording(graph, tmp_path: Path, sour
 
 def test_latched_messages_reach_late_subscribers(graph, tmp_path: Path) -> None:
     log = write_log(tmp_path / "bag", 60_000, period=10)
-    stamps, notes = heard_stamps(graph), []
+    stamps, notes = received_stamps(graph), []
     player = graph.start("player", bag=f"[{log}]")
     graph.wait_until(lambda: stamps)
     latched = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
@@ -302,13 +302,13 @@ def test_sqlite_replay_skips_excluded_topics_and_types_not_installed(graph, tmp_
             text = bytes(STORE.serialize_cdr(TYPES[STRING](data=str(n)), STRING))
             for link in links.values():
                 writer.write(link, RECORDED + n, text)
-    heard: list[str] = []
-    graph.node.create_subscription(String, "a", lambda message: heard.append(message.data), DEEP)
+    received: list[str] = []
+    graph.node.create_subscription(String, "a", lambda message: received.append(message.data), DEEP)
     player = graph.start(
         "player", bag=f"[{log}]", exclude="[b]", rate=0.0, wait_for_subscribers=True
     )
-    graph.wait_until(lambda: len(heard) == 10)
-    assert heard == [str(n) for n in range(10)]
+    graph.wait_until(lambda: len(received) == 10)
+    assert received == [str(n) for n in range(10)]
     ended = player.ended()
     assert ended.status == 0
     assert json.loads(ended.out)["published"] == {"/a": 10}

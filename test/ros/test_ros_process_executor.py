@@ -56,27 +56,27 @@ def test_a_time_out_of_range_is_dropped(spun) -> None:
 
 def test_malformed_messages_are_counted_and_the_others_arrive(spun) -> None:
     node, executor = spun
-    heard: list[str] = []
+    received: list[str] = []
     node.create_subscription(
         DiagnosticArray,
-        "health",
-        lambda message: heard.append(message.status[0].name),
+        "status",
+        lambda message: received.append(message.status[0].name),
         reliable_qos(1000),
     )
-    publisher = node.create_publisher(DiagnosticArray, "health", reliable_qos(1000))
+    publisher = node.create_publisher(DiagnosticArray, "status", reliable_qos(1000))
     valid = serialize_message(DiagnosticArray(status=[DiagnosticStatus(name="first")]))
     publisher.publish(valid)
-    junk = some_malformed(valid, 50)
-    for payload in junk:
+    invalid = some_malformed(valid, 50)
+    for payload in invalid:
         publisher.publish(payload)
     publisher.publish(DiagnosticArray())  # valid, but rejected by the callback
     publisher.publish(DiagnosticArray(status=[DiagnosticStatus(name="last")]))
-    while "last" not in heard:
+    while "last" not in received:
         executor.spin_once(timeout_sec=1.0)
-    assert heard[0] == "first"
+    assert received[0] == "first"
     # The decoder of the middleware accepts extra bytes after a message.
-    assert executor.dropped["/health"] + len(heard) == len(junk) + 3
-    assert executor.dropped["/health"] > len(junk) // 2
+    assert executor.dropped["/status"] + len(received) == len(invalid) + 3
+    assert executor.dropped["/status"] > len(invalid) // 2
 
 
 @pytest.mark.parametrize("kind", [SetParameters, SetParametersAtomically])

@@ -23,11 +23,11 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 rclpy.init()
 node = rclpy.create_node("observer")
-heard = []
-node.create_subscription(JointState, "joint_states", heard.append, qos_profile_sensor_data)
-while not heard:
+received = []
+node.create_subscription(JointState, "joint_states", received.append, qos_profile_sensor_data)
+while not received:
     rclpy.spin_once(node)
-print("heard", len(heard[0].name), flush=True)
+print("received", len(received[0].name), flush=True)
 sys.stdin.read()
 """
 
@@ -54,7 +54,7 @@ def shares_memory(process: int) -> bool:
 
 
 @pytest.fixture
-def meeting(domain: int) -> Iterator[Callable[..., tuple[int, int]]]:
+def connected(domain: int) -> Iterator[Callable[..., tuple[int, int]]]:
     """Start a bridge and a plain rclpy observer; return their process ids once connected."""
     processes: list[subprocess.Popen[str]] = []
 
@@ -71,18 +71,18 @@ def meeting(domain: int) -> Iterator[Callable[..., tuple[int, int]]]:
         )
         return processes[-1]
 
-    def met(**variables: str) -> tuple[int, int]:
+    def connect(**variables: str) -> tuple[int, int]:
         environment = {
             key: value for key, value in os.environ.items() if "DISCOVERY_RANGE" not in key
         } | variables
         bridge = start([str(Path(sys.executable).parent / "mujoco_bridge")], environment)
         observer = start([sys.executable, "-c", OBSERVER], environment)
         assert observer.stdout is not None
-        assert observer.stdout.readline() == "heard 10\n"
+        assert observer.stdout.readline() == "received 10\n"
         return bridge.pid, observer.pid
 
     try:
-        yield met
+        yield connect
     finally:
         for process in processes:
             process.terminate()
@@ -94,21 +94,21 @@ LOCAL = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 DEFAULT_TRANSPORTS = {"FASTDDS_BUILTIN_TRANSPORTS": "DEFAULT"}
 
 
-def test_with_the_profile_nodes_communicate_only_over_the_loopback(meeting):
-    for process in meeting(**PROFILE):
+def test_with_the_profile_nodes_communicate_only_over_the_loopback(connected):
+    for process in connected(**PROFILE):
         assert udp_addresses(process) == {LOOPBACK}
         assert not shares_memory(process)
 
 
-def test_with_range_localhost_nodes_bind_only_the_loopback(meeting):
-    bridge, observer = meeting(**LOCAL)
+def test_with_range_localhost_nodes_bind_only_the_loopback(connected):
+    bridge, observer = connected(**LOCAL)
     assert udp_addresses(bridge) == {LOOPBACK}
     assert not shares_memory(bridge)
     assert ANY in udp_addresses(observer)  # the reason why other programs need the profile
 
 
-def test_by_default_nodes_use_the_network_and_no_shared_memory(meeting):
-    bridge, _ = meeting()
+def test_by_default_nodes_use_the_network_and_no_shared_memory(connected):
+    bridge, _ = connected()
     assert ANY in udp_addresses(bridge)
     assert not shares_memory(bridge)
 
@@ -123,8 +123,8 @@ def test_by_default_nodes_use_the_network_and_no_shared_memory(meeting):
     ],
     ids=["transports", "transports and range", "profile and range"],
 )
-def test_the_users_choices_are_kept(variables, meeting):
-    bridge, _ = meeting(**variables)
+def test_the_users_choices_are_kept(variables, connected):
+    bridge, _ = connected(**variables)
     assert ANY in udp_addresses(bridge)
     assert shares_memory(bridge)
 

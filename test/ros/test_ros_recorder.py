@@ -223,7 +223,7 @@ def test_full_disk_ends_the_recording_with_a_valid_bag(graph, disk: Path) -> Non
     ended = recorder.ended()
     assert ended.status == 2
     (line,) = ended.err.splitlines()
-    told = re.fullmatch(
+    counted = re.fullmatch(
         rf"recorder: {bag}/bag_0.mcap: cannot write: No space left on device; the bag is "
         r"incomplete: (\d+) messages from \S+ to \S+ are missing \(/joint_states (\d+)\) "
         r"\(SYMBID-E\d+\)",
@@ -231,7 +231,7 @@ def test_full_disk_ends_the_recording_with_a_valid_bag(graph, disk: Path) -> Non
     )
     summary = json.loads(ended.out)
     recorded = summary["recorded"]["/joint_states"]
-    assert int(told[1]) == int(told[2]) == summary["lost"]["/joint_states"] > 0
+    assert int(counted[1]) == int(counted[2]) == summary["lost"]["/joint_states"] > 0
     found = whole_messages(bag)
     with AnyReader([bag]) as reader:
         read = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()]

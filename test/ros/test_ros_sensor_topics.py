@@ -39,7 +39,7 @@ def model():
     return load_model(config_file("symbitron.xml"))
 
 
-class Talk:
+class Publishers:
     """Publishers, and the topics that a robot's identifier selects among them."""
 
     def __init__(self, domain: int) -> None:
@@ -60,13 +60,13 @@ class Talk:
                 message.header.frame_id = frame
             self._publishers.append((self._robot.create_publisher(kind, name, 10), message))
 
-    def chosen(self, sensors: SensorTopics) -> set[str]:
+    def selected_topics(self, sensors: SensorTopics) -> set[str]:
         """Return the names of the selected topics once the search is complete."""
         while (selected := sensors.find()) is None:
-            self.say()
+            self.publish_again()
         return {topic.name for topic in selected.all}
 
-    def say(self) -> None:
+    def publish_again(self) -> None:
         for publisher, message in self._publishers:
             publisher.publish(message)
 
@@ -77,99 +77,113 @@ class Talk:
 
 
 @pytest.fixture
-def talk(domain: int) -> Iterator[Talk]:
-    talk = Talk(domain)
-    yield talk
-    talk.close()
+def publishers(domain: int) -> Iterator[Publishers]:
+    publishers = Publishers(domain)
+    yield publishers
+    publishers.close()
 
 
 @pytest.fixture
-def stranger(domain: int) -> Iterator[Talk]:
+def other_publishers(domain: int) -> Iterator[Publishers]:
     """A second participant, because a topic has one type in each participant."""
-    stranger = Talk(domain)
-    yield stranger
-    stranger.close()
+    other_publishers = Publishers(domain)
+    yield other_publishers
+    other_publishers.close()
 
 
 def sensors(
-    talk: Talk, model, *, settle: float = 0.0, arguments=(), selection=None, **options: Any
+    publishers: Publishers,
+    model,
+    *,
+    settle: float = 0.0,
+    arguments=(),
+    selection=None,
+    **options: Any,
 ):
     words = ["--ros-args", *arguments]
-    node = talk.node("identifier", cli_args=words, **options)
+    node = publishers.node("identifier", cli_args=words, **options)
     own = resolve_topics(node, selection or TopicSelection(), words)
     return SensorTopics(node, own, model, settle, 100)
 
 
-def test_only_the_robots_own_topics_are_used_in_any_order_of_appearance(talk: Talk, model) -> None:
-    talk.publish(FOREIGN)
-    found = sensors(talk, model)
+def test_only_the_robots_own_topics_are_used_in_any_order_of_appearance(
+    publishers: Publishers, model
+) -> None:
+    publishers.publish(FOREIGN)
+    found = sensors(publishers, model)
     while "/robot2/joint_states" not in found.missing()["/joint_states"]:
-        talk.say()
+        publishers.publish_again()
         assert found.find() is None
     while "/camera/imu" not in found.missing():
-        talk.say()
+        publishers.publish_again()
         assert found.find() is None
     assert "no frame 'camera_imu_optical_frame'" in found.missing()["/camera/imu"]
-    talk.publish(OWN)
+    publishers.publish(OWN)
     while found.find() is None or len(found.find().all) < len(OWN):
-        talk.say()
-    assert talk.chosen(found) == set(OWN)
+        publishers.publish_again()
+    assert publishers.selected_topics(found) == set(OWN)
 
 
-def test_topics_of_the_nodes_namespace_are_used(talk: Talk, model) -> None:
-    talk.publish(OWN | FOREIGN)
-    found = sensors(talk, model, namespace="/robot2")
+def test_topics_of_the_nodes_namespace_are_used(publishers: Publishers, model) -> None:
+    publishers.publish(OWN | FOREIGN)
+    found = sensors(publishers, model, namespace="/robot2")
     while (selected := found.find()) is None or len(selected.all) < len(OWN):
-        talk.say()
-    assert talk.chosen(found) == {f"/robot2{name}" for name in OWN}
+        publishers.publish_again()
+    assert publishers.selected_topics(found) == {f"/robot2{name}" for name in OWN}
 
 
-def test_a_remapped_wrench_replaces_the_topic_of_its_old_name(talk: Talk, model) -> None:
-    talk.publish(OWN | {"/ft/left": (WrenchStamped, "left_sole")})
-    found = sensors(talk, model, arguments=["-r", "left_foot/wrench:=/ft/left"])
+def test_a_remapped_wrench_replaces_the_topic_of_its_old_name(
+    publishers: Publishers, model
+) -> None:
+    publishers.publish(OWN | {"/ft/left": (WrenchStamped, "left_sole")})
+    found = sensors(publishers, model, arguments=["-r", "left_foot/wrench:=/ft/left"])
     while (selected := found.find()) is None or len(selected.all) < len(OWN):
-        talk.say()
-    assert talk.chosen(found) == set(OWN) - {"/left_foot/wrench"} | {"/ft/left"}
+        publishers.publish_again()
+    assert publishers.selected_topics(found) == set(OWN) - {"/left_foot/wrench"} | {"/ft/left"}
 
 
-def test_prefixed_frames_are_accepted_with_frame_prefix(talk: Talk, model) -> None:
+def test_prefixed_frames_are_accepted_with_frame_prefix(publishers: Publishers, model) -> None:
     prefixed = {name: (kind, frame and f"robot1/{frame}") for name, (kind, frame) in OWN.items()}
-    talk.publish(prefixed)
-    lost = sensors(talk, model)
+    publishers.publish(prefixed)
+    lost = sensors(publishers, model)
     while "/imu/data" not in lost.missing():
-        talk.say()
+        publishers.publish_again()
         assert lost.find() is None
     assert "frame_prefix:=robot1/" in lost.missing()["/imu/data"]
-    found = sensors(talk, model, selection=TopicSelection(frame_prefix="robot1/"))
+    found = sensors(publishers, model, selection=TopicSelection(frame_prefix="robot1/"))
     while (selected := found.find()) is None or len(selected.all) < len(OWN):
-        talk.say()
-    assert talk.chosen(found) == set(OWN)
+        publishers.publish_again()
+    assert publishers.selected_topics(found) == set(OWN)
     assert selected.frame_prefix == "robot1/"
 
 
-def test_several_joint_state_topics_are_used_in_the_given_order(talk: Talk, model) -> None:
+def test_several_joint_state_topics_are_used_in_the_given_order(
+    publishers: Publishers, model
+) -> None:
     parts = ("/legs/joint_states", "/arms/joint_states")
     others = {name: what for name, what in OWN.items() if name != "/joint_states"}
-    talk.publish(others | dict.fromkeys(parts, (JointState, "")))
-    found = sensors(talk, model, selection=TopicSelection(joints=parts))
+    publishers.publish(others | dict.fromkeys(parts, (JointState, "")))
+    found = sensors(publishers, model, selection=TopicSelection(joints=parts))
     while (selected := found.find()) is None or len(selected.all) < len(others) + len(parts):
-        talk.say()
+        publishers.publish_again()
     assert tuple(topic.name for topic in selected.joints) == parts
 
 
-def test_a_publisher_of_another_type_is_ignored(talk: Talk, model, stranger: Talk) -> None:
-    stranger.publish({"/joint_states": (String, "")})
-    talk.publish(OWN)
-    found = sensors(talk, model)
+def test_a_publisher_of_another_type_is_ignored(
+    publishers: Publishers, model, other_publishers: Publishers
+) -> None:
+    other_publishers.publish({"/joint_states": (String, "")})
+    publishers.publish(OWN)
+    found = sensors(publishers, model)
     while (selected := found.find()) is None or len(selected.all) < len(OWN):
-        talk.say()
+        publishers.publish_again()
     assert (
         dict(found.subscriptions(selected))[selected.clock].msgtype == "sensor_msgs/msg/JointState"
     )
 
 
-def test_a_weaker_qos_offer_is_also_received_without_duplicates(talk: Talk) -> None:
-    robot, listener = talk.node("other"), talk.node("listener")
+def test_a_weaker_qos_offer_is_also_received_without_duplicates(publishers: Publishers) -> None:
+    robot, listener = publishers.node("other"), publishers.node("listener")
     first = robot.create_publisher(Imu, "imu/data", 10)
     subscription = None
     while subscription is None:
@@ -178,13 +192,13 @@ def test_a_weaker_qos_offer_is_also_received_without_duplicates(talk: Talk) -> N
     second = robot.create_publisher(Imu, "imu/data", less)
     while second.get_subscription_count() == 0 or first.get_subscription_count() < 2:
         subscription.match_publishers()
-    heard: list[bytes] = []
+    received: list[bytes] = []
     for number in range(20):
         message = Imu()
         message.linear_acceleration.x = float(number)
         (first, second)[number % 2].publish(message)
-        while len(heard) <= number:
-            heard += [message.payload for message in subscription.take()]
+        while len(received) <= number:
+            received += [message.payload for message in subscription.take()]
     first.wait_for_all_acked()
-    heard += [message.payload for message in subscription.take()]
-    assert len(heard) == len(set(heard)) == 20
+    received += [message.payload for message in subscription.take()]
+    assert len(received) == len(set(received)) == 20

@@ -55,17 +55,17 @@ def client() -> Iterator[Client]:
         process.communicate()
 
 
-def listening(graph, health: StatusProbe) -> int:
+def listening(graph, statuses: StatusProbe) -> int:
     """Wait until the bridge listens and return its port."""
-    graph.wait_until(lambda: health.value(COMMANDS, "source"))
-    return int(health.value(COMMANDS, "source").rpartition(":")[2])
+    graph.wait_until(lambda: statuses.value(COMMANDS, "source"))
+    return int(statuses.value(COMMANDS, "source").rpartition(":")[2])
 
 
 def test_balance_survives_a_network_that_loses_duplicates_and_reorders(
     graph, client: Client
 ) -> None:
     heights: list[float] = []
-    health = StatusProbe(graph)
+    statuses = StatusProbe(graph)
     graph.node.create_subscription(
         Odometry,
         "ground_truth/odom",
@@ -73,17 +73,17 @@ def test_balance_survives_a_network_that_loses_duplicates_and_reorders(
         RELIABLE,
     )
     bridge = graph.start("mujoco_bridge", clock_rate=0.0, ground_truth_rate=5.0, **PATIENT)
-    with LossyRelay(("127.0.0.1", listening(graph, health)), share=0.05, seed=1) as relay:
+    with LossyRelay(("127.0.0.1", listening(graph, statuses)), share=0.05, seed=1) as relay:
         balancer = client(relay.port)
         for second in range(1, SECONDS + 1):  # on a slow machine each second has its own deadline
-            graph.wait_until(lambda s=second: float(health.value(SIMULATION, "time")) > s)
+            graph.wait_until(lambda s=second: float(statuses.value(SIMULATION, "time")) > s)
         balancer.send_signal(signal.SIGINT)
         assert balancer.wait(DEADLINE) == 0
         bridge.send(signal.SIGINT)
-    told = bridge.ended()
-    assert told.status == 0
-    assert "Traceback" not in told.err
-    commands = json.loads(told.out)["commands"]
+    ended = bridge.ended()
+    assert ended.status == 0
+    assert "Traceback" not in ended.err
+    commands = json.loads(ended.out)["commands"]
     assert commands["falls"] == 0
     assert commands["accepted"] >= 1000 * SECONDS
     assert all(count > 100 for count in relay.faults.values())
@@ -92,19 +92,19 @@ def test_balance_survives_a_network_that_loses_duplicates_and_reorders(
 
 
 def test_another_client_takes_over_after_a_kill(graph, client: Client) -> None:
-    health = StatusProbe(graph)
+    statuses = StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT | {"command_timeout": 1.0})
-    port = listening(graph, health)
+    port = listening(graph, statuses)
     first = client(port)
-    graph.wait_until(lambda: health.count(COMMANDS, "accepted") > 100)
+    graph.wait_until(lambda: statuses.count(COMMANDS, "accepted") > 100)
     first.kill()
-    graph.wait_until(lambda: health.count(SIMULATION, "falls") == 1)
-    graph.wait_until(lambda: health.message(COMMANDS) == "waiting for a controller")
-    assert health.count(COMMANDS, "safe_steps") > 10
-    accepted = health.count(COMMANDS, "accepted")
+    graph.wait_until(lambda: statuses.count(SIMULATION, "falls") == 1)
+    graph.wait_until(lambda: statuses.message(COMMANDS) == "waiting for a controller")
+    assert statuses.count(COMMANDS, "safe_steps") > 10
+    accepted = statuses.count(COMMANDS, "accepted")
     second = client(port)
-    graph.wait_until(lambda: health.count(COMMANDS, "accepted") > accepted + 100)
-    assert health.message(COMMANDS) == "commands are obeyed"
+    graph.wait_until(lambda: statuses.count(COMMANDS, "accepted") > accepted + 100)
+    assert statuses.message(COMMANDS) == "commands are obeyed"
     second.terminate()
     bridge.send(signal.SIGTERM)
     assert second.wait(DEADLINE) == 0
@@ -112,9 +112,9 @@ def test_another_client_takes_over_after_a_kill(graph, client: Client) -> None:
 
 
 def test_bad_datagrams_are_reported_and_ignored(graph) -> None:
-    health = StatusProbe(graph)
+    statuses = StatusProbe(graph)
     bridge = graph.start("mujoco_bridge", **PATIENT)
-    to = ("127.0.0.1", listening(graph, health))
+    to = ("127.0.0.1", listening(graph, statuses))
     still = [0.0] * DRIVES
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller,
@@ -149,12 +149,12 @@ def test_bad_datagrams_are_reported_and_ignored(graph) -> None:
         }
         graph.wait_until(
             lambda: all(
-                health.count(COMMANDS, f"rejected/{reason}") == number
+                statuses.count(COMMANDS, f"rejected/{reason}") == number
                 for reason, number in expected.items()
             )
         )
-        assert health.count(COMMANDS, "accepted") == 0
-        assert health.value(SIMULATION, "time") == "0.001", "the robot waits where it stood"
+        assert statuses.count(COMMANDS, "accepted") == 0
+        assert statuses.value(SIMULATION, "time") == "0.001", "the robot waits where it stood"
         controller.sendto(command(sequence, stamp, still), to)
         while sequence_and_stamp(datagram)[1] == stamp:
             datagram = controller.recv(65507)
