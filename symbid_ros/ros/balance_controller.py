@@ -1,7 +1,6 @@
 """Balance control over topics: measurements in, torques out, no state shared with the plant."""
 
 import json
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,11 +26,11 @@ from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.standing_controller import StandingController
 
 DEPTH = 1000  # length of the queues, messages
-KEPT = 100  # messages that wait for the message of the other topic with the same stamp
+MAX_UNPAIRED = 100  # messages that wait for the message of the other topic with the same stamp
 # No robot reaches these values, and a single one would corrupt the controller's filters.
 LARGEST_POSITION, LARGEST_RATE = 1e6, 1e3  # rad, rad/s
-UNIT = 0.9, 1.1  # accepted norms of the orientation quaternion
-LISTEN = 0.05  # s; longest delay until a stop signal is noticed
+NORMS = 0.9, 1.1  # accepted norms of the orientation quaternion
+STOP_POLL = 0.05  # s; longest delay until a stop signal is noticed
 SILENCE = 0.5  # s without a measurement until the status becomes a warning
 WARNING_PERIOD = 5.0  # s between two warnings of one kind
 PARAMETERS = (
@@ -182,7 +181,7 @@ def _find_fault(feedback: BalanceFeedback) -> str:
         return f"positions above {LARGEST_POSITION:g} rad"
     if np.abs(rates).max() > LARGEST_RATE:
         return f"rates above {LARGEST_RATE:g} rad/s"
-    if not UNIT[0] <= norm <= UNIT[1]:
+    if not NORMS[0] <= norm <= NORMS[1]:
         return f"orientation is not a unit quaternion (norm {norm:.3g})"
     return ""
 
@@ -192,7 +191,7 @@ def _store(unpaired: dict[int, DecodedMessage], message: DecodedMessage) -> None
     if unpaired and stamp < max(unpaired):
         unpaired.clear()
     unpaired[stamp] = message
-    if len(unpaired) > KEPT:
+    if len(unpaired) > MAX_UNPAIRED:
         del unpaired[min(unpaired)]
 
 
@@ -227,7 +226,7 @@ class BalanceNode:
                 self._warn(f"not answered: {error}")
                 continue
             if feedback is None:
-                self._subscriber.wait(LISTEN)
+                self._subscriber.wait(STOP_POLL)
             else:
                 self._answer(feedback)
         print(json.dumps(self._counts()), flush=True)
@@ -278,15 +277,12 @@ class BalanceNode:
         return [NodeStatus("control", level, message, values | self._counts())]
 
 
-def main(args: Sequence[str] | None = None) -> None:
-    """Run the node ``balance_controller``."""
+def main() -> int:
+    """Run the node ``balance_controller`` and return its exit status."""
     threadpool_limits(1)
-    sys.exit(
-        run_node(
-            "balance_controller",
-            lambda node, values, stop: construct(BalanceNode, node, values, stop).run(stop),
-            args,
-            purpose="Balance the robot: read joint_states and imu/data, publish joint_command.",
-            parameters=PARAMETERS,
-        )
+    return run_node(
+        "balance_controller",
+        lambda node, values, stop: construct(BalanceNode, node, values, stop).run(stop),
+        purpose="Balance the robot: read joint_states and imu/data, publish joint_command.",
+        parameters=PARAMETERS,
     )

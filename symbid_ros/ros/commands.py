@@ -25,7 +25,7 @@ INTERNAL, TOPIC, UDP = "internal", "topic", "udp"  # sources of commands
 JOINT_COMMAND = "joint_command"
 DEPTH = 100  # length of the queue, commands; at most one answers the newest measurement
 FIRST_TIMEOUT = 5.0  # s to wait for a controller's first command
-LISTEN = 0.05  # s; longest delay until a stop signal is noticed
+STOP_POLL = 0.05  # s; longest delay until a stop signal is noticed
 WARNING_PERIOD = 5.0  # s between two warnings
 REASONS = ("malformed", "joints", "length", "not_finite", "beyond_limit", "old", "future")
 
@@ -175,7 +175,7 @@ class TopicCommands:
                 break
             if is_first and self._counts_now() != self._initial_counts:
                 break
-            wait_for_any(self._node, [self._subscription], min(remaining, LISTEN))
+            wait_for_any(self._node, [self._subscription], min(remaining, STOP_POLL))
         if self.is_controlled and not stop.is_set():
             self.is_controlled = False
             self.counts.timeouts += not is_first

@@ -1,8 +1,7 @@
 """The node identifier: from topics or bags to an estimate on latched topics."""
 
-import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -131,15 +130,12 @@ def identify(node: Node, values: dict[str, Any], stop: Event) -> None:
             identify_bags(node, complete, stop)
 
 
-def main(args: Sequence[str] | None = None) -> None:
-    """Run the node ``identifier``."""
+def main() -> int:
+    """Run the node ``identifier`` and return its exit status."""
     threadpool_limits(1)
-    sys.exit(
-        run_node(
-            "identifier",
-            identify,
-            args,
-            purpose="Identify a robot's inertial parameters from topics or bags and publish them.",
-            parameters=PARAMETERS,
-        )
+    return run_node(
+        "identifier",
+        identify,
+        purpose="Identify a robot's inertial parameters from topics or bags and publish them.",
+        parameters=PARAMETERS,
     )

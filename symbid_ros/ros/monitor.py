@@ -1,9 +1,8 @@
 """The node monitor: what an identifier currently knows, in the terminal."""
 
 import math
-import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -327,14 +326,11 @@ def _truth(path: str) -> dict[str, FloatArray]:
     return dict(zip(parameters.link_names, phi, strict=True))
 
 
-def main(args: Sequence[str] | None = None) -> None:
-    """Run the node ``monitor``."""
-    sys.exit(
-        run_node(
-            "monitor",
-            lambda node, values, stop: Monitor(node, values).run(stop),
-            args,
-            purpose="Show an identifier's current estimate in the terminal.",
-            parameters=PARAMETERS,
-        )
+def main() -> int:
+    """Run the node ``monitor`` and return its exit status."""
+    return run_node(
+        "monitor",
+        lambda node, values, stop: Monitor(node, values).run(stop),
+        purpose="Show an identifier's current estimate in the terminal.",
+        parameters=PARAMETERS,
     )

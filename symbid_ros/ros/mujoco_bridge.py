@@ -1,9 +1,8 @@
 """The simulated robot on ROS 2 topics, in real time."""
 
 import json
-import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
@@ -393,14 +392,11 @@ class MujocoBridge:
         return found
 
 
-def main(args: Sequence[str] | None = None) -> None:
-    """Run the node ``mujoco_bridge``."""
-    sys.exit(
-        run_node(
-            "mujoco_bridge",
-            lambda node, values, stop: construct(MujocoBridge, node, values, stop).run(stop),
-            args,
-            purpose="Publish the measurements of a simulated robot on ROS 2 topics in real time.",
-            parameters=PARAMETERS,
-        )
+def main() -> int:
+    """Run the node ``mujoco_bridge`` and return its exit status."""
+    return run_node(
+        "mujoco_bridge",
+        lambda node, values, stop: construct(MujocoBridge, node, values, stop).run(stop),
+        purpose="Publish the measurements of a simulated robot on ROS 2 topics in real time.",
+        parameters=PARAMETERS,
     )

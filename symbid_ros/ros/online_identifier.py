@@ -44,7 +44,7 @@ SHUTDOWN_SOLVE_TIME = 1.5
 ANSWER_POLL = 0.1  # s
 DISCOVERY_PERIOD = 0.1  # s between two looks at the graph before identification starts
 LATER_DISCOVERY_PERIOD = 1.0  # s afterwards
-PATIENCE = 2.0  # s until missing topics are reported
+MISSING_PERIOD = 2.0  # s until missing topics are reported
 DESCRIPTION_PERIOD = 10.0  # s; viewers reload the whole robot for each description
 
 Answer = tuple[bool, str]
@@ -140,7 +140,7 @@ class OnlineIdentifier:
         while not stop.is_set() and self._identification is None:
             self._update_topics()
             missing = self._sensors.missing()
-            if time.monotonic() - began >= PATIENCE and self._identification is None:
+            if time.monotonic() - began >= MISSING_PERIOD and self._identification is None:
                 self._fault_reporter.update(missing)
             self._diagnostics.set_waiting(self._sensors.found, missing.values())
             self._perform_requests()

@@ -298,14 +298,11 @@ def _sensors(topics: Sequence[RecordedTopic]) -> tuple[str, ...]:
     return tuple(name for name in names if name in wanted) or names
 
 
-def main(args: Sequence[str] | None = None) -> None:
-    """Run the node ``player``."""
-    sys.exit(
-        run_node(
-            "player",
-            lambda node, values, stop: Player(node, values, stop).run(),
-            args,
-            purpose="Replay bags on their topics.",
-            parameters=PARAMETERS,
-        )
+def main() -> int:
+    """Run the node ``player`` and return its exit status."""
+    return run_node(
+        "player",
+        lambda node, values, stop: Player(node, values, stop).run(),
+        purpose="Replay bags on their topics.",
+        parameters=PARAMETERS,
     )

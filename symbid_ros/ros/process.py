@@ -75,15 +75,8 @@ def _is_local(environment: MutableMapping[str, str]) -> bool:
     return environment.get(OLD_RANGE) == "1" or environment.get(RANGE) == LOCALHOST
 
 
-def run_node(
-    name: str,
-    work: Work,
-    args: Sequence[str] | None = None,
-    *,
-    purpose: str = "",
-    parameters: Sequence[Parameter] = (),
-) -> int:
-    """Run a node until its work is done and return the exit status.
+def run_node(name: str, work: Work, *, purpose: str, parameters: Sequence[Parameter]) -> int:
+    """Run a node with the arguments of the process and return the exit status.
 
     The work runs in the main thread. An executor in a second thread serves services and
     parameters once all parameters are declared. rclpy's signal handlers are disabled: they
@@ -96,19 +89,16 @@ def run_node(
     work : callable
         ``work(node, values, stop)`` gets the parameters' values by name. It returns soon after
         SIGINT or SIGTERM sets ``stop``.
-    args : sequence of str, optional
-        Arguments without the executable's name; by default those of the process.
     purpose : str
         Description of the node for ``--help``.
     parameters : sequence of Parameter
         Parameters that the node declares and ``--help`` lists.
     """
-    arguments = list(sys.argv if args is None else [name, *args])
     stop = stop_on_signals()
     try:
-        _parse_arguments(name, purpose, parameters, remove_ros_args(arguments)[1:])
+        _parse_arguments(name, purpose, parameters, remove_ros_args(sys.argv)[1:])
         use_udp(os.environ, rclpy.get_rmw_implementation_identifier())
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         node = Node(name)
         try:
             with forward_python_logs(node):

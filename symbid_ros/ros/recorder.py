@@ -4,7 +4,6 @@ import json
 import re
 import sys
 import time
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -354,14 +353,11 @@ def _warn(text: str) -> None:
     print(f"recorder: {text}", file=sys.stderr)
 
 
-def main(args: Sequence[str] | None = None) -> None:
-    """Run the node ``recorder``."""
-    sys.exit(
-        run_node(
-            "recorder",
-            lambda node, values, stop: Recorder(node, values).run(stop),
-            args,
-            purpose="Record topics into a rosbag2 MCAP bag.",
-            parameters=PARAMETERS,
-        )
+def main() -> int:
+    """Run the node ``recorder`` and return its exit status."""
+    return run_node(
+        "recorder",
+        lambda node, values, stop: Recorder(node, values).run(stop),
+        purpose="Record topics into a rosbag2 MCAP bag.",
+        parameters=PARAMETERS,
     )

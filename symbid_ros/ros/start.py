@@ -23,7 +23,7 @@ def _run(node: str) -> None:
             raise
         print(f"{node}: {advice}; or source ROS 2's setup.bash", file=sys.stderr)
         sys.exit(2)
-    run()
+    sys.exit(run())
 
 
 mujoco_bridge = partial(_run, "mujoco_bridge")

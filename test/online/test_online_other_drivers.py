@@ -1,4 +1,4 @@
-"""Variations of other robots' drivers: joints in parts, no stamps, missing joints, prefixed frames."""
+"""Other robots' drivers: joints in parts, no stamps, missing joints, prefixed frames."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path

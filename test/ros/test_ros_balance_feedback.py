@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from symbid_ros.errors import DataError
-from symbid_ros.ros.balance_controller import KEPT, BalanceFeedback, FeedbackSubscriber
+from symbid_ros.ros.balance_controller import MAX_UNPAIRED, BalanceFeedback, FeedbackSubscriber
 
 JOINTS = ("hip", "knee")
 MILLISECOND = 1_000_000
@@ -104,12 +104,12 @@ def test_an_imu_at_half_the_rate_limits_the_complete_instants(robot: Robot) -> N
 
 
 def test_the_newest_joint_states_are_kept_while_the_imu_is_silent(robot: Robot) -> None:
-    waiting = 5 * KEPT
+    waiting = 5 * MAX_UNPAIRED
     robot.joints(*range(1, waiting + 1))
     robot.imu(waiting)
     readings = robot.read(waiting)
     np.testing.assert_allclose(readings.joint_position, [waiting + 0.1, waiting + 0.2])
-    assert robot.subscriber.skipped <= KEPT  # the others had been dropped
+    assert robot.subscriber.skipped <= MAX_UNPAIRED  # the others had been dropped
 
 
 def test_a_backward_clock_jump_clears_earlier_messages(robot: Robot) -> None:
