@@ -323,7 +323,7 @@ class SensorNoise:
 
     def __post_init__(self) -> None:
         """Reject a deviation that would give a row infinite weight."""
-        if not min(self.effort, self.force, self.moment) > 0:
+        if not all(each > 0 for each in (self.effort, self.force, self.moment)):
             raise EstimateError(
                 f"sensor deviations {self.effort}, {self.force}, {self.moment} must all be "
                 "positive; correct `sensor_std`",

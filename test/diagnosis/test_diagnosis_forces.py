@@ -16,6 +16,7 @@ from symbid_ros.diagnosis.forces import (
     _similar_groups,
     _wrench_findings,
     check_forces,
+    reversed_imu_finding,
 )
 from symbid_ros.diagnosis.gain_rows import GainLayout
 from symbid_ros.diagnosis.gains import GainEstimate
@@ -107,6 +108,9 @@ def test_reversed_gravity_is_the_imus_fault():
     """All forces and efforts look reversed."""
     robot = Robot([-IDENTITY, -IDENTITY], [-1.0, -1, -1, -1], left=2.0)
     assert robot.kinds == [(Kind.IMU_MOUNTING, "/imu")]
+    (finding,) = robot.verdict().findings
+    assert finding.figures == {"gain": -1.0}
+    assert reversed_imu_finding(["/a", "/b"]).stream == ""
     # One that is not, or none at all, is another fault.
     for other in (
         Robot([-IDENTITY, IDENTITY], [-1.0] * 4),

@@ -125,7 +125,7 @@ def test_missing_values_are_counted_from_the_first_stamp_up_to_the_second():
     assert found.figures == {"messages": 2, "share": 0.2}
 
 
-def robot(lower=-1.0, upper=1.0, kinds=("revolute",) * 3, efforts=(9.0,) * 3):
+def robot(lower=-1.0, upper=1.0, kinds=("revolute",) * 3, efforts=(0.5,) * 3):
     model = random_robot(3, 4)
     joints = tuple(
         replace(joint, name=name, kind=kind, effort=effort, lower=lower, upper=upper)
@@ -224,8 +224,8 @@ def test_joints_without_effort_are_named_by_what_they_report():
     assert "the effort of hip, knee is always zero, their rows" in both.message
     assert JointCheck("/joints", NAMES[:2])._list_names([0, 1]) == "hip, knee"
     assert (both.figures, both.severity) == ({"joints": 2}, Severity.WARNING)
-    assert findings(joints, robot(lower=-np.inf, efforts=(0.0, 0.0, 9.0))) == []
+    assert findings(joints, robot(lower=-np.inf, efforts=(0.0, 0.0, 0.5))) == []
     # All driven joints of a fixed robot are silent.
-    fixed = replace(robot(lower=-np.inf, efforts=(9.0, 9.0, 0.0)), floating=False)
+    fixed = replace(robot(lower=-np.inf, efforts=(0.5, 0.5, 0.0)), floating=False)
     (none,) = findings(joints, fixed)
     assert none.severity is Severity.UNUSABLE

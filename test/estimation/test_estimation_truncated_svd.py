@@ -19,6 +19,7 @@ from symbid_ros.estimation.truncated_svd import (
     METHODS,
     LeastSquares,
     SensorNoise,
+    prediction_errors,
     select_rank,
     sensor_row_std,
 )
@@ -205,6 +206,55 @@ def test_std_covers_the_error_of_a_linear_problem():
         error = problem.solution(z) - case.parameters.values
         ratios.append(error / problem.std(z, prior.std))
     assert 0.8 < np.sqrt(np.mean(np.square(ratios))) < 1.2
+
+
+@pytest.mark.parametrize("method", ["ols", "wls_c"])
+@pytest.mark.parametrize(("count", "z"), [(80, 1), (80, 17), (9, 8), (9, 9), (9, 12)])
+def test_std_is_that_of_the_data_and_of_the_prior_where_truncated(method, count, z):
+    """Eq. 33 and 34 with dense matrices."""
+    case = Case(4, count=count)
+    problem = LeastSquares(case.information).scaled(case.prior, method)
+    prior = case.prior
+    H = np.ones(len(prior.mean))
+    if method == "wls_c":
+        H = np.where(prior.mean != 0, np.abs(prior.mean), prior.std)
+    _, s, Vt = np.linalg.svd(case.W * H, full_matrices=False)
+    residual = case.y - case.W @ problem.solution(z)
+    variance = residual @ residual / max(count - z, 1)
+    V = Vt[:z].T
+    data = (H[:, None] * V / s[:z]) @ (H[:, None] * V / s[:z]).T * variance
+    unused = np.eye(len(H)) - V @ V.T
+    rest = H[:, None] * unused * (prior.std / H)
+    expected = np.sqrt(np.diag(data + rest @ rest.T))
+    np.testing.assert_allclose(problem.std(z, prior.std), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("criterion", ["gen_force", "torque", "com"])
+@pytest.mark.parametrize("floating", [True, False])
+def test_prediction_errors_are_root_mean_squares_of_the_rows(criterion, floating):
+    case = Case(6, floating=floating, count=30)
+    rng = np.random.default_rng(0)
+    solutions = case.prior.mean[:, None] + 0.1 * rng.normal(size=(len(case.prior.mean), 3))
+    if criterion == "com" and not floating:
+        with pytest.raises(EstimateError, match="needs a floating base"):
+            prediction_errors(case.information, solutions, criterion)
+        return
+    error = case.rows.y[..., None] - case.rows.K @ solutions
+    if criterion == "torque":
+        error = error[:, 6 * floating :]
+    elif criterion == "com":
+        error = error[:, :3] / (9.81 * np.abs(solutions[::10].sum(axis=0)))
+    expected = np.sqrt(np.mean(np.sum(error**2, axis=1), axis=0))
+    found = prediction_errors(case.information, solutions, criterion)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("wrong", ["effort", "force", "moment"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+def test_sensor_deviations_are_positive(wrong, value):
+    given_values = {"effort": 1.0, "force": 1.0, "moment": 1.0, wrong: value}
+    with pytest.raises(EstimateError, match="must all be positive"):
+        SensorNoise(**given_values)
 
 
 def test_errors_name_the_cause():

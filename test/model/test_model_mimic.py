@@ -1,5 +1,7 @@
 """Mimic joints follow their leaders; ignored elements of an MJCF are reported."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -134,6 +136,22 @@ def test_both_formats_write_mimic_joints(gripper, tmp_path):
     equal = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
     assert equal.sum() == 2
     np.testing.assert_allclose(data.efc_pos[equal], 0.0, atol=1e-12)
+
+
+def test_mimic_joints_follow_in_mujoco_whatever_their_references(gripper):
+    """MuJoCo's equality measures both positions from their references."""
+    joints = tuple(
+        replace(joint, reference=0.4 - 0.3 * index) for index, joint in enumerate(gripper.joints)
+    )
+    robot = replace(gripper, joints=joints)
+    compiled = mujoco.MjModel.from_xml_string(mjcf_text(robot))
+    data = mujoco.MjData(compiled)
+    for angle in (-0.5, 0.0, 0.7):
+        leader = np.full((1, 3), angle)
+        data.qpos[compiled.nq - 3 :] = robot.apply_mimics(leader)[0]
+        mujoco.mj_forward(compiled, data)
+        equal = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        np.testing.assert_allclose(data.efc_pos[equal], [0, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize(
