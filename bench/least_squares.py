@@ -1,0 +1,147 @@
+"""Plain weighted least squares, the reference for identification from logs of real robots.
+
+The steps are those of textbooks (Khalil and Dombre 2002, ch. 12; Gautier 1997): a zero-phase
+low-pass, central differences, one row for each joint and sample, rows weighted by the standard
+deviation of their joint's residuals, and the solution of least norm. There is no prior.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from real_data import FloatArray, Recording, base_readings, low_pass
+from scipy.interpolate import make_interp_spline
+
+import symbid_ros as sy
+
+SLIPPING = 0.02  # rad/s; below it, a joint may stick
+ROWS_PER_SECOND = 100.0
+EDGE = 2.0  # periods of the low-pass that its transient disturbs at both ends
+REWEIGHTINGS = 5
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """N samples of a recording after filtering and differentiation.
+
+    Attributes
+    ----------
+    position, velocity, acceleration : (N, J) float64
+    base : BaseMotion or None
+        Of a floating base.
+    force : (N, n) float64
+        Measured generalised forces; NaN where there are none.
+    """
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+    base: sy.BaseMotion | None
+    force: FloatArray
+
+    @property
+    def is_used(self) -> np.ndarray:
+        """(N, n) rows that are measured and whose joint slips."""
+        used = np.isfinite(self.force)
+        joints = self.velocity.shape[1]
+        if np.isfinite(self.force[:, -joints:]).any():
+            used[:, -joints:] &= np.abs(self.velocity) >= SLIPPING
+        return used
+
+
+def sample(robot: sy.RobotModel, recording: Recording, cutoff: float) -> Sampled:
+    """Resample to a uniform clock, filter, differentiate, cut both ends and decimate."""
+    period = float(np.median(np.diff(recording.time)))
+    clock = np.arange(recording.time[0], recording.time[-1], period)
+
+    def uniform(values: FloatArray) -> FloatArray:
+        linear = make_interp_spline(recording.time, values, k=1)(clock)
+        return low_pass(linear, period, cutoff)
+
+    position = uniform(recording.position)
+    velocity = np.gradient(position, period, axis=0)
+    acceleration = np.gradient(velocity, period, axis=0)
+    force = np.full_like(position, np.nan)
+    has_effort = np.isfinite(recording.effort).any(axis=0)
+    force[:, has_effort] = uniform(recording.effort[:, has_effort])
+    edge = round(EDGE / cutoff / period)
+    kept = slice(edge, len(clock) - edge, max(1, round(1 / (ROWS_PER_SECOND * period))))
+    base = None
+    if recording.pose is not None:
+        readings = base_readings(recording, robot.gravity, cutoff)
+        imu, wrench = uniform(readings.imu), uniform(readings.wrench)
+        force = np.hstack([wrench[:, 3:], wrench[:, :3], force])
+        turn = np.gradient(imu[:, :3], period, axis=0)
+        base = sy.BaseMotion(imu[kept, :3], turn[kept], imu[kept, 3:])
+    return Sampled(position[kept], velocity[kept], acceleration[kept], base, force[kept])
+
+
+def columns(
+    robot: sy.RobotModel,
+    samples: Sampled,
+    terms: Sequence[str],
+    extra: FloatArray | None = None,
+) -> FloatArray:
+    """Return the regressor (N, n, p) of links, joint terms and further columns."""
+    links = sy.regressor(
+        robot, samples.position, samples.velocity, samples.acceleration, base=samples.base
+    )
+    factors = {
+        "viscous": samples.velocity,
+        "coulomb": np.sign(samples.velocity),
+        "offset": np.ones_like(samples.velocity),
+        "armature": samples.acceleration,
+    }
+    count, joints = samples.velocity.shape
+    first = links.shape[1] - joints
+    parts = [links]
+    for term in terms:
+        part = np.zeros((count, links.shape[1], joints))
+        part[:, first + np.arange(joints), np.arange(joints)] = factors[term]
+        parts.append(part)
+    if extra is not None:
+        parts.append(extra)
+    return np.concatenate(parts, axis=2)
+
+
+def solve(regressor: FloatArray, samples: Sampled) -> FloatArray:
+    """Return the parameters (p,) of weighted least squares."""
+    used = samples.is_used
+    force = np.where(used, samples.force, 0.0)
+    weight = np.ones(force.shape[1])
+    for _ in range(REWEIGHTINGS):
+        rows = (regressor * weight[:, None])[used]
+        # A column that differs from a combination of others by rounding or noise of the
+        # differentiation alone counts as dependent.
+        scale = np.linalg.norm(rows, axis=0)
+        scale[scale == 0.0] = 1.0
+        found = np.linalg.lstsq(rows / scale, (force * weight)[used], rcond=1e-8)[0] / scale
+        squares = np.where(used, force - regressor @ found, 0.0) ** 2
+        spread = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
+        weight = 1.0 / np.maximum(spread, 1e-9)
+    return found
+
+
+@dataclass(frozen=True)
+class Score:
+    """Prediction errors, percent of the measured force, on rows that are used.
+
+    Attributes
+    ----------
+    each : (n,) float64
+        100 ‖e‖/‖y‖ of each coordinate.
+    overall : float
+        The same of all coordinates together.
+    """
+
+    each: FloatArray
+    overall: float
+
+
+def score(samples: Sampled, predicted: FloatArray) -> Score:
+    used = samples.is_used
+    error = np.where(used, samples.force - predicted, 0.0)
+    force = np.where(used, samples.force, 0.0)
+    with np.errstate(invalid="ignore"):
+        each = 100.0 * np.linalg.norm(error, axis=0) / np.linalg.norm(force, axis=0)
+    return Score(each, float(100.0 * np.linalg.norm(error) / np.linalg.norm(force)))

@@ -1,0 +1,165 @@
+"""Identifies robots from public logs, beside plain weighted least squares and published figures.
+
+    .venv/bin/python bench/real_logs.py tx40 --data DIR [--option friction=true] [--reference-only]
+
+DIR holds the files that the script names when they are absent: a checkout of the repository at
+the commit, or the files side by side. The first three quarters of the log are identified with
+default options. The table shows 100 ‖e‖/‖y‖ of the measured force y in the last quarter, for each
+joint and for all. All lines are judged on the same samples: those of `least_squares.py`, at which
+the joint slips.
+"""
+
+import argparse
+import logging
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+import yaml
+from least_squares import Sampled, Score, columns, sample, score, solve
+from real_data import REAL_DATA, FloatArray, MissingDataError, RealLog, sha256, to_log
+from threadpoolctl import threadpool_limits
+
+import symbid_ros as sy
+from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.model.parameters import ParameterSet
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("name", choices=sorted(REAL_DATA))
+    parser.add_argument("--data", type=Path, required=True, metavar="DIR")
+    parser.add_argument(
+        "--option",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="option of the identification, instead of its default",
+    )
+    parser.add_argument("--reference-only", action="store_true")
+    parser.add_argument("--mass-scale", type=float, default=1.0, help="of the model file's links")
+    asked = parser.parse_args()
+    threadpool_limits(1)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
+    data = REAL_DATA[asked.name]
+    try:
+        files = data.find(asked.data)
+    except MissingDataError as error:
+        raise SystemExit(str(error)) from None
+    print(f"{data.title}\n{data.source} ({data.licence})")
+    for path, expected in zip(files, data.files.values(), strict=True):
+        found = sha256(path)
+        note = "" if found == expected else ", other content than that of docs/real-logs.md"
+        print(f"  {path.name}  sha256 {found}{note}")
+    print(f"  {data.note}")
+    options = dict(each.split("=", 1) for each in asked.option)
+    given = {name: yaml.safe_load(value) for name, value in options.items()}
+    log = data.convert(files)
+    log = scaled(log, asked.mass_scale)
+    report(log, None if asked.reference_only else given)
+
+
+def report(log: RealLog, options: dict[str, object] | None) -> None:
+    """Print the table; without options, of the references alone."""
+    training = sample(log.robot, log.training, log.cutoff)
+    heldout = sample(log.robot, log.heldout, log.cutoff)
+    length = (log.training.time[-1] - log.training.time[0], np.ptp(log.heldout.time))
+    rows = heldout.is_used
+    judged = np.flatnonzero(rows.any(axis=0))
+    print(
+        f"  {length[0]:.1f} s identified, {length[1]:.1f} s held out, low-pass {log.cutoff:g} Hz, "
+        f"{100 * rows[:, judged].mean():.0f} % of the held-out rows used\n"
+    )
+    names = [log.robot.coordinates[index] for index in judged]
+    print("| held-out error, % | " + " | ".join(names) + " | all |")
+    print("|---|" + "---|" * (len(names) + 1))
+    force = np.where(rows, heldout.force, 0.0)[:, judged]
+    size = np.sqrt((force**2).sum(axis=0) / rows[:, judged].sum(axis=0))
+    print("| measured, RMS, Nm or N | " + " | ".join(f"{one:.3g}" for one in size) + " | |")
+    for title, result in chain(
+        references(log, training, heldout), identified(log, heldout, options)
+    ):
+        each = " | ".join(f"{one:.3g}" for one in result.each[judged])
+        print(f"| {title} | {each} | {result.overall:.3g} |", flush=True)
+
+
+def references(log: RealLog, training: Sampled, heldout: Sampled) -> Iterator[tuple[str, Score]]:
+    """Yield the scores of the model file, of published parameters and of least squares."""
+    stated = ParameterSet(log.robot).values
+    inertial = columns(log.robot, heldout, ()) @ stated
+    yield "model file, inertias alone", score(heldout, inertial)
+    for title, torque in (log.published or {}).items():
+        predicted = inertial + torque(heldout.velocity, heldout.acceleration)
+        yield title, score(heldout, predicted)
+    plain = "least squares: " + (", ".join(("links", *log.terms)))
+    for title, extra in [(plain, None), *(log.extra or {}).items()]:
+        parts = [
+            columns(
+                log.robot,
+                part,
+                log.terms,
+                None if extra is None else extra(part.velocity, part.acceleration),
+            )
+            for part in (training, heldout)
+        ]
+        predicted = parts[1] @ solve(parts[0], training)
+        yield title if extra is None else f"the same {title}", score(heldout, predicted)
+
+
+def identified(
+    log: RealLog, heldout: Sampled, options: dict[str, object] | None
+) -> Iterator[tuple[str, Score]]:
+    """Yield the score of an identification."""
+    if options is None:
+        return
+    begun = time.perf_counter()
+    result = sy.identify(log.robot, to_log(log.robot, log.training, log.cutoff), **options)
+    seconds = time.perf_counter() - begun
+    words = ", ".join(f"{name}={value}" for name, value in options.items()) or "default options"
+    yield f"symbid, {words}", score(heldout, predicted_force(result, heldout))
+    print(f"\n{seconds:.0f} s; total mass {sum(one.mass for one in result.links.values()):.2f} kg")
+    for alarm in result.alarms:
+        print(f"ALARM {alarm}")
+
+
+def predicted_force(result: sy.Result, samples: Sampled) -> FloatArray:
+    """Return the generalised forces (N, n) that an identified robot predicts at samples.
+
+    ``Result.predict`` averages over windows whose length each identification chooses. Here all
+    predictions are compared at the same samples.
+    """
+    count, joints = samples.position.shape
+    robot = result.robot
+    rest = np.zeros((count, 3))
+    base = samples.base or sy.BaseMotion(rest, rest, rest - robot.gravity)
+    rows = equation_of_motion(
+        result._parameters,
+        Samples(
+            stamp=np.arange(count),
+            position=samples.position,
+            velocity=samples.velocity,
+            acceleration=samples.acceleration,
+            effort=np.zeros((count, joints)),
+            base_angular_velocity=base.angular_velocity,
+            base_angular_acceleration=base.angular_acceleration,
+            base_specific_force=base.specific_force,
+            wrenches=np.zeros((count, 0, 6)),
+            wrench_frames=(),
+        ),
+    )
+    predicted: FloatArray = rows.K @ result.estimate.value - rows.y
+    return predicted
+
+
+def scaled(log: RealLog, factor: float) -> RealLog:
+    """Return the log with a robot whose inertias are multiplied by a factor."""
+    parameters = ParameterSet(log.robot)
+    return replace(log, robot=parameters.apply(parameters.values * factor))
+
+
+if __name__ == "__main__":
+    main()
