@@ -190,6 +190,9 @@ def test_a_slide_beyond_its_limits_does_not_count_as_degrees():
     model = robot(kinds=("revolute", "prismatic", "prismatic"))
     (found,) = findings(reaching(50.0, 400.0, 400.0), model)
     assert found.figures == {"joints": 1, "largest": 400.0}
+    model = robot(kinds=("prismatic", "revolute", "revolute"))
+    (found,) = findings(reaching(400.0, 50.0, 50.0), model)
+    assert found.figures == {"joints": 2, "largest": 400.0}
 
 
 @pytest.mark.parametrize(("missing", "severity"), [(500, "WARNING"), (501, "UNUSABLE")])

@@ -46,6 +46,7 @@ def test_a_topic_without_two_messages_has_no_rate():
     for stamps in (ticks(0), ticks(1)):
         check = checked(stamps)
         assert (check.period, check.figures.rate_hz, check.figures.jitter) == (0, 0, 0)
+        assert check.figures.duration_s == 0
         assert check.figures.messages == len(stamps)
         assert check.findings(START, START) == []
 
@@ -56,6 +57,10 @@ def test_messages_that_repeat_in_the_next_slice_count_once_as_intervals():
     assert (check.gaps, check.missing) == (0, 0)
     assert check.last == ticks(22)[-1]
     assert check.first == START
+    # Nor do gaps count twice.
+    lost = np.delete(ticks(20), [4, 5, 15])
+    check = checked(lost[:10], lost, lost)
+    assert (check.gaps, check.missing) == (2, 3)
 
 
 @pytest.mark.parametrize("cut", [None, 30])
@@ -65,6 +70,7 @@ def test_lost_messages_are_counted_within_and_between_slices(cut):
     (finding,) = findings(check)
     assert (finding.kind, finding.stream, finding.severity) == (Kind.GAP, "/imu", Severity.WARNING)
     assert finding.figures == {"gaps": 2, "missing": 4, "longest_gap_s": pytest.approx(0.04)}
+    assert check.figures.jitter == pytest.approx(0, abs=1e-12)
     assert "4 messages (4 %) are missing in 2 gaps, the longest lasts 0.04 s" in finding.message
 
 
