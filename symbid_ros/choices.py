@@ -7,7 +7,7 @@ Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
 Filter = Literal["weak", "butterworth", "savitzky_golay"]
 Channels = Literal["all", "thesis"]
 Criterion = Literal["gen_force", "torque", "com"]
-Term = Literal["viscous", "coulomb", "armature", "offset"]
+Term = Literal["viscous", "coulomb", "armature", "offset", "stribeck"]
 Scenario = Literal["smooth", "squat", "vibrating", "suspended", "tare"]
 SensorErrorKind = Literal[
     "plate_offset",
@@ -33,8 +33,6 @@ class JointTerm(NamedTuple):
 
     Attributes
     ----------
-    option : str
-        Option of an identification that adds it.
     units : tuple of str
         Of a revolute and of a prismatic joint.
     field : str or None
@@ -48,7 +46,6 @@ class JointTerm(NamedTuple):
     is_nonnegative : bool
     """
 
-    option: str
     units: tuple[str, str]
     field: str | None
     std: float
@@ -58,8 +55,11 @@ class JointTerm(NamedTuple):
 
 
 JOINT_TERMS: dict[Term, JointTerm] = {
-    "viscous": JointTerm("friction", ("Nm s/rad", "N s/m"), "damping", 1.0, 2, 0.3, True),
-    "coulomb": JointTerm("friction", ("Nm", "N"), "friction_loss", 2.0, 1, 0.3, True),
-    "armature": JointTerm("armature", ("kg m^2", "kg"), "armature", 0.1, 2, 0.3, True),
-    "offset": JointTerm("offset", ("Nm", "N"), None, 1.0, 1, 0.1, False),
+    "viscous": JointTerm(("Nm s/rad", "N s/m"), "damping", 1.0, 2, 0.3, True),
+    "coulomb": JointTerm(("Nm", "N"), "friction_loss", 2.0, 1, 0.3, True),
+    "armature": JointTerm(("kg m^2", "kg"), "armature", 0.1, 2, 0.3, True),
+    "offset": JointTerm(("Nm", "N"), None, 1.0, 1, 0.1, False),
+    "stribeck": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, False),
 }
+# Terms that act only while a joint slips. A sticking joint has static friction in their place.
+SLIDING_TERMS: frozenset[Term] = frozenset({"coulomb", "stribeck"})

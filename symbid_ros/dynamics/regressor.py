@@ -23,13 +23,15 @@ from symbid_ros.dynamics.kinematics import (
 )
 from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.tree import Joint, RobotModel
 
 # Pseudo-inertia J of one unit of each parameter, (10, 16).
 UNIT_PSEUDO_INERTIA = pseudo_inertia(np.eye(10)).reshape(10, 16)
 
 # Below this speed, rad/s or m/s, a joint may stick, and static friction balances the other forces.
 COULOMB_SPEED = 0.02
+# Speed at which Stribeck friction has fallen to 1/e: revolute joints rad/s, prismatic joints m/s.
+STRIBECK_SPEED = 0.2, 0.02
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,18 @@ def coulomb_column(velocity: FloatArray) -> FloatArray:
     return column
 
 
+def stribeck_column(velocity: FloatArray, joints: Sequence[Joint]) -> FloatArray:
+    """Return sign(q̇) exp(-|q̇|/v) (N, J), how friction falls with speed after a joint breaks away.
+
+    With a fixed speed v the column is linear in its parameter (Bona and Indri 2005, Proc. 44th
+    IEEE CDC). Together with Coulomb and viscous friction it also represents viscous friction that
+    saturates with speed, as that of harmonic drives.
+    """
+    speed = np.array([STRIBECK_SPEED[joint.kind == "prismatic"] for joint in joints])
+    column: FloatArray = coulomb_column(velocity) * np.exp(-np.abs(velocity) / speed)
+    return column
+
+
 @dataclass(frozen=True)
 class Rows:
     """N samples of the equation of motion.
@@ -192,7 +206,7 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
 
 def known_force(parameters: ParameterSet, samples: Samples) -> FloatArray:
     """Return the generalised force (N, n) of known friction and armature, zero at the base."""
-    content = _joint_terms(samples)
+    content = _joint_terms(parameters, samples)
     force = np.zeros((len(samples), parameters.model.dof))
     joints = force[:, 6 * parameters.model.floating :]
     for term, values in parameters.known_terms.items():
@@ -221,7 +235,7 @@ def _link_wrenches(parameters: ParameterSet, posture: Posture, samples: Samples)
 
 def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples) -> None:
     """Write the columns of the joint terms, each joint's into its own row."""
-    content = _joint_terms(samples)
+    content = _joint_terms(parameters, samples)
     joints = np.arange(samples.velocity.shape[1])
     rows = K.shape[1] - len(joints) + joints
     K[:, :, parameters.inertial :] = 0.0
@@ -229,7 +243,7 @@ def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples)
         K[:, rows, columns.start + joints] = content[term]
 
 
-def _joint_terms(samples: Samples) -> dict[Term, FloatArray]:
+def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, FloatArray]:
     """Return the factor (N, J) of each joint term, Eq. 2.49 with armature and offset.
 
     The armature is the inertia of rotor and gear reflected to the joint, and moves with q̇_j
@@ -241,6 +255,7 @@ def _joint_terms(samples: Samples) -> dict[Term, FloatArray]:
         "coulomb": coulomb_column(samples.velocity),
         "armature": samples.acceleration,
         "offset": np.ones(1),
+        "stribeck": stribeck_column(samples.velocity, parameters.model.joints),
     }
 
 

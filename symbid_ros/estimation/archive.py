@@ -4,7 +4,7 @@ import math
 import zipfile
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tokenize import TokenError
 from typing import IO, Any, BinaryIO
@@ -14,6 +14,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import write_through
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.group_moments import GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.user_files import open_regular
@@ -72,20 +73,31 @@ def write_archive(
             sorted(frozenset[int]().union(*(one.seconds for one in observations))), dtype=np.int64
         ),
     }
-    upper = np.triu_indices(layout.width)
     for index, one in enumerate(observations):
-        content |= {
-            f"rows_{index}": one.rows.factor[upper],
-            f"noise_{index}": one.noise.factor[upper],
-            f"samples_{index}": np.array([one.rows.samples, one.noise.samples]),
-            f"counts_{index}": one.counts,
-        }
+        content |= _arrays(one, str(index))
+        if one.slipping is not None:
+            content |= _arrays(one.slipping, f"slipping_{index}")
     if deviation_factor is not None:
         content["deviation_factor"] = deviation_factor
     if calibration is not None:
         content["sensor_factor"] = calibration.factor
         content["linearization"] = calibration.linearization
     write_through(path, lambda stream: np.savez_compressed(stream, **content))
+
+
+def _arrays(one: Observations, key: str) -> dict[str, FloatArray]:
+    """Return the arrays of one window length; ``key`` ends their names."""
+    upper = np.triu_indices(one.layout.width)
+    arrays = {
+        f"rows_{key}": one.rows.factor[upper],
+        f"noise_{key}": one.noise.factor[upper],
+        f"samples_{key}": np.array([one.rows.samples, one.noise.samples]),
+        f"counts_{key}": one.counts,
+    }
+    if one.groups is not None:
+        arrays[f"group_counts_{key}"] = one.groups.counts
+        arrays[f"groups_{key}"] = np.concatenate([each.ravel() for each in one.groups.moments])
+    return arrays
 
 
 def load_archive(path: Path) -> tuple[Observations, ...]:
@@ -113,11 +125,11 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
         _require(np.all(kept <= 1), "kept must be at most 1")
         seconds = frozenset(_seconds(content))
         return tuple(
-            Observations(
-                rows=_information(layout, content, "rows", i),
-                noise=_information(layout, content, "noise", i),
-                counts=_counts(content, i, layout),
-                window=float(windows[i]),
+            _observations(
+                layout,
+                content,
+                str(i),
+                Observations.empty(layout, float(windows[i])),
                 inflation=float(inflations[i]),
                 kept=float(kept[i]),
                 seconds=seconds,
@@ -177,14 +189,48 @@ def load_calibration(path: Path) -> SensorCalibration | None:
     return SensorCalibration(factor, linearization)
 
 
+def _observations(
+    layout: RowLayout,
+    content: dict[str, np.ndarray],
+    key: str,
+    empty: Observations,
+    **common: Any,
+) -> Observations:
+    """Return the observations of one window length from the arrays whose names end in ``key``."""
+    slipping = f"slipping_{key}"
+    return replace(
+        empty,
+        rows=_information(layout, content, "rows", key),
+        noise=_information(layout, content, "noise", key),
+        counts=_counts(content, key, layout),
+        groups=_groups(content, key, layout),
+        slipping=_observations(layout, content, slipping, empty, **common)
+        if f"rows_{slipping}" in content
+        else None,
+        **common,
+    )
+
+
+def _groups(content: dict[str, np.ndarray], key: str, layout: RowLayout) -> GroupMoments | None:
+    if f"groups_{key}" not in content:
+        return None
+    empty = GroupMoments.empty(layout)
+    sizes = [each.size for each in empty.moments]
+    flat = _numbers(content, f"groups_{key}", (sum(sizes),), least=-LARGEST_ENTRY)
+    parts = np.split(flat, np.cumsum(sizes)[:-1])
+    moments = tuple(
+        part.reshape(each.shape) for part, each in zip(parts, empty.moments, strict=True)
+    )
+    counts = _numbers(content, f"group_counts_{key}", empty.counts.shape)
+    return GroupMoments(layout, moments, counts)
+
+
 def _information(
-    layout: RowLayout, content: dict[str, np.ndarray], kind: str, index: int
+    layout: RowLayout, content: dict[str, np.ndarray], kind: str, key: str
 ) -> Information:
     width = layout.width
-    triangle = _numbers(
-        content, f"{kind}_{index}", (width * (width + 1) // 2,), least=-LARGEST_ENTRY
-    )
-    rows, noise = _numbers(content, f"samples_{index}", (2,))
+    triangle = _numbers(content, f"{kind}_{key}", (width * (width + 1) // 2,), least=-LARGEST_ENTRY)
+    rows, noise = _numbers(content, f"samples_{key}", (2,))
     factor = np.zeros((width, width), order="F")
     factor[np.triu_indices(width)] = triangle
     return Information(layout, factor, float(rows if kind == "rows" else noise))
@@ -220,12 +266,12 @@ def _layout(content: dict[str, np.ndarray]) -> RowLayout:
     return RowLayout(coordinates, parameters, structure)
 
 
-def _counts(content: dict[str, np.ndarray], index: int, layout: RowLayout) -> FloatArray:
+def _counts(content: dict[str, np.ndarray], key: str, layout: RowLayout) -> FloatArray:
     n = len(layout.coordinates)
-    counts = _numbers(content, f"counts_{index}", (n, n))
+    counts = _numbers(content, f"counts_{key}", (n, n))
     _require(
         np.array_equal(counts, counts.T) and np.all(counts <= counts.diagonal()),
-        f"counts_{index} must be symmetric, and largest on its diagonal",
+        f"counts_{key} must be symmetric, and largest on its diagonal",
     )
     return counts
 

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.choices import JOINT_TERMS
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.errors import EstimateError
 from symbid_ros.model.inertia import transform_phi
@@ -70,9 +69,7 @@ class Bounds:
     @classmethod
     def nonnegative(cls, parameters: ParameterSet) -> "Bounds":
         """Return the bounds friction ≥ 0 and armature ≥ 0; a torque offset may be negative."""
-        chosen = np.zeros(len(parameters), dtype=bool)
-        for term, columns in parameters.term_columns.items():
-            chosen[columns] = JOINT_TERMS[term].is_nonnegative
+        chosen = parameters.nonnegative
         names = tuple(parameters.names[i] for i in np.flatnonzero(chosen))
         zeros = np.zeros(len(names))
         return cls(names, np.eye(len(parameters))[chosen], zeros, zeros + np.inf)

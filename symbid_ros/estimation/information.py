@@ -66,6 +66,17 @@ class RowLayout:
             np.concatenate([self.structure, structure], axis=1),
         )
 
+    def restricted(self, parameters: tuple[str, ...]) -> "RowLayout":
+        """Return the layout with some of the parameters, in the same order."""
+        kept = [self.parameters.index(name) for name in parameters]
+        return RowLayout(self.coordinates, parameters, self.structure[:, kept])
+
+    @cached_property
+    def own_coordinates(self) -> tuple[int, ...]:
+        """Coordinates with a parameter that affects no other."""
+        own = self.structure[:, self.structure.sum(axis=0) == 1]
+        return tuple(np.flatnonzero(own.any(axis=1)).tolist())
+
     @property
     def width(self) -> int:
         """Length w of the flat row."""
@@ -215,6 +226,22 @@ class Information:
             raise DataError(f"{INCOMPATIBLE}; use one model and the same terms", "E412")
         factor = _updated(self.factor.copy(order="F"), other.factor)
         return Information(self.layout, factor, self.samples + other.samples)
+
+    def restricted(self, parameters: tuple[str, ...]) -> "Information":
+        """Return the information about some parameters if the others are zero."""
+        layout = self.layout.restricted(parameters)
+        kept = set(layout.parameters)
+        columns = [
+            np.append([self.layout.parameters[i] in kept for i in each], True)
+            for each in self.layout.columns
+        ]
+        return Information(layout, _triangle(self.factor[:, np.concatenate(columns)]), self.samples)
+
+    def column_squares(self, coordinate: int, column: int) -> float:
+        """Return Σ K_ij² of coordinate i and parameter j; zero for a structural zero."""
+        place = np.flatnonzero(self.layout.columns[coordinate] == column)
+        start = self.layout.slices[coordinate].start
+        return float(np.sum(self.factor[:, start + place] ** 2))
 
     def coordinate_factor(self, coordinate: int) -> FloatArray:
         """Return the triangular factor of [K_i y_i] of one coordinate, structural zeros omitted."""

@@ -9,6 +9,7 @@ from scipy.linalg import eigh
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.dynamics.regressor import Rows
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.group_moments import GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout
 from symbid_ros.signals.weak_form import INFLATION, SampledRows, WindowedRows
 
@@ -48,6 +49,10 @@ class Observations:
         Share of the first rows' weight that is left after discounting.
     seconds : frozenset of int
         Fingerprints of the seconds that the rows cover; empty for rows of unknown origin.
+    groups : GroupMoments or None
+        Moments of each joint's own rows, by groups of seconds, if joint terms are candidates.
+    slipping : Observations or None
+        Of candidate terms: the same windows without the rows of joints that may stick.
     """
 
     rows: Information
@@ -57,13 +62,19 @@ class Observations:
     inflation: float = INFLATION
     kept: float = 1.0
     seconds: frozenset[int] = frozenset()
+    groups: GroupMoments | None = None
+    slipping: "Observations | None" = None
 
     @classmethod
-    def empty(cls, layout: RowLayout, window: float) -> "Observations":
-        """Return the observations of no data."""
+    def empty(cls, layout: RowLayout, window: float, *, candidates: bool = False) -> "Observations":
+        """Return the observations of no data; ``candidates`` tells whether the terms are such."""
         n = len(layout.coordinates)
         nothing = Information.empty(layout)
-        return cls(nothing, nothing, np.zeros((n, n)), window)
+        one = cls(nothing, nothing, np.zeros((n, n)), window)
+        if candidates:
+            one = replace(one, groups=GroupMoments.empty(layout))
+            one = replace(one, slipping=one)
+        return one
 
     @property
     def layout(self) -> RowLayout:
@@ -106,6 +117,8 @@ class Observations:
             rows=self.rows.fold(block.mean for block in kept),
             noise=self.noise.fold(noisy) if noisy else self.noise,
             counts=counts,
+            groups=self.groups and self.groups.fold(kept),
+            slipping=self.slipping and self.slipping.fold(block.slipping() for block in kept),
         )
 
     def discounted(self, share: float) -> "Observations":
@@ -116,6 +129,8 @@ class Observations:
             noise=self.noise.discounted(share),
             counts=share * self.counts,
             kept=share * self.kept,
+            groups=self.groups and self.groups.discounted(share),
+            slipping=self.slipping and self.slipping.discounted(share),
         )
 
     def covering(self, seconds: frozenset[int]) -> "Observations":
@@ -145,6 +160,20 @@ class Observations:
             counts=self.counts + other.counts,
             kept=min(self.kept, other.kept),
             seconds=self.seconds | other.seconds,
+            groups=self.groups and other.groups and self.groups.merge(other.groups),
+            slipping=self.slipping and other.slipping and self.slipping.merge(other.slipping),
+        )
+
+    def restricted(self, parameters: tuple[str, ...]) -> "Observations":
+        """Return the observations of some parameters if the others are zero."""
+        if parameters == self.layout.parameters:
+            return replace(self, groups=None, slipping=None)
+        return replace(
+            self,
+            rows=self.rows.restricted(parameters),
+            noise=self.noise.restricted(parameters),
+            groups=None,
+            slipping=None,
         )
 
     def residual_covariance(self, phi: FloatArray) -> FloatArray:

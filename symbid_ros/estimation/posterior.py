@@ -140,8 +140,12 @@ class _Square:
         pseudo_measurements: "PseudoMeasurements | None",
         *,
         approximate: bool,
+        correlation: FloatArray | None = None,
     ) -> "_Square":
         covariance = observations.residual_covariance(phi)
+        if correlation is not None:
+            root = np.sqrt(correlation)
+            covariance = covariance * np.outer(root, root)
         try:
             root = cholesky(covariance, lower=True)
         except np.linalg.LinAlgError:
@@ -244,6 +248,7 @@ def posterior(
     tolerance: float = CONVERGED,
     start: FloatArray | None = None,
     approximate: bool = False,
+    correlation: FloatArray | None = None,
 ) -> Posterior:
     """Return the Gaussian posterior of the parameters.
 
@@ -266,6 +271,8 @@ def posterior(
         Parameters whose residuals give the initial weights; the prior's mean by default.
     approximate : bool
         Whether to stop at half of the digits, which is enough for comparisons.
+    correlation : (n,) float64, optional
+        Factor on each coordinate's residual variance, for residuals that are correlated in time.
     """
     mean, L = prior.mean, prior.covariance_factor()
     count = len(mean) if count is None else count
@@ -275,7 +282,13 @@ def posterior(
     coarse = True
     for turn in range(REWHITENINGS):
         square = _Square.of(
-            observations, mean + L @ x, mean, L, pseudo_measurements, approximate=coarse
+            observations,
+            mean + L @ x,
+            mean,
+            L,
+            pseudo_measurements,
+            approximate=coarse,
+            correlation=correlation,
         )
         if empirical:
             scale[:count] = square.evidence_scale(count)

@@ -54,6 +54,8 @@ class Prior:
     factor : (p, p) float64 or None
         Lower triangular L with covariance L Lᵀ, whose diagonal is ``std`` squared.
         None for independent parameters.
+    assumed : tuple of str
+        Parameters whose deviation is a default, because neither file nor user gives one.
 
     Raises
     ------
@@ -69,6 +71,7 @@ class Prior:
     mean: FloatArray
     std: FloatArray
     factor: FloatArray | None = None
+    assumed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Check that this is a distribution."""
@@ -92,6 +95,42 @@ class Prior:
             return replace(self, std=scale * self.std)
         factor = self.factor * scale
         return replace(self, std=np.linalg.norm(factor, axis=1), factor=factor)
+
+    def marginal(self, names: tuple[str, ...]) -> "Prior":
+        """Return the prior of some parameters, in the order of ``names``."""
+        if names == self.names:
+            return self
+        index = [self.names.index(name) for name in names]
+        factor = None
+        if self.factor is not None:
+            factor = _triangular(self.factor[index])
+        return replace(self, names=names, mean=self.mean[index], std=self.std[index], factor=factor)
+
+    def for_columns(self, parameters: ParameterSet) -> "Prior":
+        """Return the prior of ``parameters``, in their order.
+
+        Joint terms that are not among them are marginalised, and those that are missing here get
+        the prior of :func:`model_prior`.
+        """
+        names = parameters.names
+        if self.names == names:
+            return self
+        own = model_prior(parameters)
+        place = {name: index for index, name in enumerate(self.names)}
+        held = np.array([name in place for name in names])
+        index = [place[name] for name in names if name in place]
+        mean, std, factor = own.mean.copy(), own.std.copy(), None
+        mean[held], std[held] = self.mean[index], self.std[index]
+        if self.factor is not None:
+            # The marginal covariance has the same rows of the factor; QR makes the factor
+            # triangular again.
+            root = np.zeros((len(names), len(self.names) + len(names)))
+            root[held, : len(self.names)] = self.factor[index]
+            root[~held, len(self.names) :] = np.diag(std)[~held]
+            factor = _triangular(root)
+        added = tuple(name for name in own.assumed if name not in place)
+        assumed = *(name for name in self.assumed if name in names), *added
+        return replace(self, names=names, mean=mean, std=std, factor=factor, assumed=assumed)
 
     def extended(self, names: tuple[str, ...], mean: FloatArray, std: FloatArray) -> "Prior":
         """Return the prior with more parameters, independent of the others."""
@@ -134,6 +173,13 @@ class Prior:
         write_text(path, json.dumps(document, indent=1) + "\n")
 
 
+def _triangular(root: FloatArray) -> FloatArray:
+    """Return the lower triangular L with L Lᵀ equal to root rootᵀ."""
+    upper = np.linalg.qr(root.T, mode="r")
+    factor: FloatArray = (upper * np.sign(np.diag(upper))[:, None]).T
+    return factor
+
+
 def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
     """Return a prior with the model file's values, uniform within ± ``percent`` %.
 
@@ -147,7 +193,8 @@ def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> P
     _check_amount(percent)
     mean, kind = parameters.values, f"model, percent {percent:g}"
     std = percent_std(parameters, mean, percent)
-    return Prior(parameters.model.name, kind, None, parameters.names, mean, std)
+    terms = parameters.names[parameters.inertial :]
+    return Prior(parameters.model.name, kind, None, parameters.names, mean, std, assumed=terms)
 
 
 def absolute_model_prior(parameters: ParameterSet, amount: float) -> Prior:
@@ -163,7 +210,8 @@ def absolute_model_prior(parameters: ParameterSet, amount: float) -> Prior:
     _check_amount(amount)
     mean, kind = parameters.values, f"model, absolute {amount:g}"
     std = absolute_std(parameters, amount)
-    return Prior(parameters.model.name, kind, None, parameters.names, mean, std)
+    terms = parameters.names[parameters.inertial :]
+    return Prior(parameters.model.name, kind, None, parameters.names, mean, std, assumed=terms)
 
 
 def draw_prior(parameters: ParameterSet, kind: Kind, amount: float, seed: int) -> Prior:
@@ -312,7 +360,7 @@ def load_prior(path: Path, parameters: ParameterSet) -> Prior:
     mean, std = np.array(list(values.values())).T
     try:
         read = Prior(model, kind, seed, tuple(values), mean, std, factor)
-        return _for_columns(read, parameters)
+        return read.for_columns(parameters)
     except PriorError as error:
         raise PriorError(f"{path}: {error}", error.code) from None
 
@@ -336,28 +384,6 @@ def _check_size(path: Path, values: dict[str, tuple[float, float]]) -> None:
                 "drop `prior` and give `prior_percent`",
                 "E404",
             )
-
-
-def _for_columns(prior: Prior, parameters: ParameterSet) -> Prior:
-    """Return the prior of ``parameters``, in their order."""
-    names = parameters.names
-    if prior.names == names:
-        return prior
-    own = model_prior(parameters)
-    place = {name: index for index, name in enumerate(prior.names)}
-    held = np.array([name in place for name in names])
-    index = [place[name] for name in names if name in place]
-    mean, std, factor = own.mean.copy(), own.std.copy(), None
-    mean[held], std[held] = prior.mean[index], prior.std[index]
-    if prior.factor is not None:
-        # The marginal covariance has the same rows of the factor; QR makes the factor
-        # triangular again.
-        root = np.zeros((len(names), len(prior.names) + len(names)))
-        root[held, : len(prior.names)] = prior.factor[index]
-        root[~held, len(prior.names) :] = np.diag(std)[~held]
-        upper = np.linalg.qr(root.T, mode="r")
-        factor = (upper * np.sign(np.diag(upper))[:, None]).T
-    return Prior(prior.model, prior.kind, prior.seed, names, mean, std, factor)
 
 
 def _check_belongs(

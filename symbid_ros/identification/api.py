@@ -100,7 +100,7 @@ def regressor(
     base : BaseMotion, optional
         Motion of the base in its own axes; required if the base floats.
     options : IdentifyOptions, optional
-        Its ``friction``, ``armature`` and ``offset`` add columns.
+        Its ``joint_terms`` add columns if they are named.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def regressor(
         wrenches=np.zeros((count, 0, 6)),
         wrench_frames=(),
     )
-    terms = () if options is None else options.terms
+    terms = () if options is None or options.chooses_terms else options.terms
     return equation_of_motion(ParameterSet(robot, terms), samples).K
 
 

@@ -139,9 +139,17 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         )
         point = LinearizationPoint(found.mean[:p], found.mean[p:])
     build = CalibratingRows(parameters, errors, point)
+    observations = observe(
+        dataset.segments,
+        build,
+        layout,
+        (shortest, longest),
+        MOTION + FORCES,
+        candidates=parameters.candidates,
+    )
     return replace(
         problem,
-        observations=observe(dataset.segments, build, layout, (shortest, longest), MOTION + FORCES),
+        observations=observations,
         prior=prior,
         sensor_units=errors.units,
         pseudo_measurements=pseudo_measurements,

@@ -298,7 +298,11 @@ def fold_dataset(
         used: set[float] = set()
         checked = _check_rates(segments, windows, source, used)
         observations = observe(
-            _collect_probes(checked, model, probes), equation_rows(parameters), layout, windows
+            _collect_probes(checked, model, probes),
+            equation_rows(parameters),
+            layout,
+            windows,
+            candidates=parameters.candidates,
         )
         samples = concatenated(probes)
         observations = tuple(one for one in observations if one.rows.samples > 0)
@@ -324,12 +328,17 @@ def observe(
     layout: RowLayout,
     windows: Sequence[float],
     noisy_channels: Sequence[Channel] = MOTION,
+    *,
+    candidates: bool = False,
 ) -> tuple[Observations, ...]:
     """Fold the windowed rows of aligned segments, for each window length.
 
     Each segment adds rows for the window lengths that suit its rate; others may stay empty.
+    ``candidates`` tells whether the rows are those of candidate terms.
     """
-    observations = {window: Observations.empty(layout, window) for window in windows}
+    observations = {
+        window: Observations.empty(layout, window, candidates=candidates) for window in windows
+    }
     for segment in segments:
         used = suited_windows(windows, segment.rate)
         for blocks in windowed_rows(segment, build, used, noisy_channels):

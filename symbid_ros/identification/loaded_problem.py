@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.choices import JOINT_TERMS, Method
+from symbid_ros.choices import TERMS, Method
 from symbid_ros.diagnosis.findings import Finding, Kind
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
@@ -24,11 +24,12 @@ from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior,
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.calibration import SensorErrorRequest, Tare, calibrate, read_tare
 from symbid_ros.identification.dataset import Dataset, Processing, read_dataset
+from symbid_ros.identification.joint_terms import candidate_prior, choose_terms
 from symbid_ros.identification.options import IdentifyOptions, Source
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.result_files import check_output
 from symbid_ros.identification.solver import Identification, Solver
-from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.parameters import ParameterSet, terms_in
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
 
@@ -49,8 +50,8 @@ class LoadedProblem:
     options : IdentifyOptions
     inputs : tuple of str
         Input files, recorded in the estimate.
-    parameters : ParameterSet
-        The robot's p parameters.
+    columns : ParameterSet
+        The columns of the data: the robot's parameters and all joint terms that may be chosen.
     prior : Prior
         Of these.
     dataset : Dataset
@@ -64,12 +65,17 @@ class LoadedProblem:
 
     options: IdentifyOptions
     inputs: tuple[str, ...]
-    parameters: ParameterSet
+    columns: ParameterSet
     prior: Prior
     dataset: Dataset
     solver: Solver
     validation: Dataset | None
     tares: Mapping[str, Tare]
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The p parameters to identify."""
+        return self.solver.problem.parameters
 
     def with_prior(
         self,
@@ -81,7 +87,7 @@ class LoadedProblem:
         options = options or self.options
         tares = self.tares if tares is None else tares
         solver = _build_solver(
-            options, self.inputs, self.parameters, prior, dataset=self.dataset, tares=tares
+            options, self.inputs, self.columns, prior, dataset=self.dataset, tares=tares
         )
         return replace(self, options=options, prior=prior, solver=solver, tares=tares)
 
@@ -154,6 +160,8 @@ def load_information(
         needs a log.
     """
     parameters = load_parameters(robot, options)
+    if options.chooses_terms:
+        parameters = _columns_of(robot, observations)
     _check_sizes(options, parameters)
     _check_layout(observations, parameters, "information")
     if any(len(one.layout.parameters) > len(parameters) for one in observations):
@@ -173,21 +181,31 @@ def load_information(
 
 
 def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet:
-    """Return the parameters to identify, and warn about joint terms that the model file states."""
-    parameters = ParameterSet(robot, options.terms)
+    """Return the columns of the data, and warn about known joint terms of the model file."""
+    if options.chooses_terms and options.information is not None:
+        parameters = _columns_of(robot, load_archive(options.information))
+    else:
+        parameters = ParameterSet(robot, options.terms, candidates=options.chooses_terms)
     for term, values in parameters.known_terms.items():
         stated = [
             name for name, value in zip(robot.joint_names, values, strict=True) if value != 0.0
         ]
-        flag = JOINT_TERMS[term].option
         logger.warning(
-            "%s states %s of %s, which is taken as known; identify it with `%s` if it may be wrong",
+            "%s states %s of %s, which is taken as known; add %s to `joint_terms` if it may be "
+            "wrong",
             robot.source,
-            f"{term} friction" if flag == "friction" else term,
+            f"{term} friction" if term in ("viscous", "coulomb") else term,
             ", ".join(stated),
-            flag,
+            term,
         )
     return parameters
+
+
+def _columns_of(robot: RobotModel, observations: Sequence[Observations]) -> ParameterSet:
+    """Return the columns that observations have: those of candidate terms, or of given ones."""
+    if any(one.slipping is not None for one in observations):
+        return ParameterSet(robot, TERMS, candidates=True)
+    return ParameterSet(robot, terms_in(observations[0].layout.parameters))
 
 
 def choose_prior(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
@@ -308,6 +326,7 @@ def _build_solver(
     dataset: Dataset,
     tares: Mapping[str, Tare],
 ) -> Solver:
+    prior = prior.for_columns(parameters)
     problem = Problem(
         dataset.observations,
         parameters,
@@ -317,6 +336,9 @@ def _build_solver(
         inputs=inputs,
         has_wrenches=bool(dataset.samples.wrench_frames),
     )
+    if parameters.candidates:
+        prior = candidate_prior(prior, parameters, dataset.observations[0])
+        problem = replace(problem, prior=prior)
     if options.sensor_error_kinds:
         request = SensorErrorRequest(options.sensor_error_kinds, tares)
         problem = calibrate(problem, dataset, request)
@@ -324,6 +346,9 @@ def _build_solver(
         earlier = load_archive(options.information)
         both = merged_observations(problem.observations, earlier, str(options.information))
         problem = replace(problem, observations=both)
+    if parameters.candidates:
+        choice = choose_terms(problem)
+        problem = replace(choice.applied(problem), choice=choice)
     return Solver.of(problem)
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 from symbid_ros.choices import (
     GAUSSIAN,
-    JOINT_TERMS,
     SENSOR_ERROR_KINDS,
     TERMS,
     Channels,
@@ -35,6 +34,13 @@ KNOWN = "Prior knowledge"
 JOINTS = "Parameters to identify in addition to the links"
 ROWS = "Rows of the equation of motion"
 TRUNCATED = "For ols, wls_r, wls_c and wls_rc only"
+
+# Options of earlier versions, each for some terms.
+FLAGS: dict[str, tuple[Term, ...]] = {
+    "friction": ("viscous", "coulomb"),
+    "armature": ("armature",),
+    "offset": ("offset",),
+}
 
 WEIGHING_STD = 0.05  # kg; what a good floor scale does
 
@@ -102,13 +108,27 @@ class IdentifyOptions:
     information: Path | None = option(
         None, "information.npz of an earlier run, whose data are added.", group=KNOWN
     )
+    joint_terms: tuple[str, ...] = option(
+        (),
+        f"Joint terms to identify: auto (for each joint those that the data ask for), none, or a "
+        f"comma-separated list of {', '.join(TERMS)} for all joints.",
+        group=JOINTS,
+        unset="auto; none with `filter` butterworth or savitzky_golay and with ols, wls_r, wls_c "
+        "and wls_rc",
+    )
     friction: bool = option(
-        False, "Identify viscous and Coulomb friction of every joint.", group=JOINTS
+        False,
+        "The same as `joint_terms` viscous,coulomb; adds to armature and offset.",
+        group=JOINTS,
     )
     armature: bool = option(
-        False, "Identify the reflected inertia of every drive, as felt at the joint.", group=JOINTS
+        False,
+        "The same as `joint_terms` armature: the reflected inertia of every drive.",
+        group=JOINTS,
     )
-    offset: bool = option(False, "Identify a constant torque of every joint.", group=JOINTS)
+    offset: bool = option(
+        False, "The same as `joint_terms` offset: a constant torque of every joint.", group=JOINTS
+    )
     sensor_errors: tuple[str, ...] = option(
         (),
         f"Sensor errors to identify: typical (all of these), or a comma-separated list of "
@@ -177,6 +197,7 @@ class IdentifyOptions:
         check_values(self)
         self._rename_deprecated()
         self._check_rows()
+        self._check_joint_terms()
         self._check_sensor_errors()
         sources = self.prior, self.prior_percent, self.prior_absolute
         if sum(source is not None for source in sources) > 1:
@@ -226,8 +247,50 @@ class IdentifyOptions:
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
-        """Joint terms to identify."""
-        return tuple(term for term in TERMS if getattr(self, JOINT_TERMS[term].option))
+        """Joint terms to identify, or the candidates if the data choose."""
+        if self.chooses_terms:
+            return TERMS
+        named = set(self._named_terms) | {
+            term for flag, terms in FLAGS.items() if getattr(self, flag) for term in terms
+        }
+        return tuple(term for term in TERMS if term in named)
+
+    @cached_property
+    def chooses_terms(self) -> bool:
+        """Whether the data choose the terms of each joint."""
+        if self._named_terms or any(getattr(self, flag) for flag in FLAGS):
+            return self._named_terms == ["auto"]
+        # Only rows averaged over windows and weighed against a prior can be compared.
+        return self.method in GAUSSIAN and self.row_filter == "weak"
+
+    @property
+    def _named_terms(self) -> list[str]:
+        parts = ",".join(self.joint_terms).split(",")
+        return [name for part in parts if (name := part.strip())]
+
+    def _check_joint_terms(self) -> None:
+        for name in self._named_terms:
+            if name not in ("auto", "none", *TERMS):
+                raise OptionError(
+                    f"`joint_terms`: {name!r} is not known; give auto, none or any of "
+                    f"{', '.join(TERMS)}",
+                    "E501",
+                )
+        for name in ("auto", "none"):
+            others = [flag for flag in FLAGS if getattr(self, flag)]
+            others += [one for one in self._named_terms if one != name]
+            if name in self._named_terms and others:
+                raise OptionError(
+                    f"`joint_terms` {name} contradicts {others[0]}; give one of them", "E502"
+                )
+        if self._named_terms == ["auto"] and not (
+            self.method in GAUSSIAN and self.row_filter == "weak"
+        ):
+            raise OptionError(
+                "`joint_terms` auto needs `method` map or map_lmi and rows averaged over windows; "
+                "name the terms",
+                "E503",
+            )
 
     @cached_property
     def sensor_error_kinds(self) -> tuple[SensorErrorKind, ...]:

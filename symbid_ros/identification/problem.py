@@ -1,6 +1,7 @@
 """An identification before a method is chosen: data, prior and pseudo-measurements."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from symbid_ros.estimation.prior import Prior
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_errors import CalibratingRows
 from symbid_ros.signals.weak_form import RowBuilder, equation_rows
+
+if TYPE_CHECKING:
+    from symbid_ros.identification.joint_terms import TermChoice
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,10 @@ class Problem:
         Whether the robot has wrench sensors.
     calibrated_rows : CalibratingRows or None
         Builds rows with columns for sensor errors; None without these unknowns.
+    stored : tuple of Observations or None
+        The data with the columns of all candidate terms, for later runs; None if they are the same.
+    choice : TermChoice or None
+        The joint terms that the data asked for; None if the user named them.
     """
 
     observations: tuple[Observations, ...]
@@ -73,6 +81,8 @@ class Problem:
     inputs: tuple[str, ...] = ()
     has_wrenches: bool = True
     calibrated_rows: CalibratingRows | None = None
+    stored: tuple[Observations, ...] | None = None
+    choice: "TermChoice | None" = None
 
     @property
     def row_builder(self) -> RowBuilder:

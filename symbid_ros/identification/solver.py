@@ -162,7 +162,7 @@ class Solver:
         )
         return Identification(
             replace(estimate, verdict=verdict),
-            problem.observations,
+            problem.stored or problem.observations,
             found.deviation_factor,
             self.chosen.window,
             value,
@@ -223,7 +223,12 @@ class Solver:
             rank=z,
         )
         return Identification(
-            estimate, problem.observations, None, self.chosen.window, value, problem.row_builder
+            estimate,
+            problem.stored or problem.observations,
+            None,
+            self.chosen.window,
+            value,
+            problem.row_builder,
         )
 
     def _residuals(self, value: FloatArray) -> dict[str, float]:

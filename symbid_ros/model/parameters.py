@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import JOINT_TERMS, TERMS, Term
 from symbid_ros.errors import ModelError
 from symbid_ros.model.inertia import PARAMETERS, UNITS
@@ -26,10 +26,12 @@ class ParameterSet:
     ----------
     model : RobotModel
         The robot.
-    terms : tuple of {"viscous", "coulomb", "armature", "offset"}
+    terms : tuple of {"viscous", "coulomb", "armature", "offset", "stribeck"}
         Terms that a drive adds to its joint's row: viscous q̇, Coulomb sign(q̇), armature q̈
-        (the reflected inertia of rotor and gear) and a constant offset. They are sorted in this
-        order.
+        (the reflected inertia of rotor and gear), a constant offset, and Stribeck friction
+        sign(q̇) exp(-|q̇|/v). They are sorted in this order.
+    candidates : bool
+        Whether the terms are candidates, of which the data choose some for each joint.
 
     Raises
     ------
@@ -39,6 +41,7 @@ class ParameterSet:
 
     model: RobotModel
     terms: tuple[Term, ...] = ()
+    candidates: bool = False
 
     def __post_init__(self) -> None:
         """Check and sort the terms."""
@@ -104,6 +107,14 @@ class ParameterSet:
         for term, columns in self.term_columns.items():
             values[columns] = [_file_value(joint, term) for joint in self.model.joints]
         return values
+
+    @cached_property
+    def nonnegative(self) -> BoolArray:
+        """(p,) joint terms that cannot be negative: friction and armature."""
+        chosen = np.zeros(len(self), dtype=bool)
+        for term, columns in self.term_columns.items():
+            chosen[columns] = JOINT_TERMS[term].is_nonnegative
+        return chosen
 
     @cached_property
     def known_terms(self) -> dict[Term, FloatArray]:

@@ -15,7 +15,12 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
-from symbid_ros.signals.weak_form import SampledRows, valid_coordinates, valid_rows
+from symbid_ros.signals.weak_form import (
+    SampledRows,
+    slipping_joints,
+    valid_coordinates,
+    valid_rows,
+)
 
 # Typical calibration errors: standard deviations per component.
 DEVIATIONS = {
@@ -297,6 +302,7 @@ class CalibratingRows:
                 part.stamp,
                 Rows(np.concatenate([rows.K, -C], axis=2), rows.y - C @ point.theta),
                 valid_coordinates(parameters, samples.velocity),
+                slipping_joints(parameters, samples.velocity),
             )
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.choices import SLIDING_TERMS
 from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion, is_slipping
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
@@ -90,12 +91,15 @@ class SampledRows:
     rows : Rows
         N rows of n coordinates.
     valid : (N, n) bool
-        Coordinates at which the equation holds; false where a joint may stick.
+        Coordinates at which the equation holds; false where a joint with friction may stick.
+    slips : (N, n) bool or None
+        Of candidate terms: valid coordinates except joints that may stick.
     """
 
     stamp: IntArray
     rows: Rows
     valid: BoolArray
+    slips: BoolArray | None = None
 
 
 RowBuilder = Callable[[SensorSamples], Iterator[SampledRows]]
@@ -115,12 +119,25 @@ class WindowedRows:
         Coordinates that are used.
     stamp : (N,) int64
         Centres of the windows, ns.
+    slips : (N, n) bool or None
+        Of candidate terms: valid coordinates except joints that may stick.
     """
 
     mean: Rows
     noise: Rows
     valid: BoolArray
     stamp: IntArray
+    slips: BoolArray | None = None
+
+    def slipping(self) -> "WindowedRows":
+        """Return the same windows without the rows of joints that may stick."""
+        if self.slips is None:
+            return self
+        mean, noise = (
+            Rows(rows.K * self.slips[:, :, None], rows.y * self.slips)
+            for rows in (self.mean, self.noise)
+        )
+        return WindowedRows(mean, noise, self.slips, self.stamp)
 
 
 def equation_rows(parameters: ParameterSet) -> RowBuilder:
@@ -140,32 +157,47 @@ def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
         samples.stamp,
         equation_of_motion(parameters, samples),
         valid_coordinates(parameters, samples.velocity),
+        slipping_joints(parameters, samples.velocity),
     )
 
 
-def valid_rows(stamp: IntArray, rows: Rows, valid: BoolArray) -> SampledRows:
-    """Return rows valid at some coordinates (N, n), except where the force was not measured."""
+def valid_rows(
+    stamp: IntArray, rows: Rows, valid: BoolArray, slips: BoolArray | None = None
+) -> SampledRows:
+    """Return rows valid at some coordinates (N, n), except where the force was not measured.
+
+    ``slips`` (N, J) tells which joints slip, if they are invalid otherwise for some terms only.
+    """
     measured = np.isfinite(rows.y)
-    if measured.all():
+    if not measured.all():
+        valid = valid & measured
+        rows = Rows(rows.K, np.where(measured, rows.y, 0.0))
+    if slips is None:
         return SampledRows(stamp, rows, valid)
-    return SampledRows(stamp, Rows(rows.K, np.where(measured, rows.y, 0.0)), valid & measured)
+    base = np.ones((len(valid), valid.shape[1] - slips.shape[1]), dtype=bool)
+    return SampledRows(stamp, rows, valid, valid & np.concatenate([base, slips], axis=1))
 
 
 def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
-    """Return which coordinates (N, n) obey Coulomb's law at joint rates (N, J).
+    """Return which coordinates (N, n) obey the equation of motion at joint rates (N, J).
 
-    Joints without identified or known Coulomb friction are always valid. A joint that mimics
-    another has no row of its own.
+    Joints with Coulomb friction, identified or known, do so only while they slip. A joint that
+    mimics another has no row of its own.
     """
     model = parameters.model
     valid = np.ones((len(velocity), model.dof), dtype=bool)
-    if "coulomb" in parameters.terms:
-        valid[:, 6 * model.floating :] = is_slipping(velocity)
-    elif "coulomb" in parameters.known_terms:
-        rubs = parameters.known_terms["coulomb"] != 0
+    if not parameters.candidates:
+        rubs = np.full(len(model.joints), not SLIDING_TERMS.isdisjoint(parameters.terms))
+        if "coulomb" in parameters.known_terms:
+            rubs |= parameters.known_terms["coulomb"] != 0
         valid[:, 6 * model.floating :] = is_slipping(velocity) | ~rubs
     valid[:, [6 * model.floating + joint for joint in model.followers]] = False
     return valid
+
+
+def slipping_joints(parameters: ParameterSet, velocity: FloatArray) -> BoolArray | None:
+    """Return which joints (N, J) slip if it is open whether they have friction, else None."""
+    return is_slipping(velocity) if parameters.candidates else None
 
 
 def suited_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:
@@ -303,10 +335,11 @@ def _hann(readings: SensorSamples, centres: FloatArray, length: float) -> csr_ar
 
 @dataclass(frozen=True)
 class _Average:
-    """Sums over windows: flat [K y] (W, n p + n), share of valid weight (W, n), and (n, p)."""
+    """Sums over windows: flat [K y] (W, n p + n), shares of weight that is valid and slips."""
 
     flat: FloatArray
     valid: FloatArray
+    slips: FloatArray | None
     shape: tuple[int, int]
 
 
@@ -317,17 +350,19 @@ def _averages(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> lis
         count, n, p = part.rows.K.shape
         flat = np.concatenate([part.rows.K.reshape(count, n * p), part.rows.y], axis=1)
         columns = slice(start, start + count)
-        terms = [
-            _Average(weight[:, columns] @ flat, weight[:, columns] @ part.valid, (n, p))
-            for weight in weights
-        ]
+        terms = []
+        for weight in weights:
+            some = weight[:, columns]
+            slips = None if part.slips is None else some @ part.slips
+            terms.append(_Average(some @ flat, some @ part.valid, slips, (n, p)))
         sums = terms if not sums else [_add(a, b) for a, b in zip(sums, terms, strict=True)]
         start += count
     return sums
 
 
 def _add(a: _Average, b: _Average) -> _Average:
-    return _Average(a.flat + b.flat, a.valid + b.valid, a.shape)
+    slips = None if a.slips is None or b.slips is None else a.slips + b.slips
+    return _Average(a.flat + b.flat, a.valid + b.valid, slips, a.shape)
 
 
 def _windowed_rows_of(mean: _Average, noisy: _Average, stamp: IntArray) -> WindowedRows:
@@ -338,4 +373,5 @@ def _windowed_rows_of(mean: _Average, noisy: _Average, stamp: IntArray) -> Windo
         K, y = flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]
         return Rows(K * valid[:, :, None], y * valid)
 
-    return WindowedRows(rows(mean.flat), rows(noisy.flat - mean.flat), valid, stamp)
+    slips = None if mean.slips is None else mean.slips > SLIPPING
+    return WindowedRows(rows(mean.flat), rows(noisy.flat - mean.flat), valid, stamp, slips)
