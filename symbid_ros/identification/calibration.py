@@ -139,7 +139,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         )
         point = LinearizationPoint(found.mean[:p], found.mean[p:])
     build = CalibratingRows(parameters, errors, point)
-    observations = observe(
+    final = observe(
         dataset.segments,
         build,
         layout,
@@ -149,7 +149,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     )
     return replace(
         problem,
-        observations=observations,
+        observations=final,
         prior=prior,
         sensor_units=errors.units,
         pseudo_measurements=pseudo_measurements,

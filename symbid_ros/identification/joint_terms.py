@@ -42,6 +42,13 @@ FIXED = 1e-7
 INSEPARABLE = 0.995
 # Smallest share of a joint's information that is left when a group of rows is left out.
 LEAST_LEFT = 1e-3
+# Smallest prior deviation of an armature, as a share of that by which it explains all effort.
+LEAST_SHARE = 0.02
+# Share of its prior deviation above which an armature is unresolved. Fixed at zero it would bias
+# the links' inertias, which it resembles, so it stays free and undetermined.
+UNRESOLVED = 0.1
+POSTURES = 20
+RATES = "velocity", "acceleration", "base_angular_velocity", "base_angular_acceleration"
 # Share of a column's square that the other columns leave, below which they replace it.
 REPLACED = 1e-8
 
@@ -144,15 +151,17 @@ def fixed_prior(prior: Prior, free: BoolArray) -> Prior:
 def candidate_prior(prior: Prior, parameters: ParameterSet, observations: Observations) -> Prior:
     """Return the prior in which each term's deviation suits the efforts that the joint needs.
 
-    With that deviation alone a term may explain the joint's whole root mean square effort. It
-    replaces default deviations, which do not know the robot's size; those of the user remain. A
-    value of the model file is the mean, and may be wrong by itself.
+    With that deviation alone a term may explain the joint's whole root mean square effort. An
+    armature is rather of the size of the inertia that the joint moves. These replace default
+    deviations, which do not know the robot's size; those of the user remain. A value of the model
+    file is the mean, and may be wrong by itself.
     """
     std = prior.std.copy()
+    inertia = _joint_inertia(parameters, prior.mean)
     rows = observations.rows
     first = 6 * parameters.model.floating
     assumed = set(prior.assumed)
-    for columns in parameters.term_columns.values():
+    for term, columns in parameters.term_columns.items():
         for joint, column in enumerate(range(columns.start, columns.stop)):
             if parameters.names[column] not in assumed:
                 continue
@@ -160,8 +169,29 @@ def candidate_prior(prior: Prior, parameters: ParameterSet, observations: Observ
             effort = rows.target_squares[first + joint]
             if square > 0 and effort > 0:
                 std[column] = np.sqrt(effort / square)
+                if term == "armature":
+                    std[column] = max(inertia[joint], LEAST_SHARE * std[column])
             std[column] = max(std[column], abs(prior.mean[column]))
     return prior.widened(std / prior.std)
+
+
+def _joint_inertia(parameters: ParameterSet, phi: FloatArray) -> FloatArray:
+    """Return the inertia (J,) that each joint moves with the others at rest, over its postures."""
+    model = parameters.model
+    count, first = POSTURES, 6 * model.floating
+    still = random_motions(model, count)
+    still = replace(
+        still, **{name: 0.0 * getattr(still, name) for name in RATES}, effort=still.effort
+    )
+    inertia = np.empty(len(model.joints))
+    links = np.append(phi[: parameters.inertial], np.zeros(len(parameters) - parameters.inertial))
+    at_rest = equation_of_motion(parameters, still).K @ links
+    for joint in range(len(model.joints)):
+        acceleration = np.zeros_like(still.acceleration)
+        acceleration[:, joint] = 1.0
+        force = equation_of_motion(parameters, replace(still, acceleration=acceleration)).K @ links
+        inertia[joint] = np.mean(np.abs(force - at_rest)[:, first + joint])
+    return inertia
 
 
 def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermChoice:
@@ -238,7 +268,7 @@ class _Selection:
         terms = terms[terms >= parameters.inertial]
         elimination = _Elimination(found, parameters, terms)
         inseparable = elimination.inseparable()
-        kept = set(terms[stated[terms]].tolist())
+        kept = set(terms[stated[terms] | elimination.unresolved()].tolist())
         before = set() if previous is None else set(np.flatnonzero(previous.free).tolist())
         elimination.run(kept, before)
         free = np.ones(len(parameters), bool)
@@ -277,6 +307,13 @@ class _Elimination:
             if joint == other:
                 found.append(f"{joint}: this log does not tell {a} from {b}")
         return tuple(found)
+
+    def unresolved(self) -> BoolArray:
+        """Return which terms are armatures that the data cannot tell from the links' inertias."""
+        std = np.sqrt(self._covariance.diagonal())
+        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
+        is_armature = np.array([kind == "armature" for kind in kinds], dtype=bool)
+        return is_armature & (std > UNRESOLVED * self._prior.std[self.left])
 
     def run(self, kept: set[int], kept_before: set[int]) -> None:
         """Remove terms until all that are left are supported; ``kept`` are never removed."""
