@@ -226,7 +226,10 @@ def _lines(estimate: Estimate, out: Path) -> list[RenderableType]:
         f"{estimate.condition:.3g}"
     ]
     if verdict is not None:
-        lines += _verdict_lines(verdict, len(estimate.names))
+        if terms := estimate.describe_terms():
+            lines.append(Text(f"joint terms by evidence: {terms}"))
+        lines += [Text(remark) for remark in estimate.remarks]
+        lines += _verdict_lines(verdict, len(estimate.names) - len(estimate.fixed))
     files = "estimate.json, information.npz, model.urdf, model.xml"
     return [*lines, Text(f"wrote {out}/: {files}")]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.atomic_write import write_text
-from symbid_ros.choices import CHANNELS, FILTERS, Channels, Filter
+from symbid_ros.choices import CHANNELS, FILTERS, TERMS, Channels, Filter
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.user_files import load_json
@@ -87,6 +87,11 @@ class Estimate:
         File of the result that has the kinematics of the user's file; empty if not saved.
     base : str
         Whether the robot's base is ``floating`` or ``fixed``; empty if not saved.
+    joint_terms : dict of str to tuple of str, or None
+        The terms of each joint that the data asked for; its other terms in ``names`` are fixed.
+        None if the user named the terms.
+    remarks : tuple of str
+        What the robot or the log cannot tell about joint terms, one sentence each.
     """
 
     method: str
@@ -109,6 +114,43 @@ class Estimate:
     rows: RowSettings | None = None
     model_file: str = ""
     base: str = ""
+    joint_terms: dict[str, tuple[str, ...]] | None = None
+    remarks: tuple[str, ...] = ()
+
+    @property
+    def fixed(self) -> frozenset[str]:
+        """Names of the joint terms that were not identified because the data do not need them."""
+        if self.joint_terms is None:
+            return frozenset()
+        chosen = {f"{joint}/{term}" for joint, terms in self.joint_terms.items() for term in terms}
+        joints = set(self.joint_terms)
+        return frozenset(
+            name
+            for name in self.names
+            if name.rpartition("/")[0] in joints
+            and name.rpartition("/")[2] in TERMS
+            and name not in chosen
+        )
+
+    def describe_terms(self) -> str:
+        """Return the chosen joint terms as one line; empty if the user named the terms."""
+        if self.joint_terms is None:
+            return ""
+        count = len(self.joint_terms)
+        parts = []
+        for term in TERMS:
+            joints = [joint for joint, terms in self.joint_terms.items() if term in terms]
+            others = [joint for joint in self.joint_terms if joint not in joints]
+            if not joints:
+                continue
+            if not others:
+                where = "all joints" if count > 1 else joints[0]
+            elif len(others) < len(joints):
+                where = f"all joints except {', '.join(others)}"
+            else:
+                where = ", ".join(joints)
+            parts.append(f"{term} ({where})")
+        return ", ".join(parts) or "none"
 
     def document(self) -> dict[str, object]:
         """Return the content of estimate.json; values that the method cannot give are None."""
@@ -141,6 +183,8 @@ class Estimate:
             "rows": None if self.rows is None else asdict(self.rows),
             "model_file": self.model_file,
             "base": self.base,
+            "joint_terms": self.joint_terms,
+            "remarks": list(self.remarks),
         }
 
     def write(self, path: Path) -> None:
@@ -191,6 +235,8 @@ def load_estimate(path: Path) -> Estimate:
             rows=_rows(document.get("rows")),
             model_file=_one_of(document.get("model_file", ""), ("", *MODEL_FILES)),
             base=_one_of(document.get("base", ""), ("", "floating", "fixed")),
+            joint_terms=_joint_terms(document.get("joint_terms")),
+            remarks=tuple(document.get("remarks", ())),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(
@@ -229,6 +275,12 @@ def _known(document: dict[str, Any]) -> dict[str, float]:
     if not np.all(np.isfinite(list(known.values()))):
         raise ValueError("known has a number that is not finite")
     return known
+
+
+def _joint_terms(document: dict[str, Any] | None) -> dict[str, tuple[str, ...]] | None:
+    if document is None:
+        return None
+    return {joint: tuple(map(str, terms)) for joint, terms in document.items()}
 
 
 def _verdict(document: dict[str, Any] | None) -> Verdict | None:

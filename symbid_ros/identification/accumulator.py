@@ -60,6 +60,11 @@ class BlockRows:
         """Return the rows of one window length, s."""
         return self.by_window.get(window, ())
 
+    def slipping(self) -> "BlockRows":
+        """Return the same span without the rows of joints that may stick."""
+        rows = {window: [one.slipping() for one in rows] for window, rows in self.by_window.items()}
+        return replace(self, by_window=rows)
+
     @property
     def parts(self) -> list[WindowedRows]:
         """The rows of all window lengths."""

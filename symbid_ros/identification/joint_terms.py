@@ -22,7 +22,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SLIDING_TERMS, Term
-from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
 from symbid_ros.estimation.group_moments import GroupMoments
 from symbid_ros.estimation.information import random_motions
 from symbid_ros.estimation.observations import Observations
@@ -47,6 +47,8 @@ LEAST_SHARE = 0.02
 # Share of its prior deviation above which an armature is unresolved. Fixed at zero it would bias
 # the links' inertias, which it resembles, so it stays free and undetermined.
 UNRESOLVED = 0.1
+# Windows in which a joint slips, below which nothing is said about its friction.
+FEWEST_SLIPPING = 25
 POSTURES = 20
 RATES = "velocity", "acceleration", "base_angular_velocity", "base_angular_acceleration"
 # Share of a column's square that the other columns leave, below which they replace it.
@@ -65,8 +67,9 @@ class TermChoice:
         Parameters that are identified: all of links, the chosen ones of joints.
     evidence : mapping of str to float
         Log Bayes factor of each candidate ``<joint>/<term>``, given the other chosen terms.
-    inseparable : tuple of str
-        Groups of parameters that this robot or log cannot tell apart, one sentence each.
+    remarks : tuple of str
+        What this robot or log cannot tell, one sentence each: parameters that act alike, joints
+        that hardly moved.
     slips : bool
         Whether only rows of slipping joints are used.
     """
@@ -74,7 +77,7 @@ class TermChoice:
     parameters: ParameterSet
     free: BoolArray
     evidence: dict[str, float]
-    inseparable: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
     slips: bool = False
 
     @property
@@ -211,15 +214,25 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     for term, columns in parameters.term_columns.items():
         slipping[columns] = term in SLIDING_TERMS
     everything = np.ones(len(parameters), bool)
-    first = _Selection.of(problem, everything, stated, previous, slips=True)
-    slips = bool(np.any(first.free & slipping))
-    last = first if slips else _Selection.of(problem, ~slipping, stated, previous, slips=False)
-    evidence = first.evidence | last.evidence
+    selections = []
+    if _any_slips(problem.observations, parameters):
+        selections.append(_Selection.of(problem, everything, stated, previous, slips=True))
+    slips = any(bool(np.any(one.free & slipping)) for one in selections)
+    if not slips:
+        selections.append(_Selection.of(problem, ~slipping, stated, previous, slips=False))
+    evidence = dict.fromkeys(names.tolist(), -np.inf)
+    for one in selections:
+        evidence |= one.evidence
+    last = selections[-1]
     return TermChoice(
         parameters,
         last.free,
-        {name: evidence[name] for name in names.tolist()},
-        (*_replaceable(parameters, last.free), *first.inseparable),
+        evidence,
+        (
+            *_resting(problem.observations, parameters),
+            *_replaceable(parameters, last.free),
+            *selections[0].inseparable,
+        ),
         slips,
     )
 
@@ -276,9 +289,7 @@ class _Selection:
         free[elimination.left] = True
         if chosen.groups is not None:
             free = _cross_validated(free, kept, found, chosen, parameters)
-        evidence = dict.fromkeys(parameters.names[parameters.inertial :], -np.inf)
-        evidence |= elimination.evidence
-        return cls(free, evidence, inseparable)
+        return cls(free, elimination.evidence, inseparable)
 
 
 class _Elimination:
@@ -433,6 +444,33 @@ class _LeftOut:
             value = np.append(-without, 1.0)
             total += float(value @ moment @ value)
         return total
+
+
+def _any_slips(observations: Sequence[Observations], parameters: ParameterSet) -> bool:
+    slipping = [one.slipping for one in observations if one.slipping is not None]
+    first = 6 * parameters.model.floating
+    return any(np.any(one.counts.diagonal()[first:] >= FEWEST_SLIPPING) for one in slipping)
+
+
+def _resting(observations: Sequence[Observations], parameters: ParameterSet) -> tuple[str, ...]:
+    """Return a sentence about the joints whose friction cannot be judged."""
+    slipping = observations[0].slipping
+    if slipping is None:
+        return ()
+    first = 6 * parameters.model.floating
+    rows = slipping.counts.diagonal()[first:]
+    own = [
+        name
+        for index, name in enumerate(parameters.model.joint_names)
+        if rows[index] < FEWEST_SLIPPING and index not in parameters.model.followers
+    ]
+    if not own:
+        return ()
+    seconds = FEWEST_SLIPPING * observations[0].window / 2
+    return (
+        f"{', '.join(own)}: moved faster than {COULOMB_SPEED:g} rad/s for less than "
+        f"{seconds:.2g} s, too little to judge friction",
+    )
 
 
 def _replaceable(parameters: ParameterSet, free: BoolArray) -> tuple[str, ...]:

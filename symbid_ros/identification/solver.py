@@ -252,7 +252,7 @@ class Solver:
         rank: int | None = None,
     ) -> Estimate:
         parameters, prior = self.problem.parameters, self.posterior.prior
-        p = len(parameters)
+        p, choice = len(parameters), self.problem.choice
         return Estimate(
             method=method,
             model=parameters.model.name,
@@ -273,6 +273,8 @@ class Solver:
             inputs=self.problem.inputs,
             software=SOFTWARE,
             known=parameters.known_values,
+            joint_terms=None if choice is None else dict(choice.by_joint),
+            remarks=() if choice is None else choice.remarks,
         )
 
 

@@ -23,6 +23,7 @@ from symbid_ros.identification.accumulator import (
     build_block_rows,
 )
 from symbid_ros.identification.change_monitor import Change, ChangeMonitor
+from symbid_ros.identification.joint_terms import TermChoice, candidate_prior, choose_terms
 from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.window_comparison import WindowSelector
@@ -37,6 +38,8 @@ from symbid_ros.signals.weak_form import check_windows, equation_rows, suited_wi
 logger = logging.getLogger(__name__)
 
 RECENT_FAULTS = 10
+# Factor by which the number of blocks grows between two choices of the joint terms.
+CHOOSE_AGAIN = 1.25
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,8 @@ class OnlineIdentification:
             topic: MessageCheck(topic, model, selected.frame_prefix) for topic in selected.all
         }
         self._posterior: Posterior | None = None
+        self._choice: TermChoice | None = None
+        self._chosen_at = 0
         self._relaxed_links: set[str] = set()
         self._until = 0
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)
@@ -220,26 +225,61 @@ class OnlineIdentification:
         if not problem.observations:
             return None
         self._check_weight(problem.observations[0])
+        if self._parameters.candidates:
+            problem = self._with_candidate_prior(problem)
+            self._choice = choose_terms(problem)
+            problem = self._choice.applied(problem, all_columns=True)
         return self._estimate(Solver.of(problem), with_verdict=True)
 
     def _solve_approximately(self, new: Sequence[BlockRows]) -> OnlineEstimate | None:
         problem = self._problem_with(self._accumulator.blocks)
-        if problem.observations:
-            self._choose_window(problem)
         now = self._accumulator.current
         if now.rows.samples == 0:
             return None
+        # Before the first complete block the newest data are the only observations.
+        blocks = self._choose_terms(replace(problem, observations=problem.observations or (now,)))
+        if problem.observations:
+            self._choose_window(blocks)
+            now = self._accumulator.current
         self._check_weight(now)
         last = self._posterior
         start = None if last is None else last.mean
-        # Before the first complete block the newest data are the only observations.
-        problem = replace(problem, observations=problem.observations or (now,))
+        problem, now = blocks, self._usable_rows(now)
         solver = Solver.approximate(problem, now, start)
         self._posterior = solver.posterior
         if new:
-            self._monitor.update(new, solver.posterior)
+            slips = self._choice is not None and self._choice.slips
+            rows = [block.slipping() for block in new] if slips else new
+            self._monitor.update(rows, solver.posterior)
             self._relax_priors()
         return self._estimate(solver, with_verdict=False)
+
+    def _choose_terms(self, problem: Problem) -> Problem:
+        """Return the problem with the joint terms that the data ask for.
+
+        The choice is made again when there are a quarter more blocks than at the last one. It
+        takes as long as an estimate.
+        """
+        if not self._parameters.candidates:
+            return problem
+        problem = self._with_candidate_prior(problem)
+        count = self._accumulator.blocks.count
+        if self._choice is None or count >= CHOOSE_AGAIN * self._chosen_at:
+            before = self._choice
+            self._choice, self._chosen_at = choose_terms(problem, before), max(count, 1)
+            if before is not None and before.slips != self._choice.slips:
+                self._monitor.restart()
+        return self._choice.applied(problem, all_columns=True)
+
+    def _with_candidate_prior(self, problem: Problem) -> Problem:
+        prior = candidate_prior(problem.prior, self._parameters, problem.observations[0])
+        return replace(problem, prior=prior)
+
+    def _usable_rows(self, observations: Observations) -> Observations:
+        """Return the rows that the chosen terms allow; all if none of them slips yet."""
+        if self._choice is None:
+            return observations
+        return next(iter(self._choice.rows((observations,))), observations)
 
     def _relax_priors(self) -> None:
         """Relax the prior of every link that may have changed, if old data are forgotten."""
@@ -293,7 +333,7 @@ class OnlineIdentification:
         """Discard everything except the prior."""
         self._add_processed(self._worker.finish())
         self._scheduler.restart()
-        self._posterior = None
+        self._posterior = self._choice = None
         self._relaxed_links.clear()
         self._problem = replace(self._problem, prior=self._initial_state.problem.prior)
         self._selector, self._monitor = WindowSelector(), ChangeMonitor(self._parameters)

@@ -60,7 +60,10 @@ class InitialState:
         )
         layout = RowLayout.of(parameters)
         windows = Processing.of(options).windows
-        no_observations = tuple(Observations.empty(layout, window) for window in windows)
+        no_observations = tuple(
+            Observations.empty(layout, window, candidates=parameters.candidates)
+            for window in windows
+        )
         observations = (
             no_observations
             if options.information is None
@@ -71,7 +74,12 @@ class InitialState:
     @property
     def no_observations(self) -> tuple[Observations, ...]:
         """Empty observations, one for each window length."""
-        return tuple(Observations.empty(self.layout, one.window) for one in self.observations)
+        return tuple(
+            Observations.empty(
+                self.layout, one.window, candidates=self.problem.parameters.candidates
+            )
+            for one in self.observations
+        )
 
 
 def _check_online(options: IdentifyOptions) -> None:

@@ -31,11 +31,13 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
     if verdict is None:
         return ()
     scale, white, noise = verdict.prior_scale, verdict.whiteness, verdict.noise_share
+    terms = estimate.describe_terms()
     return (
         SummaryEntry("Rows", describe_window(verdict, estimate.samples), ""),
+        *([SummaryEntry("Joint terms", terms, " ".join(estimate.remarks))] if terms else []),
         SummaryEntry(
             "Effective parameters",
-            f"{significant(verdict.effective)} of {len(estimate.names)}",
+            f"{significant(verdict.effective)} of {len(estimate.names) - len(estimate.fixed)}",
             f"{significant(verdict.gain)} bits gained in total",
         ),
         SummaryEntry(
