@@ -154,9 +154,9 @@ def relaxed_prior(prior: Prior, parameters: ParameterSet, link: str) -> Prior:
 
     The payload's parameters have zero mean and the deviations of :func:`payload_std`.
     """
-    start = 10 * parameters.link_names.index(link)
+    index = parameters.link_names.index(link)
     added = np.zeros(len(prior.mean))
-    added[start : start + 10] = payload_std(parameters, prior.mean)[start // 10]
+    added[10 * index : 10 * index + 10] = payload_std(parameters, prior.mean)[index]
     std = np.hypot(prior.std, added)
     if prior.factor is None:
         return replace(prior, std=std)

@@ -1,9 +1,11 @@
 """A full disk leaves a complete bag of all messages written before."""
 
+import errno
 import os
 import resource
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import reduce
 from io import BytesIO
 from pathlib import Path
 
@@ -95,6 +97,40 @@ def test_messages_after_a_failed_write_are_rejected(tmp_path: Path) -> None:
         with raises_code("E219", "an earlier write failed"):
             refused()
     assert not (tmp_path / "log" / "metadata.yaml").exists()
+
+
+def full(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize(
+    ("operation", "place"),
+    [
+        (lambda bag: bag.add_topic("/late", IMU), "_reserve.extend"),
+        (lambda bag: bag.write(1, 0, b"payload"), "_current.mcap.add_message"),
+        (lambda bag: bag.flush(), "_reserve.extend"),
+        (lambda bag: bag.sync(), "_current.sync"),
+        (lambda bag: bag.close(), "_current.finish"),
+    ],
+)
+def test_each_operation_names_the_disks_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, operation, place: str
+) -> None:
+    bag = BagWriter(tmp_path / "log")
+    assert bag.add_topic("/imu", IMU) == 1
+    *path, name = place.split(".")
+    with monkeypatch.context() as patched:
+        patched.setattr(reduce(getattr, path, bag), name, full)
+        with raises_code("E219", "log_0.mcap: cannot write: No space left on device"):
+            operation(bag)
+    # Nothing is accepted afterwards, although the disk has space again.
+    with raises_code("E219", "an earlier write failed"):
+        bag.flush()
+    monkeypatch.setattr(bag._current, "finish_after_failure", full)
+    with raises_code("E219", "cannot complete the bag: No space left on device"):
+        bag.close_after_failure()
+    bag.discard()
+    assert not (tmp_path / "log").exists()
 
 
 def test_failed_creation_leaves_a_full_disk_unchanged(disk: Path) -> None:

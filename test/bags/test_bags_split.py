@@ -86,3 +86,16 @@ def test_first_record_of_a_file_describes_the_previous_files(tmp_path: Path) -> 
     assert opening["relative_file_paths"] == closing["relative_file_paths"] == list(bag.files[:2])
     assert opening["files"][0] == closing["files"][0]
     assert opening["files"][1]["message_count"] == 0 < closing["files"][1]["message_count"]
+
+
+def test_the_end_and_the_counts_are_those_of_all_files(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "log", split_duration=10) as bag:
+        assert (bag.end, bag.counts) == (0, {})
+        channel = bag.add_topic("/imu", IMU)
+        for time in (5, 30, 12, 14):
+            bag.write(channel, time, b"payload")
+        bag.flush()
+        # Times go back within a file; a file begins ten nanoseconds after the first of the last.
+        assert (bag.end, bag.counts, len(bag.files)) == (30, {"/imu": 4}, 2)
+    bag.close()
+    assert [time for _, time, _ in whole_messages(tmp_path / "log")] == [5, 12, 14, 30]

@@ -74,13 +74,17 @@ def test_lost_messages_are_counted_within_and_between_slices(cut):
     assert "4 messages (4 %) are missing in 2 gaps, the longest lasts 0.04 s" in finding.message
 
 
-@pytest.mark.parametrize(("lost", "severity"), [(19, Severity.WARNING), (21, Severity.UNUSABLE)])
-def test_a_topic_that_lacks_more_than_half_of_its_messages_is_unusable(lost, severity):
+@pytest.mark.parametrize(
+    ("lost", "severity", "percent"),
+    [(19, Severity.WARNING, 49), (21, Severity.UNUSABLE, 51), (480, Severity.UNUSABLE, 96)],
+)
+def test_a_topic_that_lacks_more_than_half_of_its_messages_is_unusable(lost, severity, percent):
     """Twenty messages are left."""
     check = checked(np.append(ticks(10), ticks(10, first_ms=(10 + lost) * 10)))
     (finding,) = findings(check)
     assert finding.figures["missing"] == lost
     assert finding.severity is severity
+    assert f"({percent} %)" in finding.message
 
 
 @pytest.mark.parametrize(
@@ -99,7 +103,7 @@ def test_a_topic_begins_and_ends_with_the_others(period_ms, offset_ms, is_found,
         assert one.severity is Severity.WARNING
 
 
-@pytest.mark.parametrize(("rate", "is_found"), [(50.5, False), (49.5, True), (2.0, True)])
+@pytest.mark.parametrize(("rate", "is_found"), [(50.5, False), (49.5, True), (0.5, True)])
 def test_a_slow_topic_is_reported(rate, is_found):
     found = findings(checked(ticks(60, 1e3 / rate)))
     assert [one.kind for one in found] == [Kind.RATE] * is_found

@@ -10,6 +10,8 @@ from scipy.stats import multivariate_normal
 
 from symbid_ros.estimation.change import (
     LEAST_WEIGHT,
+    Innovation,
+    LinkChange,
     discounted_prior,
     discounted_pseudo_measurements,
     innovation,
@@ -193,3 +195,14 @@ def test_discounting_observations_changes_only_their_weight() -> None:
     known = [posterior(one, discounted_prior(prior, 1.0)) for one in (whole, faded)]
     assert np.all(known[0].std <= known[1].std * (1 + 1e-6))
     assert np.all(known[1].std <= 2.1 * known[0].std)
+
+
+@pytest.mark.parametrize("usual", [1.0, 2.5])
+def test_links_that_fit_within_ten_nats_are_suspects(usual) -> None:
+    """Log-likelihoods are too large by the usual misfit; the fit counts, not the evidence."""
+    fits = (30.0, 30.0 - 9.9 * usual, 30.0 - 10.1 * usual, 40.0)
+    links = tuple(
+        LinkChange(str(i), 50.0 - i, fit, np.zeros(10), np.ones(10)) for i, fit in enumerate(fits)
+    )
+    found = Innovation(misfit=usual, links=links).suspects(usual)
+    assert [link.link for link in found] == ["0", "1", "3"]
