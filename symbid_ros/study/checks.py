@@ -7,7 +7,6 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.bags import read_streams, read_truth
-from symbid_ros.choices import GAUSSIAN
 from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import equation_of_motion, known_force
@@ -30,7 +29,7 @@ from symbid_ros.study.plan import (
     PriorSpread,
     SimulatedLog,
 )
-from symbid_ros.study.scores import REFERENCE, Case
+from symbid_ros.study.scores import Case
 from symbid_ros.study.study_folder import StudyFolder, read_result, write_result
 
 # Every STRIDE-th sample of a noisy log is predicted, as the motion is slow.
@@ -114,8 +113,7 @@ def check_realistic(plan: Plan, figures: FigurePlan, folder: StudyFolder) -> Non
     for iteration in range(plan.iterations):
         draw = load_draw(folder.draw(figures.data, spread, iteration))
         for method in plan.compared:
-            cutoff = None if method == REFERENCE or method in GAUSSIAN else figures.torque
-            result = draw[Case(figures.data, str(spread), method, cutoff)]
+            result = draw[Case.of(figures.data, spread, method, figures.torque)]
             candidates[f"{method} {iteration}"] = np.array(result.values)
     metrics = evaluate_realistic(true, candidates, true.values, thinned)
     means: dict[str, dict[str, float]] = {TRUTH: asdict(metrics[TRUTH])}
@@ -190,9 +188,8 @@ def run_closed_loop(
     loop: ClosedLoopPlan, folder: StudyFolder, spread: PriorSpread, iteration: int, method: str
 ) -> None:
     """Run the balance controller with one estimate as its model, and write the result."""
-    cutoff = None if method == REFERENCE or method in GAUSSIAN else loop.filter
     draw = load_draw(folder.draw(loop.data, spread, iteration))
-    values = np.array(draw[Case(loop.data, str(spread), method, cutoff)].values)
+    values = np.array(draw[Case.of(loop.data, spread, method, loop.filter)].values)
     parameters = nominal_parameters(SimulatedLog())
     inertias = dict(zip(parameters.link_names, parameters.link_phi(values), strict=True))
     run = balance(inertias, moves=loop.moves, motion_seed=loop.motion_seed)

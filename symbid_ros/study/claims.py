@@ -16,10 +16,10 @@ from symbid_ros.study.evidence import (
     Conclusion,
     Evidence,
     compare,
+    conclude,
     describe_lead,
     enumerate_errors,
     enumerate_words,
-    explain,
     format_error,
     format_range,
     geometric_mean,
@@ -44,17 +44,14 @@ def best_of_four(evidence: Evidence) -> Conclusion | None:
         return None
     compared = evidence.compare("wls_rc", FOUR[:3], priors)
     example = middle(priors)
-    return Conclusion(
+    return conclude(
         "Scaling rows and columns together (WLS-RC) is the best of the four methods "
         "(sections VI-A and VII, Table II).",
         compared.holds,
         f"{describe_lead('WLS-RC', 'best of the four', compared)} "
         f"({evidence.describe_errors(example, FOUR)}).",
-        explain(
-            compared.holds,
-            evidence.describe_ranks(example, FOUR),
-            evidence.describe_row_errors(),
-        ),
+        evidence.describe_ranks(example, FOUR),
+        evidence.describe_row_errors(),
     )
 
 
@@ -79,7 +76,7 @@ def column_scaling(evidence: Evidence) -> Conclusion | None:
     if holds and most != PARAMETERS:
         holds = None
     others = [gain for metric, found in gains.items() if metric != most for gain in found]
-    return Conclusion(
+    return conclude(
         "Scaling the columns improves all attributes, estimation accuracy most "
         "(section VI-A, Table II).",
         holds,
@@ -87,7 +84,7 @@ def column_scaling(evidence: Evidence) -> Conclusion | None:
         f"WLS-C and WLS-R to WLS-RC at {enumerate_words(priors)}); the ratio of unscaled to scaled "
         f"is largest in {NOUNS[most]}, {format_range(gains[most])}, and {format_range(others)} in "
         "the others.",
-        explain(holds, evidence.describe_ranks(middle(priors), FOUR)),
+        evidence.describe_ranks(middle(priors), FOUR),
     )
 
 
@@ -101,13 +98,13 @@ def row_scaling(evidence: Evidence) -> Conclusion | None:
         for plain, scaled in ROW_PAIRS
     )
     holds = ComparisonSet(alone.comparisons + combined.comparisons).holds
-    return Conclusion(
+    return conclude(
         "Scaling the rows decreases the prediction errors (section VI-A, Table II).",
         holds,
         f"Scaling the rows lowers {len(combined.with_order(1))} of {len(combined)} prediction "
         "errors where the columns are scaled too (WLS-C to WLS-RC) and "
         f"{len(alone.with_order(1))} of {len(alone)} where they are not (OLS to WLS-R).",
-        explain(holds, evidence.describe_rank_effect(middle(priors), ROW_PAIRS[0])),
+        evidence.describe_rank_effect(middle(priors), ROW_PAIRS[0]),
     )
 
 
@@ -124,12 +121,12 @@ def row_scaling_alone(evidence: Evidence) -> Conclusion | None:
     ]
     holds = bool(compared.with_order(-1))
     methods = ("ols", "wls_r")
-    return Conclusion(
+    return conclude(
         "Scaling the rows alone lowers performance in some attributes (section VII, Table II).",
         holds,
         f"Scaling the rows alone {'; it '.join(effects)} "
         f"({evidence.describe_errors(middle(priors), methods)}).",
-        explain(holds, evidence.describe_ranks(middle(priors), methods)),
+        evidence.describe_ranks(middle(priors), methods),
     )
 
 
@@ -159,17 +156,14 @@ def singular_values(evidence: Evidence) -> Conclusion | None:
         if scaled in ratios
     )
     without = f"; unfiltered in {unfiltered.count(1)} of {len(unfiltered)}" if unfiltered else ""
-    return Conclusion(
+    return conclude(
         "Row-scaled methods use more singular values, WLS-RC up to four times as many as WLS-C "
         "(section VI-A).",
         holds,
         f"With filtered rows the row-scaled methods use more singular values in "
         f"{orders.count(1)} of {len(orders)} comparisons: {comparisons}{without}.",
-        explain(
-            holds,
-            "" if fourfold else "WLS-RC never uses four times as many as WLS-C",
-            "" if more else evidence.describe_row_errors(),
-        ),
+        "" if fourfold else "WLS-RC never uses four times as many as WLS-C",
+        "" if more else evidence.describe_row_errors(),
     )
 
 
@@ -193,13 +187,13 @@ def unfiltered_order(evidence: Evidence) -> Conclusion | None:
         f"{TITLES[method]} {format_error(COM, evidence.at(prior, method, 0.0)[COM])}"
         for method in ("wls_c", "wls_rc")
     )
-    return Conclusion(
+    return conclude(
         "Without a filter the order reverses: WLS-C is better than WLS-RC (Table C.1, 0 Hz).",
         holds,
         f"Unfiltered, {describe_lead('WLS-C', 'ahead of WLS-RC', compared)} "
         f"({NOUNS[COM]} at {prior}: {errors}); with the best filter WLS-RC is ahead in "
         f"{len(best.with_order(1))} of {len(best)}.",
-        explain(holds, evidence.describe_row_errors()),
+        evidence.describe_row_errors(),
     )
 
 
@@ -216,17 +210,14 @@ def absolute_errors(evidence: Evidence) -> Conclusion | None:
     only, both = evidence.best(prior, "wls_r"), evidence.best(prior, "wls_rc")
     ratios = enumerate_words(f"{significant(both[m] / only[m])} in {NOUNS[m]}" for m in METRICS)
     holds = True if leading and first else None if leading or first else False
-    return Conclusion(
+    return conclude(
         "With absolute errors of the prior, scaling the rows alone may be better, while WLS-RC "
         "stays best in CoM position (section 4.2.1, chapter 5, Table 4.1).",
         holds,
         f"{describe_lead('WLS-R', 'best of the four', rows)}; ratios of WLS-RC's errors to "
         f"WLS-R's at {prior}: {ratios} ({evidence.describe_errors(prior, FOUR)}).",
-        explain(
-            holds,
-            evidence.describe_column_scales(prior),
-            evidence.describe_rank_effect(prior, ("wls_r", "wls_rc")),
-        ),
+        evidence.describe_column_scales(prior),
+        evidence.describe_rank_effect(prior, ("wls_r", "wls_rc")),
     )
 
 
@@ -244,15 +235,12 @@ def map_lmi_is_best(evidence: Evidence) -> Conclusion | None:
     holds = holds_by_share(len(compared.with_order(1)), len(compared))
     ratios = enumerate_words(f"{significant(least[m], 2)} ({NOUNS[m]})" for m in METRICS)
     behind = compared.with_order(0) + compared.with_order(-1)
-    return Conclusion(
+    return conclude(
         "Ours: MAP-LMI, without validation data, is more accurate than all four in every metric.",
         holds,
         f"At {enumerate_words(priors)}, the errors of the best of the four are at least {ratios} "
         f"times those of MAP-LMI ({evidence.describe_errors(middle(priors), methods)}).",
-        explain(
-            holds,
-            f"MAP-LMI is not {MARGIN} ahead of {enumerate_errors(behind, with_method=True)}",
-        ),
+        f"MAP-LMI is not {MARGIN} ahead of {enumerate_errors(behind, with_method=True)}",
     )
 
 
@@ -277,17 +265,14 @@ def prior_dependence(evidence: Evidence) -> Conclusion | None:
     )
     closer = min(every) < 1 - LITTLE
     cause = "the data improve the parameters" if closer else "the data worsen the parameters"
-    return Conclusion(
+    return conclude(
         "The column-scaled methods' estimation error follows the prior's and is only a little "
         "below it (section VI-A).",
         holds,
         f"Ratio of the parameter error to the prior's at {enumerate_words(priors)}: {ranges}.",
-        explain(
-            holds,
-            f"{cause}: the ratio is outside {1 - LITTLE:g} to {1 + TIE:g} in "
-            f"{len(every) - near} of {len(every)} cases",
-            evidence.describe_ranks(middle(priors), methods),
-        ),
+        f"{cause}: the ratio is outside {1 - LITTLE:g} to {1 + TIE:g} in "
+        f"{len(every) - near} of {len(every)} cases",
+        evidence.describe_ranks(middle(priors), methods),
     )
 
 
@@ -313,18 +298,15 @@ def worse_than_prior(evidence: Evidence) -> Conclusion | None:
         if found.with_order(-1)
     ]
     holds = True if improves and suffers else None if improves or suffers else False
-    return Conclusion(
+    return conclude(
         "All methods improve the generalised force, but not the joint torque: some do worse than "
         "the prior (sections VI-A and VII).",
         holds,
         f"The generalised force is better than the prior's in {force.count(1)} of {len(force)} "
         f"cases, the joint torque in {torque.count(1)} of {len(torque)}; "
         + (f"worse than the prior: {'; '.join(worse)}." if worse else "no error is worse."),
-        explain(
-            holds,
-            evidence.describe_rank_effect(middle(priors), ("ols", "wls_r")),
-            evidence.describe_row_errors(),
-        ),
+        evidence.describe_rank_effect(middle(priors), ("ols", "wls_r")),
+        evidence.describe_row_errors(),
     )
 
 
@@ -335,16 +317,13 @@ def better_than_prior(evidence: Evidence) -> Conclusion | None:
         return None
     compared = evidence.compare("wls_rc", (REFERENCE,), priors)
     example = middle(priors)
-    return Conclusion(
+    return conclude(
         "WLS-RC improves all metrics compared with the prior (section VII).",
         compared.holds,
         f"{describe_lead('WLS-RC', 'better than the prior', compared)} "
         f"({evidence.describe_errors(example, (REFERENCE, 'wls_rc'))}).",
-        explain(
-            compared.holds,
-            evidence.describe_ranks(example, ("wls_rc",)),
-            evidence.describe_row_errors(),
-        ),
+        evidence.describe_ranks(example, ("wls_rc",)),
+        evidence.describe_row_errors(),
     )
 
 
@@ -375,15 +354,12 @@ def growing_gap(evidence: Evidence) -> Conclusion | None:
         for metric in (METRICS[0], COM, PARAMETERS)
     )
     first, last = evidence.best(priors[0], "wls_rc"), evidence.best(priors[-1], "wls_rc")
-    return Conclusion(
+    return conclude(
         "The gap between prior and estimate grows as the prior gets worse (section VI-A).",
         holds,
         f"From {' to '.join(priors)} the gap between the prior and WLS-RC grows in "
         f"{len(compared.with_order(1))} of {len(compared)} steps: {steps}.",
-        explain(
-            holds,
-            f"it does not grow in {enumerate_errors(others)}",
-            "WLS-RC's own errors grow by factors of "
-            f"{format_range(last[m] / first[m] for m in METRICS)}",
-        ),
+        f"it does not grow in {enumerate_errors(others)}",
+        "WLS-RC's own errors grow by factors of "
+        f"{format_range(last[m] / first[m] for m in METRICS)}",
     )

@@ -18,8 +18,8 @@ from symbid_ros.study.evidence import (
     Conclusion,
     Evidence,
     compare,
+    conclude,
     enumerate_words,
-    explain,
     holds_by_order,
     holds_by_share,
 )
@@ -86,19 +86,16 @@ def link_accuracy(errors: LinkErrors, depths: Sequence[int]) -> Conclusion | Non
     )
     prior = errors.percent.get(REFERENCE)
     holds = holds_by_share(len(percent) - len(contrary), len(percent))
-    return Conclusion(
+    return conclude(
         "Estimation accuracy differs greatly over the links, as distal ones are almost stationary "
         "(section VI-A, Fig. 6).",
         holds,
         f"Ratio of the largest to the smallest parameter error of a link: {spans}; ratio of the "
         f"mean of the outer links to that of the inner ones: {slopes}.",
-        explain(
-            holds,
-            f"not with {enumerate_words(TITLES[m] for m in contrary)}" if contrary else "",
-            f"ratio of largest to smallest for the prior itself: {significant(_range(prior), 2)}"
-            if prior is not None
-            else "",
-        ),
+        f"not with {enumerate_words(TITLES[m] for m in contrary)}" if contrary else "",
+        f"ratio of largest to smallest for the prior itself: {significant(_range(prior), 2)}"
+        if prior is not None
+        else "",
     )
 
 
@@ -135,20 +132,17 @@ def realistic_conclusion(
         f"{TITLES.get(name, name)} {significant(ideal[name])} and {significant(realistic[name])} Nm"
         for name in both
     )
-    return Conclusion(
+    return conclude(
         "Torque prediction benefits more from estimation in the realistic situation than in the "
         "ideal one (section 4.2.1).",
         holds,
         "From prior to estimate, realistic signals reduce the torque error more than ideal ones in "
         f"{by_difference} of {len(methods)} cases by difference and in {by_factor} by factor "
         f"(ideal and realistic: {errors}).",
-        explain(
-            holds,
-            "with realistic signals even the true parameters have an error of "
-            f"{significant(realistic[TRUTH])} Nm, which no estimate can reduce"
-            if TRUTH in both
-            else "",
-        ),
+        "with realistic signals even the true parameters have an error of "
+        f"{significant(realistic[TRUTH])} Nm, which no estimate can reduce"
+        if TRUTH in both
+        else "",
     )
 
 
@@ -212,14 +206,12 @@ def _closed_loop_conclusion(
     # A method that fails more often is not better, whatever the errors of its other runs.
     holds = False if orders[0] < 0 else holds_by_order(orders)
     causes = sorted({run.failure for run in own if run.failure})
-    return Conclusion(
+    return conclude(
         f"{name} improves centroidal dynamics control compared with the prior "
         "(the thesis's third objective, section 1.1).",
         holds,
         text,
-        explain(
-            holds, f"runs with {name} ended because {enumerate_words(causes)}" if causes else ""
-        ),
+        f"runs with {name} ended because {enumerate_words(causes)}" if causes else "",
     )
 
 

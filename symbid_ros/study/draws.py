@@ -233,10 +233,6 @@ class StudyResults:
         """Return the parameters of one data set with their true values."""
         return true_parameters(self.plan.data[data], self.folder)
 
-    def cutoff(self, method: str, cutoff: float) -> float | None:
-        """Return the filter of a method's `Case`: None for methods without a filter."""
-        return cutoff if method in self.plan.truncated_methods else None
-
     def estimate(
         self, data: str, spread: PriorSpread, method: str, cutoff: float, iteration: int = 0
     ) -> FloatArray:
@@ -247,7 +243,7 @@ class StudyResults:
         StudyError
             If the study has no such draw.
         """
-        case = Case(data, str(spread), method, self.cutoff(method, cutoff))
+        case = Case.of(data, spread, method, cutoff)
         try:
             return np.array(self.draws[case][iteration].values)
         except (KeyError, IndexError):
@@ -257,11 +253,8 @@ class StudyResults:
 
     def link_errors(self, data: str, spread: PriorSpread, cutoff: float) -> dict[str, FloatArray]:
         """Return each method's mean error of every link (L,), %."""
-        errors = {}
-        for method in self.plan.compared:
-            case = Case(data, str(spread), method, self.cutoff(method, cutoff))
-            errors[method] = np.mean([one.links for one in self.draws[case]], axis=0)
-        return errors
+        draws = {m: self.draws[Case.of(data, spread, m, cutoff)] for m in self.plan.compared}
+        return {m: np.mean([one.links for one in own], axis=0) for m, own in draws.items()}
 
     def row_errors(self, data: str) -> dict[float, float]:
         """Return the RMS norm of y - K φ at the true parameters, N and Nm, by cutoff."""

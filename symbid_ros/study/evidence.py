@@ -48,7 +48,7 @@ class Conclusion:
     claim: str
     holds: bool | None
     finding: str
-    explanation: str = ""
+    explanation: str
 
     @property
     def verdict(self) -> str:
@@ -293,10 +293,11 @@ def enumerate_words(words: Iterable[str]) -> str:
     return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"
 
 
-def explain(holds: bool | None, *reasons: str) -> str:
-    """Return the nonempty reasons as one sentence; empty for a claim that holds."""
+def conclude(claim: str, holds: bool | None, finding: str, *reasons: str) -> Conclusion:
+    """Return a conclusion, whose explanation joins the nonempty reasons if it does not hold."""
     text = "" if holds else "; ".join(filter(None, reasons))
-    return f"{text[0].upper()}{text[1:]}." if text else ""
+    explanation = f"{text[0].upper()}{text[1:]}." if text else ""
+    return Conclusion(claim, holds, finding, explanation)
 
 
 def enumerate_errors(comparisons: Iterable[Comparison], with_method: bool = False) -> str:

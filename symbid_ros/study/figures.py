@@ -284,8 +284,7 @@ def _means(
 ) -> Mapping[str, float]:
     if cutoff is None:
         return scores.best(data, prior, method)
-    # The prior, and methods that average over windows, have no filter.
-    return scores.at(data, prior, method, cutoff) or scores.at(data, prior, method, None)
+    return scores.means.get(Case.of(data, prior, method, cutoff), {})
 
 
 def filter_figure(

@@ -31,7 +31,7 @@ from symbid_ros.study.conclusions import (
     realistic_conclusion,
 )
 from symbid_ros.study.draws import StudyResults
-from symbid_ros.study.evidence import Conclusion, Evidence
+from symbid_ros.study.evidence import Conclusion, Evidence, describe_filter
 from symbid_ros.study.figures import (
     acceleration_figure,
     closed_loop_figure,
@@ -46,10 +46,10 @@ from symbid_ros.study.prediction_figures import (
     ideal_figures,
     realistic_figures,
 )
+from symbid_ros.study.scores import Case
 from symbid_ros.study.study_folder import StudyFolder
 from symbid_ros.study.table import Table
 from symbid_ros.study.tables import (
-    Draw,
     acceleration_table,
     balance_table,
     equation_table,
@@ -248,15 +248,12 @@ def _link_depths(model: RobotModel) -> tuple[int, ...]:
 
 
 def _realistic_conclusion(results: StudyResults, figures: FigurePlan) -> Conclusion | None:
-    means = load_realistic(results.folder)
+    realistic = {name: one["torque_rmse"] for name, one in load_realistic(results.folder).items()}
     ideal = {TRUTH: 0.0}
-    for method in means:
-        at = results.scores.at(
-            figures.data, str(figures.prior), method, results.cutoff(method, figures.torque)
-        )
-        if at:
-            ideal[method] = at["torque_rmse"]
-    return realistic_conclusion(ideal, {name: one["torque_rmse"] for name, one in means.items()})
+    for method in results.plan.compared:
+        case = Case.of(figures.data, figures.prior, method, figures.torque)
+        ideal[method] = results.scores.means[case]["torque_rmse"]
+    return realistic_conclusion(ideal, realistic)
 
 
 def _comparison_sections(results: StudyResults) -> Iterator[Section]:
@@ -293,20 +290,13 @@ def _filter_section(results: StudyResults) -> Section:
 
 
 def _parameter_table(results: StudyResults, figures: FigurePlan) -> Table:
-    parameters = results.true_parameters(figures.data)
+    data, prior, cutoff = figures.data, figures.prior, figures.parameters
+    estimates = {m: results.estimate(data, prior, m, cutoff) for m in results.plan.compared}
     return parameter_table(
-        Draw(
-            data=figures.data,
-            prior=figures.prior,
-            filter=figures.parameters,
-            names=parameters.names,
-            units=parameters.units,
-            real=parameters.values,
-            estimates={
-                method: results.estimate(figures.data, figures.prior, method, figures.parameters)
-                for method in results.plan.compared
-            },
-        )
+        results.true_parameters(data),
+        estimates,
+        data,
+        f"One draw of a {prior} prior, rows of the truncated methods {describe_filter(cutoff)}",
     )
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from symbid_ros.choices import GAUSSIAN
 from symbid_ros.report.content import METRICS as TITLED
 
 # The fields of `evaluation.Metrics`, and the number of singular values kept.
@@ -34,6 +35,12 @@ class Case:
     prior: str
     method: str
     filter: float | None = None
+
+    @classmethod
+    def of(cls, data: str, prior: object, method: str, cutoff: float | None) -> "Case":
+        """Return a case, without the cutoff for methods that have no filter."""
+        is_filtered = method != REFERENCE and method not in GAUSSIAN
+        return cls(data, str(prior), method, cutoff if is_filtered else None)
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,12 @@
 """The thesis's tables with values of a study, and a comparison table for other studies."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.content import METRICS as TITLED
 from symbid_ros.report.content import REALISTIC_METRICS, TRUTH
 from symbid_ros.report.formatting import ABSENT
@@ -13,7 +14,7 @@ from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import thesis
 from symbid_ros.study.checks import AccelerationCheck, EquationResidual
 from symbid_ros.study.evidence import describe_filter, enumerate_words
-from symbid_ros.study.plan import Plan, PriorSpread
+from symbid_ros.study.plan import Plan
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Scores
 from symbid_ros.study.table import (
     Cell,
@@ -45,35 +46,6 @@ TECHNIQUES: Mapping[str, tuple[str, str, str, str]] = {
     "map": ("full residual covariance", "prior deviation", "weighed against the prior", "no"),
     "map_lmi": ("full residual covariance", "prior deviation", "weighed against the prior", "yes"),
 }
-
-
-@dataclass(frozen=True)
-class Draw:
-    """One draw of the prior, and the estimates from it.
-
-    Attributes
-    ----------
-    data : str
-        The data set.
-    prior : PriorSpread
-        How the prior was drawn.
-    filter : float
-        Cutoff of the truncated methods' rows, Hz.
-    names, units : tuple of str
-        Of the p parameters.
-    real : (p,) float64
-        The true values.
-    estimates : dict of str to (p,) float64
-        By method, "ref" for the prior itself.
-    """
-
-    data: str
-    prior: PriorSpread
-    filter: float
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    real: FloatArray
-    estimates: Mapping[str, FloatArray]
 
 
 def score_tables(plan: Plan, scores: Scores) -> list[Table]:
@@ -224,23 +196,32 @@ def _filter_cell(method: str, cutoff: float | None) -> Cell:
     return Cell(text=ABSENT if method == REFERENCE else "windows")
 
 
-def parameter_table(draw: Draw) -> Table:
-    """Return Table D.1: true value, estimates and relative errors of every parameter."""
+def parameter_table(
+    true: ParameterSet, estimates: Mapping[str, FloatArray], data: str, source: str
+) -> Table:
+    """Return Table D.1: true value, estimates and relative errors of every parameter.
+
+    Parameters
+    ----------
+    true : ParameterSet
+        The p parameters with their true values.
+    estimates : mapping of str to (p,) float64
+        By method, "ref" for the prior itself.
+    data, source : str
+        Name of the data set, and the start of the caption: draw and filter.
+    """
     printed = thesis.table_d1()
-    methods = [method for method in TITLES if method in draw.estimates]
+    methods = [method for method in TITLES if method in estimates]
     rows = []
-    for index, (name, unit) in enumerate(zip(draw.names, draw.units, strict=True)):
-        real = float(draw.real[index])
+    for index, (name, unit) in enumerate(zip(true.names, true.units, strict=True)):
+        real = float(true.values[index])
         # The thesis's robot has no friction; its parameters are the first columns, in equal order.
         known = index < len(printed.real) and np.isclose(real, printed.real[index])
         cells = [Cell(real)]
         for method in methods:
-            own = float(draw.estimates[method][index])
-            theirs = (
-                float(printed.estimates[method][index])
-                if known and method in printed.estimates
-                else None
-            )
+            own, theirs = float(estimates[method][index]), None
+            if known and method in printed.estimates:
+                theirs = float(printed.estimates[method][index])
             errors = Cell(_relative_error(own, real), _relative_error(theirs, real))
             cells += [Cell(own, theirs, has_ratio=False), errors]
         rows.append(TableRow(text_cells(name, unit), tuple(cells)))
@@ -250,11 +231,8 @@ def parameter_table(draw: Draw) -> Table:
     note = reference_note(rows)
     return Table(
         name="table_d1",
-        title=f"Table D.1: parameters, {draw.data}",
-        caption=(
-            f"One draw of a {draw.prior} prior, rows of the truncated methods filtered at "
-            f"{draw.filter:g} Hz; errors relative to the real value.{note}"
-        ),
+        title=f"Table D.1: parameters, {data}",
+        caption=f"{source}; errors relative to the real value.{note}",
         headings=(Column("Parameter"), Column("Unit")),
         columns=tuple(columns),
         rows=tuple(rows),

@@ -2,17 +2,21 @@
 
 import csv
 import io
-from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_robots import random_robot
 
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.package_paths import config_file
 from symbid_ros.study import thesis
 from symbid_ros.study.figures import filter_figure
 from symbid_ros.study.plan import DataSet, Plan, PriorSpread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case, Scores
 from symbid_ros.study.table import Cell, Column, Table, TableRow
-from symbid_ros.study.tables import Draw, comparison_table, parameter_table, score_tables
+from symbid_ros.study.tables import comparison_table, parameter_table, score_tables
 
 PERCENT, ABSOLUTE = PriorSpread(percent=25.0), PriorSpread(absolute=0.125)
 METHODS = ["map_lmi", "ols", "wls_rc"]
@@ -59,18 +63,10 @@ def by_name(study: Plan, means: Scores) -> dict[str, Table]:
     return {table.name: table for table in score_tables(study, means)}
 
 
-def draw() -> Draw:
-    printed = thesis.table_d1()
-    names = tuple(f"parameter {number}" for number in range(110))
-    return Draw(
-        data="smooth",
-        prior=PERCENT,
-        filter=50.0,
-        names=names,
-        units=("kg",) * 110,
-        real=printed.real,
-        estimates={"map_lmi": 1.01 * printed.real, "ols": 1.5 * printed.real},
-    )
+def table_d1(model: RobotModel) -> Table:
+    true = ParameterSet(model)
+    estimates = {"map_lmi": 1.01 * true.values, "ols": 1.5 * true.values}
+    return parameter_table(true, estimates, "smooth", "One draw")
 
 
 def test_tables_depend_on_the_plan() -> None:
@@ -140,14 +136,16 @@ def test_smallest_error_of_each_prior_is_marked() -> None:
 
 
 def test_parameter_errors_are_relative_to_the_true_values() -> None:
-    table = parameter_table(draw())
+    table = table_d1(load_model(config_file("symbitron.xml")))
     printed = thesis.table_d1()
     for index, row in enumerate(read(table)):
-        assert float(row["Real"]) == printed.real[index]
+        assert float(row["Real"]) == pytest.approx(printed.real[index], rel=1e-12)
         assert float(row["MAP-LMI error [%]"]) == pytest.approx(1.0)
         assert float(row["OLS error [%]"]) == pytest.approx(50.0)
         theirs = 100 * abs(printed.estimates["ols"][index] / printed.real[index] - 1)
-        assert float(row["OLS error of the thesis [%]"]) == pytest.approx(theirs, abs=1e-12)
+        assert float(row["OLS error of the thesis [%]"]) == pytest.approx(
+            theirs, rel=1e-10, abs=1e-10
+        )
         if theirs:
             assert float(row["OLS error ratio"]) == pytest.approx(50.0 / theirs)
         assert float(row["OLS of the thesis"]) == printed.estimates["ols"][index]
@@ -156,8 +154,7 @@ def test_parameter_errors_are_relative_to_the_true_values() -> None:
 
 
 def test_parameters_of_another_robot_have_no_references() -> None:
-    other = draw()
-    table = parameter_table(replace(other, real=other.real + 1.0))
+    table = table_d1(random_robot(3, links=11))
     assert not table.notes
     assert "thesis" not in table.caption
     assert all(cell.reference is None for row in table.rows for cell in row.cells)
