@@ -98,4 +98,4 @@ def test_the_end_and_the_counts_are_those_of_all_files(tmp_path: Path) -> None:
         # Times go back within a file; a file begins ten nanoseconds after the first of the last.
         assert (bag.end, bag.counts, len(bag.files)) == (30, {"/imu": 4}, 2)
     bag.close()
-    assert [time for _, time, _ in whole_messages(tmp_path / "log")] == [5, 12, 14, 30]
+    assert [time for _, time, _ in whole_messages(tmp_path / "log")] == [5, 30, 12, 14]

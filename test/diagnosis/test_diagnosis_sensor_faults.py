@@ -163,6 +163,24 @@ def test_another_reading_must_move_while_one_is_frozen(streams, share, is_frozen
     assert bool(findings) is is_frozen
 
 
+@pytest.mark.parametrize("name", ["position", "effort"])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_a_frozen_reading_is_found_in_each_slice(streams, name, joint) -> None:
+    """Any reading, whichever others come before or after it."""
+    getattr(streams.joints, name)[400:800, joint] = 0.1
+    detector = FreezeDetector()
+    millisecond = 1_000_000
+    for start, stop in ((0, 600), (600, COUNT)):
+        detector.add(streams, (start * millisecond, stop * millisecond))
+    found = {key for key, counts in detector.readings.items() if counts.is_frozen}
+    (key,) = found
+    assert key == ("/joint_states", f"{name} of {'ab'[joint]}")
+    counts = detector.readings[key]
+    runs = [(400, 599), (600, 799)]
+    assert counts.runs == [(a * millisecond, b * millisecond) for a, b in runs]
+    assert (counts.frozen_messages, counts.changes) == (400, COUNT - 399)
+
+
 def test_readings_are_counted_from_the_first_stamp_up_to_the_second(streams) -> None:
     detector = FreezeDetector()
     millisecond = 1_000_000
