@@ -35,6 +35,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
@@ -102,7 +103,12 @@ def main() -> None:
     parameters = ParameterSet(load_model(MODEL))
     with tempfile.TemporaryDirectory() as folder, threadpool_limits(1):
         ideal = Path(folder) / "ideal"
-        record(Simulator("smooth", moves=10, motion_seed=given.seed + 5000, ideal=True), ideal)
+        record(
+            Simulator(
+                SimulateOptions("smooth", moves=10, motion_seed=given.seed + 5000, ideal=True)
+            ),
+            ideal,
+        )
         motion = read_true_motion([ideal], parameters.model)[::STRIDE]
         print(
             "| case | gen. force | torque | CoM mm (worst) | parameters % | impossible links | "
@@ -135,9 +141,14 @@ def draws(
     for seed in range(start, start + given.draws, given.priors):
         robot = {"errors": errors, "error_seed": seed, "noise_seed": seed}
         log, tare = folder / "log", folder / "tare"
-        record(Simulator(scenario, moves=given.moves, motion_seed=seed + 1000, **robot), log)
+        record(
+            Simulator(
+                SimulateOptions(scenario, moves=given.moves, motion_seed=seed + 1000, **robot)
+            ),
+            log,
+        )
         if cured:
-            record(Simulator("tare", **robot | {"noise_seed": seed + 2000}), tare)
+            record(Simulator(SimulateOptions("tare", **robot | {"noise_seed": seed + 2000})), tare)
         priors = [
             draw_prior(parameters, "percent", given.percent, number)
             for number in range(seed, min(seed + given.priors, start + given.draws))

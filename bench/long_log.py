@@ -25,6 +25,7 @@ from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.types import fill_stamp, read_stamp
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
@@ -72,7 +73,7 @@ def main() -> None:
     print("minutes   MB of bag       s   peak MB")
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / "log"
-        record(Simulator(moves=20, motion_seed=1, noise_seed=2), log)
+        record(Simulator(SimulateOptions(moves=20, motion_seed=1, noise_seed=2)), log)
         for minutes in arguments.minutes:
             bag = Path(folder) / "long"
             lengthened(log, bag, minutes)

@@ -27,6 +27,7 @@ from rosgraph_msgs.msg import Clock
 
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.simulator import Simulator
 
 WARM_UP = 5.0  # s
@@ -71,7 +72,7 @@ def main() -> None:
     parser.add_argument("--solve-period", type=float, default=1.0)
     arguments = parser.parse_args()
     moves = max(1, round(MOVES_PER_MINUTE * arguments.minutes))
-    seconds = Simulator("smooth", moves=moves).steps * 1e-3
+    seconds = Simulator(SimulateOptions("smooth", moves=moves)).steps * 1e-3
     print(f"{moves} moves, {seconds:.0f} s, {os.cpu_count()} cores")
     with tempfile.TemporaryDirectory() as folder, private_graph() as graph:
         run(Path(folder), graph, moves, arguments.solve_period)

@@ -34,6 +34,7 @@ from symbid_ros.online.identification import OnlineEstimate, OnlineIdentificatio
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.body_inertia import Payload
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
@@ -127,12 +128,10 @@ def track(seed: int, payload: Payload, attached: float) -> Iterator[Snapshot]:
     """Yield a snapshot each second until three memories after the change."""
     seconds = attached + 3 * MEMORY + 2.0
     simulator = Simulator(
-        "smooth",
-        moves=40,
-        motion_seed=seed,
-        noise_seed=seed,
+        SimulateOptions(
+            "smooth", moves=40, motion_seed=seed, noise_seed=seed, payload_time=attached
+        ),
         payload=payload,
-        payload_time=attached,
     )
     yield from _snapshots(simulator, seconds, seed, MEMORY)
 
@@ -140,7 +139,9 @@ def track(seed: int, payload: Payload, attached: float) -> Iterator[Snapshot]:
 def quiet(seed: int, *, minutes: float) -> int:
     """Return the number of alarms along a run without a change."""
     threadpool_limits(1)
-    simulator = Simulator("smooth", moves=round(30 * minutes), motion_seed=1000 + seed)
+    simulator = Simulator(
+        SimulateOptions("smooth", moves=round(30 * minutes), motion_seed=1000 + seed)
+    )
     before, count = "", 0
     for one in _snapshots(simulator, 60 * minutes, 1000 + seed, np.inf):
         count += bool(one.alarm and not before)

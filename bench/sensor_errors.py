@@ -26,6 +26,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest, read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.sensor_errors import KINDS
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.systematic_errors import ERRORS, TYPICAL
@@ -69,14 +70,16 @@ class Bench:
         self.prior = folder / "prior.json"
         draw_prior(self.parameters, "percent", 25.0, seed).write(self.prior)
         ideal = folder / "ideal"
-        record(Simulator("smooth", motion_seed=seed + 1, ideal=True), ideal)
+        record(Simulator(SimulateOptions("smooth", motion_seed=seed + 1, ideal=True)), ideal)
         self.motion = read_true_motion([ideal], model)[::10]
 
     def simulate(self, errors: str, scenario: str) -> Path:
         """Return a bag of the scenario with these errors."""
         bag = self.folder / f"{errors}-{scenario}"
         seeds = {"motion_seed": self.seed, "noise_seed": self.seed + (scenario == "tare")}
-        record(Simulator(scenario, errors=errors, error_seed=self.seed, **seeds), bag)
+        record(
+            Simulator(SimulateOptions(scenario, errors=errors, error_seed=self.seed, **seeds)), bag
+        )
         return bag
 
     def identify(self, log: Path, **known: object) -> tuple[str, int]:

@@ -104,6 +104,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         folder = folder.parent  # the workers' folders lie side by side
 
     def bag(scenario: str, **options: object) -> Path:
+        from symbid_ros.simulation.options import SimulateOptions
         from symbid_ros.simulation.recording import record
         from symbid_ros.simulation.simulator import Simulator
 
@@ -111,7 +112,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         with (folder / f"{path.name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():
-                record(Simulator(scenario, **options), path)
+                record(Simulator(SimulateOptions(scenario, **options)), path)
         return path
 
     return bag

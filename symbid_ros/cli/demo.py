@@ -12,6 +12,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from symbid_ros.atomic_write import clear_folder
 from symbid_ros.cli.processes import NodeProcess, private_graph
+from symbid_ros.simulation.options import SimulateOptions
 
 if TYPE_CHECKING:
     from symbid_ros.estimation.estimate import Estimate
@@ -91,7 +92,9 @@ def simulate_validation(bag: Path, moves: int, progress: Progress) -> None:
     from symbid_ros.simulation.recording import record
     from symbid_ros.simulation.simulator import Simulator
 
-    simulator = Simulator("smooth", moves=moves, motion_seed=VALIDATION_SEED, ideal=True)
+    simulator = Simulator(
+        SimulateOptions("smooth", moves=moves, motion_seed=VALIDATION_SEED, ideal=True)
+    )
     task = progress.add_task("simulating a validation bag", total=simulator.steps)
     record(simulator, bag, progress=lambda done, _: progress.update(task, completed=done))
 
@@ -127,7 +130,9 @@ def _record(out: Path, moves: int, seed: int, progress: Progress) -> dict[str, s
         "noise_seed": seed,
         "wait_for_subscribers": True,
     }
-    simulator = Simulator("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
+    simulator = Simulator(
+        SimulateOptions("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
+    )
     seconds = simulator.steps * simulator.period_ns * 1e-9
     task = progress.add_task("moving the robot and recording", total=seconds)
     logs = out / "log"
@@ -260,7 +265,9 @@ def _identify_online(
     from symbid_ros.simulation.simulator import Simulator
 
     motion = {"scenario": "smooth", "moves": moves, "motion_seed": MOTION_SEED, "noise_seed": seed}
-    simulator = Simulator("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
+    simulator = Simulator(
+        SimulateOptions("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
+    )
     seconds = simulator.steps * simulator.period_ns * 1e-9
     console.print(f"The robot moves for {seconds:.0f} s. Ctrl-C stops the demo.\n")
     logs = out / "log"

@@ -26,29 +26,29 @@ def simulate(
         bool, typer.Option("--overwrite", help="Replace the bag of an earlier run.")
     ] = False,
 ) -> None:
-    """Simulate the Symbitron in MuJoCo and record sensor data and ground truth to a bag.
+    """Simulate the Symbitron in MuJoCo and record its sensors and the ground truth to a bag.
 
-    Scenarios: in [b]smooth[/b] and [b]vibrating[/b] the robot stands and moves its centre of mass,
-    in [b]squat[/b] mostly vertically. In [b]suspended[/b] it hangs from a hoist that moves. In
-    [b]tare[/b] it hangs still for 5 s without touching the force plates; --moves and --motion-seed
-    have no effect.
+    [b]Scenarios[/b]: in [b]smooth[/b] and [b]vibrating[/b] the robot stands and moves its centre
+    of mass. In [b]squat[/b] it moves mostly up and down. In [b]suspended[/b] it hangs from an
+    overhead support that rocks it. In [b]tare[/b] it hangs at rest for 5 s and the force plates
+    carry no load; --moves and --motion-seed have no effect.
 
-    [b]Systematic errors[/b] (--errors), each drawn from --error-seed and its own name:
-    [b]plate_gain[/b] .25-.75 % of each channel, [b]plate_offset[/b] 1-2 N and .1-.2 Nm of each
-    channel, [b]plate_pose[/b] 1-3 mm, [b]torque_gain[/b] 1-2 % of each drive, [b]imu_mounting[/b]
-    .1-.3 degrees, [b]encoder_offset[/b] .05-.15 degrees of each joint ([b]typical[/b] means these
-    six), [b]link_length[/b] 1-2 mm between joints, [b]sample_rates[/b] joints 1000 Hz, IMU 500 Hz,
-    plates 333 Hz, [b]delays[/b] 1-5 ms, different for each sensor, [b]quantisation[/b] 16 to 18
-    bits.
+    [b]Systematic errors[/b]: each one depends only on its name and --error-seed.
+    [b]typical[/b] stands for [b]plate_gain[/b] 0.25-0.75 % per channel, [b]plate_offset[/b] 1-2 N
+    and 0.1-0.2 Nm per channel, [b]plate_pose[/b] 1-3 mm, [b]torque_gain[/b] 1-2 % per drive,
+    [b]imu_mounting[/b] 0.1-0.3 degrees and [b]encoder_offset[/b] 0.05-0.15 degrees per joint.
+    Others: [b]link_length[/b] 1-2 mm between joints, [b]sample_rates[/b] 1000 Hz for joints, 500 Hz
+    for the IMU and 333 Hz for plates, [b]delays[/b] 1-5 ms, different for each sensor,
+    [b]quantisation[/b] 16 to 18 bits.
     """
     from symbid_ros.atomic_write import clear_folder, write_text
     from symbid_ros.simulation.recording import record
-    from symbid_ros.simulation.simulator import PayloadFactory, simulator_of
+    from symbid_ros.simulation.simulator import PayloadFactory, Simulator
 
     payload = PayloadFactory().payload(
         options.payload_link, options.payload_mass, options.payload_position
     )
-    simulator = simulator_of(options, payload=payload)
+    simulator = Simulator(options, payload=payload)
     clear_folder(out, _is_simulated_bag, "a bag", overwrite=overwrite)
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
@@ -103,6 +103,7 @@ def udp_client(
         client.run(stop, timeout)
         counts = client.counts
     typer.echo(
-        f"{host}:{port}: answered {counts.answered} measurements, {counts.repeated} of them again; "
-        f"{counts.ignored} datagrams ignored, {counts.unanswered} left unanswered"
+        f"{host}:{port}: answered {counts.answered} measurements, repeated "
+        f"{counts.repeated} answers; {counts.ignored} datagrams ignored, "
+        f"{counts.unanswered} measurements without torques"
     )

@@ -28,7 +28,8 @@ from symbid_ros.signals.streams import Streams, TruthStreams
 
 # Relative singular value of the contact Jacobian below which a combination of wrenches is set to
 # zero, because its noise would exceed it. With the legs in parallel planes, feet that twist against
-# each other reach 1e-3; all other combinations of two feet and a hoist exceed 1e-2.
+# each other reach 1e-3; all other combinations of two feet and an overhead
+# support exceed 1e-2.
 SINGULAR = 3e-3
 
 

@@ -3,7 +3,6 @@
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 from rclpy.node import Node
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import IntArray
 from symbid_ros.errors import DataError
 from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.types import IMU, JOINT_STATE
@@ -23,6 +22,7 @@ from symbid_ros.ros.process import construct, run_node
 from symbid_ros.ros.raw_subscription import DecodedMessage, DecodedSubscription, wait_for_any
 from symbid_ros.ros.reporting import OK, WARN, NodeStatus, StatusPublisher
 from symbid_ros.simulation.plant import RobotFailureError
+from symbid_ros.simulation.sensors import BalanceFeedback
 from symbid_ros.simulation.standing_controller import StandingController
 
 DEPTH = 1000  # length of the queues, messages
@@ -41,29 +41,6 @@ PARAMETERS = (
         "model", "", "The controller's MJCF model of the robot; empty: the package's Symbitron."
     ),
 )
-
-
-@dataclass(frozen=True)
-class BalanceFeedback:
-    """Joint states and IMU data with the same stamp.
-
-    Attributes
-    ----------
-    stamp : int
-        ns.
-    joint_position, joint_velocity : (J,) float64
-        rad and rad/s.
-    imu_orientation : (4,) float64
-        Quaternion xyzw that rotates from the IMU to the world frame.
-    imu_angular_velocity : (3,) float64
-        Angular velocity in IMU axes, rad/s.
-    """
-
-    stamp: int
-    joint_position: FloatArray
-    joint_velocity: FloatArray
-    imu_orientation: FloatArray
-    imu_angular_velocity: FloatArray
 
 
 class FeedbackSubscriber:

@@ -30,7 +30,7 @@ from symbid_ros.simulation.body_inertia import Payload
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.sensors import Instant
-from symbid_ros.simulation.simulator import PayloadFactory, Simulator, simulator_of
+from symbid_ros.simulation.simulator import PayloadFactory, Simulator
 
 CATCH_UP = 0.1  # s; longer delays are not caught up
 PAUSE_POLL = 0.02  # s between two checks whether a pause has ended
@@ -235,9 +235,9 @@ class MujocoBridge:
 
     def _new_simulator(self) -> Simulator:
         """Return a simulator at the start of the motion and without payload."""
-        return simulator_of(
+        return Simulator(
             options_from(SimulateOptions, self._values),
-            model=self._model,
+            model_path=self._model,
             is_commanded=self._values["command_source"] != INTERNAL,
         )
 

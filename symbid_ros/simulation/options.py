@@ -9,7 +9,7 @@ from symbid_ros.options import check_values, option
 PAYLOAD = "Payload"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class SimulateOptions:
     """What to simulate.
 

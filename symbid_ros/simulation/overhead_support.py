@@ -2,9 +2,10 @@
 
 import mujoco
 import numpy as np
+import scipy.optimize
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.simulation.plant import Plant, State, site_ids
+from symbid_ros.simulation.plant import Plant, State, driven_dofs, resting_data, site_ids
 from symbid_ros.simulation.trajectory import Trajectory
 
 
@@ -116,3 +117,25 @@ class JointController:
             + self._damping * (velocity - state.velocity[self._velocity])
             + self._gravity_torque
         )
+
+
+def settle_passive_joints(model: mujoco.MjModel, position: FloatArray) -> FloatArray:
+    """Return ``position`` (nq,) with the undriven joints at their equilibrium under gravity."""
+    passive = [
+        joint for joint in range(1, model.njnt) if model.jnt_dofadr[joint] not in driven_dofs(model)
+    ]
+    pose = position.copy()
+
+    def torques(angles: FloatArray) -> FloatArray:
+        pose[model.jnt_qposadr[passive]] = angles
+        return np.asarray(gravity_torques(model, pose)[model.jnt_dofadr[passive]])
+
+    torques(scipy.optimize.fsolve(torques, pose[model.jnt_qposadr[passive]]))
+    return pose
+
+
+def gravity_torques(model: mujoco.MjModel, position: FloatArray) -> FloatArray:
+    """Return the generalised forces (nv,) that hold a pose (nq,) at rest, N and Nm."""
+    force = np.zeros(model.nv)
+    mujoco.mj_rne(model, resting_data(model, position), 0, force)
+    return force

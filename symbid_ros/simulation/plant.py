@@ -128,6 +128,16 @@ def driven_dofs(model: mujoco.MjModel) -> IntArray:
     return np.array(model.jnt_dofadr[model.actuator_trnid[:, 0]], dtype=np.int64)
 
 
+def resting_data(model: mujoco.MjModel, position: FloatArray) -> mujoco.MjData:
+    """Return the data of a model at rest in a pose (nq,)."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = position
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_comVel(model, data)
+    return data
+
+
 class Plant:
     """A floating-base robot in MuJoCo, advanced in two half steps.
 

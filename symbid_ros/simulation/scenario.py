@@ -15,8 +15,12 @@ from symbid_ros.simulation.controller import (
     Controller,
     DegradedFeedback,
 )
-from symbid_ros.simulation.initial_pose import gravity_torques, settle_passive_joints
-from symbid_ros.simulation.overhead_support import JointController, OverheadSupport
+from symbid_ros.simulation.overhead_support import (
+    JointController,
+    OverheadSupport,
+    gravity_torques,
+    settle_passive_joints,
+)
 from symbid_ros.simulation.plant import Plant, RobotFailureError, Truth
 from symbid_ros.simulation.trajectory import MoveRange, Trajectory, draw_trajectory
 

@@ -8,37 +8,51 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.simulation.plant import SCALAR_LAST, Truth
-from symbid_ros.simulation.settings import NoiseSettings
-from symbid_ros.simulation.systematic_errors import Resolution, SystematicErrors
+from symbid_ros.simulation.settings import ChannelValues
+from symbid_ros.simulation.systematic_errors import SystematicErrors
 
 
 @dataclass(frozen=True)
-class Measurement:
-    """Sensor readings of one instant.
+class BalanceFeedback:
+    """Joint states and IMU data of one instant, enough to balance.
 
-    Joint arrays follow the model's joint order; quaternions are xyzw.
+    Joint arrays follow the model's joint order.
 
     Attributes
     ----------
     stamp : int
         Simulated time, ns.
-    joint_position, joint_velocity, joint_effort : (J,) float64
-        rad, rad/s and Nm.
+    joint_position, joint_velocity : (J,) float64
+        rad and rad/s.
     imu_orientation : (4,) float64
-        Quaternion of the IMU frame in the world.
-    imu_angular_velocity, imu_linear_acceleration : (3,) float64
-        In the IMU frame; the acceleration is the specific force (REP-145).
-    wrenches : (F, 6) float64
-        (force; torque) of the environment on the robot at each wrench sensor, in the sensor
-        frame's axes about its origin.
+        Quaternion xyzw of the IMU frame in the world.
+    imu_angular_velocity : (3,) float64
+        In the IMU's axes, rad/s.
     """
 
     stamp: int
     joint_position: FloatArray
     joint_velocity: FloatArray
-    joint_effort: FloatArray
     imu_orientation: FloatArray
     imu_angular_velocity: FloatArray
+
+
+@dataclass(frozen=True)
+class Measurement(BalanceFeedback):
+    """All sensor readings of one instant.
+
+    Attributes
+    ----------
+    joint_effort : (J,) float64
+        Nm.
+    imu_linear_acceleration : (3,) float64
+        Specific force (REP-145) in the IMU's axes, m/s².
+    wrenches : (F, 6) float64
+        (force; torque) of the environment on the robot at each wrench sensor, in the sensor
+        frame's axes about its origin.
+    """
+
+    joint_effort: FloatArray
     imu_linear_acceleration: FloatArray
     wrenches: FloatArray
 
@@ -93,8 +107,8 @@ class Sensors:
     wrench_count : int
         Number of wrench sensors, force plates first. Sensors after the plates have noise but no
         systematic errors.
-    noise : NoiseSettings or None
-        Standard deviations; None for sensors without noise.
+    noise : ChannelValues or None
+        Standard deviations of white Gaussian noise; None for sensors without noise.
     seed : int
         Seed of the noise.
     errors : SystematicErrors
@@ -105,7 +119,7 @@ class Sensors:
         self,
         driven: BoolArray,
         wrench_count: int,
-        noise: NoiseSettings | None,
+        noise: ChannelValues | None,
         seed: int,
         errors: SystematicErrors,
     ) -> None:
@@ -115,17 +129,8 @@ class Sensors:
         self._fields = [slice(end - size, end) for size, end in zip(sizes, ends, strict=True)]
         self._sigma: FloatArray | None = None
         if noise is not None:
-            wrench = np.repeat([noise.force, noise.moment], 3)
-            self._sigma = np.concatenate(
-                [
-                    np.full(joints, noise.joint_position),
-                    np.full(joints, noise.joint_velocity),
-                    np.where(driven, noise.joint_effort, 0.0),
-                    np.full(3, noise.angular_velocity),
-                    np.full(3, noise.linear_acceleration),
-                    np.tile(wrench, wrench_count),
-                ]
-            )
+            self._sigma = noise.by_channel(joints, wrench_count)
+            self._sigma[self._fields[2]] *= driven
         self._random = np.random.default_rng(seed)
         self._noise = np.zeros((0, ends[-1]))
         self._next = 0
@@ -137,7 +142,10 @@ class Sensors:
         mounting = np.zeros(9)
         mujoco.mju_quat2Mat(mounting, self._mounting)
         self._imu_axes = mounting.reshape(3, 3)
-        self._steps = _steps(errors.quantisation, joints, len(self._plate_offset))
+        steps = errors.quantisation
+        self._steps = (
+            np.zeros(0) if steps is None else steps.by_channel(joints, len(self._plate_offset))
+        )
         self._delays = errors.delays.tolist()
         self._past: deque[Truth] = deque(maxlen=1 + max(self._delays))
 
@@ -227,20 +235,3 @@ def _plate_matrices(errors: SystematicErrors) -> FloatArray:
     # n' = n - d × f: the moment about a point at distance d from the frame's origin.
     matrices[:, 3:, :3] = -np.cross(errors.plate_pose[:, None], np.eye(3)).swapaxes(1, 2)
     return np.asarray(errors.plate_gain[:, :, None] * matrices + matrices)
-
-
-def _steps(resolution: Resolution | None, joints: int, plates: int) -> FloatArray:
-    """Return the quantisation steps of the readings; empty if readings are not rounded."""
-    if resolution is None:
-        return np.zeros(0)
-    wrench = np.repeat([resolution.force, resolution.moment], 3)
-    return np.concatenate(
-        [
-            np.full(joints, resolution.joint_position),
-            np.full(joints, resolution.joint_velocity),
-            np.full(joints, resolution.joint_effort),
-            np.full(3, resolution.angular_velocity),
-            np.full(3, resolution.linear_acceleration),
-            np.tile(wrench, plates),
-        ]
-    )

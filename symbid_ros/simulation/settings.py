@@ -6,6 +6,9 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.user_files import load_yaml
 
@@ -62,8 +65,8 @@ def _number(value: object, name: str, where: str) -> float:
 
 
 @dataclass(frozen=True)
-class NoiseSettings:
-    """Standard deviations of the sensors' white Gaussian noise, per channel and sample.
+class ChannelValues:
+    """A standard deviation of noise, or a quantisation step, for each kind of sensor channel.
 
     Attributes
     ----------
@@ -85,8 +88,18 @@ class NoiseSettings:
     force: float
     moment: float
 
-    def scaled(self, factor: float) -> "NoiseSettings":
-        """Return the noise with every standard deviation multiplied by ``factor``.
+    def by_channel(self, joints: int, wrenches: int) -> FloatArray:
+        """Return the value of each channel, in the order of the fields.
+
+        The channels are those of J joints, one IMU and F wrench sensors, (3 J + 6 + 6 F,).
+        """
+        wrench = np.repeat([self.force, self.moment], 3)
+        joint = np.repeat([self.joint_position, self.joint_velocity, self.joint_effort], joints)
+        imu = np.repeat([self.angular_velocity, self.linear_acceleration], 3)
+        return np.concatenate([joint, imu, np.tile(wrench, wrenches)])
+
+    def scaled(self, factor: float) -> "ChannelValues":
+        """Return every value multiplied by ``factor``.
 
         Raises
         ------
@@ -97,16 +110,16 @@ class NoiseSettings:
             raise SimulationError(
                 f"noise factor {factor:g}; give a finite number, 0 or more", "E605"
             )
-        return NoiseSettings(**{name: factor * value for name, value in asdict(self).items()})
+        return ChannelValues(**{name: factor * value for name, value in asdict(self).items()})
 
 
-def load_noise(path: Path) -> NoiseSettings:
-    """Read and check a noise file.
+def load_noise(path: Path) -> ChannelValues:
+    """Read the standard deviations in a noise file.
 
     Parameters
     ----------
     path : Path
-        YAML mapping of every field of `NoiseSettings` to a number, and nothing else.
+        YAML mapping of every field of `ChannelValues` to a number, and nothing else.
 
     Raises
     ------
@@ -114,8 +127,8 @@ def load_noise(path: Path) -> NoiseSettings:
         When the file cannot be read or is not such a mapping, or when a value is negative or not
         finite.
     """
-    names = [field.name for field in fields(NoiseSettings)]
-    return NoiseSettings(**require_numbers(read_mapping(path), names, str(path)))
+    names = [field.name for field in fields(ChannelValues)]
+    return ChannelValues(**require_numbers(read_mapping(path), names, str(path)))
 
 
 @dataclass(frozen=True)

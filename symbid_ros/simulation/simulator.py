@@ -1,9 +1,8 @@
 """The simulator: a scenario executed by the robot and observed by its sensors."""
 
 import math
-import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.body_inertia import Payload, link_index
-from symbid_ros.simulation.initial_pose import level_soles
+from symbid_ros.simulation.modified_robot import modified_plant
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.plant import Plant, load_model
 from symbid_ros.simulation.scenario import (
@@ -20,15 +19,10 @@ from symbid_ros.simulation.scenario import (
     SOLES,
     SUPPORT_FRAME,
     ScenarioRun,
-    require_seed,
 )
 from symbid_ros.simulation.sensors import Instant, Sensors
-from symbid_ros.simulation.settings import JointFriction, load_friction, load_noise
+from symbid_ros.simulation.settings import load_friction, load_noise
 from symbid_ros.simulation.systematic_errors import draw_errors, parse_errors
-
-# The shortest time constant that MuJoCo allows at a period of 1 ms. Coulomb friction then has its
-# full value or stops the joint within one period; by default joints creep at up to 0.1 rad/s.
-FRICTION_TIME_CONSTANT = 2e-3  # s
 
 
 @dataclass(frozen=True)
@@ -55,35 +49,14 @@ class Simulator:
 
     Parameters
     ----------
-    scenario : str
-        ``smooth``, ``squat``, ``vibrating`` (all standing on two feet), ``suspended`` (rocked by
-        an overhead support) or ``tare`` (suspended at rest, force plates unloaded).
-    moves : int
-        Number of moves; ignored by ``tare``.
-    motion_seed : int
-        Seed of the moves and, in ``vibrating``, of the feedback noise; ignored by ``tare``.
-    noise_seed : int
-        Seed of the sensor noise.
-    noise_factor : float
-        Multiplies the standard deviations of the noise, 0 or more.
-    ideal : bool
-        The same motion with noise-free sensors.
-    friction : bool
-        Whether the joints have friction and armature; implied by ``friction_path``.
-    errors : str
-        Comma-separated names of systematic errors; see `parse_errors`.
-    error_seed : int
-        Seed of these errors; a tare and a log with equal seeds have the same errors.
+    options : SimulateOptions
+        What to simulate. Of the payload's options, only ``payload_time`` is used.
     model_path : Path or None
         MJCF; None for config/symbitron.xml.
-    noise_path : Path or None
-        Standard deviations; None for config/noise.yaml.
-    friction_path : Path or None
-        Friction and armature; None for config/friction.yaml.
+    noise_factor : float
+        Multiplies the standard deviations of the noise, 0 or more.
     payload : Payload or None
-        Attached to the robot during the motion; unknown to the scenario's controller.
-    payload_time : float
-        When it is attached, in seconds after the start of the motion.
+        Attached to the robot at ``payload_time``; unknown to the scenario's controller.
     is_commanded : bool
         Whether external torques drive the robot after the scenario's controller has let it settle.
 
@@ -111,52 +84,35 @@ class Simulator:
 
     def __init__(
         self,
-        scenario: str = "smooth",
+        options: SimulateOptions,
         *,
-        moves: int = 20,
-        motion_seed: int = 0,
-        noise_seed: int = 0,
-        noise_factor: float = 1.0,
-        ideal: bool = False,
-        friction: bool = False,
-        errors: str = "",
-        error_seed: int = 0,
         model_path: Path | None = None,
-        noise_path: Path | None = None,
-        friction_path: Path | None = None,
+        noise_factor: float = 1.0,
         payload: Payload | None = None,
-        payload_time: float = 0.0,
         is_commanded: bool = False,
     ) -> None:
-        if scenario not in SCENARIOS:
-            raise SimulationError(
-                f"no scenario {scenario!r}; choose one of {', '.join(sorted(SCENARIOS))}", "E606"
-            )
-        for name, seed in (
-            ("motion seed", motion_seed),
-            ("noise seed", noise_seed),
-            ("error seed", error_seed),
-        ):
-            require_seed(name, seed)
         noise = None
-        if not ideal:
-            noise = load_noise(noise_path or config_file("noise.yaml")).scaled(noise_factor)
+        if not options.ideal:
+            noise = load_noise(options.noise or config_file("noise.yaml")).scaled(noise_factor)
         plant = Plant(model_path or config_file("symbitron.xml"), SOLES)
         self.joint_names = plant.joint_names
         self.errors = draw_errors(
-            parse_errors(errors), error_seed, joints=len(plant.joint_names), plates=len(SOLES)
+            parse_errors(options.errors),
+            options.error_seed,
+            joints=len(plant.joint_names),
+            plates=len(SOLES),
         )
         self.sample_rates = self.errors.sample_rates
         joint_friction = {}
-        if friction or friction_path is not None:
-            joint_friction = load_friction(friction_path or config_file("friction.yaml"))
+        if options.friction or options.friction_file is not None:
+            joint_friction = load_friction(options.friction_file or config_file("friction.yaml"))
         lengths = {}
         if self.errors.link_length.any():
             lengths = dict(zip(plant.joint_names, self.errors.link_length.tolist(), strict=True))
         if joint_friction or lengths:
-            plant = _modified_plant(plant, joint_friction, lengths)
+            plant = modified_plant(plant, SOLES, joint_friction, lengths)
         self._plant = plant
-        motion = SCENARIOS[scenario](plant, moves, motion_seed)
+        motion = SCENARIOS[options.scenario](plant, options.moves, options.motion_seed)
         self._run = ScenarioRun(plant, motion)
         self.base_frame = plant.base_frame
         self.imu_frame = "imu_link"
@@ -166,10 +122,18 @@ class Simulator:
         self.period_ns = round(plant.period * 1e9)
         self.steps = self._run.steps
         driven = np.isin(np.arange(6, plant.model.nv), plant.driven)
-        self._sensors = Sensors(driven, len(self.wrench_sensors), noise, noise_seed, self.errors)
+        self._sensors = Sensors(
+            driven, len(self.wrench_sensors), noise, options.noise_seed, self.errors
+        )
         self.drive_names, self.torque_limits = plant.drive_names, plant.torque_limits
         self._is_commanded = is_commanded
-        self._scheduled = _schedule_payload(plant, payload, payload_time)
+        self._payload = payload
+        self._payload_step = 0
+        if payload is not None:
+            link_index(plant.model, payload.link)
+            if math.isinf(options.payload_time):
+                raise SimulationError("payload time inf s; give a finite number, 0 or more", "E605")
+            self._payload_step = round(options.payload_time / plant.period)
         self._steps_done = 0
         for truth in self._run.settle():
             self._sensors.store(truth)
@@ -213,9 +177,9 @@ class Simulator:
             self._require_valid(torques)
         elif self._is_commanded:
             torques = self._run.torques
-        if self._scheduled is not None and self._steps_done >= self._scheduled[0]:
-            self.attach(self._scheduled[1])
-            self._scheduled = None
+        if self._payload is not None and self._steps_done >= self._payload_step:
+            self.attach(self._payload)
+            self._payload = None
         truth = self._run.advance(self._steps_done, torques)
         self._steps_done += 1
         return self._sensors.measure(truth, self._steps_done * self.period_ns)
@@ -235,87 +199,6 @@ class Simulator:
         """Yield the remaining instants of the motion."""
         while self._steps_done < self.steps:
             yield self.step()
-
-
-def _schedule_payload(
-    plant: Plant, payload: Payload | None, time: float
-) -> tuple[int, Payload] | None:
-    """Return the step at which to attach a payload, and the payload."""
-    if not (math.isfinite(time) and time >= 0.0):
-        raise SimulationError(f"payload time {time:g} s; give a finite number, 0 or more", "E605")
-    if payload is None:
-        return None
-    link_index(plant.model, payload.link)
-    return round(time / plant.period), payload
-
-
-def _modified_plant(
-    original: Plant, friction: Mapping[str, JointFriction], lengths: Mapping[str, float]
-) -> Plant:
-    """Return the plant with joint friction and modified lengths, standing like the original."""
-    plant = Plant(original.path, SOLES, modify_mjcf(original.path, friction, lengths))
-    plant.data.qpos[:] = level_soles(plant.model, original.model, original.data.qpos, SOLES)
-    return plant
-
-
-def modify_mjcf(
-    path: Path, friction: Mapping[str, JointFriction], lengths: Mapping[str, float]
-) -> str:
-    """Return the text of an MJCF file with joint friction and modified lengths.
-
-    Parameters
-    ----------
-    path : Path
-        MJCF that contains the bodies and joints itself, without includes.
-    friction : mapping of str to JointFriction
-        By joint name.
-    lengths : mapping of str to float
-        By joint name: additional distance of the joint's body from its parent's origin, m. A
-        body at its parent's origin stays there.
-
-    Raises
-    ------
-    SimulationError
-        When a joint is not in the file.
-    """
-    root = ET.parse(path, ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))).getroot()
-    joints = {element.get("name"): element for element in root.iterfind("worldbody//joint")}
-    missing = [name for name in (*friction, *lengths) if name not in joints]
-    if missing:
-        raise SimulationError(
-            f"{path}: no joint {missing[0]}; name joints in the worldbody of this file", "E602"
-        )
-    for name, values in friction.items():
-        for attribute, value in asdict(values).items():
-            joints[name].set(attribute, repr(value))
-        joints[name].set("solreffriction", f"{FRICTION_TIME_CONSTANT} 1")
-    if friction:
-        _integrate_explicitly(root)
-    for body in root.iterfind("worldbody//body"):
-        names = [joint.get("name") for joint in body.findall("joint")]
-        _lengthen_body(body, sum(lengths.get(str(name), 0.0) for name in names))
-    return ET.tostring(root, encoding="unicode") + "\n"
-
-
-def _integrate_explicitly(root: ET.Element) -> None:
-    # With implicit damping, the change of velocity would differ from the acceleration in the
-    # equation of motion, by one per cent in light joints: the log would be inconsistent.
-    option = root.find("option")
-    if option is None:
-        option = ET.SubElement(root, "option")
-    option.set("integrator", "Euler")
-    flag = option.find("flag")
-    if flag is None:
-        flag = ET.SubElement(option, "flag")
-    flag.set("eulerdamp", "disable")
-
-
-def _lengthen_body(body: ET.Element, amount: float) -> None:
-    offset = np.array(body.get("pos", "0 0 0").split(), dtype=np.float64)
-    length = float(np.linalg.norm(offset))
-    if amount and length > 0.0:
-        longer = offset * (1.0 + amount / length)
-        body.set("pos", " ".join(repr(float(value)) for value in longer))
 
 
 class PayloadFactory:
@@ -345,29 +228,3 @@ class PayloadFactory:
             return None
         x, y, z = position
         return Payload(link, mass, (x, y, z))
-
-
-def simulator_of(
-    options: SimulateOptions,
-    model: Path | None = None,
-    payload: Payload | None = None,
-    *,
-    is_commanded: bool = False,
-) -> Simulator:
-    """Return a simulator at the start of the motion that the options choose."""
-    return Simulator(
-        options.scenario,
-        moves=options.moves,
-        motion_seed=options.motion_seed,
-        noise_seed=options.noise_seed,
-        ideal=options.ideal,
-        friction=options.friction,
-        errors=options.errors,
-        error_seed=options.error_seed,
-        model_path=model,
-        noise_path=options.noise,
-        friction_path=options.friction_file,
-        payload=payload,
-        payload_time=options.payload_time,
-        is_commanded=is_commanded,
-    )

@@ -1,7 +1,6 @@
 """Balance from sensor readings: leg odometry and a controller that runs beside the plant."""
 
 from pathlib import Path
-from typing import Protocol
 
 import mujoco
 import numpy as np
@@ -13,7 +12,7 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.controller import BalanceController, BalanceGains
 from symbid_ros.simulation.plant import Plant, State, site_ids
 from symbid_ros.simulation.scenario import SOLES, STANDING, draw_standing_task, require_seed
-from symbid_ros.simulation.sensors import SCALAR_FIRST
+from symbid_ros.simulation.sensors import SCALAR_FIRST, BalanceFeedback
 
 # Standard deviations of the velocities in least squares: the difference of two encoder readings,
 # the gyroscope (both as in config/noise.yaml), and the motion of a loaded sole.
@@ -22,30 +21,6 @@ SOLE_TURNING, SOLE_SLIDING = 5e-3, 1e-3  # rad/s, m/s
 # Weight of the newest velocity in exponential smoothing. The lag of 3 periods does not affect
 # balance; the noise, reduced to a third, no longer makes the legs vibrate.
 SMOOTHING = 0.25
-
-
-class BalanceSensors(Protocol):
-    """The readings that the standing controller needs, a subset of `Measurement`."""
-
-    @property
-    def stamp(self) -> int:
-        """Stamp of the readings, ns."""
-
-    @property
-    def joint_position(self) -> FloatArray:
-        """(J,) rad."""
-
-    @property
-    def joint_velocity(self) -> FloatArray:
-        """(J,) rad/s."""
-
-    @property
-    def imu_orientation(self) -> FloatArray:
-        """(4,) quaternion xyzw of the IMU in the world."""
-
-    @property
-    def imu_angular_velocity(self) -> FloatArray:
-        """(3,) in the IMU's axes, rad/s."""
 
 
 class LegOdometry:
@@ -96,7 +71,7 @@ class LegOdometry:
         self._turning = np.zeros((3, model.nv))
         self._velocity: FloatArray | None = None
 
-    def state(self, time: float, readings: BalanceSensors) -> State:
+    def state(self, time: float, readings: BalanceFeedback) -> State:
         """Return the state at ``time`` (s), estimated from the readings of one instant."""
         model, data = self._model, self._data
         data.qpos[7:] = readings.joint_position
@@ -123,7 +98,7 @@ class LegOdometry:
         mujoco.mju_quat2Mat(rotation, attitude)
         return attitude, rotation.reshape(3, 3)
 
-    def _solve_velocity(self, readings: BalanceSensors) -> FloatArray:
+    def _solve_velocity(self, readings: BalanceFeedback) -> FloatArray:
         """Return the velocity (nv,) in the current pose, entirely in base axes."""
         model, data = self._model, self._data
         mujoco.mj_jacSite(model, data, None, self._turning, self._imu)
@@ -193,7 +168,7 @@ class StandingController:
         # A new controller, as the QP of the old one would start from its last solution.
         self._controller = BalanceController(robot.model, self._task, SOLES, BalanceGains())
 
-    def torques(self, readings: BalanceSensors) -> FloatArray:
+    def torques(self, readings: BalanceFeedback) -> FloatArray:
         """Return the drive torques (n_actuated,), Nm, for the readings of one instant.
 
         Raises

@@ -8,6 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import SimulationError
+from symbid_ros.simulation.settings import ChannelValues
 
 # Minimum and maximum of uniformly distributed magnitudes; signs and directions are random. The
 # minimum keeps every drawn error significant.
@@ -20,6 +21,18 @@ IMU_MOUNTING = np.radians(0.1), np.radians(0.3)
 ENCODER_OFFSET = np.radians(0.05), np.radians(0.15)
 LINK_LENGTH = 1e-3, 2e-3  # m
 LONGEST_DELAY = 5  # periods; the shortest is one, and all sensors have different delays
+
+# Quantisation steps: 18 bits per turn of an encoder; 16 bits for ±100 Nm, ±250 degrees per second,
+# ±4 g, ±2 kN and ±400 Nm.
+RESOLUTION = ChannelValues(
+    joint_position=2.0 * np.pi / 2**18,
+    joint_velocity=1e-3,  # resolution of the drives' messages
+    joint_effort=200.0 / 2**16,
+    angular_velocity=np.radians(500.0) / 2**16,
+    linear_acceleration=8.0 * 9.81 / 2**16,
+    force=4e3 / 2**16,
+    moment=800.0 / 2**16,
+)
 
 
 @dataclass(frozen=True)
@@ -35,33 +48,6 @@ class SampleRates:
     joints: int = 1
     imu: int = 1
     plates: int = 1
-
-
-@dataclass(frozen=True)
-class Resolution:
-    """Quantisation steps of the sensors.
-
-    Attributes
-    ----------
-    joint_position : float
-        rad; encoder with 18 bits per turn.
-    joint_velocity : float
-        rad/s; resolution of the drives' messages.
-    joint_effort : float
-        Nm; 16 bits for ±100 Nm.
-    angular_velocity, linear_acceleration : float
-        rad/s and m/s²; 16 bits for ±250 degrees per second and ±4 g.
-    force, moment : float
-        N and Nm; 16 bits for ±2 kN and ±400 Nm.
-    """
-
-    joint_position: float = 2.0 * np.pi / 2**18
-    joint_velocity: float = 1e-3
-    joint_effort: float = 200.0 / 2**16
-    angular_velocity: float = np.radians(500.0) / 2**16
-    linear_acceleration: float = 8.0 * 9.81 / 2**16
-    force: float = 4e3 / 2**16
-    moment: float = 800.0 / 2**16
 
 
 @dataclass(frozen=True)
@@ -91,7 +77,7 @@ class SystematicErrors:
     delays : (2 + F,) int64
         Delays of joint states, IMU and plates in periods: a message stamped t contains the
         readings of that many periods earlier.
-    quantisation : Resolution or None
+    quantisation : ChannelValues or None
         Quantisation steps of the readings.
     """
 
@@ -104,7 +90,7 @@ class SystematicErrors:
     link_length: FloatArray
     sample_rates: SampleRates
     delays: IntArray
-    quantisation: Resolution | None
+    quantisation: ChannelValues | None
 
     @classmethod
     def none(cls, joints: int, plates: int) -> "SystematicErrors":
@@ -194,7 +180,7 @@ ERRORS: dict[str, Draw] = {
     "link_length": lambda random, joints, _: _draw_scalars(random, LINK_LENGTH, (joints,)),
     "sample_rates": lambda *_: SampleRates(joints=1, imu=2, plates=3),
     "delays": lambda random, _, plates: 1 + random.permutation(LONGEST_DELAY)[: 2 + plates],
-    "quantisation": lambda *_: Resolution(),
+    "quantisation": lambda *_: RESOLUTION,
 }
 TYPICAL = (
     "plate_gain",

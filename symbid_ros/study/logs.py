@@ -3,11 +3,10 @@
 import shutil
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import bag_log
-from symbid_ros.choices import Channels, Term
+from symbid_ros.choices import Channels, Scenario, Term
 from symbid_ros.estimation.archive import write_archive
 from symbid_ros.identification.dataset import AlignedLog, Processing, fold_dataset
 from symbid_ros.model.load import load_model
@@ -15,6 +14,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.study.plan import SimulatedLog
@@ -27,15 +27,15 @@ TARE_SEED_OFFSET = 100_000
 
 def record_log(log: SimulatedLog, folder: StudyFolder) -> None:
     """Simulate a log, and write its bag and the simulated robot."""
-    simulator = Simulator(log.scenario, moves=log.moves, **_options(log))
+    simulator = _simulator(log, log.scenario, log.noise_seed)
     write_text(folder.robot(log), simulator.robot)
     _record_atomically(simulator, folder.log(log))
 
 
 def record_tare(log: SimulatedLog, folder: StudyFolder) -> None:
     """Simulate the same robot, suspended at rest, and write its bag."""
-    options = _options(log) | {"noise_seed": log.noise_seed + TARE_SEED_OFFSET}
-    _record_atomically(Simulator("tare", **options), folder.tare(log))
+    simulator = _simulator(log, "tare", log.noise_seed + TARE_SEED_OFFSET)
+    _record_atomically(simulator, folder.tare(log))
 
 
 def fold_rows(
@@ -76,16 +76,18 @@ def _terms(log: SimulatedLog) -> tuple[Term, ...]:
     return ("viscous", "coulomb", "armature") if log.friction else ()
 
 
-def _options(log: SimulatedLog) -> dict[str, Any]:
-    return {
-        "motion_seed": log.motion_seed,
-        "noise_seed": log.noise_seed,
-        "noise_factor": log.noise,
-        "ideal": log.noise == 0,
-        "friction": log.friction,
-        "errors": log.errors,
-        "error_seed": log.error_seed,
-    }
+def _simulator(log: SimulatedLog, scenario: Scenario, noise_seed: int) -> Simulator:
+    options = SimulateOptions(
+        scenario,
+        moves=log.moves,
+        motion_seed=log.motion_seed,
+        noise_seed=noise_seed,
+        ideal=log.noise == 0,
+        friction=log.friction,
+        errors=log.errors,
+        error_seed=log.error_seed,
+    )
+    return Simulator(options, noise_factor=log.noise)
 
 
 def _record_atomically(simulator: Simulator, bag: Path) -> None:

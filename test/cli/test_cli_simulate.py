@@ -12,6 +12,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from symbid_ros.bags import read_streams
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.systematic_errors import ERRORS
 
@@ -31,7 +32,9 @@ def test_tare_shows_the_plates_offsets(symbid, tmp_path):
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.startswith(f"{bag}: 5.0 s, ")
-    drawn = Simulator("smooth", errors="plate_offset", error_seed=3).errors.plate_offset
+    drawn = Simulator(
+        SimulateOptions("smooth", errors="plate_offset", error_seed=3)
+    ).errors.plate_offset
     streams = read_streams([bag])
     for wrench, offset in zip(streams.wrenches, drawn, strict=False):
         # Mean of 5000 readings of noise 1 N and .1 Nm: within five standard errors.

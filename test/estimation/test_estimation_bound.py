@@ -25,6 +25,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.weak_form import equation_rows, windowed_rows
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.settings import load_noise
 from symbid_ros.simulation.simulator import Simulator
 
@@ -34,7 +35,7 @@ NOISE_DRAWS, PRIOR_DRAWS = 3, 3
 
 def ideal_segment():
     """Return what noise-free sensors say, without a bag in between."""
-    simulator = Simulator("smooth", moves=2, motion_seed=41, ideal=True)
+    simulator = Simulator(SimulateOptions("smooth", moves=2, motion_seed=41, ideal=True))
     instants = list(simulator)
 
     def stacked(name):

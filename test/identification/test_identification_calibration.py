@@ -23,6 +23,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, SensorErrors
 from symbid_ros.signals.weak_form import WINDOWS
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.scenario import SOLES
 from symbid_ros.simulation.simulator import Simulator
@@ -34,7 +35,7 @@ DRIVES = {"damping": 0.3, "frictionloss": 0.0, "armature": 0.01}
 
 def written(folder, name, seconds=None, **options):
     """Record a simulation, or only its first ``seconds``."""
-    simulator = Simulator(**options)
+    simulator = Simulator(SimulateOptions(**options))
     if seconds is not None:
         simulator.steps = round(1e9 * seconds / simulator.period_ns)
     record(simulator, folder / name)
@@ -53,7 +54,7 @@ def wrong(folder):
     draw_prior(parameters, "percent", 25, 3).write(folder / "prior.json")
     drives = folder / "friction.yaml"
     drives.write_text(yaml.safe_dump(dict.fromkeys(parameters.model.joint_names, DRIVES)))
-    robot = {"errors": "typical", "error_seed": 11, "friction_path": drives}
+    robot = {"errors": "typical", "error_seed": 11, "friction_file": drives}
     written(folder, "tare", 1.0, scenario="tare", noise_seed=8, **robot)
     simulator = written(folder, "log", moves=2, motion_seed=33, noise_seed=7, **robot)
     return simulator.errors
@@ -79,7 +80,7 @@ class TestTare:
             # A second of white noise: 0.1 Nm and 1 N over a thousand readings.
             np.testing.assert_allclose(tare.std, np.repeat([0.1, 1.0], 3) / 1000**0.5, rtol=0.1)
             assert np.all(np.abs(tare.mean - offset) < 5 * tare.std)
-        # The load cell of the hoist carries the robot.
+        # The load cell of the overhead support carries the robot.
         (warning,) = caplog.messages
         assert "/suspension/wrench reads 403 N, so it is loaded" in warning
 

@@ -25,6 +25,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.signals.weak_form import BLOCK, WindowedRows
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.settings import load_friction
 from symbid_ros.simulation.simulator import Simulator
@@ -37,13 +38,13 @@ TRUNCATED = ["ols", "wls_r", "wls_c", "wls_rc"]
 def folder(tmp_path_factory):
     """A log in two bags, cut at a multiple of the block, one at rest, and a prior."""
     folder = tmp_path_factory.mktemp("logs")
-    moving = Simulator("smooth", moves=2, motion_seed=31, noise_seed=5)
+    moving = Simulator(SimulateOptions("smooth", moves=2, motion_seed=31, noise_seed=5))
     steps, first = moving.steps, BLOCK // moving.period_ns - 1
     moving.steps = first
     record(moving, folder / "first")
     moving.steps = steps - first
     record(moving, folder / "second")
-    resting = Simulator("tare", noise_seed=6)
+    resting = Simulator(SimulateOptions("tare", noise_seed=6))
     resting.steps = 2000
     record(resting, folder / "rest")
     draw_prior(ParameterSet(load_model(MODEL)), "percent", 25, 3).write(folder / "prior.json")
@@ -338,7 +339,9 @@ def test_a_joint_with_few_rows_is_not_weighted_as_exact():
 
 
 def test_friction_armature_and_offsets_agree_with_their_standard_deviations(folder):
-    rubbing = Simulator("smooth", moves=2, motion_seed=32, noise_seed=6, friction=True)
+    rubbing = Simulator(
+        SimulateOptions("smooth", moves=2, motion_seed=32, noise_seed=6, friction=True)
+    )
     record(rubbing, folder / "rubbing")
     prepared = load(folder, "rubbing", friction=True, armature=True, offset=True)
     parameters = prepared.parameters

@@ -11,6 +11,7 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.simulator import Simulator
 
 COMMANDS, SIMULATION = "/mujoco_bridge: commands", "/mujoco_bridge: simulation"
@@ -52,7 +53,7 @@ def test_the_robot_moves_as_with_the_internal_controller(graph) -> None:
         ),
         RELIABLE,
     )
-    robot = Simulator("smooth", moves=1, motion_seed=3)
+    robot = Simulator(SimulateOptions("smooth", moves=1, motion_seed=3))
     end = robot.steps * robot.period_ns
     # The controller starts first and waits for a robot, which waits for the controller.
     controller = graph.start("balance_controller", moves=1, motion_seed=3)
@@ -147,7 +148,7 @@ def test_bad_commands_are_reported_and_ignored(graph) -> None:
     commands = graph.node.create_publisher(JointState, "joint_command", RELIABLE)
     bridge = graph.start("mujoco_bridge", **PATIENT)
     graph.wait_until(lambda: states)
-    drives = Simulator("tare").drive_names
+    drives = Simulator(SimulateOptions("tare")).drive_names
     first = states[0]
 
     def send(stamp, efforts: dict[str, float]) -> None:

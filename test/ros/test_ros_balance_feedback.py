@@ -13,7 +13,8 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, JointState
 
 from symbid_ros.errors import DataError
-from symbid_ros.ros.balance_controller import MAX_UNPAIRED, BalanceFeedback, FeedbackSubscriber
+from symbid_ros.ros.balance_controller import MAX_UNPAIRED, FeedbackSubscriber
+from symbid_ros.simulation.sensors import BalanceFeedback
 
 JOINTS = ("hip", "knee")
 MILLISECOND = 1_000_000

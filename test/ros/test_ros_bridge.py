@@ -22,6 +22,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros import mujoco_bridge
 from symbid_ros.signals.streams import Streams
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
@@ -70,7 +71,7 @@ def test_the_recorder_gets_all_messages_that_the_bridge_counts(
 ) -> None:
     bag, sent, written = recorded
     steps = sent["steps"]
-    assert steps == Simulator("smooth", moves=MOVES, motion_seed=3).steps
+    assert steps == Simulator(SimulateOptions("smooth", moves=MOVES, motion_seed=3)).steps
     assert sent["published"]["/joint_states"] == steps
     assert sent["published"]["/ground_truth/odom"] == -(-steps // 10)
     assert written["recorded"] == sent["published"] == topic_counts(bag)
@@ -78,7 +79,7 @@ def test_the_recorder_gets_all_messages_that_the_bridge_counts(
     with AnyReader([bag]) as reader:
         assert {c.topic: c.msgcount for c in reader.connections} == sent["published"]
 
-    record(Simulator("smooth", moves=MOVES, motion_seed=3), tmp_path / "direct")
+    record(Simulator(SimulateOptions("smooth", moves=MOVES, motion_seed=3)), tmp_path / "direct")
     live, direct = read_streams([bag]), read_streams([tmp_path / "direct"])
     assert live.joints.names == direct.joints.names
     for field in ("stamp", "position", "velocity", "effort"):
@@ -111,7 +112,9 @@ def test_robot_with_friction_and_errors_is_the_same_over_topics(graph, tmp_path:
     assert (written.status, written.err) == (0, "")
 
     live = read_streams([tmp_path / "live"])
-    simulator = Simulator("tare", friction=True, errors=robot["errors"], error_seed=3)
+    simulator = Simulator(
+        SimulateOptions("tare", friction=True, errors=robot["errors"], error_seed=3)
+    )
     first = [simulator.step() for _ in range(300)]
     plates = live.wrenches[:2]
     for read, field, every in (
@@ -141,7 +144,7 @@ def test_signal_ends_the_bridge_cleanly(graph, number: signal.Signals) -> None:
     ended = bridge.ended()
     assert (ended.status, ended.err) == (0, "")
     summary = json.loads(ended.out)
-    assert 0 < summary["steps"] < Simulator("smooth").steps
+    assert 0 < summary["steps"] < Simulator(SimulateOptions("smooth")).steps
     assert summary["published"]["/joint_states"] == summary["steps"]
     assert set(np.diff(stamps)) == {20_000_000}
 
@@ -218,7 +221,10 @@ def test_a_payload_set_while_moving_loads_the_feet(graph, tmp_path: Path) -> Non
     assert recorder.ended().status == sent.status == 0
     assert re.search(r"payload from [\d.]+ s on: 2 kg on R_thigh at \(0\.2, 0, 0\) m\n", sent.err)
 
-    record(Simulator("smooth", moves=1, motion_seed=3, ideal=True), tmp_path / "without")
+    record(
+        Simulator(SimulateOptions("smooth", moves=1, motion_seed=3, ideal=True)),
+        tmp_path / "without",
+    )
     robot = load_model(config_file("symbitron.xml"))
     live, without = read_streams([tmp_path / "live"]), read_streams([tmp_path / "without"])
     last = slice(-300, None)

@@ -20,6 +20,7 @@ from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
@@ -162,8 +163,8 @@ def node_and_command(graph, tmp_path: Path, bag: Path, **given: object) -> dict[
 
 def test_every_option_gives_the_same_result_as_the_command(graph, tmp_path: Path) -> None:
     errors = {"errors": "typical", "error_seed": 3}
-    record(Simulator("smooth", moves=1, motion_seed=7, **errors), tmp_path / "bag")
-    tare = Simulator("tare", **errors)
+    record(Simulator(SimulateOptions("smooth", moves=1, motion_seed=7, **errors)), tmp_path / "bag")
+    tare = Simulator(SimulateOptions("tare", **errors))
     tare.steps = 1000
     record(tare, tmp_path / "tare")
     document = node_and_command(

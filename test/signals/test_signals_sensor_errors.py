@@ -21,6 +21,7 @@ from symbid_ros.signals.sensor_errors import (
 )
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import BLOCK, FORCES, MOTION, equation_rows, windowed_rows
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.simulator import Simulator
 
 PERIOD_NS = 1_000_000
@@ -143,7 +144,9 @@ def test_moments_come_before_forces_and_gyroscopes_before_accelerometers():
 
 def simulated_readings(errors):
     """Return the errors drawn, and what ideal sensors with them say of one same motion."""
-    simulator = Simulator("vibrating", moves=1, ideal=True, errors=errors, error_seed=4)
+    simulator = Simulator(
+        SimulateOptions("vibrating", moves=1, ideal=True, errors=errors, error_seed=4)
+    )
     instants = [simulator.step() for _ in range(60)]
 
     def column(name):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator, WrenchSensor
 
@@ -21,7 +22,7 @@ class Run:
 
 
 def simulate(scenario: str, **options) -> Run:
-    simulator = Simulator(scenario, ideal=True, **options)
+    simulator = Simulator(SimulateOptions(scenario, ideal=True, **options))
     return Run(simulator.wrench_sensors, list(simulator))
 
 

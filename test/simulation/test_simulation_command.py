@@ -7,6 +7,7 @@ import pytest
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.command import Drives, Rejection
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.simulator import Simulator
 
 
@@ -16,7 +17,10 @@ def drives_of(simulator: Simulator) -> Drives:
 
 def test_equal_external_torques_give_equal_instants():
     options = {"moves": 1, "motion_seed": 5, "noise_seed": 6}
-    internal, commanded = Simulator(**options), Simulator(**options, is_commanded=True)
+    internal, commanded = (
+        Simulator(SimulateOptions(**options)),
+        Simulator(SimulateOptions(**options), is_commanded=True),
+    )
     places = [internal.joint_names.index(name) for name in internal.drive_names]
     for _ in range(300):
         one = internal.step()
@@ -26,7 +30,7 @@ def test_equal_external_torques_give_equal_instants():
 
 
 def test_drives_are_named_by_their_joints():
-    simulator = Simulator(moves=1, is_commanded=True)
+    simulator = Simulator(SimulateOptions(moves=1), is_commanded=True)
     torques = np.arange(1.0, 9.0)
     effort = dict(zip(simulator.joint_names, simulator.step(torques).true_effort, strict=True))
     assert [effort[name] for name in simulator.drive_names] == torques.tolist()
@@ -35,7 +39,7 @@ def test_drives_are_named_by_their_joints():
 
 
 def test_without_a_command_the_torques_do_not_change():
-    simulator = Simulator(moves=1, is_commanded=True)
+    simulator = Simulator(SimulateOptions(moves=1), is_commanded=True)
     settled = simulator.step().true_effort
     assert np.abs(settled).max() > 1.0  # the torques of standing
     simulator.step(np.full(8, 2.0))
@@ -43,14 +47,14 @@ def test_without_a_command_the_torques_do_not_change():
 
 
 def test_simulation_continues_after_the_motion():
-    simulator = Simulator("tare", is_commanded=True)
+    simulator = Simulator(SimulateOptions("tare"), is_commanded=True)
     stamps = [simulator.step().stamp for _ in range(simulator.steps + 2)]
     assert stamps[-1] == (simulator.steps + 2) * simulator.period_ns
 
 
 @pytest.mark.parametrize("torques", [np.zeros(7), np.zeros((8, 1)), np.full(8, np.nan)])
 def test_commands_of_wrong_shape_raise_an_error(torques):
-    simulator = Simulator(moves=1, is_commanded=True)
+    simulator = Simulator(SimulateOptions(moves=1), is_commanded=True)
     with pytest.raises(SimulationError, match="8") as caught:
         simulator.step(torques)
     assert caught.value.code == "E611"
@@ -58,11 +62,11 @@ def test_commands_of_wrong_shape_raise_an_error(torques):
 
 def test_uncommanded_robot_rejects_torques():
     with pytest.raises(SimulationError, match="is_commanded"):
-        Simulator(moves=1).step(np.zeros(8))
+        Simulator(SimulateOptions(moves=1)).step(np.zeros(8))
 
 
 def test_safe_torques_dissipate_energy():
-    simulator = Simulator(moves=1, ideal=True, is_commanded=True)
+    simulator = Simulator(SimulateOptions(moves=1, ideal=True), is_commanded=True)
     drives = drives_of(simulator)
     places = [simulator.joint_names.index(name) for name in simulator.drive_names]
     instant = simulator.step()
@@ -75,7 +79,7 @@ def test_safe_torques_dissipate_energy():
 
 
 def test_invalid_torques_are_rejected_with_a_reason():
-    drives = drives_of(Simulator(moves=1))
+    drives = drives_of(Simulator(SimulateOptions(moves=1)))
     assert drives.validate(np.full(8, 100.0)) is None
     assert drives.validate(np.full(8, np.inf)) is Rejection.NOT_FINITE
     assert drives.validate(np.full(8, -100.1)) is Rejection.BEYOND_LIMIT

@@ -7,6 +7,7 @@ import yaml
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.settings import load_friction
 from symbid_ros.simulation.simulator import Simulator
 
@@ -22,7 +23,9 @@ def scenario(request):
 @pytest.fixture(scope="module")
 def rubbing(scenario):
     """The simulator and the first seconds of its motion."""
-    simulator = Simulator(scenario, moves=1, motion_seed=2, friction=True, ideal=True)
+    simulator = Simulator(
+        SimulateOptions(scenario, moves=1, motion_seed=2, friction=True, ideal=True)
+    )
     return simulator, [simulator.step() for _ in range(STEPS)]
 
 
@@ -140,7 +143,9 @@ def test_friction_does_not_reduce_the_motion(scenario, rubbing):
 
 def test_exported_robot_differs_from_the_file_in_its_joints_only():
     file = mujoco.MjModel.from_xml_path(str(config_file("symbitron.xml")))
-    robot = mujoco.MjModel.from_xml_string(Simulator("tare", friction=True, ideal=True).robot)
+    robot = mujoco.MjModel.from_xml_string(
+        Simulator(SimulateOptions("tare", friction=True, ideal=True)).robot
+    )
     values = yaml.safe_load(config_file("friction.yaml").read_text())
     assert set(values) == {file.joint(joint).name for joint in range(1, file.njnt)}
     for name, expected in values.items():
@@ -153,7 +158,7 @@ def test_exported_robot_differs_from_the_file_in_its_joints_only():
 
 
 def test_without_options_the_exported_robot_is_the_file():
-    assert Simulator("tare").robot == config_file("symbitron.xml").read_text()
+    assert Simulator(SimulateOptions("tare")).robot == config_file("symbitron.xml").read_text()
 
 
 def friction_file(folder, text):
@@ -164,7 +169,7 @@ def friction_file(folder, text):
 
 def test_unnamed_joints_keep_their_friction(tmp_path):
     text = "L_kfe: {damping: 1.5, frictionloss: 0, armature: 0.25}"
-    simulator = Simulator("tare", friction_path=friction_file(tmp_path, text))
+    simulator = Simulator(SimulateOptions("tare", friction_file=friction_file(tmp_path, text)))
     robot = mujoco.MjModel.from_xml_string(simulator.robot)
     dof = robot.joint("L_kfe").dofadr[0]
     assert robot.dof_armature[dof] == 0.25
@@ -189,6 +194,6 @@ VALUES = "damping: 1, frictionloss: 1, armature: 1"
 )
 def test_invalid_friction_raises_a_one_line_error(tmp_path, text, message):
     with pytest.raises(SimulationError) as caught:
-        Simulator("tare", friction_path=friction_file(tmp_path, text))
+        Simulator(SimulateOptions("tare", friction_file=friction_file(tmp_path, text)))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)

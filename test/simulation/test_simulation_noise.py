@@ -6,6 +6,7 @@ import yaml
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.settings import load_noise
 from symbid_ros.simulation.simulator import Simulator
 
@@ -29,7 +30,7 @@ def noise_file(folder, **changes):
 
 @pytest.fixture(scope="module")
 def noisy():
-    return Simulator(moves=1, noise_seed=3)
+    return Simulator(SimulateOptions(moves=1, noise_seed=3))
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +41,7 @@ def driven(noisy):
 @pytest.fixture(scope="module")
 def errors(noisy):
     """Reading minus truth of the first instants of a run, per sensor."""
-    ideal = Simulator(moves=1, ideal=True)
+    ideal = Simulator(SimulateOptions(moves=1, ideal=True))
     pairs = [(noisy.step(), ideal.step()) for _ in range(SAMPLES)]
     names = [field.name for field in dataclasses.fields(pairs[0][0])]
     return {
@@ -95,17 +96,17 @@ def test_noise_does_not_influence_the_motion(errors):
 
 def test_zero_noise_gives_an_ideal_sensor(tmp_path):
     path = noise_file(tmp_path, joint_effort=0)
-    instant = Simulator(moves=1, noise_path=path).step()
+    instant = Simulator(SimulateOptions(moves=1, noise=path)).step()
     np.testing.assert_array_equal(instant.joint_effort, instant.true_effort)
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.25, 3.0])
 def test_factor_multiplies_the_noise(factor):
     """The random numbers stay the same, so the errors are multiples of each other."""
-    options = {"moves": 1, "noise_seed": 3}
-    scaled, plain, ideal = (
-        Simulator(**options, **extra).step()
-        for extra in ({"noise_factor": factor}, {}, {"ideal": True})
+    options = SimulateOptions(moves=1, noise_seed=3)
+    scaled = Simulator(options, noise_factor=factor).step()
+    plain, ideal = (
+        Simulator(dataclasses.replace(options, ideal=is_ideal)).step() for is_ideal in (False, True)
     )
     for name in NOISY:
         true = getattr(ideal, name)
@@ -118,7 +119,7 @@ def test_factor_multiplies_the_noise(factor):
 @pytest.mark.parametrize("factor", [-0.1, float("nan"), float("inf")])
 def test_invalid_factors_raise_an_error(factor):
     with pytest.raises(SimulationError, match=r"^noise factor") as caught:
-        Simulator(moves=1, noise_factor=factor)
+        Simulator(SimulateOptions(moves=1), noise_factor=factor)
     assert caught.value.code == "E605"
 
 

@@ -12,6 +12,7 @@ import scipy.signal
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.controller import proxqp
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.scenario import COM_MOVES, SCENARIOS, SQUAT_MOVES
 from symbid_ros.simulation.simulator import Simulator
 
@@ -99,7 +100,9 @@ def test_truth_is_consistent_in_time(smooth):
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_equal_seeds_give_equal_instants(scenario):
-    first, second = (Simulator(scenario, moves=1, motion_seed=2, noise_seed=9) for _ in range(2))
+    first, second = (
+        Simulator(SimulateOptions(scenario, moves=1, motion_seed=2, noise_seed=9)) for _ in range(2)
+    )
     for _ in range(700):
         one, other = first.step(), second.step()
         for field in dataclasses.fields(one):
@@ -109,7 +112,9 @@ def test_equal_seeds_give_equal_instants(scenario):
 
 
 def test_noise_seed_changes_the_readings_only():
-    first, second = (Simulator("vibrating", moves=1, noise_seed=seed) for seed in (0, 1))
+    first, second = (
+        Simulator(SimulateOptions("vibrating", moves=1, noise_seed=seed)) for seed in (0, 1)
+    )
     for _ in range(100):
         one, other = first.step(), second.step()
         np.testing.assert_array_equal(one.true_acceleration, other.true_acceleration)
@@ -117,12 +122,12 @@ def test_noise_seed_changes_the_readings_only():
 
 
 def test_motion_seed_changes_the_moves():
-    durations = {Simulator(moves=3, motion_seed=seed).steps for seed in range(3)}
+    durations = {Simulator(SimulateOptions(moves=3, motion_seed=seed)).steps for seed in range(3)}
     assert len(durations) == 3
 
 
 def test_iteration_yields_the_remaining_steps():
-    simulator = Simulator("suspended", moves=1, ideal=True)
+    simulator = Simulator(SimulateOptions("suspended", moves=1, ideal=True))
     for _ in range(10):
         simulator.step()
     assert len(list(simulator)) == simulator.steps - 10
@@ -202,23 +207,7 @@ def test_a_failure_is_reported_with_its_time(tmp_path):
     feeble = tmp_path / "feeble.xml"
     feeble.write_text(config_file("symbitron.xml").read_text().replace("-100 100", "-10 10"))
     with pytest.raises(SimulationError, match=r"at -?\d+\.\d{3} s"):
-        list(Simulator(moves=1, model_path=feeble))
-
-
-@pytest.mark.parametrize(
-    ("options", "code", "value"),
-    [
-        ({"scenario": "dancing"}, "E606", "smooth, squat, suspended, tare, vibrating"),
-        ({"motion_seed": -1}, "E605", "motion seed -1"),
-        ({"noise_seed": -1}, "E605", "noise seed -1"),
-        ({"error_seed": -1}, "E605", "error seed -1"),
-        ({"moves": 0}, "E605", "0 moves"),
-    ],
-)
-def test_invalid_options_raise_an_error(options, code, value):
-    with pytest.raises(SimulationError, match=value) as caught:
-        Simulator(**options)
-    assert caught.value.code == code
+        list(Simulator(SimulateOptions(moves=1), model_path=feeble))
 
 
 def test_quadratic_programs_are_solved_without_avx_in_every_process():

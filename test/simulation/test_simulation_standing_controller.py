@@ -8,6 +8,7 @@ import pytest
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.plant import Plant
 from symbid_ros.simulation.scenario import SOLES
 from symbid_ros.simulation.sensors import Instant
@@ -36,7 +37,7 @@ def rms(errors: list[np.ndarray]) -> float:
 def test_estimated_state_is_close_to_the_true_state():
     legs = odometry()
     places, attitudes, velocities = [], [], []
-    for instant in itertools.islice(Simulator(motion_seed=1), 3000):
+    for instant in itertools.islice(Simulator(SimulateOptions(motion_seed=1)), 3000):
         state = legs.state(1e-9 * instant.stamp, instant)
         places.append(state.position[:3] - instant.base_position)
         attitudes.append(state.position[3:7] @ instant.base_orientation[[3, 0, 1, 2]])
@@ -51,7 +52,7 @@ def test_estimated_state_is_close_to_the_true_state():
 
 
 def test_decreasing_stamps_restart_the_moves():
-    instants = list(itertools.islice(Simulator(moves=1), 50))
+    instants = list(itertools.islice(Simulator(SimulateOptions(moves=1)), 50))
     controller = StandingController(moves=1)
     first, *_, again = [controller.torques(instant) for instant in (*instants, instants[0])]
     np.testing.assert_array_equal(again, first)
@@ -60,7 +61,7 @@ def test_decreasing_stamps_restart_the_moves():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_robot_stands_with_delays_and_lost_commands(seed):
-    robot = Simulator(motion_seed=seed, noise_seed=seed, is_commanded=True)
+    robot = Simulator(SimulateOptions(motion_seed=seed, noise_seed=seed), is_commanded=True)
     controller = StandingController(motion_seed=seed)
     late = deque([robot.step()], maxlen=4)  # three periods in addition to the one of lockstep
     random = np.random.default_rng(seed)

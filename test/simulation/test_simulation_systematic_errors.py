@@ -8,12 +8,13 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.bags import read_streams
 from symbid_ros.errors import SimulationError
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.systematic_errors import (
     ERRORS,
+    RESOLUTION,
     TYPICAL,
-    Resolution,
     draw_errors,
     parse_errors,
 )
@@ -25,7 +26,7 @@ SENSOR_ERRORS = [name for name in ERRORS if name != "link_length"]
 def instants(errors="", *, scenario="vibrating", seed=3, steps=STEPS, **options):
     """The drawn errors, and the first instants as arrays by name."""
     simulator = Simulator(
-        scenario, moves=1, motion_seed=1, errors=errors, error_seed=seed, **options
+        SimulateOptions(scenario, moves=1, motion_seed=1, errors=errors, error_seed=seed, **options)
     )
     steps = [simulator.step() for _ in range(steps)]
     names = [field.name for field in dataclasses.fields(steps[0])]
@@ -151,7 +152,7 @@ def test_delayed_sensors_report_past_instants(perfect):
 
 def test_readings_are_quantised(perfect):
     _, readings = instants("quantisation", ideal=True)
-    steps = Resolution()
+    steps = RESOLUTION
     force, moment = (slice(None), slice(None), slice(0, 3)), (slice(None), slice(None), slice(3, 6))
     for name, part, step in (
         ("joint_position", ..., steps.joint_position),
@@ -170,7 +171,9 @@ def test_readings_are_quantised(perfect):
 
 
 def test_sensors_have_different_rates(tmp_path):
-    record(Simulator("tare", noise_seed=2, errors="sample_rates"), tmp_path / "bag")
+    record(
+        Simulator(SimulateOptions("tare", noise_seed=2, errors="sample_rates")), tmp_path / "bag"
+    )
     streams = read_streams([tmp_path / "bag"])
     plates, support = streams.wrenches[:2], streams.wrenches[2]
     for stream, every in (
@@ -193,7 +196,9 @@ def test_sensors_have_different_rates(tmp_path):
 
 
 def test_links_differ_in_length_from_the_file():
-    simulator = Simulator("smooth", moves=1, errors="link_length", error_seed=3, ideal=True)
+    simulator = Simulator(
+        SimulateOptions("smooth", moves=1, errors="link_length", error_seed=3, ideal=True)
+    )
     file = mujoco.MjModel.from_xml_path(str(config_file("symbitron.xml")))
     robot = mujoco.MjModel.from_xml_string(simulator.robot)
     moved = file.jnt_bodyid[1:]
@@ -266,7 +271,8 @@ class TestTare:
 
     def test_lasts_five_seconds_at_rest_for_any_moves(self):
         short, long = (
-            Simulator("tare", moves=moves, motion_seed=moves, ideal=True) for moves in (1, 30)
+            Simulator(SimulateOptions("tare", moves=moves, motion_seed=moves, ideal=True))
+            for moves in (1, 30)
         )
         assert short.steps == long.steps == 5000
         run = [short.step() for _ in range(2500)]

@@ -19,6 +19,7 @@ from udp_packets import command, hello, measurement, sequence_and_stamp
 
 from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.command import Drives
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.udp_server import UdpServer
 
@@ -40,7 +41,7 @@ def client(port: int, *options: object) -> Iterator[subprocess.Popen[str]]:
 
 
 def commanded(**options: object) -> tuple[Simulator, Drives]:
-    robot = Simulator(**options, is_commanded=True)
+    robot = Simulator(SimulateOptions(**options), is_commanded=True)
     return robot, Drives(robot.joint_names, robot.drive_names, robot.torque_limits)
 
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from udp_packets import MEASUREMENT, command, hello, measurement, sequence_and_stamp
 
 from symbid_ros.simulation.command import Drives
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.packet import MAX_SEQUENCE, is_before, next_sequence
 from symbid_ros.simulation.sensors import Instant
 from symbid_ros.simulation.simulator import Simulator
@@ -21,7 +22,7 @@ TORQUES = [float(value) for value in range(-4, 4)]
 
 @functools.cache
 def run() -> tuple[Drives, list[Instant]]:
-    robot = Simulator(moves=1)
+    robot = Simulator(SimulateOptions(moves=1))
     drives = Drives(robot.joint_names, robot.drive_names, robot.torque_limits)
     return drives, [robot.step() for _ in range(3)]
 

@@ -26,6 +26,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import read_true_motion
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.filters import LowPass
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.study.stages import study_stages
@@ -55,8 +56,12 @@ TITLES = {
 def direct(tmp_path_factory) -> dict[tuple[str, str], dict[str, float]]:
     """Return the mean errors by prior and method, from direct calls."""
     folder = tmp_path_factory.mktemp("direct")
-    record(Simulator("smooth", moves=2, motion_seed=5, noise_seed=6), folder / "log")
-    record(Simulator("smooth", moves=1, motion_seed=7, ideal=True), folder / "ideal")
+    record(
+        Simulator(SimulateOptions("smooth", moves=2, motion_seed=5, noise_seed=6)), folder / "log"
+    )
+    record(
+        Simulator(SimulateOptions("smooth", moves=1, motion_seed=7, ideal=True)), folder / "ideal"
+    )
     parameters = ParameterSet(load_model(config_file("symbitron.xml")))
     filtered = Processing(LowPass(30.0))
     log, ideal = (

@@ -6,13 +6,14 @@ from dataclasses import asdict
 from threading import Event
 
 from symbid_ros.simulation.command import Drives
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.plant import RobotFailureError
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.udp_server import UdpServer
 
 
 def main(steps: int, options: dict[str, object]) -> None:
-    robot = Simulator(**options, is_commanded=True)
+    robot = Simulator(SimulateOptions(**options), is_commanded=True)
     drives = Drives(robot.joint_names, robot.drive_names, robot.torque_limits)
     stop, safe, heights, end = Event(), 0, [], "stands"
     # On a busy machine a process may wait longer than the default timeout.
