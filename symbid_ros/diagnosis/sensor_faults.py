@@ -2,15 +2,14 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.signals.defects import ALWAYS
-from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
+from symbid_ros.signals.streams import Stream, Streams
 
 # A reading is frozen if it stays bitwise equal for this time and this many messages,
 SHORTEST = 0.1  # s
@@ -308,9 +307,6 @@ def channels(streams: Streams) -> Iterator[tuple[str, list[str], IntArray, Float
         yield wrench.topic, names, wrench.stamp, np.hstack([wrench.force, wrench.torque])
 
 
-S = TypeVar("S", JointStream, ImuStream, WrenchStream)
-
-
 def mask_faulty_messages(streams: Streams) -> tuple[Streams, tuple[Finding, ...]]:
     """Remove frozen and saturated messages, and return the findings that explain why.
 
@@ -329,29 +325,14 @@ def mask_faulty_messages(streams: Streams) -> tuple[Streams, tuple[Finding, ...]
         for (where, name, _), (value, _) in limits.items():
             if where == topic:
                 wrong[topic].append(np.asarray(readings[:, names.index(name)] == value))
-    sensors: list[JointStream | ImuStream | WrenchStream] = [
-        streams.joints,
-        *streams.imus,
-        *streams.wrenches,
-    ]
-    stamps = {sensor.topic: sensor.stamp for sensor in sensors}
+    stamps = {stream.topic: stream.stamp for stream in streams.all}
     for (topic, name), counts in freezing.readings.items():
         if counts.is_frozen and (topic, name) not in limited:
             stamp = stamps[topic]
             wrong[topic] += [(stamp >= start) & (stamp <= end) for start, end in counts.runs]
-    return (
-        replace(
-            streams,
-            joints=_remove_messages(streams.joints, wrong),
-            imus=tuple(_remove_messages(imu, wrong) for imu in streams.imus),
-            wrenches=tuple(_remove_messages(wrench, wrong) for wrench in streams.wrenches),
-        ),
-        findings,
-    )
 
+    def kept(stream: Stream) -> slice | BoolArray:
+        faulty = wrong.get(stream.topic)
+        return ~np.logical_or.reduce(faulty) if faulty else slice(None)
 
-def _remove_messages(stream: S, wrong: dict[str, list[BoolArray]]) -> S:
-    if stream.topic not in wrong:
-        return stream
-    kept = ~np.logical_or.reduce(wrong[stream.topic])
-    return map_arrays(stream, lambda values: values[kept])
+    return streams.select(kept), findings

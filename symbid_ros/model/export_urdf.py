@@ -4,8 +4,10 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.model.bodies import ROUNDING, updated_bodies
@@ -19,6 +21,8 @@ from symbid_ros.model.xml_file import XmlEditor, as_element, is_editable, read_x
 _UNLIMITED = 1e9
 # SI units; a solver returns friction and armature this small instead of zero.
 NEGLIGIBLE = 1e-9
+# Names of joint terms for users, and the fields of Joint.
+TERMS = {"damping": "damping", "friction": "friction_loss", "armature": "armature"}
 
 
 def urdf_text(model: RobotModel, source: Path | None = None, *, comment: str = "") -> str:
@@ -148,10 +152,10 @@ def _joint(robot: ET.Element, model: RobotModel, joint: Joint, child: str) -> No
     translation = joint.translation
     if joint.kind == "prismatic":
         translation = translation - joint.reference * (joint.rotation @ joint.axis)
-    element = ET.SubElement(robot, "joint", name=joint.name, type=kind)
-    _origin(element, _at_zero(joint), translation)
-    ET.SubElement(element, "parent", link=model.links[joint.parent].name)
-    ET.SubElement(element, "child", link=child)
+    parent = model.links[joint.parent].name
+    element = _joint_element(
+        robot, joint.name, kind, (parent, child), (_rotation_at_zero(joint), translation)
+    )
     ET.SubElement(element, "axis", xyz=numbers(joint.axis))
     limit = ET.SubElement(element, "limit")
     if kind != "continuous":
@@ -173,30 +177,35 @@ def _joint(robot: ET.Element, model: RobotModel, joint: Joint, child: str) -> No
         )
 
 
-def _at_zero(joint: Joint) -> FloatArray:
+def _rotation_at_zero(joint: Joint) -> FloatArray:
     if joint.kind == "prismatic" or joint.reference == 0.0:
         return joint.rotation
-    x, y, z = joint.axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    s, c = np.sin(-joint.reference), np.cos(-joint.reference)
-    turn = c * np.eye(3) + s * cross + (1 - c) * np.outer(joint.axis, joint.axis)
-    rotation: FloatArray = joint.rotation @ turn
+    rotation: FloatArray = (
+        joint.rotation @ Rotation.from_rotvec(-joint.reference * joint.axis).as_matrix()
+    )
     return rotation
 
 
 def _fixed_joint(
     robot: ET.Element, parent: str, child: str, rotation: FloatArray, translation: FloatArray
 ) -> None:
-    element = ET.SubElement(robot, "joint", name=f"{child}_fixed", type="fixed")
-    _origin(element, rotation, translation)
-    ET.SubElement(element, "parent", link=parent)
-    ET.SubElement(element, "child", link=child)
+    _joint_element(robot, f"{child}_fixed", "fixed", (parent, child), (rotation, translation))
 
 
-def _origin(element: ET.Element, rotation: FloatArray, translation: FloatArray) -> None:
-    ET.SubElement(
-        element, "origin", xyz=numbers(translation), rpy=numbers(rpy_from_rotation(rotation))
-    )
+def _joint_element(
+    robot: ET.Element,
+    name: str,
+    kind: str,
+    links: tuple[str, str],
+    pose: tuple[FloatArray, FloatArray],
+) -> ET.Element:
+    """Add a joint between a parent and a child link, at a rotation and translation."""
+    element = ET.SubElement(robot, "joint", name=name, type=kind)
+    rpy = rpy_from_rotation(pose[0])
+    ET.SubElement(element, "origin", xyz=numbers(pose[1]), rpy=numbers(rpy))
+    ET.SubElement(element, "parent", link=links[0])
+    ET.SubElement(element, "child", link=links[1])
+    return element
 
 
 def _inertial(phi: FloatArray) -> ET.Element:
@@ -220,32 +229,24 @@ def with_nonnegative_terms(model: RobotModel) -> RobotModel:
     Noise may make a small friction or armature negative. In a simulation such a joint adds
     energy until the simulation diverges.
     """
-
-    def possible(value: float) -> float:
-        return value if value > NEGLIGIBLE else 0.0
-
-    joints = tuple(
-        replace(
-            joint,
-            damping=possible(joint.damping),
-            friction_loss=possible(joint.friction_loss),
-            armature=possible(joint.armature),
-        )
-        for joint in model.joints
-    )
-    return replace(model, joints=joints)
+    joints = []
+    for joint in model.joints:
+        terms = {field: getattr(joint, field) for field in TERMS.values()}
+        zeros: dict[str, Any] = {
+            field: 0.0 for field, value in terms.items() if not value > NEGLIGIBLE
+        }
+        joints.append(replace(joint, **zeros))
+    return replace(model, joints=tuple(joints))
 
 
 def negative_terms(model: RobotModel) -> str:
     """Return which joint terms are negative and written as zero; empty if there is none."""
-    found = []
-    for joint in model.joints:
-        terms = {
-            "damping": joint.damping,
-            "friction": joint.friction_loss,
-            "armature": joint.armature,
-        }
-        found += [f"{joint.name} {k} {v:.6g}" for k, v in terms.items() if v < -NEGLIGIBLE]
+    found = [
+        f"{joint.name} {name} {value:.6g}"
+        for joint in model.joints
+        for name, field in TERMS.items()
+        if (value := getattr(joint, field)) < -NEGLIGIBLE
+    ]
     return f"negative, written as zero: {', '.join(found)}" if found else ""
 
 

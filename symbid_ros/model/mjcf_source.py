@@ -13,7 +13,14 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from symbid_ros.errors import ModelError
-from symbid_ros.model.xml_file import LARGEST, MAX_ELEMENTS, Element, read_bytes, read_xml
+from symbid_ros.model.xml_file import (
+    LARGEST,
+    MAX_ELEMENTS,
+    Element,
+    as_element,
+    read_bytes,
+    read_xml,
+)
 
 # MuJoCo's compiler needs time and memory quadratic in bodies and joints.
 MAX_BODIES = 2_000
@@ -144,16 +151,13 @@ def require_files_inside(path: Path) -> None:
 
 
 def elements(root: Element) -> Iterator[Element]:
-    """Yield the elements of a tree in file order."""
-    for element in root.iter():
-        assert isinstance(element, Element)
-        yield element
+    """Return the elements of a tree in file order."""
+    return map(as_element, root.iter())
 
 
 def _expand(parent: Element, folder: Path, here: Path, seen: set[Path]) -> None:
     """Replace each <include> by the content of its file."""
-    for child in list(parent):
-        assert isinstance(child, Element)
+    for child in map(as_element, list(parent)):
         if child.tag != "include":
             _expand(child, folder, here, seen)
             continue
@@ -246,12 +250,9 @@ def reduced_mjcf(root: Element, folder: Path) -> ReducedMjcf:
         outside ``folder``.
     """
     compiler = {key: value for part in root.iterfind("compiler") for key, value in part.items()}
-    reducer = _Reducer(compiler.get("inertiafromgeom") == "true")
-    reduced = Element(root.tag, root.attrib)
-    reduced.file, reduced.line = root.file, root.line
-    for section in root:
-        if section.tag not in _NO_SECTIONS:
-            reduced.append(reducer.section(section))
+    needs_shapes = compiler.get("inertiafromgeom") == "true"
+    reduced = _copied(root)
+    reduced.extend(_section(one, needs_shapes) for one in root if one.tag not in _NO_SECTIONS)
     meshes = _take_meshes(reduced, folder, compiler)
     # MuJoCo finds the range of a muscle by simulation, which may take arbitrarily long.
     no_ranges = Element("lengthrange", mode="none")
@@ -263,42 +264,35 @@ def reduced_mjcf(root: Element, folder: Path) -> ReducedMjcf:
     return ReducedMjcf("\n".join(lines), tuple(places), meshes)
 
 
-class _Reducer:
-    """Copies the parts of a model that determine its tree and inertias."""
+def _section(section: ET.Element, needs_shapes: bool) -> Element:
+    """Return the parts of a section that determine the tree and the inertias."""
+    copy = _copied(section)
+    if section.tag == "compiler":
+        for key in _FOLDERS:
+            copy.attrib.pop(key, None)
+    elif section.tag == "option":
+        copy.attrib = {key: value for key, value in section.items() if key == "gravity"}
+    elif section.tag == "actuator":
+        copy.extend(_copied(drive) for drive in section if "joint" in drive.attrib)
+    else:
+        _copy_parts(section, copy, _NO_PARTS.get(section.tag, set()), needs_shapes)
+    return copy
 
-    def __init__(self, inertia_from_shapes: bool) -> None:
-        self._inertia_from_shapes = inertia_from_shapes
 
-    def section(self, section: ET.Element) -> Element:
-        copy = _copied(section)
-        if section.tag == "compiler":
-            for key in _FOLDERS:
-                copy.attrib.pop(key, None)
-        elif section.tag == "option":
-            copy.attrib = {key: value for key, value in section.items() if key == "gravity"}
-        elif section.tag == "actuator":
-            copy.extend(_copied(drive) for drive in section if "joint" in drive.attrib)
+def _copy_parts(source: ET.Element, copy: Element, left_out: set[str], needs_shapes: bool) -> None:
+    for child in source:
+        if child.tag in left_out:
+            continue
+        below = _copied(child)
+        # Materials are omitted, so references to them must go.
+        below.attrib.pop("material", None)
+        copy.append(below)
+        if child.tag == "body":
+            has_inertia = not needs_shapes and _states_inertia(child)
+            left_out_below = {"camera", "light", *(["geom"] if has_inertia else [])}
+            _copy_parts(child, below, left_out_below, needs_shapes)
         else:
-            self._copy_parts(section, copy, _NO_PARTS.get(section.tag, set()))
-        return copy
-
-    def _copy_parts(self, source: ET.Element, copy: Element, left_out: set[str]) -> None:
-        for child in source:
-            if child.tag in left_out:
-                continue
-            below = _copied(child)
-            # Materials are omitted, so references to them must go.
-            below.attrib.pop("material", None)
-            copy.append(below)
-            if child.tag == "body":
-                left_out_below = {"camera", "light"} | self._superfluous_shapes(child)
-                self._copy_parts(child, below, left_out_below)
-            else:
-                self._copy_parts(child, below, left_out)
-
-    def _superfluous_shapes(self, body: ET.Element) -> set[str]:
-        stated = not self._inertia_from_shapes and _states_inertia(body)
-        return {"geom"} if stated else set()
+            _copy_parts(child, below, left_out, needs_shapes)
 
 
 def _states_inertia(body: ET.Element) -> bool:
@@ -314,8 +308,7 @@ def _take_meshes(reduced: Element, folder: Path, compiler: dict[str, str]) -> di
     own = Path(compiler.get("meshdir", compiler.get("assetdir", "")))
     meshes: dict[str, bytes] = {}
     for section in reduced.iterfind("asset"):
-        for mesh in list(section):
-            assert isinstance(mesh, Element)
+        for mesh in map(as_element, list(section)):
             file = mesh.get("file")
             name = mesh.get("name", "" if file is None else Path(file).stem)
             if name not in used:
@@ -355,9 +348,8 @@ def _mesh(path: Path, limit: int, element: Element) -> bytes:
 
 def _copied(element: ET.Element) -> Element:
     """Return a copy of the element without its children."""
-    assert isinstance(element, Element)
-    copy = Element(element.tag, element.attrib)
-    copy.file, copy.line = element.file, element.line
+    copy, original = Element(element.tag, element.attrib), as_element(element)
+    copy.file, copy.line = original.file, original.line
     return copy
 
 
@@ -365,7 +357,6 @@ def _write(element: Element, lines: list[str], places: list[str]) -> None:
     attributes = "".join(f" {key}={quoteattr(value)}" for key, value in element.items())
     lines.append(f"<{element.tag}{attributes}>")
     places.append(element.place)
-    for child in element:
-        assert isinstance(child, Element)
+    for child in map(as_element, element):
         _write(child, lines, places)
     lines[-1] += f"</{element.tag}>"

@@ -51,14 +51,11 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ModelError
         When the log lacks joints of the model.
     """
-    stamps = [(streams.joints.topic, streams.joints.stamp)]
-    stamps += [(imu.topic, imu.stamp) for imu in streams.imus]
-    stamps += [(wrench.topic, wrench.stamp) for wrench in streams.wrenches]
-    for topic, stamp in stamps:
-        if not len(stamp):
+    for stream in streams.all:
+        if not len(stream.stamp):
             raise DataError(
-                f"{streams.source}: {topic} has no usable message; check its driver, or leave the "
-                "topic out",
+                f"{streams.source}: {stream.topic} has no usable message; check its driver, or "
+                "leave the topic out",
                 "E301",
             )
     joints, efforts = _joint_channel(streams, model)

@@ -1,14 +1,13 @@
 """A log: the sensor measurements of one robot, read slice by slice as often as needed."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from symbid_ros.arrays import FloatArray, IntArray, map_arrays
+from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import resampling_margin
@@ -24,7 +23,6 @@ from symbid_ros.signals.streams import (
 )
 
 SliceReader = Callable[[int | None, bool], Iterator[Slice]]
-S = TypeVar("S", JointStream, ImuStream, WrenchStream)
 
 
 @dataclass(frozen=True)
@@ -160,15 +158,20 @@ class Log:
                 )
             return np.ascontiguousarray(array[kept])
 
-        def finite(topic: str, values: ArrayLike) -> tuple[IntArray, FloatArray]:
-            """Return the stamps and rows without NaN; the others are counted, as for bags."""
-            read = rows(topic, values, 6)
-            usable = np.isfinite(read).all(axis=1)
-            tally = DefectCounts(name, topic)
-            tally.see(stamp[kept])
-            tally.add(Defect.NOT_FINITE, stamp[kept], np.asarray(~usable), ["value"])
-            tallies.append(tally)
-            return stamp[kept][usable], read[usable]
+        def sensors(
+            kind: str, given: Mapping[str, ArrayLike] | None
+        ) -> Iterator[tuple[str, str, IntArray, FloatArray]]:
+            """Yield topic, frame, stamps and rows; rows with NaN are counted, as for bags."""
+            for frame, values in (given or {}).items():
+                robot.frame(frame)
+                topic = f"{kind}[{frame!r}]"
+                read = rows(topic, values, 6)
+                usable = np.isfinite(read).all(axis=1)
+                tally = DefectCounts(name, topic)
+                tally.see(stamp[kept])
+                tally.add(Defect.NOT_FINITE, stamp[kept], np.asarray(~usable), ["value"])
+                tallies.append(tally)
+                yield topic, frame, stamp[kept][usable], read[usable]
 
         joints = JointStream(
             topic="joints",
@@ -178,35 +181,22 @@ class Log:
             velocity=rows("velocity", np.full(shape, np.nan) if velocity is None else velocity),
             effort=rows("effort", effort),
         )
-        imu_streams, wrench_streams = [], []
-        for frame, values in (imus or {}).items():
-            robot.frame(frame)
-            topic = f"imus[{frame!r}]"
-            at, read = finite(topic, values)
-            imu_streams.append(
-                ImuStream(
-                    topic=topic,
-                    frame_id=frame,
-                    stamp=at,
-                    orientation=None,
-                    angular_velocity=read[:, :3],
-                    linear_acceleration=read[:, 3:],
-                )
+        imu_streams = tuple(
+            ImuStream(
+                topic=topic,
+                frame_id=frame,
+                stamp=at,
+                orientation=None,
+                angular_velocity=read[:, :3],
+                linear_acceleration=read[:, 3:],
             )
-        for frame, values in (wrenches or {}).items():
-            robot.frame(frame)
-            topic = f"wrenches[{frame!r}]"
-            at, read = finite(topic, values)
-            wrench_streams.append(
-                WrenchStream(
-                    topic=topic,
-                    frame_id=frame,
-                    stamp=at,
-                    force=read[:, :3],
-                    torque=read[:, 3:],
-                )
-            )
-        streams = Streams(name, joints, tuple(imu_streams), tuple(wrench_streams))
+            for topic, frame, at, read in sensors("imus", imus)
+        )
+        wrench_streams = tuple(
+            WrenchStream(topic, frame, at, force=read[:, :3], torque=read[:, 3:])
+            for topic, frame, at, read in sensors("wrenches", wrenches)
+        )
+        streams = Streams(name, joints, imu_streams, wrench_streams)
         return cls.from_streams(streams, TimeRange(start, stop), tuple(tallies))
 
     @classmethod
@@ -247,27 +237,19 @@ def _slices(
 ) -> Iterator[Slice]:
     """Yield slices as `bags.slices` does for a bag."""
     stamp = streams.joints.stamp
-    every = _each(streams)
     begin = int(stamp[0]) + round(1e9 * part.start)
     end = int(stamp[0]) + round(1e9 * part.stop) if np.isfinite(part.stop) else int(stamp[-1]) + 1
     until = begin
-    margin = resampling_margin(each.stamp for each in every)
+    margin = resampling_margin(each.stamp for each in streams.all)
     while (place := int(np.searchsorted(stamp, until))) < len(stamp) and stamp[place] < end:
         start = until
         until = end if span is None else min((int(stamp[place]) // span + 1) * span, end)
         inside = {
             each.topic: each.stamp[slice(*np.searchsorted(each.stamp, [start, until]))]
-            for each in every
+            for each in streams.all
         }
-        piece = replace(
-            streams,
-            joints=_between(streams.joints, start - margin, until + margin),
-            imus=tuple(_between(each, start - margin, until + margin) for each in streams.imus),
-            wrenches=tuple(
-                _between(each, start - margin, until + margin) for each in streams.wrenches
-            ),
-        )
-        silent = [each.topic for each in _each(piece) if not len(each.stamp)]
+        piece = streams.between(start - margin, until + margin)
+        silent = [each.topic for each in piece.all if not len(each.stamp)]
         if silent:
             fault = (
                 f"{streams.source}: {', '.join(silent)} has no data before {seconds(until)}; "
@@ -276,13 +258,3 @@ def _slices(
             yield Slice(start, until, None, inside, tallies, fault)
         else:
             yield Slice(start, until, piece, inside, tallies)
-
-
-def _each(streams: Streams) -> list[JointStream | ImuStream | WrenchStream]:
-    return [streams.joints, *streams.imus, *streams.wrenches]
-
-
-def _between(stream: S, start: int, stop: int) -> S:
-    """Return the rows of a stream from ``start`` up to ``stop``, ns."""
-    first, last = np.searchsorted(stream.stamp, [start, stop])
-    return map_arrays(stream, lambda values: values[first:last])

@@ -1,11 +1,12 @@
 """Sensor streams as recorded, before alignment: one array per field and topic."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
 from symbid_ros.errors import DataError
 from symbid_ros.signals.defects import DefectCounts
 
@@ -82,6 +83,10 @@ class WrenchStream:
     torque: FloatArray
 
 
+Stream = JointStream | ImuStream | WrenchStream
+S = TypeVar("S", JointStream, ImuStream, WrenchStream)
+
+
 @dataclass(frozen=True)
 class Streams:
     """All sensor streams of one log or of live topics.
@@ -102,6 +107,29 @@ class Streams:
     imus: tuple[ImuStream, ...]
     wrenches: tuple[WrenchStream, ...]
     is_live: bool = False
+
+    @property
+    def all(self) -> tuple[Stream, ...]:
+        """Joint states, then IMUs, then wrenches."""
+        return (self.joints, *self.imus, *self.wrenches)
+
+    def select(self, rows: Callable[[Stream], slice | BoolArray]) -> "Streams":
+        """Return the streams with those messages that ``rows`` selects of each."""
+
+        def selected(stream: S) -> S:
+            chosen = rows(stream)
+            return map_arrays(stream, lambda values: values[chosen])
+
+        return replace(
+            self,
+            joints=selected(self.joints),
+            imus=tuple(map(selected, self.imus)),
+            wrenches=tuple(map(selected, self.wrenches)),
+        )
+
+    def between(self, start: int, stop: int) -> "Streams":
+        """Return the messages with stamps from ``start`` up to ``stop``, ns."""
+        return self.select(lambda stream: slice(*np.searchsorted(stream.stamp, [start, stop])))
 
 
 @dataclass(frozen=True)
