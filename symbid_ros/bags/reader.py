@@ -19,7 +19,7 @@ from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import DefectCounts, kept_in_order
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.streams import ALL_OF_IT, Slice, Streams, TimeRange, TruthStreams
+from symbid_ros.signals.streams import WHOLE_LOG, Slice, Streams, TimeRange, TruthStreams
 
 TRUTH_TYPES = {"joints": TRAJECTORY, "odom": ODOMETRY, "base_accel": ACCEL}
 
@@ -28,7 +28,7 @@ def bag_log(
     bags: Sequence[Path],
     model: RobotModel | None = None,
     topics: TopicSelection = DEFAULT_SELECTION,
-    part: TimeRange = ALL_OF_IT,
+    part: TimeRange = WHOLE_LOG,
 ) -> Log:
     """Return the log in bags that continue one another; messages are read when needed.
 
@@ -118,7 +118,7 @@ def _truth_streams(
     for decoder in decoders:
         recorded = read_stamps(decoder)
         tally = DefectCounts(source, decoder.topic.name)
-        tally.see(recorded)
+        tally.count_messages(recorded)
         places = kept_in_order(recorded, tally)
         tally.report()
         kept.append(places)

@@ -24,7 +24,7 @@ from symbid_ros.signals.defects import (
     check_clock,
     seconds,
 )
-from symbid_ros.signals.streams import ALL_OF_IT, Slice, TimeRange
+from symbid_ros.signals.streams import WHOLE_LOG, Slice, TimeRange
 
 # Bytes to buffer for a topic that lags, because it is silent or recorded with a delay.
 MAX_BUFFERED = 256 << 20
@@ -37,7 +37,7 @@ def iterate_slices(
     topics: TopicSelection = DEFAULT_SELECTION,
     *,
     span: int | None = None,
-    part: TimeRange = ALL_OF_IT,
+    part: TimeRange = WHOLE_LOG,
     warn: bool = True,
 ) -> Iterator[Slice]:
     """Yield the sensor topics of one recording.
@@ -227,7 +227,7 @@ class ReorderBuffer:
         check_clock(self.decoder.source, topic, np.append(self._last, recorded))
         self._last = recorded[-1:]
         self.tally.during = ALWAYS
-        self.tally.see(recorded)
+        self.tally.count_messages(recorded)
         is_late = (recorded >= requested_from) & (recorded < processed_until)
         self.tally.add(Defect.LATE, recorded, is_late)
         newest = int(recorded.max())

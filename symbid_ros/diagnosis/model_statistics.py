@@ -20,7 +20,7 @@ from symbid_ros.signals.segments import Segment, cut_to
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     block_length,
-    suited_windows,
+    suitable_windows,
     windowed_rows,
 )
 
@@ -91,7 +91,7 @@ class ModelStatistics:
         self._force_sum += force.sum(axis=0)
         segment = _downsample(segment)
         length = block_length(segment.rate)
-        windows = suited_windows(WINDOWS, segment.rate)[:1]
+        windows = suitable_windows(WINDOWS, segment.rate)[:1]
         if not windows:
             return
         for block in range(int(segment.stamp[0]) // length, int(segment.stamp[-1]) // length + 1):

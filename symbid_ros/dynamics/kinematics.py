@@ -60,8 +60,8 @@ def skew(x: FloatArray) -> FloatArray:
 
 def matvec(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     """Return the products of component-first matrices (3, 3, ...) and vectors (3, ...)."""
-    turned: FloatArray = np.einsum("ij...,j...->i...", rotation, vector)
-    return turned
+    product: FloatArray = np.einsum("ij...,j...->i...", rotation, vector)
+    return product
 
 
 def rotate(rotation: FloatArray, vector: FloatArray) -> FloatArray:
@@ -115,14 +115,14 @@ class JointTable:
         for index, joint in enumerate(joints):
             path[index + 1] = path[joint.parent]
             path[index + 1, index] = 1.0
-        turns = np.array([joint.kind == "revolute" for joint in joints], dtype=np.float64)
+        is_revolute = np.array([joint.kind == "revolute" for joint in joints], dtype=np.float64)
         return cls(
             parent=np.array([joint.parent for joint in joints], dtype=np.int64),
-            revolute=turns[:, None],
-            prismatic=np.flatnonzero(turns == 0),
+            revolute=is_revolute[:, None],
+            prismatic=np.flatnonzero(is_revolute == 0),
             axis=np.array([joint.axis for joint in joints]).reshape(count, 3).T,
             reference=np.array([joint.reference for joint in joints]).reshape(count, 1),
-            pose=_pose_terms(joints, turns),
+            pose=_pose_terms(joints, is_revolute),
             path=path,
         )
 
@@ -145,21 +145,21 @@ class JointTable:
         return total
 
 
-def _pose_terms(joints: Sequence[Joint], turns: FloatArray) -> FloatArray:
+def _pose_terms(joints: Sequence[Joint], is_revolute: FloatArray) -> FloatArray:
     """Return the (J, 15, 4) factors of 1, sin q, cos q and q in the poses (Rodrigues)."""
     count = len(joints)
     rotation = np.array([joint.rotation for joint in joints]).reshape(count, 3, 3)
     axis = np.array([joint.axis for joint in joints]).reshape(count, 3)
-    turns = turns[:, None, None]
+    is_revolute = is_revolute[:, None, None]
     # A prismatic joint keeps the whole rotation, a revolute joint only its axis's part.
-    kept = np.where(turns, axis[:, :, None] * axis[:, None], np.eye(3))
+    kept = np.where(is_revolute, axis[:, :, None] * axis[:, None], np.eye(3))
     terms = np.zeros((count, 3, 5, 4))
     terms[:, :, :3, 0] = rotation @ kept
-    terms[:, :, :3, 1] = rotation @ (skew(axis.T).transpose(2, 0, 1) * turns)
+    terms[:, :, :3, 1] = rotation @ (skew(axis.T).transpose(2, 0, 1) * is_revolute)
     terms[:, :, :3, 2] = rotation @ (np.eye(3) - kept)
     terms[:, :, 3, 0] = np.array([joint.translation for joint in joints]).reshape(count, 3)
     terms[:, :, 4, 0] = (rotation @ axis[:, :, None])[..., 0]
-    terms[:, :, 3, 3] = terms[:, :, 4, 0] * (1 - turns[..., 0])
+    terms[:, :, 3, 3] = terms[:, :, 4, 0] * (1 - is_revolute[..., 0])
     return terms.reshape(count, 15, 4)
 
 

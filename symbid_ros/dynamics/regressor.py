@@ -279,11 +279,11 @@ def generalised_force(
     frames = samples.wrench_frames
     at_base = wrenches_at_base(model, samples.wrenches, frames, poses)
     carries = model.ancestors[:, [model.frame(name).link for name in frames]].astype(np.float64)
-    felt = component_first(axes) * (carries @ component_first(at_base))
+    joint_forces = component_first(axes) * (carries @ component_first(at_base))
     y = np.empty((len(samples), model.dof))
     if model.floating:
         y[:, :6] = at_base.sum(axis=1)
-    y[:, first_joint:] = samples.effort + felt.sum(axis=0).T
+    y[:, first_joint:] = samples.effort + joint_forces.sum(axis=0).T
     model.fold_followers(y)
     return y
 

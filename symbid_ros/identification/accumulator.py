@@ -13,7 +13,7 @@ from symbid_ros.signals.weak_form import (
     Channel,
     RowBuilder,
     WindowedRows,
-    suited_windows,
+    suitable_windows,
     windowed_rows,
 )
 
@@ -80,7 +80,7 @@ def build_block_rows(
     """Return the rows of a time span, equal to those of an offline run."""
     rows: dict[float, list[WindowedRows]] = defaultdict(list)
     for segment in data.segments:
-        used = suited_windows(windows, segment.rate)
+        used = suitable_windows(windows, segment.rate)
         for parts in windowed_rows(segment, build, used, noisy_channels):
             for window, part in zip(used, parts, strict=True):
                 rows[window].append(part)

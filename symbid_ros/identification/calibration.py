@@ -14,7 +14,7 @@ from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.problem import Problem
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import CalibratingRows, LinearizationPoint, SensorErrors
-from symbid_ros.signals.weak_form import ALL_WINDOWS, FORCES, MOTION, suited_windows
+from symbid_ros.signals.weak_form import ALL_WINDOWS, FORCES, MOTION, suitable_windows
 
 logger = logging.getLogger(__name__)
 
@@ -125,7 +125,7 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     point = LinearizationPoint(problem.prior.mean, mean)
     pseudo_measurements = _padded(problem.pseudo_measurements, len(errors))
     # Only long windows separate sensor errors from slow motion.
-    suited = suited_windows(ALL_WINDOWS, segment.rate)
+    suited = suitable_windows(ALL_WINDOWS, segment.rate)
     shortest, longest = suited[0], suited[-1]
     for _ in range(PASSES - 1):
         build = CalibratingRows(parameters, errors, point)

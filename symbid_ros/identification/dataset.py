@@ -31,7 +31,7 @@ from symbid_ros.signals.weak_form import (
     check_windows,
     equation_rows,
     sampled_rows,
-    suited_windows,
+    suitable_windows,
     windowed_rows,
 )
 
@@ -340,7 +340,7 @@ def observe(
         window: Observations.empty(layout, window, candidates=candidates) for window in windows
     }
     for segment in segments:
-        used = suited_windows(windows, segment.rate)
+        used = suitable_windows(windows, segment.rate)
         for blocks in windowed_rows(segment, build, used, noisy_channels):
             for window, block in zip(used, blocks, strict=True):
                 observations[window] = observations[window].fold([block])
@@ -356,7 +356,7 @@ def _check_rates(
     """Yield the segments and collect the window lengths that suit them; refuse rates too low."""
     for segment in segments:
         check_windows(windows, segment.rate, source)
-        used.update(suited_windows(windows, segment.rate))
+        used.update(suitable_windows(windows, segment.rate))
         yield segment
 
 

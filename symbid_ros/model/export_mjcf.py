@@ -239,7 +239,7 @@ def updated_mjcf(
         joint = element.get("name", "")
         if joint in after:
             _set_terms(files, as_element(element), before[joint], after[joint])
-    _settle_compilers(files, root, folder)
+    _adjust_compilers(files, root, folder)
     return files.texts(folder, name)
 
 
@@ -320,7 +320,7 @@ def _set_terms(files: _Files, element: Element, before: Joint, after: Joint) -> 
             files.editor(element).set(element, key, repr(float(new)))
 
 
-def _settle_compilers(files: _Files, root: Element, folder: Path) -> None:
+def _adjust_compilers(files: _Files, root: Element, folder: Path) -> None:
     """Remove compiler settings that change inertias, and adjust folders to ``folder``."""
     compilers = [as_element(compiler) for compiler in root.iterfind("compiler")]
     home = files.source.parent.resolve()

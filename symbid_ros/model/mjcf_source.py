@@ -46,11 +46,11 @@ _FILES = {"file", "fileup", "filedown", "fileleft", "fileright", "filefront", "f
 MAX_MESH_BYTES = 64 << 20  # of all meshes that determine inertias
 
 # Only omitted elements are listed, so that MuJoCo rejects unknown ones.
-_NO_SECTIONS = {
+_OMITTED_SECTIONS = {
     *("size", "visual", "statistic", "custom", "contact", "deformable", "equality", "tendon"),
     *("sensor", "keyframe"),
 }
-_NO_PARTS = {
+_OMITTED_PARTS = {
     "default": {"material", "camera", "light", "pair", "equality", "tendon"},
     "asset": {"texture", "material", "hfield", "skin"},
     "worldbody": {"camera", "light", "geom"},
@@ -252,8 +252,8 @@ def reduced_mjcf(root: Element, folder: Path) -> ReducedMjcf:
     compiler = {key: value for part in root.iterfind("compiler") for key, value in part.items()}
     needs_shapes = compiler.get("inertiafromgeom") == "true"
     reduced = _copied(root)
-    reduced.extend(_section(one, needs_shapes) for one in root if one.tag not in _NO_SECTIONS)
-    meshes = _take_meshes(reduced, folder, compiler)
+    reduced.extend(_section(one, needs_shapes) for one in root if one.tag not in _OMITTED_SECTIONS)
+    meshes = _read_meshes(reduced, folder, compiler)
     # MuJoCo finds the range of a muscle by simulation, which may take arbitrarily long.
     no_ranges = Element("lengthrange", mode="none")
     reduced.insert(0, Element("compiler"))
@@ -275,7 +275,7 @@ def _section(section: ET.Element, needs_shapes: bool) -> Element:
     elif section.tag == "actuator":
         copy.extend(_copied(drive) for drive in section if "joint" in drive.attrib)
     else:
-        _copy_parts(section, copy, _NO_PARTS.get(section.tag, set()), needs_shapes)
+        _copy_parts(section, copy, _OMITTED_PARTS.get(section.tag, set()), needs_shapes)
     return copy
 
 
@@ -302,7 +302,7 @@ def _states_inertia(body: ET.Element) -> bool:
     )
 
 
-def _take_meshes(reduced: Element, folder: Path, compiler: dict[str, str]) -> dict[str, bytes]:
+def _read_meshes(reduced: Element, folder: Path, compiler: dict[str, str]) -> dict[str, bytes]:
     """Read the meshes that the remaining shapes name, and remove the others."""
     used = {shape.get("mesh") for shape in elements(reduced) if shape.tag == "geom"}
     own = Path(compiler.get("meshdir", compiler.get("assetdir", "")))

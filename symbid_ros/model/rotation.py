@@ -1,7 +1,6 @@
 """Conversions between rotation matrices, URDF's rpy and the quaternions of MuJoCo and ROS."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray
 
@@ -54,6 +53,28 @@ def rotation_from_xyzw(xyzw: FloatArray) -> FloatArray:
 
 
 def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
-    """Return the unit quaternion (4,) of a rotation, scalar first and non-negative."""
-    xyzw = Rotation.from_matrix(rotation).as_quat(canonical=True)
-    return np.roll(xyzw, 1)
+    """Return the unit quaternion (4,) of a rotation, scalar first and non-negative.
+
+    Shepperd's method divides by the largest component, which keeps full precision for every
+    rotation.
+    """
+    m = rotation
+    squares = np.array(
+        [
+            1 + m[0, 0] + m[1, 1] + m[2, 2],
+            1 + m[0, 0] - m[1, 1] - m[2, 2],
+            1 - m[0, 0] + m[1, 1] - m[2, 2],
+            1 - m[0, 0] - m[1, 1] + m[2, 2],
+        ]
+    )
+    outer = np.array(
+        [
+            [squares[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], squares[1], m[1, 0] + m[0, 1], m[0, 2] + m[2, 0]],
+            [m[0, 2] - m[2, 0], m[1, 0] + m[0, 1], squares[2], m[2, 1] + m[1, 2]],
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2], squares[3]],
+        ]
+    )
+    best: FloatArray = outer[np.argmax(squares)]
+    quaternion = best / np.linalg.norm(best)
+    return -quaternion if quaternion[0] < 0 else quaternion

@@ -21,6 +21,8 @@ _MOVING: dict[str, Literal["revolute", "prismatic"]] = {
     "continuous": "revolute",
     "prismatic": "prismatic",
 }
+_SHORTEST_AXIS = 1e-9
+_PRODUCTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
@@ -260,7 +262,3 @@ class UrdfReader:
                 "E106",
             )
         return name
-
-
-_SHORTEST_AXIS = 1e-9
-_PRODUCTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")

@@ -33,7 +33,7 @@ from symbid_ros.online.block_worker import BlockWorker
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.message_check import MessageCheck
-from symbid_ros.signals.weak_form import check_windows, equation_rows, suited_windows
+from symbid_ros.signals.weak_form import check_windows, equation_rows, suitable_windows
 
 logger = logging.getLogger(__name__)
 
@@ -310,7 +310,7 @@ class OnlineIdentification:
         """
         rate = span.segments[0].rate
         check_windows(self._windows, rate, "live topics")
-        self._usable_windows = suited_windows(self._windows, rate)
+        self._usable_windows = suitable_windows(self._windows, rate)
         if self._windows[self._accumulator.window] not in self._usable_windows:
             middle = self._usable_windows[len(self._usable_windows) // 2]
             self._accumulator.restart(self._accumulator.blocks, self._windows.index(middle))

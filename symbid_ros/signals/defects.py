@@ -75,7 +75,7 @@ class DefectCounts:
     counts: dict[Defect, int] = field(default_factory=dict)
     details: dict[Defect, list[str]] = field(default_factory=dict)
 
-    def see(self, stamps: IntArray) -> None:
+    def count_messages(self, stamps: IntArray) -> None:
         """Count messages by their stamps (N,) ns."""
         self.messages += int(np.count_nonzero(self._is_during(stamps)))
 

@@ -120,14 +120,8 @@ class LowPass:
 
     def settling(self, rate: float) -> int:
         """Return the number of samples at each end until the filter has settled."""
-        return (
-            2 if self.cutoff == 0 else max(2, int(np.ceil(self._max_passes * rate / self.cutoff)))
-        )
-
-    @property
-    def _max_passes(self) -> int:
-        """Largest number of passes over any channel."""
-        return self.passes if self.channels == "all" else PASSES
+        passes = self.passes if self.channels == "all" else PASSES
+        return 2 if self.cutoff == 0 else max(2, int(np.ceil(passes * rate / self.cutoff)))
 
     def stride(self, rate: float) -> int:
         """Return the spacing of rows, in samples, that keeps all information in the passband.

@@ -13,7 +13,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import resampling_margin
 from symbid_ros.signals.defects import Defect, DefectCounts, kept_in_order, seconds
 from symbid_ros.signals.streams import (
-    ALL_OF_IT,
+    WHOLE_LOG,
     ImuStream,
     JointStream,
     Slice,
@@ -143,7 +143,7 @@ class Log:
         """
         stamp = _stamps(time, name)
         tallies = [DefectCounts(name, "time")]
-        tallies[0].see(stamp)
+        tallies[0].count_messages(stamp)
         kept = kept_in_order(stamp, tallies[0])
         names = robot.measured_joint_names
         shape = len(stamp), len(names)
@@ -168,7 +168,7 @@ class Log:
                 read = rows(topic, values, 6)
                 usable = np.isfinite(read).all(axis=1)
                 tally = DefectCounts(name, topic)
-                tally.see(stamp[kept])
+                tally.count_messages(stamp[kept])
                 tally.add(Defect.NOT_FINITE, stamp[kept], np.asarray(~usable), ["value"])
                 tallies.append(tally)
                 yield topic, frame, stamp[kept][usable], read[usable]
@@ -201,7 +201,7 @@ class Log:
 
     @classmethod
     def from_streams(
-        cls, streams: Streams, part: TimeRange = ALL_OF_IT, tallies: tuple[DefectCounts, ...] = ()
+        cls, streams: Streams, part: TimeRange = WHOLE_LOG, tallies: tuple[DefectCounts, ...] = ()
     ) -> "Log":
         """Return a log of streams in memory, each with strictly increasing stamps."""
 

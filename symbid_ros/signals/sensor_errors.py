@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS
 from symbid_ros.dynamics.contact import contact_jacobian
-from symbid_ros.dynamics.kinematics import link_poses, rotate
+from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -174,12 +174,17 @@ class SensorErrors:
         )
         if not self.imu_frames:
             return corrected
-        to_frame = Rotation.from_rotvec(mounting).as_matrix()
+        turns = Rotation.from_rotvec(mounting).as_matrix()
+
+        def in_frame(vectors: FloatArray) -> FloatArray:
+            rotated = [vectors[:, imu] @ turn.T for imu, turn in enumerate(turns)]
+            return np.stack(rotated, axis=1)
+
         return replace(
             corrected,
-            angular_velocity=rotate(to_frame, readings.angular_velocity - bias[:, :3]),
-            angular_acceleration=rotate(to_frame, readings.angular_acceleration),
-            specific_force=rotate(to_frame, readings.specific_force - bias[:, 3:]),
+            angular_velocity=in_frame(readings.angular_velocity - bias[:, :3]),
+            angular_acceleration=in_frame(readings.angular_acceleration),
+            specific_force=in_frame(readings.specific_force - bias[:, 3:]),
         )
 
 
@@ -220,13 +225,13 @@ def error_columns(
         return difference
 
     C = np.zeros((len(readings), model.dof, len(errors)))
-    here = residual(theta)
+    unshifted = residual(theta)
     for kind, place in errors.places.items():
         if kind in ("imu_mounting", "imu_bias", "encoder_offset"):
             for column in range(place.start, place.stop):
                 shifted = theta.copy()
                 shifted[column] += STEP
-                C[:, :, column] = (residual(shifted) - here) / STEP
+                C[:, :, column] = (residual(shifted) - unshifted) / STEP
         elif kind == "torque_gain":
             rows = 6 * model.floating + np.flatnonzero(errors.driven)
             gain = errors.of_kind(kind, theta)[:, 0]
@@ -250,22 +255,22 @@ def _fill_plates(
         return
     corrected = errors.corrected(readings, theta)
     poses = link_poses(model, model.apply_mimics(corrected.position))
-    felt = contact_jacobian(model, frames, poses).transpose(0, 2, 1)
-    felt = felt.reshape(len(readings), model.dof, len(frames), 6)
+    response = contact_jacobian(model, frames, poses).transpose(0, 2, 1)
+    response = response.reshape(len(readings), model.dof, len(frames), 6)
     gain = 1 + errors.of_kind("plate_gain", theta)
-    unmoved = (readings.wrenches - errors.of_kind("plate_offset", theta)) / gain
+    rescaled = (readings.wrenches - errors.of_kind("plate_offset", theta)) / gain
     lever = errors.of_kind("plate_pose", theta)
     # Derivative of the corrected wrench by each component of the uncorrected one.
     correction = np.tile(np.eye(6), (len(frames), 1, 1))
     correction[:, :3, 3:] = np.cross(lever[:, None], np.eye(3)).swapaxes(1, 2)
-    felt_raw = np.einsum("tnfi,fij->tnfj", felt, correction)
+    raw_response = np.einsum("tnfi,fij->tnfj", response, correction)
     changes = {
-        "plate_offset": -felt_raw / gain,
-        "plate_gain": -felt_raw * (unmoved / gain)[:, None],
+        "plate_offset": -raw_response / gain,
+        "plate_gain": -raw_response * (rescaled / gain)[:, None],
         "plate_pose": np.einsum(
             "tnfi,tfji->tnfj",
-            felt[..., :3],
-            np.cross(np.eye(3), unmoved[:, :, None, 3:]),
+            response[..., :3],
+            np.cross(np.eye(3), rescaled[:, :, None, 3:]),
         ),
     }
     for kind, change in changes.items():

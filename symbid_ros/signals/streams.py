@@ -215,4 +215,4 @@ class Slice:
     fault: str = ""
 
 
-ALL_OF_IT = TimeRange()
+WHOLE_LOG = TimeRange()

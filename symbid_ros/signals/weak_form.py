@@ -187,10 +187,10 @@ def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
     model = parameters.model
     valid = np.ones((len(velocity), model.dof), dtype=bool)
     if not parameters.candidates:
-        rubs = np.full(len(model.joints), not SLIDING_TERMS.isdisjoint(parameters.terms))
+        has_friction = np.full(len(model.joints), not SLIDING_TERMS.isdisjoint(parameters.terms))
         if "coulomb" in parameters.known_terms:
-            rubs |= parameters.known_terms["coulomb"] != 0
-        valid[:, 6 * model.floating :] = is_slipping(velocity) | ~rubs
+            has_friction |= parameters.known_terms["coulomb"] != 0
+        valid[:, 6 * model.floating :] = is_slipping(velocity) | ~has_friction
     valid[:, [6 * model.floating + joint for joint in model.followers]] = False
     return valid
 
@@ -200,7 +200,7 @@ def slipping_joints(parameters: ParameterSet, velocity: FloatArray) -> BoolArray
     return is_slipping(velocity) if parameters.candidates else None
 
 
-def suited_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:
+def suitable_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:
     """Return the shortest windows, s, that hold enough samples at a rate, Hz."""
     return tuple(one for one in windows if one * rate >= SAMPLES_PER_WINDOW)[:MOST_WINDOWS]
 
@@ -213,7 +213,7 @@ def check_windows(windows: Sequence[float], rate: float, source: str) -> None:
     DataError
         When no window is long enough; the message starts with ``source``.
     """
-    if suited_windows(windows, rate):
+    if suitable_windows(windows, rate):
         return
     lengths = ", ".join(f"{1e3 * window:g}" for window in windows)
     raise DataError(
@@ -270,7 +270,7 @@ def windowed_rows(
         weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
         mean = noisy = _averages(build(readings), weights)
         if noisy_channels:
-            more = smoothed(with_more_noise(block, noisy_channels), low_pass, edge)
+            more = smoothed(add_noise(block, noisy_channels), low_pass, edge)
             noisy = _averages(build(more), weights)
         stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
         yield tuple(_windowed_rows_of(*parts) for parts in zip(mean, noisy, stamps, strict=True))
@@ -296,7 +296,7 @@ def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
     return deviation
 
 
-def with_more_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:
+def add_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:
     """Return the segment with as much noise added to the given channels as they already have.
 
     The random numbers are reproducible.

@@ -32,10 +32,8 @@ SUPPORT_FRAME = "suspension"
 COM_MOVES = MoveRange(
     centre=np.array([-0.004, 0.0, -0.018]),
     half_widths=np.array([0.08, 0.08, 0.014]),
-    slowest=0.015,
-    fastest=0.085,
+    speeds=(0.015, 0.085),
     shortest=0.07,
-    rest=0.5,
 )
 # Turns of the trunk at the same time, rad and rad/s; the legs allow little yaw. The height of the
 # trunk's mass is identifiable only if it leans, and its inertia only if its angular acceleration
@@ -43,10 +41,8 @@ COM_MOVES = MoveRange(
 TRUNK_TURNS = MoveRange(
     centre=np.zeros(3),
     half_widths=np.radians([6.5, 12.0, 6.0]),
-    slowest=0.13,
-    fastest=0.2,
+    speeds=(0.13, 0.2),
     shortest=0.12,
-    rest=0.5,
 )
 TURNS_PER_MOVE = 2
 
@@ -55,18 +51,14 @@ TURNS_PER_MOVE = 2
 SQUAT_MOVES = MoveRange(
     centre=np.array([-0.004, 0.0, -0.032]),
     half_widths=np.array([0.01, 0.01, 0.028]),
-    slowest=0.015,
-    fastest=0.06,
+    speeds=(0.015, 0.06),
     shortest=0.025,
-    rest=0.5,
 )
 SQUAT_TURNS = MoveRange(
     centre=np.radians([0.0, 14.0, 0.0]),
     half_widths=np.radians([3.0, 5.0, 3.0]),
-    slowest=0.08,
-    fastest=0.13,
+    speeds=(0.08, 0.13),
     shortest=0.07,
-    rest=0.5,
 )
 
 # Scenarios that a balance controller can execute from sensor readings alone.
@@ -77,20 +69,16 @@ STANDING = {"smooth": (COM_MOVES, TRUNK_TURNS), "squat": (SQUAT_MOVES, SQUAT_TUR
 HOOK_TURNS = MoveRange(
     centre=np.zeros(3),
     half_widths=np.radians([11.0, 15.0, 15.0]),
-    slowest=0.06,
-    fastest=0.16,
+    speeds=(0.06, 0.16),
     shortest=0.2,
-    rest=0.5,
 )
 # Driven joints of each leg: hip ab/adduction, hip flexion, knee, ankle flexion.
 LEG_CENTRE, LEG_WIDTHS = (0.0, 0.0, -0.15, 0.0), (0.04, 0.25, 0.3, 0.15)
 LEG_MOVES = MoveRange(
     centre=np.tile(LEG_CENTRE, 2),
     half_widths=np.tile(LEG_WIDTHS, 2),
-    slowest=0.06,
-    fastest=0.18,
+    speeds=(0.06, 0.18),
     shortest=0.15,
-    rest=0.5,
 )
 LIFT = 0.5  # height of hanging above standing, m
 TARE_DURATION = 5.0  # s

@@ -56,10 +56,10 @@ class MoveRange:
         Centre of the ellipsoid near whose surface the targets lie, relative to the start.
     half_widths : (D,) float64
         Its half axes.
-    slowest, fastest : float
+    speeds : tuple of 2 floats
         Mean speed of the first and last move, and of the move in the middle, per second.
     shortest : float
-        Minimum length of a move. The acceleration is at most ``6 fastest² / shortest``. Must be
+        Minimum length of a move. The acceleration is at most ``6 speeds[1]² / shortest``. Must be
         smaller than the largest half width, or there may be no next target.
     rest : float
         Pause before the first and after the last move, s.
@@ -67,10 +67,9 @@ class MoveRange:
 
     centre: FloatArray
     half_widths: FloatArray
-    slowest: float
-    fastest: float
+    speeds: tuple[float, float]
     shortest: float
-    rest: float
+    rest: float = 0.5
 
 
 def draw_trajectory(
@@ -100,7 +99,8 @@ def draw_trajectory(
             points.append(target)
     offsets = np.array(points)
     rise = np.sin(np.pi * np.arange(moves) / max(moves - 1, 1))
-    speeds = span.slowest + (span.fastest - span.slowest) * rise
+    slowest, fastest = span.speeds
+    speeds = slowest + (fastest - slowest) * rise
     times = np.linalg.norm(np.diff(offsets, axis=0), axis=1) / speeds
     starts = span.rest + np.concatenate([[0.0], np.cumsum(times)])
     return Trajectory(start + offsets, tuple(starts.tolist()), float(starts[-1] + span.rest))

@@ -72,7 +72,7 @@ def test_symbitrons_jacobian_is_mujocos():
 @pytest.mark.parametrize("frames", range(4))
 @pytest.mark.parametrize("floating", [True, False])
 def test_wrenches_are_the_least_squares_solution_of_least_norm(seed, frames, floating):
-    """Random frames give every kind of rank: none, full, deficient either way."""
+    """Random frames give zero, full and deficient ranks."""
     rng = np.random.default_rng(seed)
     model = random_robot(seed, floating=floating, wrench_frames=frames)
     samples = random_samples(model, COUNT, rng)

@@ -30,8 +30,8 @@ DRY = mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
 def forward(model, samples, rng):
     """Return the samples with MuJoCo's accelerations, and its dry friction (N, J)."""
     compiled = mujoco.MjModel.from_xml_string(mjcf_text(model))
-    # MuJoCo's dry friction is a spring's: with its usual time constant of 20 ms a joint that is
-    # pushed hard slips against the push. As stiff as it goes it is Coulomb's.
+    # MuJoCo's dry friction is a soft constraint: with the default time constant of 20 ms, a joint
+    # under a large force creeps. The shortest time constant gives Coulomb friction.
     compiled.opt.timestep, compiled.dof_solref[:] = 1e-5, (2e-5, 1.0)
     compiled.dof_solimp[:, :2] = 0.9999
     compiled.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
@@ -101,7 +101,7 @@ def test_the_columns_recover_mujocos_friction(robot):
     samples = moving(robot, 40, rng, 1.0)
     offset = rng.normal(size=len(robot.joints))
     samples, _ = forward(robot, samples, rng)
-    # A drive that reads too high by its offset.
+    # A drive whose torque reading has an offset.
     rows = equation_of_motion(parameters, replace(samples, effort=samples.effort + offset))
     known, sought = np.split(parameters.values, [parameters.inertial])
     y = rows.y - rows.K[:, :, : parameters.inertial] @ known
@@ -123,7 +123,7 @@ def test_a_sticking_joint_has_less_than_its_coulomb_friction(robot):
     assert np.abs(share).max() < 1 + 1e-9
     stuck = np.abs(share) < 1 - 1e-9
     assert stuck.mean() > 0.25
-    # Anything between the bounds, so no column tells it, and all of these rows are left out.
+    # Static friction takes any value between the bounds, so these rows are left out.
     assert share[stuck].std() > 0.25
     assert not is_slipping(samples.velocity).any()
     assert not coulomb_column(samples.velocity).any()

@@ -1,4 +1,4 @@
-"""The base's motion from an IMU anywhere, against MuJoCo's object velocities and accelerations."""
+"""The base's motion from an IMU on any link, against MuJoCo's velocities and accelerations."""
 
 import mujoco
 import numpy as np

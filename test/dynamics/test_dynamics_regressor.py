@@ -94,7 +94,7 @@ def test_drives_obey_mujocos_inverse_dynamics(seed, floating):
     K = equation_of_motion(parameters, samples).K
     truth = mujoco_inverse(driven, samples, rng)
     assert relative_rmse(K @ parameters.values, truth) < 1e-11
-    # The drives are a good part of that, and nothing of it is felt by the base.
+    # The drives contribute a large part, and none of it acts on the base.
     bare = equation_of_motion(ParameterSet(model), samples).K @ ParameterSet(model).values
     base = 6 * floating
     assert relative_rmse(bare[:, base:], truth[:, base:]) > 0.05
@@ -185,7 +185,7 @@ def test_real_robots_obey_pinocchios_regressor(robot):
     samples = random_samples(model, 20, rng, ())
     parameters = ParameterSet(model)
     left = equation_of_motion(parameters, samples).K @ parameters.values
-    # Pinocchio moves every joint by itself; here what a mimic joint feels is its leader's.
+    # Pinocchio moves every joint independently; here a mimic joint's force acts on its leader.
     truth = pinocchio_torque(model, path, samples, rng)
     model.fold_followers(truth)
     assert relative_rmse(left, truth) < 1e-11

@@ -1,4 +1,4 @@
-"""Samples: any selection of instants takes the same ones from each array."""
+"""Samples: a selection of instants applies to each array."""
 
 from dataclasses import fields
 

@@ -212,7 +212,7 @@ def test_rounding_is_relative_to_mass_first_moment_and_inertia(part, entry):
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("lighter", [0.35, 0.6])
-def test_other_bodies_give_up_mass_only_as_far_as_the_total_asks(seed, lighter):
+def test_other_bodies_give_up_no_more_mass_than_the_total_requires(seed, lighter):
     """They keep nine tenths of what leaves the receiver semi-definite, by eigenvalues."""
     stated = cloud(seed)
     # Most of the link is in the others, and all of it becomes lighter.

@@ -75,7 +75,7 @@ def test_a_random_tree_survives_both_formats(seed, floating, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["xml", "urdf"])
-def test_a_base_may_be_named_as_the_file_has_it(suffix, tmp_path):
+def test_the_base_option_may_repeat_what_the_file_states(suffix, tmp_path):
     text = {"xml": mjcf_text, "urdf": urdf_text}[suffix]
     for floating, base, other in ((True, "floating", "fixed"), (False, "fixed", "floating")):
         path = tmp_path / f"{base}.{suffix}"

@@ -1,4 +1,4 @@
-"""Rotations against SciPy's."""
+"""Conversions of rotations against SciPy's."""
 
 import numpy as np
 import pytest

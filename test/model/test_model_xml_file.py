@@ -1,4 +1,4 @@
-"""Edits of an XML file: insertions are laid out like their neighbours."""
+"""Edits of an XML file: insertions are indented like their neighbours."""
 
 import pytest
 

@@ -14,7 +14,7 @@ from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
-from symbid_ros.signals.weak_form import ALL_WINDOWS, suited_windows
+from symbid_ros.signals.weak_form import ALL_WINDOWS, suitable_windows
 
 START = 1_723_456_789_012_345_678
 
@@ -31,7 +31,7 @@ def robot_and_bag(request, tmp_path_factory) -> tuple[Path, Path, float]:
 
 def test_live_messages_at_low_rates_give_the_estimate_of_their_bag(robot_and_bag, tmp_path) -> None:
     model, bag, rate = robot_and_bag
-    expected = suited_windows(ALL_WINDOWS, rate)
+    expected = suitable_windows(ALL_WINDOWS, rate)
 
     def initial(**chosen) -> InitialState:
         options = IdentifyOptions(prior_percent=25.0, method="map", **chosen)

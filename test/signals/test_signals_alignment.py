@@ -1,4 +1,4 @@
-"""Topics at rates of their own against the sines that they sample."""
+"""Alignment of topics with different rates, against the sines that they sample."""
 
 import logging
 from dataclasses import replace
@@ -84,7 +84,7 @@ def test_a_topic_at_a_tenth_of_the_rate_cuts_nothing(model, phase) -> None:
     (segment,) = align(streams(model, fast, fast, slow), model)
     inside = (fast >= slow[0]) & (fast <= slow[-1])
     np.testing.assert_array_equal(segment.stamp, fast[inside])
-    # A spline is less good where it ends.
+    # A spline is less accurate at its ends.
     assert_sampled([segment], 1e-2)
     assert_sampled([segment.cut(50, len(segment) - 50)], 1e-4)
 
@@ -97,12 +97,12 @@ def test_a_gap_is_measured_by_the_period_of_its_own_topic(model) -> None:
     edges = [(one.stamp[0], one.stamp[-1]) for one in cut]
     last = slow[-1]
     assert edges == [(0, 500 * MILLISECOND), (560 * MILLISECOND, last)]
-    # The same time without a message of a fast topic is a gap.
+    # The same interval is a gap in a fast topic.
     assert len(align(streams(model, fast, without(fast, 0.505, 0.545), slow), model)) == 2
 
 
 def test_where_another_topic_has_a_gap_splines_reach_beyond_the_cut(model) -> None:
-    """The ends of a stretch are as good as its middle where the slow topic goes on."""
+    """The ends of a segment are as accurate as its middle where the slow topic continues."""
     fast, slow = ticks(MILLISECOND), ticks(10 * MILLISECOND, 3_700_000)
     found = align(streams(model, fast, without(fast, 0.8, 1.2), slow), model)
     assert len(found) == 2
@@ -110,8 +110,8 @@ def test_where_another_topic_has_a_gap_splines_reach_beyond_the_cut(model) -> No
     assert_sampled([first.cut(50, len(first)), second.cut(0, len(second) - 50)], 1e-4)
 
 
-def test_several_imus_count_alike() -> None:
-    """Errors that are opposite at the base cancel in the mean, and in nothing else."""
+def test_several_imus_have_equal_weight() -> None:
+    """Opposite errors at the base cancel in the mean of all IMUs."""
     parameters = ParameterSet(random_robot(2, links=5, wrench_frames=1))
     model, frame = parameters.model, parameters.model.links[0].name
     samples = analytic_samples(parameters, ticks(20 * MILLISECOND), 2)
@@ -154,7 +154,7 @@ def test_overlapping_gaps_of_two_topics_are_one_cut(model) -> None:
 
 @pytest.mark.parametrize("count", [SHORTEST_SEGMENT - 1, SHORTEST_SEGMENT])
 def test_a_segment_has_at_least_fifty_samples(model, count) -> None:
-    """Gaps of an IMU leave pieces of as many samples as are asked for."""
+    """Gaps of an IMU leave segments with the given numbers of samples."""
     clock = ticks(MILLISECOND)
     phase = np.arange(len(clock)) % 100
     given_streams = streams(model, clock, clock[phase < count], clock)

@@ -1,4 +1,4 @@
-"""Counts of defective messages and the warnings that they give."""
+"""Counts of defective messages and their warnings."""
 
 import logging
 
@@ -10,8 +10,8 @@ from symbid_ros.signals.defects import Defect, DefectCounts
 def test_messages_are_counted_from_the_first_stamp_up_to_the_second() -> None:
     counts = DefectCounts("log", "/imu", during=(10, 20))
     stamps = np.array([9, 10, 15, 19, 20, 21])
-    counts.see(stamps)
-    counts.see(stamps[:2])
+    counts.count_messages(stamps)
+    counts.count_messages(stamps[:2])
     assert counts.messages == 4
     counts.add(Defect.ABSENT, stamps, np.array([True, True, False, True, True, True]))
     counts.add(Defect.ABSENT, stamps, np.ones(6, dtype=bool))
@@ -22,7 +22,7 @@ def test_messages_are_counted_from_the_first_stamp_up_to_the_second() -> None:
 def test_a_warning_names_each_field_once(caplog) -> None:
     counts = DefectCounts("log", "/imu")
     stamps, wrong = np.arange(4), np.array([True, False, True, False])
-    counts.see(stamps)
+    counts.count_messages(stamps)
     counts.add(Defect.NOT_FINITE, stamps, wrong, ["force", "torque"])
     counts.add(Defect.NOT_FINITE, stamps, ~wrong & (stamps > 2), ["torque", "effort"])
     counts.add(Defect.NOT_FINITE, stamps, np.zeros(4, dtype=bool), ["unused"])

@@ -1,4 +1,4 @@
-"""What real drivers say of joints whose effort nobody measures, and what is made of it."""
+"""Joints without measured effort, as real drivers report them, and their rows."""
 
 from dataclasses import replace
 
@@ -32,7 +32,7 @@ def robot(*, floating=True, passive=()):
 
 
 def streams_of(model, extra=0) -> Streams:
-    """A smooth motion; beside the model's joints there are others, of which little is known."""
+    """Return a smooth motion; joints outside the model have missing values."""
     time = np.arange(COUNT) / RATE
     stamp = np.round(time * 1e9).astype(np.int64)
     names = (*model.joint_names, *(f"gripper_{index}" for index in range(extra)))
@@ -57,7 +57,7 @@ def rows_of(model, streams):
 
 
 def assert_alike(blocks, others, lost) -> None:
-    """Assert that rows are equal but for the lost coordinate of some blocks, which has none."""
+    """Assert that rows are equal except for the lost coordinate of some blocks."""
     assert len(blocks) == len(others) == 3
     for index, (block, other) in enumerate(zip(blocks, others, strict=True)):
         kept = np.ones(block.valid.shape[1], dtype=bool)
@@ -144,7 +144,7 @@ def test_a_passive_joint_needs_no_effort(caplog, value) -> None:
     assert caplog.messages == []
 
 
-def test_a_fixed_robot_without_any_effort_is_refused() -> None:
+def test_a_fixed_robot_without_any_effort_is_rejected() -> None:
     model = robot(floating=False)
     silent = streams_of(model)
     silent.joints.effort[:] = NAN
@@ -174,7 +174,7 @@ def test_filtered_instants_lose_the_joints_row_only_where_it_has_no_effort() -> 
 
 
 def part_of(streams: Streams, start: int, stop: int) -> Streams:
-    """Return what was stamped from ``start`` up to ``stop``, ns."""
+    """Return the messages stamped from ``start`` up to ``stop``, ns."""
 
     def cut(stream):
         inside = (stream.stamp >= start) & (stream.stamp < stop)
@@ -189,7 +189,7 @@ def part_of(streams: Streams, start: int, stop: int) -> Streams:
 
 
 def test_dropped_rows_do_not_depend_on_how_a_log_is_cut() -> None:
-    """Live, one block and a margin are at hand; from a bag, a minute."""
+    """Online runs see one block and a margin at a time, bags are read by the minute."""
     model = robot()
     holes = streams_of(model)
     effort = holes.joints.effort

@@ -1,4 +1,4 @@
-"""Smoothing filters: what they leave exact, and how alike they make neighbouring rows."""
+"""Smoothing filters: the signals they preserve, and the correlation of neighbouring rows."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def test_savitzky_golay_differentiates_polynomials_of_its_degree_exactly(degree,
 
 
 def test_savitzky_golay_treats_every_channel_and_both_sides_alike():
-    """Averages of a product with constants commute with the filter: K φ stays y."""
+    """The filter commutes with products by constants, so K φ = y holds after it."""
     rng = np.random.default_rng(0)
     acceleration = rng.standard_normal((400, 3))
     smoothing = SavitzkyGolay()
@@ -42,12 +42,12 @@ def test_savitzky_golay_treats_every_channel_and_both_sides_alike():
 @pytest.mark.parametrize(
     ("window", "degree"), [(0.0, 3), (-0.1, 3), (np.nan, 3), (np.inf, 3), (0.08, 1), (0.08, -2)]
 )
-def test_what_is_no_window_or_degree_is_refused(window, degree):
+def test_invalid_windows_and_degrees_are_rejected(window, degree):
     with pytest.raises(DataError, match="positive window and a degree of at least 2"):
         SavitzkyGolay(window, degree)
 
 
-def test_a_window_longer_than_the_record_is_refused():
+def test_a_window_longer_than_the_record_is_rejected():
     with pytest.raises(DataError, match=r"longer than a segment of 0\.05 s; shorten"):
         SavitzkyGolay(0.081).force(np.zeros((50, 2)), 1000.0)
 
@@ -75,20 +75,20 @@ SMOOTHINGS = [
 
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("smoothing", SMOOTHINGS, ids=str)
-def test_rows_look_more_than_they_are_by_their_covariance(smoothing, rate):
-    # Impulses at every sample: rows @ rows.T is the covariance of white noise let through.
+def test_row_inflation_follows_from_the_covariance(smoothing, rate):
+    # Impulses at every sample: rows @ rows.T is the covariance of filtered white noise.
     count = 2 * smoothing.settling(rate) + 12 * int(rate / 10)
     response = smoothing.force(np.eye(count), rate)[:: smoothing.stride(rate)]
     covariance = response @ response.T
     middle = len(covariance) // 2
-    # Variance of the mean of many rows, over what independent rows would have.
+    # Variance of the mean of many rows, relative to that of independent rows.
     expected = covariance[middle].sum() / covariance[middle, middle]
     assert row_inflation(smoothing, rate) == pytest.approx(max(expected, 1.0), rel=1e-3)
 
 
 @pytest.mark.parametrize("smoothing", SMOOTHINGS[1:], ids=str)
-def test_nothing_is_left_of_the_edge_once_settled(smoothing):
-    """A record's ends are forgotten: rows of its middle are those of a longer record."""
+def test_edge_effects_vanish_after_settling(smoothing):
+    """Rows in the middle of a record equal those of a longer record."""
     rng = np.random.default_rng(7)
     signal = np.cumsum(rng.standard_normal((3000, 2)), axis=0)
     edge = smoothing.settling(1000.0)
@@ -100,7 +100,7 @@ def test_nothing_is_left_of_the_edge_once_settled(smoothing):
 
 
 @pytest.mark.parametrize("smoothing", [SavitzkyGolay(), LowPass(20.0)])
-def test_what_was_not_measured_stays_so_and_spoils_no_other_channel(smoothing) -> None:
+def test_nan_channels_stay_nan_and_affect_no_other_channel(smoothing) -> None:
     signal = np.random.default_rng(5).normal(size=(300, 4))
     whole = smoothing.force(signal, 1000.0)
     signal[:, 2] = np.nan
@@ -125,18 +125,18 @@ def response(low_pass: CausalLowPass, frequency: float) -> complex:
 @pytest.mark.parametrize("share", [0.1, 0.5, 1.0, 2.0])
 def test_gain_and_phase_are_a_second_order_butterworths(cutoff, share):
     frequency = share * cutoff
-    # The bilinear transform bends the axis of frequencies; s is in units of the cutoff.
+    # The bilinear transform warps the frequencies; s is in units of the cutoff.
     s = 1j * np.tan(np.pi * frequency / RATE) / np.tan(np.pi * cutoff / RATE)
     expected = 1 / (s**2 + np.sqrt(2) * s + 1)
     assert response(CausalLowPass(cutoff), frequency) == pytest.approx(expected, abs=1e-4)
 
 
-def test_slow_signals_come_late_by_the_documented_time():
+def test_slow_signals_are_delayed_by_the_documented_time():
     late = -np.angle(response(CausalLowPass(50.0), 2.0)) / (2 * np.pi * 2.0)
     assert late == pytest.approx(0.225 / 50, rel=0.01)
 
 
-def test_the_future_is_not_looked_at():
+def test_the_filter_is_causal():
     rng = np.random.default_rng(0)
     position = rng.normal(size=(300, 4))
     other = position.copy()
@@ -148,20 +148,20 @@ def test_the_future_is_not_looked_at():
 
 
 @pytest.mark.parametrize("cutoff", [0.0, 10.0, 50.0])
-def test_steady_speed_is_found_once_the_start_is_forgotten(cutoff):
+def test_steady_speed_is_recovered_after_settling(cutoff):
     low_pass = CausalLowPass(cutoff)
     speed = np.array([[2.0, -0.3], [0.1, 5.0]])
     found = low_pass.velocity(TIME[:, None, None] * speed, RATE)[low_pass.settling(RATE) :]
     np.testing.assert_allclose(found, np.broadcast_to(speed, found.shape), rtol=2e-4)
 
 
-def test_a_resting_signal_is_left_alone():
+def test_a_constant_signal_does_not_change():
     signal = np.full((100, 3), 7.0)
     np.testing.assert_allclose(CausalLowPass()(signal, RATE), signal, rtol=1e-12)
 
 
 @pytest.mark.parametrize("cutoff", [-1.0, np.nan, np.inf, 500.0])
-def test_what_is_no_cutoff_is_refused(cutoff):
+def test_invalid_cutoffs_are_rejected(cutoff):
     with pytest.raises(DataError, match="cutoff"):
         CausalLowPass(cutoff)(np.zeros((10, 1)), RATE)
 

@@ -1,4 +1,4 @@
-"""Logs of arrays are cut and aligned as the same measurements in a bag are."""
+"""Logs of arrays are cut and aligned like a bag with the same measurements."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def test_a_time_range_is_the_whole_recording_by_default() -> None:
 
 @pytest.mark.parametrize("part", [TimeRange(), TimeRange(0.75, 3.25)])
 @pytest.mark.parametrize("span", [None, SPAN])
-def test_streams_in_memory_are_cut_as_a_bag_is(bag, part, span) -> None:
+def test_streams_in_memory_are_cut_like_a_bag(bag, part, span) -> None:
     cut = list(Log.from_streams(read_streams([bag]), part).slices(span))
     read = list(bag_log([bag], part=part).slices(span))
     assert len(cut) == len(read) > 0
@@ -77,7 +77,7 @@ def test_arrays_become_streams_in_the_models_order(robot) -> None:
     )
 
 
-def test_integer_instants_are_nanoseconds_and_put_in_order(robot) -> None:
+def test_integer_instants_are_nanoseconds_and_sorted(robot) -> None:
     given = arrays(robot, 60)
     order = np.random.default_rng(2).permutation(60)
     stamp = 10_000_000 * order
@@ -98,7 +98,7 @@ def test_integer_instants_are_nanoseconds_and_put_in_order(robot) -> None:
         ({"wrenches": {"left_sole": np.zeros((200, 3))}}, DataError, "left_sole"),
     ],
 )
-def test_what_does_not_fit_is_named(robot, change, error, named) -> None:
+def test_invalid_arrays_are_named(robot, change, error, named) -> None:
     with pytest.raises(error, match=named):
         Log.from_arrays(robot, **(arrays(robot) | change))
 

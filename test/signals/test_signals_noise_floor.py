@@ -1,4 +1,4 @@
-"""The level of white noise, found beside motion and vibration."""
+"""The level of white noise in the presence of motion and vibration."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from analytic_log import analytic_segment, noisy
 from random_robots import random_robot
 
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.weak_form import FORCES, MOTION, noise_deviation, with_more_noise
+from symbid_ros.signals.weak_form import FORCES, MOTION, add_noise, noise_deviation
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE
@@ -27,14 +27,14 @@ def test_white_noise_is_found_under_motion_of_any_size(size):
     np.testing.assert_allclose(found, truth, rtol=0.08)
 
 
-def test_it_is_unbiased_for_blocks_of_any_rate():
+def test_the_noise_level_is_unbiased_for_blocks_of_any_rate():
     rng = np.random.default_rng(2)
     for count in (800, 2000, 4000):
         found = noise_deviation(rng.standard_normal((count, 200)), RATE)
         assert np.sqrt(np.mean(found**2)) == pytest.approx(1.0, abs=0.05)
 
 
-def test_vibration_in_some_bands_is_no_noise():
+def test_vibration_in_some_bands_is_not_counted_as_noise():
     rng = np.random.default_rng(3)
     noise = rng.standard_normal((4000, 4))
     spectrum = np.fft.rfft(rng.standard_normal((4000, 4)), axis=0)
@@ -46,22 +46,22 @@ def test_vibration_in_some_bands_is_no_noise():
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0])
-def test_an_exact_channel_has_none(size):
+def test_an_exact_channel_has_no_noise(size):
     channel = slow_motion(np.random.default_rng(4), size)
     assert np.all(noise_deviation(channel, RATE) < 1e-8)
 
 
-def test_too_short_a_record_shows_none():
+def test_a_short_record_gives_zero_noise():
     noise = np.random.default_rng(6).standard_normal((12, 3))
     np.testing.assert_array_equal(noise_deviation(noise, RATE), 0)
 
 
-def test_only_what_is_named_gets_more_noise_and_always_the_same():
+def test_noise_is_added_to_named_channels_and_is_reproducible():
     parameters = ParameterSet(random_robot(1, links=4))
     exact = analytic_segment(parameters, 3.0, 1)
     levels = {"position": 1e-4, "rate": 0.02, "acceleration": 0.1, "effort": 0.5, "wrench": 2.0}
     segment = noisy(exact, np.random.default_rng(5), **levels)
-    more, again = with_more_noise(segment, MOTION), with_more_noise(segment, MOTION)
+    more, again = add_noise(segment, MOTION), add_noise(segment, MOTION)
     for field in ("position", "angular_velocity"):
         np.testing.assert_array_equal(getattr(more, field), getattr(again, field))
     for field in ("effort", "linear_acceleration", "wrenches"):
@@ -73,5 +73,5 @@ def test_only_what_is_named_gets_more_noise_and_always_the_same():
         there = getattr(segment, field) - getattr(exact, field)
         correlation = np.mean(added * there, axis=0) / level**2
         assert np.all(np.abs(correlation) < 5 / np.sqrt(len(segment)))
-    added = with_more_noise(segment, FORCES).wrenches - segment.wrenches
+    added = add_noise(segment, FORCES).wrenches - segment.wrenches
     np.testing.assert_allclose(added.std(axis=0)[:, 3:], 2.0, rtol=0.1)

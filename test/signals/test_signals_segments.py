@@ -1,4 +1,4 @@
-"""Seconds are recognised however a log was cut, and told from those of other logs."""
+"""Fingerprints of seconds: independent of how a log was cut, different for other logs."""
 
 from dataclasses import fields, replace
 
@@ -13,7 +13,7 @@ TODAY = 1_790_000_000 * SECOND + 123_456_789
 
 
 def segment(start, seconds, *, rate=1000.0, seed=0):
-    """Return random joint states, those of one seed equal wherever the stamps are."""
+    """Return random joint states that depend on the seed and not on the stamps."""
     stamp = start + np.rint(np.arange(int(seconds * rate)) * 1e9 / rate).astype(np.int64)
     joints = np.random.default_rng(seed).normal(size=(len(stamp), 2))
     nothing = np.zeros((len(stamp), 0, 3))
@@ -23,7 +23,7 @@ def segment(start, seconds, *, rate=1000.0, seed=0):
 
 @pytest.mark.parametrize("rate", [20.0, 100.0, 333.0, 1000.0, 4000.0])
 @pytest.mark.parametrize("start", [0, 250_000_000, TODAY])
-def test_every_whole_second_has_a_number_of_its_own(rate, start):
+def test_every_whole_second_has_its_own_fingerprint(rate, start):
     log = segment(start, 10, rate=rate)
     assert len(fingerprint(log)) in ({10} if start == 0 else {9, 10})
     assert fingerprint(log.cut(0, 0)) == frozenset()
@@ -36,24 +36,24 @@ def test_parts_of_a_log_are_recognised_in_the_whole(start):
     part = fingerprint(log.cut(2345, 7890))
     assert 4 <= len(part) <= 5
     assert part < whole
-    # Blocks as they are worked on, cut at whole seconds of the clock.
+    # Blocks are cut at whole seconds of the clock.
     edge = int(np.searchsorted(log.stamp, (start // SECOND + 4) * SECOND))
     assert fingerprint(log.cut(0, edge)) | fingerprint(log.cut(edge, len(log))) == whole
 
 
 @pytest.mark.parametrize("start", [0, TODAY])
-def test_a_log_and_the_one_that_continues_it_have_nothing_in_common(start):
+def test_consecutive_logs_share_no_fingerprint(start):
     log = segment(start, 10)
     for edge in (4321, 4999, 5000, 5001):
         assert not fingerprint(log.cut(0, edge)) & fingerprint(log.cut(edge, len(log)))
 
 
-def test_simulated_logs_of_other_motions_differ_though_their_stamps_agree():
+def test_simulated_logs_with_equal_stamps_and_other_motions_differ():
     assert not fingerprint(segment(0, 5)) & fingerprint(segment(0, 5, seed=1))
     assert fingerprint(segment(0, 5)) == fingerprint(segment(0, 5))
 
 
-def test_by_a_wall_clock_jitter_and_another_phase_do_not_matter():
+def test_jitter_and_phase_do_not_matter_with_a_wall_clock():
     one, other = segment(TODAY, 5), segment(TODAY + 400_000, 5, seed=1)
     assert fingerprint(one) == fingerprint(other)
 
@@ -63,7 +63,7 @@ def test_by_a_wall_clock_jitter_and_another_phase_do_not_matter():
     ("lost", "is_continued"), [(-1, False), (0, True), (0.4, True), (0.6, False), (1, False)]
 )
 def test_a_segment_is_continued_by_one_a_period_later(rate, lost, is_continued):
-    """From the last to the next instant pass one period and ``lost`` more."""
+    """The next instant comes 1 + ``lost`` periods after the last one."""
     log = segment(TODAY, 1, rate=rate)
     first, second = log.cut(0, 40), log.cut(40, 90)
     later = replace(second, stamp=second.stamp + round(lost * 1e9 / rate))

@@ -1,4 +1,4 @@
-"""Sensor errors as unknowns: undone exactly, linearised rightly, named consistently."""
+"""Sensor errors as unknowns: exact correction, correct linearisation, consistent names."""
 
 from dataclasses import replace
 
@@ -78,7 +78,7 @@ def test_columns_are_the_slopes_of_the_residual(robot, kinds):
 
 
 @pytest.mark.parametrize("robot", ROBOTS, ids=str)
-def test_the_structure_covers_all_that_an_error_reaches(robot):
+def test_the_structure_covers_every_affected_coordinate(robot):
     parameters = parameters_of(robot)
     readings = exact_readings(parameters, 6, 5, step=150_000_000)
     errors = all_errors(parameters, readings)
@@ -91,7 +91,7 @@ def test_the_structure_covers_all_that_an_error_reaches(robot):
     assert not np.any(C[~reach] > 1e-9 * C.max())
     gains = errors.places["torque_gain"]
     np.testing.assert_array_equal(reach[:, gains].sum(axis=0), 1)
-    # Plates are felt by the joints between them and the base alone.
+    # Plates load only the joints between them and the base.
     model = parameters.model
     for frame in errors.wrench_frames:
         columns = [i for i, name in enumerate(errors.names) if name.startswith(f"{frame}/plate")]
@@ -101,7 +101,7 @@ def test_the_structure_covers_all_that_an_error_reaches(robot):
 
 
 @pytest.mark.parametrize("robot", ROBOTS, ids=str)
-def test_names_units_deviations_and_places_tell_of_the_same_unknowns(robot):
+def test_names_units_deviations_and_places_agree(robot):
     parameters = parameters_of(robot)
     readings = exact_readings(parameters, 1, 0)
     model = parameters.model
@@ -143,7 +143,7 @@ def test_moments_come_before_forces_and_gyroscopes_before_accelerometers():
 
 
 def simulated_readings(errors):
-    """Return the errors drawn, and what ideal sensors with them say of one same motion."""
+    """Return the drawn errors, and readings of one motion that have these errors alone."""
     simulator = Simulator(
         SimulateOptions("vibrating", moves=1, ideal=True, errors=errors, error_seed=4)
     )
@@ -221,7 +221,7 @@ def test_rows_close_at_the_true_parameters_and_errors(robot):
     none = np.zeros(len(errors))
     exact = closure(none, LinearizationPoint(phi, none))
     assert exact < 1e-4
-    # About the truth, whatever the errors; about no errors, to second order in them.
+    # Exact about the true errors; about zero errors, up to second order.
     assert closure(draw, LinearizationPoint(phi, draw)) < exact + 1e-5
     ignored = np.linalg.norm(uncorrected(spoilt(segment, errors, draw), parameters))
     linearised = closure(draw, LinearizationPoint(phi, none))
@@ -230,7 +230,7 @@ def test_rows_close_at_the_true_parameters_and_errors(robot):
 
 
 def test_noise_in_the_columns_of_gains_is_known():
-    """A gain scales the very reading whose noise is in y: what the two share is no information."""
+    """A gain's column and y share the noise of one reading, which is not information."""
     parameters = ParameterSet(random_robot(2, links=3))
     readings = exact_readings(parameters, 1300, 7)
     segment = segment_of(readings, 1e9 / PERIOD_NS)
@@ -255,7 +255,7 @@ def test_noise_in_the_columns_of_gains_is_known():
         ((rows,),) = windowed_rows(replace(segment, **change), build, [0.161], MOTION + FORCES)
         return gradient(rows.mean), gradient(rows.noise)
 
-    # Noise and its mirror image: what is of first order in it cancels.
+    # Noise and its negative: terms of first order cancel.
     found = np.array([[pulls(seed, sign) for sign in (1, -1)] for seed in range(10)]).mean(axis=1)
     left = found[:, 0] - found[:, 1]
     seen, known = found.mean(axis=0)
@@ -265,7 +265,7 @@ def test_noise_in_the_columns_of_gains_is_known():
 
 
 def uncorrected(segment, parameters):
-    """Return the residual of rows that know nothing of errors, relative to their forces."""
+    """Return the residual of rows without sensor errors, relative to their forces."""
     ((rows,),) = windowed_rows(segment, equation_rows(parameters), [0.321])
     left = rows.mean.K @ parameters.values - rows.mean.y
     return left / np.linalg.norm(rows.mean.y)

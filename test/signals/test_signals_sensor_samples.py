@@ -1,4 +1,4 @@
-"""Streams to samples, on random robots that move in MuJoCo."""
+"""From streams to samples, on random robots that move in MuJoCo."""
 
 from dataclasses import fields, replace
 
@@ -32,10 +32,10 @@ def relative_rmse(value, truth):
 def test_sensors_of_any_tree_close_its_equation_of_motion(seed, floating):
     model = random_robot(seed, links=3 + seed, floating=floating, wrench_frames=seed)
     streams, _ = streams_of(TreeSimulation(model, 1.0, seed))
-    # The servos' start is a jolt that no differentiation of sampled positions follows.
+    # Differentiation of sampled positions cannot follow the jerk when the servos start.
     samples = samples_of(streams, model, UNFILTERED)[300:]
     rows = equation_of_motion(ParameterSet(model), samples)
-    # What is left is the differentiation of positions sampled at 1 kHz.
+    # The remaining error is that of differentiating positions at 1 kHz.
     closure = relative_rmse(rows.K @ ParameterSet(model).values, rows.y)
     assert closure < 5e-3
 

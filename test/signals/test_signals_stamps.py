@@ -1,4 +1,4 @@
-"""Lost messages as header stamps show them."""
+"""Gaps, order and clock jumps found in header stamps."""
 
 from itertools import pairwise
 
@@ -24,7 +24,7 @@ PERIOD = 1_000_000
 
 
 @given(st.integers(20, 200), st.data())
-def test_every_message_taken_out_is_missed(count: int, data: st.DataObject) -> None:
+def test_every_removed_message_is_counted(count: int, data: st.DataObject) -> None:
     inner = st.lists(st.integers(1, count - 2), max_size=count // 4, unique=True)
     lost = data.draw(inner)
     stamps = np.delete(np.arange(count) * PERIOD, lost)
@@ -34,13 +34,13 @@ def test_every_message_taken_out_is_missed(count: int, data: st.DataObject) -> N
     assert gaps.disordered == 0
 
 
-def test_jitter_below_half_a_period_is_no_gap() -> None:
+def test_jitter_below_half_a_period_is_not_a_gap() -> None:
     jitter = np.random.default_rng(0).integers(-200_000, 200_000, 1000)
     gaps = find_gaps(np.arange(1000) * PERIOD + jitter)
     assert (gaps.gaps, gaps.missing, gaps.disordered) == (0, 0, 0)
 
 
-def test_order_of_arrival_is_judged_apart_from_gaps() -> None:
+def test_order_of_arrival_is_counted_apart_from_gaps() -> None:
     gaps = find_gaps(np.array([0, 2, 1, 3, 3, 4]) * PERIOD)
     assert (gaps.missing, gaps.disordered, gaps.longest) == (0, 2, PERIOD)
 

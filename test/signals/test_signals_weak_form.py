@@ -1,4 +1,4 @@
-"""Windowed rows against sums written out, on exact motions of random trees."""
+"""Windowed rows against explicit sums, for exact motions of random trees."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -25,7 +25,7 @@ from symbid_ros.signals.weak_form import (
     check_windows,
     equation_rows,
     prefilter,
-    suited_windows,
+    suitable_windows,
     windowed_rows,
 )
 
@@ -59,7 +59,7 @@ def assert_closes(parameters, mean, tolerance):
 
 @pytest.mark.parametrize("parameters", [*trees(0, 3, 5), *trees(2, floating=False)])
 @pytest.mark.parametrize("window", [0.081, 0.32])
-def test_averages_are_the_strict_weak_form_in_which_no_acceleration_is_formed(parameters, window):
+def test_averages_equal_the_weak_form_without_accelerations(parameters, window):
     rng = np.random.default_rng(1)
     segment = noisy(analytic_segment(parameters, 0.1 + 2.6 * window, 1), rng, **NOISE)
     ((mean, _, _),) = rows_of(segment, parameters, [window])
@@ -112,11 +112,11 @@ def strict_weak_form(readings, parameters, window):
 def test_rows_of_exact_motion_close_the_equation_of_motion(parameters):
     for mean, _, valid in rows_of(analytic_segment(parameters, 3.0, 7), parameters):
         assert valid.all()
-        # What is left is the central difference of a 1.5 Hz sine sampled at 1 kHz.
+        # The remaining error is the central difference of a 1.5 Hz sine sampled at 1 kHz.
         assert_closes(parameters, mean, 1e-4)
 
 
-def test_several_imus_tell_of_the_same_base():
+def test_several_imus_give_the_same_base_motion():
     parameters = ParameterSet(random_robot(8, links=6, wrench_frames=1))
     frames = ("imu_link", "link_5", "link_0")
     segment = analytic_segment(parameters, 1.5, 3, imu_frames=frames)
@@ -127,7 +127,7 @@ def test_several_imus_tell_of_the_same_base():
 @pytest.mark.parametrize(
     ("rate", "tolerance"), [(200.0, 3e-3), (1e9 / 3e6, 2e-3), (700.0, 1e-3), (2500.0, 1e-4)]
 )
-def test_any_sampling_rate_will_do(rate, tolerance):
+def test_rows_close_at_any_sampling_rate(rate, tolerance):
     parameters = ParameterSet(random_robot(3, links=4))
     segment = analytic_segment(parameters, 2.4, 5, rate=rate)
     settled = 2 * SETTLING / min(PREFILTER, 0.1 * rate)
@@ -172,7 +172,7 @@ def averaging(segment, window):
 
 
 @pytest.mark.parametrize("window", [0.081, 0.161, 0.32])
-def test_overlapping_windows_look_more_than_they_are_by_a_third(window):
+def test_overlapping_windows_inflate_the_information_by_a_third(window):
     parameters = ParameterSet(random_robot(2, links=2, floating=False))
     segment = analytic_segment(parameters, 2.0, 0, rate=500.0)
     weights = averaging(segment, window)
@@ -188,7 +188,7 @@ def test_overlapping_windows_look_more_than_they_are_by_a_third(window):
 
 @pytest.mark.parametrize("terms", [("viscous", "coulomb"), ("viscous", "armature"), ()])
 @pytest.mark.parametrize("stated", [True, False])
-def test_a_joint_that_sticks_leaves_its_row_out_where_it_has_coulomb_friction(terms, stated):
+def test_rows_of_sticking_joints_with_coulomb_friction_are_left_out(terms, stated):
     size = {"friction_loss": 2.0 * stated}
     robot = with_drives(random_robot(4, links=4), np.random.default_rng(2), **size)
     parameters = ParameterSet(robot, terms)
@@ -225,7 +225,7 @@ def test_a_log_shorter_than_a_window_has_no_rows(seconds):
 
 
 @pytest.mark.parametrize("levels", [{"position": 2e-5}, {"rate": 5e-3}])
-def test_noise_rows_have_the_moments_of_what_noise_does_to_the_regressor(levels):
+def test_noise_rows_have_the_moments_of_the_regressors_noise(levels):
     parameters = ParameterSet(random_robot(6, links=5))
     exact = analytic_segment(parameters, 11.9, 4, start=0.05)
     without = rows_of(exact, parameters)
@@ -239,7 +239,7 @@ def test_noise_rows_have_the_moments_of_what_noise_does_to_the_regressor(levels)
         assert np.abs(more.y).max() < 1e-3 * np.abs(mean.y).max()
 
 
-def test_the_replayed_noise_is_the_same_every_time():
+def test_added_noise_is_reproducible():
     parameters = ParameterSet(random_robot(6, links=3))
     segment = noisy(analytic_segment(parameters, 1.0, 4), np.random.default_rng(3), **NOISE)
     (_, first, _), (_, again, _) = (rows_of(segment, parameters, [0.081])[0] for _ in range(2))
@@ -258,7 +258,7 @@ def test_the_replayed_noise_is_the_same_every_time():
     ],
 )
 def test_windows_hold_at_least_six_samples(rate, windows):
-    assert suited_windows(ALL_WINDOWS, rate) == windows
+    assert suitable_windows(ALL_WINDOWS, rate) == windows
     if windows:
         check_windows(ALL_WINDOWS, rate, "log")
     else:

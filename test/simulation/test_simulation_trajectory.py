@@ -8,10 +8,8 @@ START = np.array([0.1, -0.2, 0.9])
 SPAN = MoveRange(
     centre=np.array([0.0, 0.01, -0.02]),
     half_widths=np.array([0.05, 0.06, 0.02]),
-    slowest=0.01,
-    fastest=0.08,
+    speeds=(0.01, 0.08),
     shortest=0.045,
-    rest=0.5,
 )
 
 
@@ -38,7 +36,7 @@ def test_speed_grows_then_shrinks(moves):
     assert abs(peak - (moves - 1) / 2) <= 1
     assert np.all(np.diff(speeds[: peak + 1]) > -1e-12)
     assert np.all(np.diff(speeds[peak:]) < 1e-12)
-    assert speeds[0] == pytest.approx(SPAN.slowest)
+    assert speeds[0] == pytest.approx(SPAN.speeds[0])
 
 
 def test_moves_are_straight_cubic_and_at_rest_at_both_ends():
