@@ -88,6 +88,16 @@ def test_a_coarse_sensor_is_not_saturated(streams, step) -> None:
     assert mask_faulty_messages(streams)[1] == ()
 
 
+def test_a_constant_load_at_rest_is_no_limit(streams) -> None:
+    """Only a channel that stops while others of its topic move is at its limit."""
+    for values in (streams.joints.position, streams.joints.effort):
+        values[800:1200] = values[800]
+    streams.joints.effort[800:1200, 1] = streams.joints.effort[:, 1].max() + 1
+    detector = SaturationDetector()
+    detector.add(streams)
+    assert detector.limits == {}
+
+
 def test_a_channel_of_nan_does_not_make_the_others_look_frozen(streams) -> None:
     """A robot at rest, without noise, whose driver knows nothing of one joint."""
     streams.joints.position[:, 0] = streams.joints.effort[:, 0] = np.nan
@@ -237,6 +247,8 @@ def test_extreme_values_are_kept_with_their_longest_runs() -> None:
     counts.add(np.array([3.0, 2, 3]), np.array([3.0, 2.0]))
     assert dict(counts.counts) == {1.0: 3, 2.0: 2, 3.0: 5}
     assert counts.longest == {1.0: 2, 2.0: 1, 3.0: 3}
+    counts.add(np.array([3.0]), np.array([4.0]))
+    assert (counts.counts[4.0], counts.longest[4.0]) == (0, 0)
     for sign, kept in ((1, range(4, 21)), (-1, range(17))):
         counts = ExtremeCounts()
         values = np.arange(21.0)

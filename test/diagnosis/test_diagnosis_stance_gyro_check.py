@@ -168,7 +168,9 @@ def fitted(model, *segments):
     return moments, fit_gyro(moments)
 
 
-@pytest.mark.parametrize(("delay", "scale"), [(0.0, 1.0), (0.012, 0.5), (-0.03, 57.3)])
+@pytest.mark.parametrize(
+    ("delay", "scale"), [(0.0, 1.0), (0.012, 0.5), (-0.03, 57.3), (0.095, 1.0), (-0.095, 1.0)]
+)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_rotation_delay_and_scale_of_a_gyroscope_are_found(delay, scale, seed) -> None:
     mounting = random_rotation(np.random.default_rng(seed))
@@ -185,6 +187,20 @@ def test_rotation_delay_and_scale_of_a_gyroscope_are_found(delay, scale, seed) -
     assert found.scale == pytest.approx(scale, rel=0.02)
     rms = np.sqrt(np.mean(np.sum((turn - turn.mean(axis=0)) ** 2, axis=1)))
     assert found.rate == pytest.approx(rms, rel=0.05)
+    slope = np.gradient(turn, 1 / RATE, axis=0)
+    pace = np.sqrt(np.mean(np.sum(slope**2, axis=1)))
+    assert np.sqrt(moments.slope_square / moments.count) == pytest.approx(pace, rel=0.05)
+
+
+@pytest.mark.parametrize(("frequency", "is_seen"), [(5.0, True), (120.0, False)])
+def test_vibrations_above_the_cutoff_do_not_count(frequency, is_seen) -> None:
+    model, segment, turn = over_a_foot(np.eye(3))
+    size = np.sqrt(np.mean(np.sum(turn**2, axis=1)))
+    shake = size * np.sin(2 * np.pi * frequency * segment.stamp * 1e-9)
+    shaken = segment.angular_velocity + shake[:, None, None] * [1.0, 0.0, 0.0]
+    _, found = fitted(model, replace(segment, angular_velocity=shaken))
+    assert (found.left > 0.3) is is_seen
+    assert (found.left < 0.05) is not is_seen
 
 
 def test_only_times_under_load_count() -> None:
