@@ -4,10 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from expected_errors import raises_code
 from foreign_bags import IMU, JOINT_STATE, imu, joint_state, write_rosbags
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from symbid_ros.bags import slices
-from symbid_ros.bags.slices import iterate_slices
+from symbid_ros.bags.slices import ReorderBuffer, iterate_slices
+from symbid_ros.messages.decoder import TopicDecoder
+from symbid_ros.messages.topics import Topic
+from symbid_ros.messages.types import read_stamp
+from symbid_ros.signals.defects import Defect, DefectCounts
 from symbid_ros.signals.streams import TimeRange
 
 SECOND = 10**9
@@ -80,3 +87,68 @@ def test_reading_ends_after_the_requested_part(tmp_path: Path) -> None:
         (found.streams.joints.stamp >= found.start) & (found.streams.joints.stamp < found.stop)
     ]
     assert inside.tolist() == [round(s * SECOND) for s in (3.0, 3.5, 4.0, 4.5)]
+
+
+def filled(*blocks: list[int], **limits: int) -> ReorderBuffer:
+    """Return a buffer of messages with these stamps, block by block."""
+    topic = Topic("/imu/data", IMU)
+    buffer = ReorderBuffer(TopicDecoder("log", topic), DefectCounts("log", topic.name))
+    for stamps in blocks:
+        payloads = [imu(stamp) for stamp in stamps]
+        data = np.frombuffer(b"".join([b"", *payloads]), dtype=np.uint8)
+        lengths = np.array([len(each) for each in payloads], dtype=np.int64)
+        spans = np.stack([np.cumsum(lengths) - lengths, lengths], axis=1)
+        buffer.add(data, spans, **limits)
+    return buffer
+
+
+def inside(buffer: ReorderBuffer, start: int, stop: int) -> list[int]:
+    """Return the stamps of the messages between two stamps, in order of recording."""
+    decoder = buffer.between(start, stop)
+    found = np.zeros(decoder.count, dtype=np.int64)
+    for batch in decoder.batches:
+        found[batch.index] = read_stamp(batch.records)
+    return found.tolist()
+
+
+stamps = st.lists(st.lists(st.integers(1, 60), max_size=8), max_size=5)
+
+
+@given(stamps, st.integers(0, 61), st.integers(0, 61), st.integers(0, 61))
+@settings(max_examples=60)
+def test_a_buffer_keeps_what_a_list_keeps(blocks, start, stop, dropped) -> None:
+    buffer = filled(*blocks)
+    expected = [stamp for block in blocks for stamp in block]
+    assert inside(buffer, start, stop) == [each for each in expected if start <= each < stop]
+    assert buffer.stamps.tolist() == expected
+    assert buffer.newest == max(expected, default=None)
+    later = [each for each in expected if each >= start]
+    assert buffer.first_from(start) == min(later, default=None)
+    size = buffer.size
+    buffer.drop_before(dropped)
+    left = [each for each in expected if each >= dropped]
+    assert buffer.stamps.tolist() == left
+    assert buffer.size * max(len(expected), 1) == size * len(left)
+    assert inside(buffer, 0, 100) == left
+
+
+@given(stamps, st.integers(0, 61), st.integers(0, 61))
+@settings(max_examples=60)
+def test_late_messages_count_if_they_were_asked_for(blocks, processed, requested) -> None:
+    buffer = filled(*blocks, processed_until=processed, requested_from=requested)
+    given_stamps = [stamp for block in blocks for stamp in block]
+    assert buffer.stamps.tolist() == [each for each in given_stamps if each >= processed]
+    late = sum(requested <= each < processed for each in given_stamps)
+    assert buffer.tally.counts.get(Defect.LATE, 0) == late
+    assert buffer.tally.messages == len(given_stamps)
+    assert buffer.newest == max(given_stamps, default=None)
+
+
+@pytest.mark.parametrize(("back", "is_jump"), [(SECOND, False), (SECOND + 1, True)])
+def test_the_clock_is_compared_across_blocks(back: int, is_jump: bool) -> None:
+    blocks = [5 * SECOND, 9 * SECOND], [9 * SECOND - back, 10 * SECOND]
+    if is_jump:
+        with raises_code("E314", "/imu/data"):
+            filled(*blocks)
+    else:
+        assert len(filled(*blocks).stamps) == 4
