@@ -28,12 +28,14 @@ def ur5_urdf() -> Path:
 
 
 def write_arm(folder: Path) -> None:
-    """Write ``my_arm.urdf`` and ``arm_bag``: a UR5 with friction that its file does not state."""
+    """Write ``my_arm.urdf`` and two bags of a UR5 with friction that its file does not state."""
     model = load_model(ur5_urdf())
     joints = tuple(
         replace(joint, damping=2.0 - 0.25 * index, friction_loss=3.0 - 0.4 * index)
         for index, joint in enumerate(model.joints)
     )
-    plan = LogPlan(rate=250.0, count=10_000)
-    write_bag(random_streams(replace(model, joints=joints), plan, seed=3), folder / "arm_bag")
+    robot = replace(model, joints=joints)
+    for name, count, seed in (("arm_bag", 10_000, 3), ("other_arm_bag", 8_500, 9)):
+        plan = LogPlan(rate=250.0, count=count)
+        write_bag(random_streams(robot, plan, seed), folder / name)
     write_inaccurate(ur5_urdf(), folder / "my_arm.urdf", seed=4)
