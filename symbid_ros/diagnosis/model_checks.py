@@ -246,10 +246,11 @@ def _attribute_to_joints(checks: ModelChecks, joints: str, others: set[str]) -> 
     delays = np.array(list(found.values()))
     if np.ptp(delays) > ALIKE * abs(delays.mean()):
         return
-    checks.findings = [one for one in checks.findings if one.kind is not Kind.DELAY]
-    checks.findings += delay_finding(
-        joints, 1e-3 * float(delays.mean()), 1e-3 * float(delays.std()), "the other streams"
-    )
+    mean, std = 1e-3 * float(delays.mean()), 1e-3 * float(delays.std())
+    # Delays that scatter too much for one finding keep their own.
+    if replacing := list(delay_finding(joints, mean, std, "the other streams")):
+        kept = [one for one in checks.findings if one.kind is not Kind.DELAY]
+        checks.findings = kept + replacing
 
 
 def _check_excitation(

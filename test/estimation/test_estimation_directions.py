@@ -183,6 +183,14 @@ def test_a_posterior_of_another_prior_is_rejected():
     prior, posterior = problem(4, 5)
     with pytest.raises(EstimateError, match="as wide as the prior"):
         compare(prior, 2 * posterior)
+    # A single direction is enough.
+    wider = prior.copy()
+    wider[:, 0] *= 1.01
+    with pytest.raises(EstimateError, match=r"1\.01 times as wide"):
+        compare(prior, wider)
+    wider = prior.copy()
+    wider[:, 0] *= 1 + 1e-7
+    assert compare(prior, wider).ratios.max() == 1.0
     posterior[0, 0] = np.nan
     with pytest.raises(EstimateError, match="not finite"):
         compare(prior, posterior)
