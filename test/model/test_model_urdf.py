@@ -144,6 +144,15 @@ def test_an_axis_has_a_direction(tmp_path, axis, is_valid):
             knee(tmp_path, f'<axis xyz="{axis}"/>')
 
 
+def test_a_root_floats_unless_it_is_fixed(tmp_path):
+    parts = [link("a"), link("b"), joint("knee", "a", "b")]
+    assert loaded(tmp_path, *parts).floating
+    for base in ("floating", "fixed"):
+        robot = loaded(tmp_path, *parts, base=base)
+        assert robot.floating is (base == "floating")
+        np.testing.assert_array_equal(robot.gravity, [0, 0, -9.81])
+
+
 @pytest.mark.parametrize("kind", ["fixed", "floating"])
 def test_a_massless_world_only_holds_the_base(tmp_path, kind):
     parts = [link("a"), link("b"), joint("knee", "a", "b")]
