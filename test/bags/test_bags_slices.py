@@ -115,7 +115,7 @@ stamps = st.lists(st.lists(st.integers(1, 60), max_size=8), max_size=5)
 
 
 @given(stamps, st.integers(0, 61), st.integers(0, 61), st.integers(0, 61))
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_a_buffer_keeps_what_a_list_keeps(blocks, start, stop, dropped) -> None:
     buffer = filled(*blocks)
     expected = [stamp for block in blocks for stamp in block]
@@ -133,7 +133,7 @@ def test_a_buffer_keeps_what_a_list_keeps(blocks, start, stop, dropped) -> None:
 
 
 @given(stamps, st.integers(0, 61), st.integers(0, 61))
-@settings(max_examples=60)
+@settings(max_examples=40)
 def test_late_messages_count_if_they_were_asked_for(blocks, processed, requested) -> None:
     buffer = filled(*blocks, processed_until=processed, requested_from=requested)
     given_stamps = [stamp for block in blocks for stamp in block]

@@ -17,7 +17,9 @@ from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import (
     FORMAT,
     MAX_BYTES,
+    SensorCalibration,
     load_archive,
+    load_calibration,
     load_deviation_factor,
     write_archive,
 )
@@ -327,3 +329,46 @@ def test_a_deviation_factor_is_a_finite_matrix(stored, tmp_path):
         rewritten(stored, path, deviation_factor=factor)
         with pytest.raises(EstimateError, match="its deviation_factor"):
             load_deviation_factor(path)
+
+
+def test_a_calibration_is_read_as_it_was_written(tmp_path):
+    path = tmp_path / "information.npz"
+    rng = np.random.default_rng(1)
+    written = SensorCalibration(rng.normal(size=(4, 6)), rng.normal(size=34))
+    write_archive(path, observed(), np.eye(30), written)
+    found = load_calibration(path)
+    np.testing.assert_array_equal(found.factor, written.factor)
+    np.testing.assert_array_equal(found.linearization, written.linearization)
+    assert len(load_archive(path)) == 2
+
+
+@pytest.mark.parametrize(
+    ("sensor_factor", "linearization", "error"),
+    [
+        (np.eye(2), np.ones(3), False),
+        (np.ones(2), np.ones(3), True),
+        (np.eye(2), np.eye(3), True),
+        (np.full((2, 2), np.nan), np.ones(3), True),
+        (np.eye(2), np.full(3, np.inf), True),
+        (np.eye(2, dtype=int), np.ones(3), True),
+        (np.eye(2), np.array(["a"]), True),
+    ],
+)
+def test_a_calibration_consists_of_finite_arrays(
+    stored, tmp_path, sensor_factor, linearization, error
+):
+    path = tmp_path / "calibration.npz"
+    rewritten(stored, path, sensor_factor=sensor_factor, linearization=linearization)
+    if error:
+        with pytest.raises(EstimateError, match="its sensor_factor or linearization"):
+            load_calibration(path)
+    else:
+        assert load_calibration(path).factor.shape == (2, 2)
+
+
+def test_an_archive_without_sensor_errors_has_no_calibration(stored, tmp_path):
+    assert load_calibration(stored) is None
+    for name, value in (("sensor_factor", np.eye(2)), ("linearization", np.ones(3))):
+        path = tmp_path / f"{name}.npz"
+        rewritten(stored, path, **{name: value})
+        assert load_calibration(path) is None

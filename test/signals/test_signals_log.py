@@ -1,9 +1,11 @@
 """Logs of arrays are cut and aligned like a bag with the same measurements."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from expected_errors import raises_code
 
 from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.errors import DataError, ModelError
@@ -110,3 +112,41 @@ def test_a_sensor_without_readings_is_named(robot) -> None:
     (whole,) = Log.from_streams(replace(streams, imus=(imu,))).slices()
     assert whole.streams is None
     assert "imus['imu_link']" in whole.fault
+
+
+def test_a_log_of_arrays_has_no_other_bags(robot) -> None:
+    log = Log.from_arrays(robot, **arrays(robot), name="mine")
+    with raises_code("E526", "later.*mine is a log of arrays"):
+        log.other((Path("later"),))
+
+
+@pytest.mark.parametrize(("seconds", "is_valid"), [(4.6e9, True), (4.7e9, False), (-4.7e9, False)])
+def test_instants_fit_into_nanoseconds(robot, seconds, is_valid) -> None:
+    given = arrays(robot) | {"time": seconds + np.arange(200) / 100}
+    if is_valid:
+        assert Log.from_arrays(robot, **given).streams().joints.stamp[0] == round(seconds * 1e9)
+    else:
+        with raises_code("E518", "in seconds"):
+            Log.from_arrays(robot, **given)
+
+
+@pytest.mark.parametrize("span", [None, 700_000_000])
+def test_a_part_of_a_log_is_cut_at_its_ends(robot, span) -> None:
+    """From the start up to the stop, in seconds after the first instant."""
+    first = 1_700_000_000_000_000_000
+    given = arrays(robot) | {"time": first + 10_000_000 * np.arange(200)}
+    log = Log.from_arrays(robot, **given, start=0.5, stop=1.25)
+    pieces = list(log.slices(span))
+    assert pieces[0].start == first + 500_000_000
+    assert pieces[-1].stop == first + 1_250_000_000
+    assert [one.stop for one in pieces[:-1]] == [one.start for one in pieces[1:]]
+    assert all(one.stop % 700_000_000 == 0 for one in pieces[:-1])
+    counts = [len(one.stamps["joints"]) for one in pieces]
+    assert sum(counts) == 75
+    for one in pieces:
+        stamp = one.streams.joints.stamp
+        # Twenty periods more at both ends, as far as the log goes.
+        assert stamp[0] - max(first, one.start - 200_000_000) < 10_000_000
+        assert min(first + 2_000_000_000, one.stop + 200_000_000) - stamp[-1] <= 10_000_000
+        assert one.start - 200_000_000 <= stamp[0]
+        assert stamp[-1] < one.stop + 200_000_000
