@@ -1,8 +1,9 @@
 """Plain weighted least squares, the reference for identification from logs of real robots.
 
 The steps are those of textbooks (Khalil and Dombre 2002, ch. 12; Gautier 1997): a zero-phase
-low-pass, central differences, one row for each joint and sample, rows weighted by the standard
-deviation of their joint's residuals, and the solution of least norm. There is no prior.
+low-pass of the motion, central differences, the same low-pass for columns and torques ("parallel
+filtering"), one row for each joint and instant, rows weighted by the standard deviation of their
+joint's residuals, and the solution of least norm. There is no prior.
 """
 
 from collections.abc import Sequence
@@ -15,22 +16,32 @@ from scipy.interpolate import make_interp_spline
 import symbid_ros as sy
 
 SLIPPING = 0.02  # rad/s; below it, a joint may stick
+RATE = 500.0  # Hz at most, at which columns are computed; a divisor of the log's rate
 ROWS_PER_SECOND = 100.0
 EDGE = 2.0  # periods of the low-pass that its transient disturbs at both ends
+MOTION = 4.0  # cutoff of the motion, in cutoffs of the rows: the motion drives faster terms
 REWEIGHTINGS = 5
 
 
 @dataclass(frozen=True)
 class Sampled:
-    """N samples of a recording after filtering and differentiation.
+    """A recording after filtering and differentiation.
 
     Attributes
     ----------
     position, velocity, acceleration : (N, J) float64
+        On a uniform clock.
     base : BaseMotion or None
-        Of a floating base.
-    force : (N, n) float64
-        Measured generalised forces; NaN where there are none.
+        Of a floating base, on the same clock.
+    force : (M, n) float64
+        Measured generalised forces after the low-pass, every ``stride`` instants without the
+        edges; NaN where there are none.
+    period : float
+        Of the clock, s.
+    cutoff : float
+        Of the rows' low-pass, Hz.
+    kept : slice
+        Instants of the rows.
     """
 
     position: FloatArray
@@ -38,42 +49,53 @@ class Sampled:
     acceleration: FloatArray
     base: sy.BaseMotion | None
     force: FloatArray
+    period: float
+    cutoff: float
+    kept: slice
+
+    def filtered(self, values: FloatArray) -> FloatArray:
+        """Return values (N, ...) as rows (M, ...), filtered as the measured forces are."""
+        return low_pass(values, self.period, self.cutoff)[self.kept]
 
     @property
     def is_used(self) -> np.ndarray:
-        """(N, n) rows that are measured and whose joint slips."""
+        """(M, n) rows that are measured and whose joint slips."""
         used = np.isfinite(self.force)
         joints = self.velocity.shape[1]
         if np.isfinite(self.force[:, -joints:]).any():
-            used[:, -joints:] &= np.abs(self.velocity) >= SLIPPING
+            used[:, -joints:] &= np.abs(self.velocity[self.kept]) >= SLIPPING
         return used
 
 
 def sample(robot: sy.RobotModel, recording: Recording, cutoff: float) -> Sampled:
-    """Resample to a uniform clock, filter, differentiate, cut both ends and decimate."""
-    period = float(np.median(np.diff(recording.time)))
-    clock = np.arange(recording.time[0], recording.time[-1], period)
+    """Resample to a uniform clock, filter, differentiate, and choose the instants of the rows."""
+    measured = float(np.median(np.diff(recording.time)))
+    thinning = max(1, int(1 / (RATE * measured)))
+    period = thinning * measured
+    clock = np.arange(recording.time[0], recording.time[-1], measured)
 
-    def uniform(values: FloatArray) -> FloatArray:
+    def uniform(values: FloatArray, limit: float) -> FloatArray:
         linear = make_interp_spline(recording.time, values, k=1)(clock)
-        return low_pass(linear, period, cutoff)
+        return low_pass(linear, measured, limit)
 
-    position = uniform(recording.position)
-    velocity = np.gradient(position, period, axis=0)
-    acceleration = np.gradient(velocity, period, axis=0)
+    position = uniform(recording.position, MOTION * cutoff)
+    velocity = np.gradient(position, measured, axis=0)
+    acceleration = np.gradient(velocity, measured, axis=0)
     force = np.full_like(position, np.nan)
     has_effort = np.isfinite(recording.effort).any(axis=0)
-    force[:, has_effort] = uniform(recording.effort[:, has_effort])
-    edge = round(EDGE / cutoff / period)
-    kept = slice(edge, len(clock) - edge, max(1, round(1 / (ROWS_PER_SECOND * period))))
+    force[:, has_effort] = uniform(recording.effort[:, has_effort], cutoff)
     base = None
     if recording.pose is not None:
-        readings = base_readings(recording, robot.gravity, cutoff)
-        imu, wrench = uniform(readings.imu), uniform(readings.wrench)
+        readings = base_readings(recording, robot.gravity)
+        imu, wrench = uniform(readings.imu, np.inf), uniform(readings.wrench, cutoff)
         force = np.hstack([wrench[:, 3:], wrench[:, :3], force])
-        turn = np.gradient(imu[:, :3], period, axis=0)
-        base = sy.BaseMotion(imu[kept, :3], turn[kept], imu[kept, 3:])
-    return Sampled(position[kept], velocity[kept], acceleration[kept], base, force[kept])
+        turn = np.gradient(imu[:, :3], measured, axis=0)
+        base = sy.BaseMotion(*(each[::thinning] for each in (imu[:, :3], turn, imu[:, 3:])))
+    motion = (each[::thinning] for each in (position, velocity, acceleration))
+    force = force[::thinning]
+    edge = round(EDGE / cutoff / period)
+    kept = slice(edge, len(force) - edge, max(1, round(1 / (ROWS_PER_SECOND * period))))
+    return Sampled(*motion, base, force[kept], period, cutoff, kept)
 
 
 def columns(
@@ -82,7 +104,7 @@ def columns(
     terms: Sequence[str],
     extra: FloatArray | None = None,
 ) -> FloatArray:
-    """Return the regressor (N, n, p) of links, joint terms and further columns."""
+    """Return the filtered regressor (M, n, p), with further columns from (N, n, k)."""
     links = sy.regressor(
         robot, samples.position, samples.velocity, samples.acceleration, base=samples.base
     )
@@ -101,7 +123,7 @@ def columns(
         parts.append(part)
     if extra is not None:
         parts.append(extra)
-    return np.concatenate(parts, axis=2)
+    return np.concatenate([samples.filtered(part) for part in parts], axis=2)
 
 
 def solve(regressor: FloatArray, samples: Sampled) -> FloatArray:
@@ -142,6 +164,6 @@ def score(samples: Sampled, predicted: FloatArray) -> Score:
     used = samples.is_used
     error = np.where(used, samples.force - predicted, 0.0)
     force = np.where(used, samples.force, 0.0)
-    with np.errstate(invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         each = 100.0 * np.linalg.norm(error, axis=0) / np.linalg.norm(force, axis=0)
     return Score(each, float(100.0 * np.linalg.norm(error) / np.linalg.norm(force)))

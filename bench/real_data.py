@@ -24,6 +24,9 @@ FloatArray = NDArray[np.float64]
 Motion = Callable[[FloatArray, FloatArray], FloatArray]
 
 
+PLATE_CUTOFF = 5.0  # Hz
+
+
 class MissingDataError(Exception):
     """A file that the user has to download is absent."""
 
@@ -72,7 +75,7 @@ class RealLog:
     robot : RobotModel
     training, heldout : Recording
     cutoff : float
-        Low-pass of the reference and of the measured torques that both are judged on, Hz.
+        Low-pass of the rows of the reference, on which all are judged, Hz.
     terms : tuple of str
         Joint terms of the plain reference.
     extra : mapping of str to Motion
@@ -156,14 +159,6 @@ def tx40(files: Sequence[Path]) -> RealLog:
     time = np.arange(len(position)) / 5000.0
     log = Recording("tx40", time, position, effort)
 
-    def coupling(velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        columns = np.zeros((*velocity.shape, 3))
-        for joint, other in ((4, 5), (5, 4)):
-            columns[:, joint, 0] = acceleration[:, other]
-            columns[:, joint, 1] = velocity[:, other]
-            columns[:, joint, 2] = np.sign(velocity[:, 4] + velocity[:, 5])
-        return columns
-
     # Of TX40_config.yaml: rotor inertia, viscous and Coulomb friction, offset.
     values = np.array(
         [
@@ -176,7 +171,7 @@ def tx40(files: Sequence[Path]) -> RealLog:
 
     def published(velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         own = values[0] * acceleration + values[1] * velocity + values[2] * np.sign(velocity)
-        coupled: FloatArray = coupling(velocity, acceleration) @ [0.00964, 0.616, 1.95]
+        coupled: FloatArray = wrist_coupling(velocity, acceleration) @ [0.00964, 0.616, 1.95]
         return own + values[3] + coupled
 
     return RealLog(
@@ -184,9 +179,23 @@ def tx40(files: Sequence[Path]) -> RealLog:
         log.part(0.0, 0.75),
         log.part(0.75, 1.0),
         cutoff=20.0,
-        extra={"with the coupling of joints 5 and 6": coupling},
+        extra={"with the coupling of joints 5 and 6": wrist_coupling},
         published={"model file + drives of TX40_config.yaml": published},
     )
+
+
+def wrist_coupling(velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+    """Return columns (N, 6, 3) of rotor 6, which turns with the sum of joints 5 and 6.
+
+    Its inertia, viscous and Coulomb friction act on both joints. The shares that joint 6 causes at
+    joint 6, and joint 5 at joint 5, belong to the joints' own terms.
+    """
+    columns = np.zeros((*velocity.shape, 3))
+    for joint, other in ((4, 5), (5, 4)):
+        columns[:, joint, 0] = acceleration[:, other]
+        columns[:, joint, 1] = velocity[:, other]
+        columns[:, joint, 2] = np.sign(velocity[:, 4] + velocity[:, 5])
+    return columns
 
 
 def lwr4(files: Sequence[Path]) -> RealLog:
@@ -246,23 +255,27 @@ def ur10e(files: Sequence[Path]) -> RealLog:
 def human(files: Sequence[Path]) -> RealLog:
     """Read a human on a force plate at 30 Hz: pelvis pose and joint angles from motion capture.
 
-    The file lists the joints as Pinocchio orders them: depth first, siblings by name.
+    The file lists the joints as Pinocchio orders them: depth first, siblings by name. Many poses
+    are repeated. The wrenches were filtered at 5 Hz by their authors, so the motion is too.
     """
     table, urdf = files
     robot = sy.load_model(urdf, base="floating")
     rows = _table(table)
     order = joint_order(urdf)
     columns = [7 + order.index(name) for name in robot.measured_joint_names]
-    position = rows[:, columns]
+    turns_back = np.cumsum((rows[1:, 3:7] * rows[:-1, 3:7]).sum(axis=1) < 0) % 2 == 1
+    rows[1:, 3:7][turns_back] *= -1.0  # q and -q are the same rotation
+    motion = low_pass(rows, 1 / 30.0, PLATE_CUTOFF)
+    position = motion[:, columns]
     log = Recording(
         "human",
         np.arange(len(rows)) / 30.0,
         position,
         np.full_like(position, np.nan),
-        pose=rows[:, :7],
+        pose=motion[:, :7],
         wrench=rows[:, -6:],
     )
-    return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=5.0, terms=())
+    return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), PLATE_CUTOFF, terms=())
 
 
 def joint_order(urdf: Path) -> list[str]:
@@ -317,15 +330,13 @@ class BaseReadings:
     wrench: FloatArray
 
 
-def base_readings(recording: Recording, gravity: FloatArray, cutoff: float) -> BaseReadings:
+def base_readings(recording: Recording, gravity: FloatArray) -> BaseReadings:
     """Differentiate the pose of a floating base and move the plate's wrench to its origin."""
     period = float(np.median(np.diff(recording.time)))
-    place = low_pass(recording.pose[:, :3], period, cutoff)
+    place = recording.pose[:, :3]
     rotation = Rotation.from_quat(recording.pose[:, 3:])
-    # Small rotations from one sample to the next are filtered as rates.
     step = (rotation[:-1].inv() * rotation[1:]).as_rotvec() / period
     rate = np.vstack([step[:1], (step[:-1] + step[1:]) / 2, step[-1:]])
-    rate = low_pass(rate, period, cutoff)
     acceleration = np.gradient(np.gradient(place, period, axis=0), period, axis=0)
     specific_force = rotation.inv().apply(acceleration - gravity)
     force, moment = recording.wrench[:, :3], recording.wrench[:, 3:]
@@ -345,12 +356,12 @@ def low_pass(values: FloatArray, period: float, cutoff: float) -> FloatArray:
     return filtered
 
 
-def to_log(robot: sy.RobotModel, recording: Recording, cutoff: float) -> sy.Log:
+def to_log(robot: sy.RobotModel, recording: Recording) -> sy.Log:
     """Return a recording as a log, through the public API."""
     sensors = {}
     if recording.pose is not None:
         base = robot.links[0].name
-        readings = base_readings(recording, robot.gravity, cutoff)
+        readings = base_readings(recording, robot.gravity)
         sensors = {"imus": {base: readings.imu}, "wrenches": {base: readings.wrench}}
     return sy.Log.from_arrays(
         robot,

@@ -93,7 +93,7 @@ def references(log: RealLog, training: Sampled, heldout: Sampled) -> Iterator[tu
     inertial = columns(log.robot, heldout, ()) @ stated
     yield "model file, inertias alone", score(heldout, inertial)
     for title, torque in (log.published or {}).items():
-        predicted = inertial + torque(heldout.velocity, heldout.acceleration)
+        predicted = inertial + heldout.filtered(torque(heldout.velocity, heldout.acceleration))
         yield title, score(heldout, predicted)
     plain = "least squares: " + (", ".join(("links", *log.terms)))
     for title, extra in [(plain, None), *(log.extra or {}).items()]:
@@ -117,7 +117,7 @@ def identified(
     if options is None:
         return
     begun = time.perf_counter()
-    result = sy.identify(log.robot, to_log(log.robot, log.training, log.cutoff), **options)
+    result = sy.identify(log.robot, to_log(log.robot, log.training), **options)
     seconds = time.perf_counter() - begun
     words = ", ".join(f"{name}={value}" for name, value in options.items()) or "default options"
     yield f"symbid, {words}", score(heldout, predicted_force(result, heldout))
@@ -151,8 +151,7 @@ def predicted_force(result: sy.Result, samples: Sampled) -> FloatArray:
             wrench_frames=(),
         ),
     )
-    predicted: FloatArray = rows.K @ result.estimate.value - rows.y
-    return predicted
+    return samples.filtered(rows.K @ result.estimate.value - rows.y)
 
 
 def scaled(log: RealLog, factor: float) -> RealLog:

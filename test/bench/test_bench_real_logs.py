@@ -1,0 +1,261 @@
+"""Converters of public logs of real robots, on tiny files in the same formats."""
+
+import os
+import re
+import sys
+from pathlib import Path
+
+import least_squares
+import numpy as np
+import pytest
+import real_data
+import real_logs
+from real_data import REAL_DATA
+from real_log_files import arm, motion, torque, write_table
+
+ROOT = Path(__file__).resolve().parents[2]
+
+RNG = np.random.default_rng(3)
+TX40 = [f"joint_{index}" for index in range(1, 7)]
+
+
+def files_of(name: str, folder: Path) -> list[Path]:
+    """Return where the files of a log lie, with their folders made."""
+    paths = [folder / file for file in REAL_DATA[name].files]
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    return paths
+
+
+@pytest.fixture(scope="module")
+def tx40_files(tmp_path_factory):
+    """Motor side of a TX40: motor 6 turns with joints 5 and 6, joint 5 bears both motors."""
+    folder = tmp_path_factory.mktemp("tx40")
+    angles, currents, urdf = files_of("tx40", folder)
+    urdf.write_text(text := arm(TX40, RNG))
+    time = np.arange(30000) / 5000.0
+    q = motion(time, 6)
+    tau = torque(text, time, q)
+    motor = np.empty_like(q)
+    motor[:, 0] = 32 * q[:, 0]
+    motor[:, 1] = 32 * (q[:, 1] + np.pi / 2)
+    motor[:, 2] = 45 * (q[:, 2] - np.pi / 2)
+    motor[:, 3] = -48 * q[:, 3]
+    motor[:, 4] = 45 * q[:, 4]
+    motor[:, 5] = 32 * (q[:, 4] + q[:, 5])
+    write_table(angles, ",".join(TX40), motor)
+    drive = tau / [32, 32, 45, -48, 45, 32]
+    drive[:, 4] = (tau[:, 4] - tau[:, 5]) / 45
+    write_table(currents, ",".join(TX40), drive)
+    return folder, q, tau
+
+
+def test_tx40_motor_angles_and_torques_become_those_of_the_joints(tx40_files) -> None:
+    folder, q, tau = tx40_files
+    data = REAL_DATA["tx40"]
+    log = data.convert(data.find(folder))
+    assert log.robot.measured_joint_names == tuple(TX40)
+    both = [log.training, log.heldout]
+    np.testing.assert_allclose(np.vstack([each.position for each in both]), q, atol=1e-9)
+    np.testing.assert_allclose(np.vstack([each.effort for each in both]), tau, atol=1e-9)
+    assert len(log.heldout.time) == len(q) // 4
+    assert np.diff(log.heldout.time) == pytest.approx(2e-4)
+
+
+def test_tx40_coupled_friction_acts_with_and_against_both_joints() -> None:
+    """Virtual power of rotor 6: τ5 q̇5 + τ6 q̇6 = f (q̇5 + q̇6)."""
+    velocity = RNG.normal(size=(40, 6))
+    acceleration = RNG.normal(size=(40, 6))
+    columns = real_data.wrist_coupling(velocity, acceleration)
+    rotor = velocity[:, 4] + velocity[:, 5]
+    power = columns[:, :, 2][:, 4:] * velocity[:, 4:]
+    np.testing.assert_allclose(power.sum(axis=1), np.abs(rotor))
+    # Viscous: (q̇5 + q̇6)² less the joints' own friction, q̇5² and q̇6².
+    power = (columns[:, :, 1] * velocity).sum(axis=1)
+    np.testing.assert_allclose(power, rotor**2 - (velocity[:, 4:] ** 2).sum(axis=1))
+    assert not columns[:, :4].any()
+
+
+def test_the_table_of_a_synthetic_log_shows_what_explains_it(tx40_files, capsys, monkeypatch):
+    folder, *_ = tx40_files
+    monkeypatch.setattr(sys, "argv", ["", "tx40", "--data", str(folder), "--reference-only"])
+    real_logs.main()
+    printed = capsys.readouterr().out
+    assert printed.count("other content than") == 3
+    errors = {
+        cells[1].strip(): float(cells[-2])
+        for line in printed.splitlines()
+        if (cells := line.split("|"))[1:] and re.fullmatch(r" *[\d.e+]+ *", cells[-2])
+    }
+    assert errors["least squares: links, viscous, coulomb, offset"] < 0.5
+    assert errors["model file, inertias alone"] > 20.0
+
+
+def test_an_identification_is_judged_on_the_samples_of_the_reference(tx40_files) -> None:
+    folder, *_ = tx40_files
+    data = REAL_DATA["tx40"]
+    log = data.convert(data.find(folder))
+    heldout = least_squares.sample(log.robot, log.heldout, log.cutoff)
+    options = {"friction": True, "offset": True}
+    ((title, found),) = real_logs.identified(log, heldout, options)
+    assert title == "symbid, friction=True, offset=True"
+    assert found.overall < 1.0
+    assert found.each.shape == (6,)
+
+
+def test_lwr4_arrays_are_read_in_the_order_of_the_model(tmp_path) -> None:
+    run, urdf = files_of("lwr4", tmp_path)
+    urdf.write_text(arm([f"lwr_{index}_joint" for index in range(7)], RNG))
+    q, tau, times = RNG.normal(size=(40, 7)), RNG.normal(size=(40, 7)), 1.46e9 + np.arange(40) / 200
+    np.savez(run, times=times, positions=q, torques=tau, target_positions=np.nan * q)
+    log = REAL_DATA["lwr4"].convert([run, urdf])
+    np.testing.assert_array_equal(log.training.position, q[:30])
+    np.testing.assert_array_equal(log.heldout.effort, tau[30:])
+    np.testing.assert_array_equal(log.heldout.time, times[30:])
+
+
+def test_panda_has_one_value_a_line_and_no_hand(tmp_path) -> None:
+    times, positions, torques, urdf = files_of("panda", tmp_path)
+    text = arm([f"panda_joint{index}" for index in range(1, 8)], RNG, hand="panda_hand_joint")
+    urdf.write_text(text)
+    q, tau, time = RNG.normal(size=(20, 7)), RNG.normal(size=(20, 7)), np.cumsum(RNG.random(20))
+    for path, values in ((times, time), (positions, q), (torques, tau)):
+        path.write_text("\n".join(str(value) for value in values.ravel()))
+    log = REAL_DATA["panda"].convert([times, positions, torques, urdf])
+    assert len(log.robot.joints) == 7
+    assert {link.name for link in log.robot.links} == {"base", *(f"link_{i}" for i in range(7))}
+    np.testing.assert_array_equal(log.training.position, q[:15])
+    np.testing.assert_array_equal(log.heldout.effort, tau[15:])
+    # Gaz et al.: no friction at rest, and at speed a constant of each direction.
+    (friction,) = log.published.values()
+    assert friction(np.zeros((1, 7)), np.zeros((1, 7))) == pytest.approx(0.0, abs=1e-12)
+    span = friction(np.full((1, 7), 9.0), None) - friction(np.full((1, 7), -9.0), None)
+    np.testing.assert_allclose(span[0, [0, 3]], [0.54615, 1.2794], rtol=1e-6)
+
+
+def test_ur10e_currents_become_torques(tmp_path) -> None:
+    run, urdf = files_of("ur10e", tmp_path)
+    urdf.write_text(arm([f"axis_{index}" for index in range(6)], RNG))
+    rows = RNG.normal(size=(20, 31))
+    rows[:, 0] = 798.467 + np.arange(20) / 100
+    np.savetxt(run, rows, delimiter=",")
+    log = REAL_DATA["ur10e"].convert([run, urdf])
+    np.testing.assert_allclose(log.training.position, rows[:15, 1:7])
+    gains = [14.87, 13.26, 11.13, 10.62, 11.03, 11.47]
+    np.testing.assert_allclose(log.heldout.effort / rows[15:, 13:19], np.tile(gains, (5, 1)))
+
+
+@pytest.fixture
+def human_files(tmp_path):
+    """A body that turns about its vertical axis while it moves sideways, arms at rest."""
+    table, urdf = files_of("human", tmp_path)
+    hinge = '<joint name="{0}" type="{3}"><parent link="{1}"/><child link="{2}"/></joint>'
+    joints = [
+        hinge.format("right_arm", "pelvis", "right", "continuous"),
+        hinge.format("wrist", "left", "hand", "continuous"),
+        hinge.format("helmet", "pelvis", "head", "fixed"),
+        hinge.format("left_arm", "pelvis", "left", "continuous"),
+    ]
+    body = (
+        '<inertial><mass value="60"/><inertia ixx="3" iyy="3" izz="3" ixy="0" ixz="0" iyz="0"/>'
+        "</inertial>"
+    )
+    light = body.replace("60", "1e-6").replace('"3"', '"1e-9"')
+    links = [f'<link name="pelvis">{body}</link>'] + [
+        f'<link name="{name}">{light}</link>' for name in ("left", "right", "hand", "head")
+    ]
+    urdf.write_text(f'<robot name="human">{"".join(links + joints)}</robot>')
+    time = np.arange(900) / 30.0
+    angle, rate = 0.9 * np.sin(1.1 * time), 0.99 * np.cos(1.1 * time)
+    place = np.stack([1 + 0.1 * np.sin(time), 0.4 + 0 * time, 1 + 0.05 * np.cos(2 * time)], axis=1)
+    force = 60 * np.stack([-0.1 * np.sin(time), 0 * time, 9.81 - 0.2 * np.cos(2 * time)], axis=1)
+    spin = 3 * np.gradient(rate, time)
+    moment = np.cross(place, force) + spin[:, None] * [0, 0, 1]
+    half = angle[:, None] / 2
+    pose = np.hstack([place, np.sin(half) * [0, 0, 1], np.cos(half)])
+    angles = np.tile([0.1, 0.2, 0.3], (len(time), 1))  # left_arm, wrist, right_arm
+    names = ",".join([*(f"q_{index}" for index in range(10)), "Fx,Fy,Fz,Mx,My,Mz"])
+    write_table(table, names, np.hstack([pose, angles, force, moment]))
+    return tmp_path
+
+
+def test_joints_of_the_human_are_ordered_depth_first_siblings_by_name(human_files) -> None:
+    data = REAL_DATA["human"]
+    _, urdf = data.find(human_files)
+    assert real_data.joint_order(urdf) == ["left_arm", "wrist", "right_arm"]
+    log = data.convert(data.find(human_files))
+    by_name = dict(zip(log.robot.measured_joint_names, log.training.position[0], strict=True))
+    assert by_name == pytest.approx({"left_arm": 0.1, "wrist": 0.2, "right_arm": 0.3})
+
+
+def test_the_plate_feels_the_motion_of_the_human(human_files) -> None:
+    """The wrench follows from Newton and Euler above, not from this project's dynamics."""
+    data = REAL_DATA["human"]
+    log = data.convert(data.find(human_files))
+    heldout = least_squares.sample(log.robot, log.heldout, log.cutoff)
+    ((title, error),) = [
+        each for each in real_logs.references(log, heldout, heldout) if "file" in each[0]
+    ]
+    assert title == "model file, inertias alone"
+    assert error.overall < 0.5
+    assert error.each[2] < 5.0  # moment about the vertical: inertia times angular acceleration
+    assert not heldout.is_used[:, 6:].any()
+    plate = real_data.to_log(log.robot, log.training).streams()
+    assert plate.wrenches[0].force[:, 2].mean() == pytest.approx(60 * 9.81, rel=0.01)
+    np.testing.assert_allclose(plate.imus[0].linear_acceleration[:, 2].mean(), 9.81, rtol=0.01)
+
+
+def rows(velocity, force):
+    every = slice(None)
+    return least_squares.Sampled(velocity, velocity, velocity, None, force, 0.1, np.inf, every)
+
+
+def test_least_squares_weights_rows_by_their_residuals() -> None:
+    """Two rows of one parameter, the second ten times noisier: BLUE is the weighted mean."""
+    count = 4000
+    noise = RNG.normal(size=(count, 2)) * [0.1, 1.0]
+    force = 2.0 + noise
+    samples = rows(np.ones((count, 2)), force)
+    (found,) = least_squares.solve(np.ones((count, 2, 1)), samples)
+    weights = np.array([1 / force[:, 0].var(), 1 / force[:, 1].var()])
+    expected = (force.mean(axis=0) * weights).sum() / weights.sum()
+    assert found == pytest.approx(expected, abs=1e-4)
+
+
+def test_rows_of_resting_joints_are_left_out_of_fit_and_score() -> None:
+    force = np.array([[1.0], [100.0], [1.0]])
+    velocity = np.array([[0.5], [0.01], [-0.5]])
+    samples = rows(velocity, force)
+    assert samples.is_used.ravel().tolist() == [True, False, True]
+    assert least_squares.solve(np.ones((3, 1, 1)), samples) == pytest.approx(1.0)
+    assert least_squares.score(samples, 0.9 * np.ones((3, 1))).overall == pytest.approx(10.0)
+
+
+def test_absent_files_are_named_with_their_source(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["", "lwr4", "--data", str(tmp_path)])
+    with pytest.raises(SystemExit, match=r"lacks .*measurements_1.npz.*FloBaRoID commit 4e2e5a2"):
+        real_logs.main()
+
+
+REAL = os.environ.get("SYMBID_REAL_LOGS")
+PAGE = (ROOT / "docs/real-logs.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", REAL_DATA)
+def test_published_reference_errors_are_those_of_the_data(name, capsys, monkeypatch) -> None:
+    """Needs the data: SYMBID_REAL_LOGS=DIR with one folder for each log, named like it."""
+    if REAL is None:
+        pytest.skip(f"SYMBID_REAL_LOGS is unset: the figures of {name} were NOT checked")
+    data = REAL_DATA[name]
+    try:
+        files = data.find(Path(REAL) / name)
+    except real_data.MissingDataError as error:
+        pytest.skip(f"the figures of {name} were NOT checked: {error}")
+    assert [real_data.sha256(path) for path in files] == list(data.files.values())
+    folder = str(Path(REAL) / name)
+    monkeypatch.setattr(sys, "argv", ["", name, "--data", folder, "--reference-only"])
+    real_logs.main()
+    printed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    assert len(printed) >= 3
+    for line in printed:
+        assert line in PAGE
