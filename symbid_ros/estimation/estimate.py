@@ -87,6 +87,9 @@ class Estimate:
         File of the result that has the kinematics of the user's file; empty if not saved.
     base : str
         Whether the robot's base is ``floating`` or ``fixed``; empty if not saved.
+    row_std : dict of str to float
+        Standard deviation of a row's residual for each coordinate, corrected for the fitted
+        parameters, Nm or N; empty if the method gives no covariance.
     joint_terms : dict of str to tuple of str, or None
         The terms of each joint that the data asked for; its other terms in ``names`` are fixed.
         None if the user named the terms.
@@ -114,6 +117,7 @@ class Estimate:
     rows: RowSettings | None = None
     model_file: str = ""
     base: str = ""
+    row_std: dict[str, float] = field(default_factory=dict)
     joint_terms: dict[str, tuple[str, ...]] | None = None
     remarks: tuple[str, ...] = ()
 
@@ -183,6 +187,7 @@ class Estimate:
             "rows": None if self.rows is None else asdict(self.rows),
             "model_file": self.model_file,
             "base": self.base,
+            "row_std": self.row_std,
             "joint_terms": self.joint_terms,
             "remarks": list(self.remarks),
         }
@@ -231,10 +236,11 @@ def load_estimate(path: Path) -> Estimate:
             inputs=tuple(document["inputs"]),
             software=document["software"],
             verdict=_verdict(document["verdict"]),
-            known=_known(document.get("known", {})),
+            known=_numbers(document, "known"),
             rows=_rows(document.get("rows")),
             model_file=_one_of(document.get("model_file", ""), ("", *MODEL_FILES)),
             base=_one_of(document.get("base", ""), ("", "floating", "fixed")),
+            row_std=_numbers(document, "row_std"),
             joint_terms=_joint_terms(document.get("joint_terms")),
             remarks=tuple(document.get("remarks", ())),
         )
@@ -270,11 +276,11 @@ def _one_of(value: Any, allowed: Sequence[Any]) -> Any:
     return value
 
 
-def _known(document: dict[str, Any]) -> dict[str, float]:
-    known = {name: float(value) for name, value in document.items()}
-    if not np.all(np.isfinite(list(known.values()))):
-        raise ValueError("known has a number that is not finite")
-    return known
+def _numbers(document: dict[str, Any], name: str) -> dict[str, float]:
+    numbers = {key: float(value) for key, value in document.get(name, {}).items()}
+    if not np.all(np.isfinite(list(numbers.values()))):
+        raise ValueError(f"{name} has a number that is not finite")
+    return numbers
 
 
 def _joint_terms(document: dict[str, Any] | None) -> dict[str, tuple[str, ...]] | None:

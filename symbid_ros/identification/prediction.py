@@ -111,7 +111,7 @@ class ForcePredictor:
             unknowns=found.unknowns,
             linearization=found.unknowns if calibration is None else calibration.linearization,
             factor=found.factor,
-            noise=_row_noise(found.chosen, found.unknowns, estimate, parameters.model),
+            noise=_row_noise(estimate, parameters.model),
             settings=estimate.rows or RowSettings("weak", found.window),
             seconds=_seconds(found.observations),
         )
@@ -130,7 +130,6 @@ class ForcePredictor:
         estimate = found.estimate
         if estimate is None:
             raise EstimateError(f"{folder}: holds a prior; give the folder of a result", "E527")
-        observations = load_archive(folder / "information.npz")
         sensors = () if estimate.verdict is None else estimate.verdict.sensors
         unknowns = np.concatenate([found.values, [one.value for one in sensors]])
         calibration, factor = found.calibration, found.deviation_factor
@@ -146,13 +145,6 @@ class ForcePredictor:
         if settings is None:
             window = None if estimate.verdict is None else estimate.verdict.window
             settings = RowSettings("weak", window)
-        of_window = [one for one in observations if one.window == (settings.window or 0.0)]
-        if settings.filter != "weak":
-            of_window = list(observations[:1])
-        noise = None
-        if of_window:
-            stored = _as_stored(of_window[0], estimate, unknowns)
-            noise = _row_noise(of_window[0], stored, estimate, found.parameters.model)
         return cls(
             name=str(folder),
             parameters=found.parameters,
@@ -161,9 +153,9 @@ class ForcePredictor:
             unknowns=unknowns,
             linearization=unknowns if calibration is None else calibration.linearization,
             factor=factor,
-            noise=noise,
+            noise=_row_noise(estimate, found.parameters.model),
             settings=settings,
-            seconds=_seconds(observations),
+            seconds=_seconds(load_archive(folder / "information.npz")),
         )
 
     @property
@@ -322,32 +314,8 @@ def _seconds(observations: Iterable[Observations]) -> frozenset[int]:
     return frozenset[int]().union(*(one.seconds for one in observations))
 
 
-def _as_stored(one: Observations, estimate: Estimate, unknowns: FloatArray) -> FloatArray:
-    """Return the unknowns in the order of the stored rows."""
-    names = (*estimate.names, *_sensor_names(estimate))
-    place = {name: index for index, name in enumerate(names)}
-    if set(place) != set(one.layout.parameters):
-        raise EstimateError(
-            "information.npz: its parameters are not those of estimate.json; identify the log "
-            "again",
-            "E523",
-        )
-    return np.asarray(unknowns[[place[name] for name in one.layout.parameters]])
-
-
-def _row_noise(
-    one: Observations, unknowns: FloatArray, estimate: Estimate, model: RobotModel
-) -> FloatArray:
-    """Return the variance (n,) of a row's residual; infinite for coordinates with few rows.
-
-    The residuals of the identified log are smaller than the noise, because parameters were fitted
-    to them: by the share of its independent rows that the effective parameters use up.
-    """
-    squares = one.rows.residual_moment(unknowns).diagonal()
-    rows = one.counts.diagonal()
-    effective = 0.0 if estimate.verdict is None else estimate.verdict.effective
-    used = max(int(np.count_nonzero(rows)), 1)
-    left = rows - one.inflation * effective / used
-    variance = np.where(left > 0, squares / np.where(left > 0, left, 1.0), np.inf)
-    place = {name: index for index, name in enumerate(one.layout.coordinates)}
-    return np.asarray(variance[[place[name] for name in model.coordinates]])
+def _row_noise(estimate: Estimate, model: RobotModel) -> FloatArray | None:
+    """Return the variance (n,) of a row's residual; infinite for coordinates with few rows."""
+    if not estimate.row_std:
+        return None
+    return np.array([estimate.row_std.get(name, np.inf) ** 2 for name in model.coordinates])

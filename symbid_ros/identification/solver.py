@@ -68,11 +68,6 @@ class Identification:
             self.factor[len(self.estimate.names) :], np.concatenate([point.phi, point.theta])
         )
 
-    @property
-    def chosen(self) -> Observations:
-        """The observations that were solved."""
-        return next(one for one in self.observations if one.window == self.window)
-
 
 @dataclass(frozen=True)
 class Solver:
@@ -160,8 +155,9 @@ class Solver:
             condition=float(singular[0] / singular[-1]),
             residuals=self._residuals(value),
         )
+        noise = {} if verdict is None else self._row_std(value, verdict.effective)
         return Identification(
-            replace(estimate, verdict=verdict),
+            replace(estimate, verdict=verdict, row_std=noise),
             problem.stored or problem.observations,
             found.deviation_factor,
             self.chosen.window,
@@ -239,6 +235,23 @@ class Solver:
             name: rmse
             for (name, rmse), has_rows in zip(residuals.items(), used, strict=True)
             if has_rows
+        }
+
+    def _row_std(self, value: FloatArray, effective: float) -> dict[str, float]:
+        """Return the standard deviation of a row's residual, of each coordinate with enough rows.
+
+        The residuals are smaller than the noise, because parameters were fitted to them: by the
+        share of the independent rows that the effective parameters use up.
+        """
+        one = self.chosen
+        squares = one.rows.residual_moment(value).diagonal()
+        rows = one.counts.diagonal()
+        used = max(int(np.count_nonzero(rows)), 1)
+        left = rows - one.inflation * effective / used
+        return {
+            name: float(np.sqrt(square / number))
+            for name, square, number in zip(one.layout.coordinates, squares, left, strict=True)
+            if number > 0
         }
 
     def _estimate(
