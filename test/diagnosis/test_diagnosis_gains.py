@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
 from symbid_ros.diagnosis.gains import (
@@ -10,6 +11,7 @@ from symbid_ros.diagnosis.gains import (
     estimate_delays,
     estimate_gains,
     find_late_streams,
+    fit_imu_rotation,
     loads,
 )
 from symbid_ros.dynamics.regressor import Rows
@@ -73,6 +75,23 @@ def test_gains_are_found_and_imus_are_trusted():
     theta[LAYOUT.imu(0)] = 0.3
     pinned = estimate_gains(problem(theta=theta)[0])
     np.testing.assert_allclose(pinned.mean[LAYOUT.imu(0)], 0, atol=1e-6)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("angle", [0.0, 0.3, 1.5])
+def test_the_rotation_of_an_imu_is_found_beside_gains(sign, angle):
+    """Its scale is held at one, whatever the readings say."""
+    rotation = Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix()
+    theta = np.zeros(len(LAYOUT))
+    theta[LAYOUT.imu(0)] = (sign * rotation - np.eye(3)).ravel()
+    theta[LAYOUT.efforts] = 0.3
+    given = problem(theta=theta, noise=0.01)[0]
+    found = fit_imu_rotation(given, estimate_gains(given), 0)
+    assert found.scale == 1.0
+    np.testing.assert_allclose(found.sign * found.rotation, sign * rotation, atol=0.01)
+    assert found.cost < 40
+    if sign < 0 or angle:
+        assert found.plain > 1000
 
 
 def test_delays_are_found_with_gains_of_one():
