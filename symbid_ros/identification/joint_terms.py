@@ -35,7 +35,7 @@ from symbid_ros.signals.sensor_errors import CalibratingRows
 
 # Log Bayes factor from which a term is chosen, and below which a chosen one is given up again, so
 # that a live choice does not alternate.
-ENTER, LEAVE = 1.0, 0.1
+ENTER, LEAVE = 2.0, 0.5
 # Deviation of a fixed term, as a share of its prior deviation: far below what any data resolve.
 FIXED = 1e-7
 # Correlation from which two terms of a joint cannot be told apart.

@@ -1,0 +1,337 @@
+"""Joint terms chosen by the data, against the drives that made the data."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from analytic_log import waves
+from random_robots import random_robot
+
+import symbid_ros as sy
+from symbid_ros.choices import TERMS
+from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.errors import OptionError
+from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
+from symbid_ros.estimation.information import Information, RowLayout, random_motions
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.weak_form import WindowedRows, slipping_joints, valid_coordinates
+
+RATE, SECONDS = 200.0, 24.0
+SLOWDOWN = 0.4
+NOISE = 2e-3  # share of the joint's RMS effort
+
+
+def arm(seed=3, links=4):
+    return random_robot(seed, links=links, floating=False, wrench_frames=0)
+
+
+def drives(robot, **terms):
+    """Return the robot's parameters with the same values of some terms at every joint."""
+    joints = tuple(
+        replace(
+            joint,
+            damping=terms.get("viscous", 0.0),
+            friction_loss=terms.get("coulomb", 0.0),
+            armature=terms.get("armature", 0.0),
+        )
+        for joint in robot.joints
+    )
+    return ParameterSet(replace(robot, joints=joints))
+
+
+def slow_waves(rng, time, joints, size):
+    """Return sums of sines far below the cutoff of the filters, and their derivatives."""
+    motion = waves(rng, SLOWDOWN * time, (joints,), size)
+    return [SLOWDOWN**order * each for order, each in enumerate(motion)]
+
+
+def log_of(robot, truth, seed=0, offset=0.0, moving=None, seconds=SECONDS):
+    """Return a noisy log of a robot whose drives are those of the parameters ``truth``."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1 / RATE)
+    motion = slow_waves(rng, time, len(robot.joints), 1.2)
+    if moving is not None:
+        motion = [each * moving for each in motion]
+    rest = np.zeros((len(time), 3))
+    samples = Samples(
+        stamp=np.rint(1e9 * time).astype(np.int64),
+        position=motion[0],
+        velocity=motion[1],
+        acceleration=motion[2],
+        effort=np.zeros_like(motion[0]),
+        base_angular_velocity=rest,
+        base_angular_acceleration=rest,
+        base_specific_force=rest - robot.gravity,
+        wrenches=np.zeros((len(time), 0, 6)),
+        wrench_frames=(),
+    )
+    rows = equation_of_motion(truth, samples)
+    effort = rows.K @ truth.values - rows.y + offset
+    effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
+    position = motion[0] + 1e-6 * rng.normal(size=effort.shape)
+    return sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+
+
+def chosen(result, log):
+    """Return the determined terms that make up at least 1 % of some joint's effort."""
+    effort = log.streams().joints.effort
+    size = dict(zip(result.robot.joint_names, np.sqrt(np.mean(effort**2, axis=0)), strict=True))
+    estimate = result.estimate
+    alike = {one.split()[0] for one in estimate.remarks if " acts like " in one}
+    found = set()
+    for joint, terms in estimate.joint_terms.items():
+        for term in terms:
+            one = result.parameters[f"{joint}/{term}"]
+            if one.is_determined and one.name not in alike and abs(one.value) > 0.01 * size[joint]:
+                found.add(term)
+    return found
+
+
+@pytest.mark.parametrize(
+    "terms", [{}, {"viscous": 0.4}, {"viscous": 0.4, "coulomb": 0.8}, {"armature": 0.3}]
+)
+def test_the_terms_that_made_the_data_are_chosen(terms):
+    robot = arm()
+    truth = drives(robot, **terms)
+    log = log_of(robot, truth)
+    result = sy.identify(robot, log, unchecked=True)
+    assert chosen(result, log) == set(terms)
+    for joint in robot.joint_names:
+        for term, value in terms.items():
+            found = result.parameters[f"{joint}/{term}"]
+            assert abs(found.value - value) < 5 * found.std
+
+
+def test_offsets_are_chosen():
+    robot = arm()
+    log = log_of(robot, drives(robot), offset=0.7)
+    result = sy.identify(robot, log, unchecked=True)
+    assert chosen(result, log) == {"offset"}
+
+
+def test_without_friction_the_choice_equals_no_terms():
+    robot = arm()
+    log = log_of(robot, drives(robot))
+    auto = sy.identify(robot, log, unchecked=True)
+    none = sy.identify(robot, log, unchecked=True, joint_terms=("none",))
+    links = 10 * len(none.links)
+    # At most a term within its noise is added.
+    change = (auto.estimate.value[:links] - none.estimate.value) / none.estimate.std
+    assert np.sqrt(np.mean(change**2)) < 0.5
+
+
+@pytest.mark.parametrize("stated", [0.003, 10.0])
+def test_friction_of_the_model_file_may_be_wrong(stated):
+    robot = arm()
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    wrong = drives(robot, viscous=stated, coulomb=stated).model
+    result = sy.identify(wrong, log_of(robot, truth), unchecked=True)
+    for joint in robot.joint_names:
+        for term, value in (("viscous", 0.4), ("coulomb", 0.8)):
+            found = result.parameters[f"{joint}/{term}"]
+            assert found.prior == stated
+            assert abs(found.value - value) < 5 * found.std
+
+
+def test_saved_information_gives_the_same_choice(tmp_path):
+    robot = arm()
+    log = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8))
+    result = sy.identify(robot, log, unchecked=True)
+    result.information.save(tmp_path / "information.npz")
+    again = sy.identify(robot, sy.LogInformation.load(tmp_path / "information.npz"))
+    assert again.estimate.joint_terms == result.estimate.joint_terms
+    np.testing.assert_allclose(again.estimate.value, result.estimate.value, rtol=1e-9, atol=1e-12)
+
+
+def test_logs_with_different_choices_are_merged():
+    robot = arm()
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    still = np.arange(len(robot.joints)) > 0
+    first = sy.identify(robot, log_of(robot, truth, moving=still), unchecked=True)
+    second = sy.identify(robot, log_of(robot, truth, seed=1), unchecked=True)
+    assert first.estimate.joint_terms != second.estimate.joint_terms
+    both = sy.identify(robot, sy.merge([first.information, second.information]))
+    joint = robot.joint_names[0]
+    assert {"viscous", "coulomb"} <= set(both.estimate.joint_terms[joint])
+
+
+def test_a_resting_joint_is_named():
+    robot = arm()
+    still = np.arange(len(robot.joints)) > 0
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    result = sy.identify(robot, log_of(robot, truth, moving=still), unchecked=True)
+    assert any(
+        one.startswith(f"{robot.joint_names[0]}: moved faster") for one in result.estimate.remarks
+    )
+    assert not set(result.estimate.joint_terms[robot.joint_names[0]]) & {"viscous", "coulomb"}
+
+
+def test_armature_of_the_first_joint_is_named_as_inseparable():
+    robot = arm(seed=4)
+    assert robot.joints[0].kind == "revolute"
+    result = sy.identify(robot, log_of(robot, drives(robot, armature=0.3)), unchecked=True)
+    first = f"{robot.joint_names[0]}/armature acts like "
+    assert any(one.startswith(first) for one in result.estimate.remarks)
+
+
+def test_a_joint_that_moves_one_way_does_not_tell_coulomb_from_offset():
+    robot = arm(links=2)
+    truth = drives(robot, coulomb=0.8)
+    time = np.arange(0.0, SECONDS, 1 / RATE)
+    rate = 0.5 + 0.3 * np.sin(2 * time)
+    position = 0.5 * time - 0.15 * np.cos(2 * time)
+    rest = np.zeros((len(time), 3))
+    samples = Samples(
+        stamp=np.rint(1e9 * time).astype(np.int64),
+        position=position[:, None],
+        velocity=rate[:, None],
+        acceleration=(0.6 * np.cos(2 * time))[:, None],
+        effort=np.zeros((len(time), 1)),
+        base_angular_velocity=rest,
+        base_angular_acceleration=rest,
+        base_specific_force=rest - robot.gravity,
+        wrenches=np.zeros((len(time), 0, 6)),
+        wrench_frames=(),
+    )
+    rows = equation_of_motion(truth, samples)
+    effort = rows.K @ truth.values - rows.y
+    effort += 1e-3 * np.random.default_rng(0).normal(size=effort.shape)
+    log = sy.Log.from_arrays(robot, time=time, position=samples.position, effort=effort)
+    result = sy.identify(robot, log, unchecked=True)
+    assert any("does not tell coulomb from offset" in one for one in result.estimate.remarks)
+
+
+def test_stribeck_friction_is_chosen():
+    robot = arm(links=3)
+    truth = drives(robot, viscous=0.3, coulomb=1.0)
+    columns = ParameterSet(truth.model, ("stribeck",))
+    rng = np.random.default_rng(0)
+    time = np.arange(0.0, SECONDS, 1 / RATE)
+    motion = slow_waves(rng, time, len(robot.joints), 0.6)
+    rest = np.zeros((len(time), 3))
+    samples = Samples(
+        stamp=np.rint(1e9 * time).astype(np.int64),
+        position=motion[0],
+        velocity=motion[1],
+        acceleration=motion[2],
+        effort=np.zeros_like(motion[0]),
+        base_angular_velocity=rest,
+        base_angular_acceleration=rest,
+        base_specific_force=rest - robot.gravity,
+        wrenches=np.zeros((len(time), 0, 6)),
+        wrench_frames=(),
+    )
+    phi = np.append(truth.values, np.full(len(robot.joints), 0.5))
+    rows = equation_of_motion(columns, samples)
+    effort = rows.K @ phi - rows.y + 1e-3 * rng.normal(size=motion[0].shape)
+    log = sy.Log.from_arrays(robot, time=time, position=motion[0], effort=effort)
+    result = sy.identify(robot, log, unchecked=True)
+    for joint in robot.joint_names:
+        found = result.parameters[f"{joint}/stribeck"]
+        assert found.value == pytest.approx(0.5, abs=max(5 * found.std, 0.05))
+
+
+def test_group_moments_are_those_of_each_joints_rows():
+    parameters = ParameterSet(arm(), TERMS, candidates=True)
+    layout = RowLayout.of(parameters)
+    samples = random_motions(parameters.model, 200)
+    rows = equation_of_motion(parameters, samples)
+    rng = np.random.default_rng(0)
+    rows = replace(rows, y=rng.normal(size=rows.y.shape))
+    stamp = np.sort(rng.integers(0, 30_000_000_000, len(samples)))
+    valid = valid_coordinates(parameters, samples.velocity)
+    slips = valid & slipping_joints(parameters, samples.velocity)
+    block = WindowedRows(rows, rows, valid, stamp, slips)
+    groups = GroupMoments.empty(layout).fold([block])
+    for moment, coordinate in zip(groups.moments, layout.own_coordinates, strict=True):
+        columns = layout.columns[coordinate]
+        flat = np.column_stack([rows.K[:, coordinate, columns], rows.y[:, coordinate]])
+        for group in range(GROUPS):
+            some = flat[(stamp // 1_000_000_000) % GROUPS == group]
+            np.testing.assert_allclose(moment[group], some.T @ some, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(groups.counts.sum(axis=0), valid.sum(axis=0))
+    twice = groups.merge(groups).discounted(0.5)
+    for one, other in zip(twice.moments, groups.moments, strict=True):
+        np.testing.assert_allclose(one, other)
+
+
+@pytest.mark.parametrize(("coefficient", "low", "high"), [(0.0, 1.0, 1.6), (0.95, 3.0, 60.0)])
+def test_correlated_residuals_count_as_fewer_rows(coefficient, low, high):
+    parameters = ParameterSet(arm(), ("offset",), candidates=True)
+    layout = RowLayout.of(parameters)
+    rng = np.random.default_rng(1)
+    count = 4000
+    samples = random_motions(parameters.model, count)
+    rows = equation_of_motion(parameters, samples)
+    residual = np.zeros(rows.y.shape)
+    white = rng.normal(size=rows.y.shape)
+    # The offset's column is constant, so its score follows the residual.
+    rows.K[:, :, : parameters.inertial] *= 1e-3
+    for i in range(1, count):
+        residual[i] = coefficient * residual[i - 1] + white[i]
+    rows = replace(rows, y=residual)
+    stamp = np.arange(count) * 40_000_000
+    block = WindowedRows(rows, rows, np.ones(residual.shape, bool), stamp)
+    groups = GroupMoments.empty(layout).fold([block])
+    information = Information.empty(layout).fold([rows])
+    phi = np.zeros(len(parameters))
+    phi[parameters.inertial :] = residual.mean(axis=0)
+    found = groups.correlation(phi, information)
+    if coefficient:
+        assert low < found.max() < high
+    else:
+        assert low <= found.min() <= found.max() < high
+
+
+def test_information_about_some_parameters_is_that_of_their_rows():
+    parameters = ParameterSet(arm(), TERMS, candidates=True)
+    some = ParameterSet(arm(), ("viscous", "offset"))
+    samples = random_motions(parameters.model, 60)
+    rng = np.random.default_rng(2)
+    y = rng.normal(size=(60, parameters.model.dof))
+    full = Information.empty(RowLayout.of(parameters)).fold(
+        [replace(equation_of_motion(parameters, samples), y=y)]
+    )
+    direct = Information.empty(RowLayout.of(some)).fold(
+        [replace(equation_of_motion(some, samples), y=y)]
+    )
+    restricted = full.restricted(some.names)
+    assert restricted.layout.parameters == some.names
+    np.testing.assert_array_equal(restricted.layout.structure, direct.layout.structure)
+    np.testing.assert_allclose(
+        restricted.factor.T @ restricted.factor, direct.factor.T @ direct.factor, atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("fields", "terms", "chooses"),
+    [
+        ({}, TERMS, True),
+        ({"joint_terms": ("auto",)}, TERMS, True),
+        ({"joint_terms": ("none",)}, (), False),
+        ({"joint_terms": ("offset, viscous",)}, ("viscous", "offset"), False),
+        ({"friction": True}, ("viscous", "coulomb"), False),
+        ({"friction": True, "joint_terms": ("stribeck",)}, ("viscous", "coulomb", "stribeck"), 0),
+        ({"method": "wls_rc"}, (), False),
+        ({"filter": "butterworth"}, (), False),
+    ],
+)
+def test_options_name_the_terms(fields, terms, chooses):
+    options = sy.IdentifyOptions(**fields)
+    assert options.terms == terms
+    assert options.chooses_terms == chooses
+
+
+@pytest.mark.parametrize(
+    ("fields", "code"),
+    [
+        ({"joint_terms": ("dry",)}, "E501"),
+        ({"joint_terms": ("auto", "viscous")}, "E502"),
+        ({"joint_terms": ("none",), "armature": True}, "E502"),
+        ({"joint_terms": ("auto",), "method": "ols"}, "E503"),
+    ],
+)
+def test_contradictory_terms_are_refused(fields, code):
+    with pytest.raises(OptionError) as caught:
+        sy.IdentifyOptions(**fields)
+    assert caught.value.code.endswith(code)
