@@ -78,7 +78,7 @@ def test_gains_are_found_and_imus_are_trusted():
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize("angle", [0.0, 0.3, 1.5])
+@pytest.mark.parametrize("angle", [0.0, 1.5])
 def test_the_rotation_of_an_imu_is_found_beside_gains(sign, angle):
     """Its scale is held at one, whatever the readings say."""
     rotation = Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8])).as_matrix()
