@@ -11,7 +11,12 @@ from scipy.optimize import least_squares
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation import physical_consistency as physical
 from symbid_ros.estimation.constraints import Bounds, total_mass_row
-from symbid_ros.estimation.physical_consistency import ACCURACY, MARGIN, consistent_minimum
+from symbid_ros.estimation.physical_consistency import (
+    ACCURACY,
+    MARGIN,
+    ConicConstraints,
+    consistent_minimum,
+)
 from symbid_ros.estimation.prior import draw_prior, model_prior
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.inertia import is_consistent, phi_from_pseudo_inertia, pseudo_inertia
@@ -431,3 +436,23 @@ def test_a_parameter_outside_its_bound_is_restored_to_the_bound():
     restored = constraints.restored(quadratic.minimum)
     np.testing.assert_allclose(restored[-1] * scale[-1], 0.7)
     np.testing.assert_array_equal(restored[:-1], quadratic.minimum[:-1])
+
+
+def test_multipliers_are_projected_onto_the_dual_cone():
+    """Equations are free, bounds non-negative, and matrices semi-definite (Moreau)."""
+    rng = np.random.default_rng(0)
+    constraints = ConicConstraints(np.zeros((25, 20)), np.zeros(25), 2, 5, 2)
+    z = rng.normal(size=25)
+    z[:5] = -3.0, 2.0, -0.5, -3.0, 0.7
+    found = constraints.multipliers(z)
+    np.testing.assert_array_equal(found[:5], [-3.0, 2.0, 0.0, 0.0, 0.7])
+    column, row = np.tril_indices(4)
+    for link in range(2):
+        before, after = np.zeros((2, 4, 4))
+        for matrix, values in ((before, z), (after, found)):
+            own = values[5 + 10 * link : 15 + 10 * link]
+            own = own / np.where(column == row, 1.0, np.sqrt(2.0))
+            matrix[column, row] = matrix[row, column] = own
+        assert np.linalg.eigvalsh(after)[0] > -1e-12
+        assert np.linalg.eigvalsh(after - before)[0] > -1e-12
+        assert np.sum(after * (after - before)) == pytest.approx(0, abs=1e-12)
