@@ -230,6 +230,8 @@ def _lines(estimate: Estimate, out: Path) -> list[RenderableType]:
             lines.append(Text(f"joint terms by evidence: {terms}"))
         lines += [Text(remark) for remark in estimate.remarks]
         lines += _verdict_lines(verdict, len(estimate.names) - len(estimate.fixed))
+    if estimate.holdout is not None:
+        lines.insert(1, Text(f"held out: {estimate.holdout.summary}"))
     files = "estimate.json, information.npz, model.urdf, model.xml"
     return [*lines, Text(f"wrote {out}/: {files}")]
 

@@ -40,6 +40,36 @@ class RowSettings:
 
 
 @dataclass(frozen=True)
+class HoldOut:
+    """Check on the end of the log, by a trial identification that left it out.
+
+    Attributes
+    ----------
+    seconds : float
+        Length of the end, s.
+    percent_before, percent_after : float or None
+        Error of the original model and of the trial's, percent of the measured torque; None if
+        nothing was measured.
+    advice : {"better", "equal", "worse", "mixed", "none"}
+        The trial's model compared with the original one, beyond chance; none if there was no trial.
+    repeats : float
+        Share of the end's postures and speeds that occurred earlier in the log.
+    coordinates : dict of str to tuple of (float, float)
+        RMS error before and after for each coordinate, Nm or N.
+    summary : str
+        The same as a sentence with figures.
+    """
+
+    seconds: float
+    percent_before: float | None
+    percent_after: float | None
+    advice: str
+    repeats: float
+    coordinates: dict[str, tuple[float, float]]
+    summary: str
+
+
+@dataclass(frozen=True)
 class Estimate:
     """The result of one identification.
 
@@ -90,6 +120,8 @@ class Estimate:
     row_std : dict of str to float
         Standard deviation of a row's residual for each coordinate, corrected for the fitted
         parameters, Nm or N; empty if the method gives no covariance.
+    holdout : HoldOut or None
+        Check on the end of the log; None if it was skipped.
     joint_terms : dict of str to tuple of str, or None
         The terms of each joint that the data asked for; its other terms in ``names`` are fixed.
         None if the user named the terms.
@@ -118,6 +150,7 @@ class Estimate:
     model_file: str = ""
     base: str = ""
     row_std: dict[str, float] = field(default_factory=dict)
+    holdout: HoldOut | None = None
     joint_terms: dict[str, tuple[str, ...]] | None = None
     remarks: tuple[str, ...] = ()
 
@@ -188,6 +221,7 @@ class Estimate:
             "model_file": self.model_file,
             "base": self.base,
             "row_std": self.row_std,
+            "holdout": None if self.holdout is None else asdict(self.holdout),
             "joint_terms": self.joint_terms,
             "remarks": list(self.remarks),
         }
@@ -241,6 +275,7 @@ def load_estimate(path: Path) -> Estimate:
             model_file=_one_of(document.get("model_file", ""), ("", *MODEL_FILES)),
             base=_one_of(document.get("base", ""), ("", "floating", "fixed")),
             row_std=_numbers(document, "row_std"),
+            holdout=_holdout(document.get("holdout")),
             joint_terms=_joint_terms(document.get("joint_terms")),
             remarks=tuple(document.get("remarks", ())),
         )
@@ -281,6 +316,16 @@ def _numbers(document: dict[str, Any], name: str) -> dict[str, float]:
     if not np.all(np.isfinite(list(numbers.values()))):
         raise ValueError(f"{name} has a number that is not finite")
     return numbers
+
+
+def _holdout(document: dict[str, Any] | None) -> HoldOut | None:
+    if document is None:
+        return None
+    coordinates = {
+        name: (float(before), float(after))
+        for name, (before, after) in document["coordinates"].items()
+    }
+    return HoldOut(**(document | {"coordinates": coordinates}))
 
 
 def _joint_terms(document: dict[str, Any] | None) -> dict[str, tuple[str, ...]] | None:

@@ -13,6 +13,7 @@ from symbid_ros.diagnosis.findings import Diagnosis
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import Samples, equation_of_motion
 from symbid_ros.errors import DataError, OptionError
+from symbid_ros.identification.holdout import identify_with_holdout
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_information, load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.result import LogInformation, Result
@@ -50,9 +51,10 @@ def identify(
     options = options or _options(fields)
     if isinstance(log, LogInformation):
         problem: LoadedProblem = load_information(robot, log.observations, options)
+        found = problem.solve()
     else:
         problem = load_problem(robot, log, options)
-    found = problem.solve()
+        found = identify_with_holdout(problem)
     return Result(found.estimate, options, found, problem.parameters)
 
 

@@ -91,6 +91,13 @@ class LoadedProblem:
         )
         return replace(self, options=options, prior=prior, solver=solver, tares=tares)
 
+    def on_dataset(self, dataset: Dataset) -> "LoadedProblem":
+        """Return the same problem with another log of the same columns."""
+        solver = _build_solver(
+            self.options, self.inputs, self.columns, self.prior, dataset=dataset, tares=self.tares
+        )
+        return replace(self, dataset=dataset, solver=solver)
+
     def solve(self, method: Method | None = None) -> Identification:
         """Identify with one method, by default that of the options."""
         found = self._solve(method or self.options.method)

@@ -190,6 +190,9 @@ class IdentifyOptions:
         metavar="EFFORT FORCE MOMENT",
         unset="those of the residuals",
     )
+    no_holdout: bool = option(
+        False, "Skip the trial without the last quarter of the log, which checks the result."
+    )
     unchecked: bool = option(False, "Skip the checks of the log (`symbid bag doctor`).")
 
     def __post_init__(self) -> None:

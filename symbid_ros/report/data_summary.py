@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.estimate import Estimate, HoldOut
 from symbid_ros.estimation.verdict import (
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
@@ -35,6 +35,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
     return (
         SummaryEntry("Rows", describe_window(verdict, estimate.samples), ""),
         *([SummaryEntry("Joint terms", terms, " ".join(estimate.remarks))] if terms else []),
+        *_holdout_entries(estimate.holdout),
         SummaryEntry(
             "Effective parameters",
             f"{significant(verdict.effective)} of {len(estimate.names) - len(estimate.fixed)}",
@@ -61,6 +62,17 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
             is_alarm=noise > SUSPICIOUS_NOISE,
         ),
     )
+
+
+def _holdout_entries(holdout: HoldOut | None) -> tuple[SummaryEntry, ...]:
+    if holdout is None:
+        return ()
+    meaning = (
+        "predicted by a trial identification that left them out"
+        if holdout.seconds
+        else "no trial identification"
+    )
+    return (SummaryEntry("Held out", holdout.summary, meaning, is_alarm=holdout.advice == "worse"),)
 
 
 def describe_window(verdict: Verdict, samples: int) -> str:

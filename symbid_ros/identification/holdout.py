@@ -1,0 +1,197 @@
+"""Check of an identification on the end of its own log, which a trial identification leaves out."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.errors import DataError, SymbidError
+from symbid_ros.estimation.estimate import HoldOut
+from symbid_ros.identification.dataset import Processing, fold_dataset
+from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.solver import Identification
+from symbid_ros.identification.validation import describe_change, validate_segments
+from symbid_ros.signals.segments import Segment, cut_to
+from symbid_ros.signals.weak_form import WINDOWS
+
+SHARE = 0.25  # of the log that is held out
+# Instants between which postures are compared, s, and over which speeds are measured.
+PERIOD, STEP = 0.05, 0.1
+# Distance, in standard deviations of posture and speed, below which a state occurred before.
+NEAR = 0.1
+# Motion of a joint below which it is at rest, rad or m.
+REST = 0.01
+# Share of states that occurred before, from which a motion repeats.
+REPEATED = 0.9
+MOST_STATES = 20_000
+
+
+def identify_with_holdout(problem: LoadedProblem) -> Identification:
+    """Identify a log; a trial without its last quarter shows how well that is predicted.
+
+    The trial chooses joint terms, prior scale and sensor errors from the earlier part alone. It
+    uses the window length of the whole log.
+
+    Raises
+    ------
+    SymbidError
+        When the log cannot be identified.
+    """
+    found = problem.solve()
+    if problem.options.no_holdout:
+        return found
+    try:
+        checked = check_holdout(problem, found.window)
+    except SymbidError as error:
+        checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {error}")
+    return replace(found, estimate=replace(found.estimate, holdout=checked))
+
+
+def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:
+    """Identify a log without its end and predict the latter.
+
+    Parameters
+    ----------
+    problem : LoadedProblem
+    window : float
+        Length of the windows, s; 0 for filtered rows.
+
+    Raises
+    ------
+    SymbidError
+        When one of both parts is too short.
+    """
+    dataset = problem.dataset
+    training, held_out = split(dataset.segments, max(window, *WINDOWS), dataset.source)
+    processing = Processing.of(problem.options)
+    if processing.smoothing is None:
+        processing = replace(processing, windows=(window,))
+    else:
+        training, held_out = tuple(training), tuple(held_out)
+    trial = problem.on_dataset(
+        fold_dataset(training, f"{dataset.source}, without its end", problem.columns, processing)
+    )
+    predictor = ForcePredictor.of(trial.solve(), trial.parameters)
+    found = validate_segments(predictor, held_out, f"{dataset.source}, its end")
+    repeats = repeated_share(training, held_out)
+    summary = f"{describe_change(found.main)} on the last {found.seconds:.0f} s"
+    if found.advice == "worse":
+        summary += ", worse than the original model"
+    if repeats >= REPEATED:
+        summary += "; the motion repeats itself there, so other motions may be predicted worse"
+    return HoldOut(
+        seconds=found.seconds,
+        percent_before=found.percent_before,
+        percent_after=found.percent_after,
+        advice=found.advice,
+        repeats=repeats,
+        coordinates={one.name: (one.rmse_before, one.rmse_after) for one in found.coordinates},
+        summary=summary,
+    )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The segments from ``start`` up to ``stop``, ns, cut anew in every iteration."""
+
+    segments: Iterable[Segment]
+    start: int
+    stop: int
+
+    def __iter__(self) -> Iterator[Segment]:
+        for segment in self.segments:
+            yield from cut_to([segment], self.start, self.stop)
+
+
+def split(
+    segments: Iterable[Segment], gap: float, source: str
+) -> tuple[Iterable[Segment], Iterable[Segment]]:
+    """Return the segments before the last quarter of the covered time, and those in it.
+
+    Parameters
+    ----------
+    segments : iterable of Segment
+    gap : float
+        Time between both that belongs to neither, s: the longest window, so that no averaged signal
+        enters both.
+    source : str
+        Name of the log, for messages.
+
+    Raises
+    ------
+    DataError
+        When nothing is left of one part.
+    """
+    spans = [(int(one.stamp[0]), int(one.stamp[-1])) for one in segments]
+    lengths = np.array([stop - start for start, stop in spans])
+    left = (1 - SHARE) * float(lengths.sum())
+    ends = np.cumsum(lengths)
+    index = min(int(np.searchsorted(ends, left)), len(spans) - 1)
+    border = spans[index][1] - int(ends[index] - left)
+    begin = border + round(1e9 * gap)
+    if border <= spans[0][0] or begin >= spans[-1][1]:
+        raise DataError(f"{source}: too short to hold out a part; record longer", "E529")
+    return (
+        _Part(segments, spans[0][0], border),
+        _Part(segments, begin, spans[-1][1] + 1),
+    )
+
+
+def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> float:
+    """Return the share of held-out instants whose postures and speeds occurred in the training.
+
+    States are compared with the whole path through the earlier ones, not with its samples alone.
+    Joints at rest do not count, nor does the motion of a floating base.
+    """
+    before, after = _states(training), _states(held_out)
+    if not before or not after:
+        return 0.0
+    joints = before[0].shape[1] // 2
+    every = np.concatenate(before)
+    std = every.std(axis=0)
+    moves = np.tile(std[:joints] > REST, 2) & (std > 0)
+    if not moves.any():
+        return 1.0
+    queries = np.concatenate(after)[:, moves] / std[moves]
+    queries = queries[:: 1 + len(queries) // MOST_STATES]
+    paths = [one[:, moves] / std[moves] for one in before]
+    stride = 1 + len(every) // MOST_STATES
+    paths = [one[::stride] for one in paths]
+    ends = np.concatenate([np.r_[np.ones(len(one) - 1, bool), False] for one in paths])
+    points = np.concatenate(paths)
+    nearest = np.asarray(cKDTree(points).query(queries)[1])
+    distance = np.minimum(
+        _distance(queries, points, nearest, ends), _distance(queries, points, nearest - 1, ends)
+    )
+    return float(np.mean(distance <= NEAR * np.sqrt(np.count_nonzero(moves))))
+
+
+def _states(segments: Iterable[Segment]) -> list[FloatArray]:
+    """Return joint positions and speeds (N, 2 J) of each segment at few of its instants."""
+    states = []
+    for segment in segments:
+        stride = max(1, round(PERIOD * segment.rate))
+        step = max(1, round(STEP * segment.rate))
+        position = segment.position[:-step]
+        speed = (segment.position[step:] - position) * segment.rate / step
+        if len(position):
+            states.append(np.concatenate([position, speed], axis=1)[::stride])
+    return states
+
+
+def _distance(
+    queries: FloatArray, points: FloatArray, index: IntArray, continues: BoolArray
+) -> FloatArray:
+    """Return the distances of queries (N, d) from the lines that start at points ``index`` (N,)."""
+    index = np.maximum(index, 0)
+    start = points[index]
+    stop = points[np.minimum(index + 1, len(points) - 1)]
+    along = np.where(continues[index, None], stop - start, 0.0)
+    length = np.sum(along**2, axis=1)
+    share = np.sum((queries - start) * along, axis=1) / np.where(length > 0, length, 1.0)
+    foot = start + np.clip(share, 0.0, 1.0)[:, None] * along
+    distance: FloatArray = np.linalg.norm(queries - foot, axis=1)
+    return distance
