@@ -27,6 +27,14 @@ def log_of(robot, seed, *, count=3000, noise=1.0, start=0):
     return sy.Log.from_streams(streams)
 
 
+def identify(robot, log, **options) -> sy.Result:
+    """Identify without what takes long and is tested elsewhere."""
+    given = {"unchecked": True, "no_holdout": True}
+    if not {"friction", "joint_terms"} & set(options):
+        given["joint_terms"] = "none"
+    return sy.identify(robot, log, **given, **options)
+
+
 class Case:
     """A robot, a model of it that is wrong by 25 %, and two logs of different motions."""
 
@@ -46,7 +54,7 @@ class Case:
         self.held_out = log_of(self.robot, HELD_OUT, start=START)
 
     def identified(self, **options) -> sy.Result:
-        return sy.identify(self.wrong, self.training, unchecked=True, **options)
+        return identify(self.wrong, self.training, **options)
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +125,7 @@ def test_a_model_that_became_worse_is_refused(arm) -> None:
     phi = arm.robot.phi.copy()
     phi[-1] *= 3
     loaded = log_of(arm.robot.with_phi(phi), TRAINING)
-    result = sy.identify(arm.robot, loaded, unchecked=True)
+    result = identify(arm.robot, loaded)
     found = sy.validate(result, arm.held_out)
     assert (found.advice, found.is_better) == ("worse", False)
     assert found.percent_after > 2 * found.percent_before
@@ -125,7 +133,7 @@ def test_a_model_that_became_worse_is_refused(arm) -> None:
 
 
 def test_a_model_that_was_right_hardly_differs(arm) -> None:
-    result = sy.identify(arm.robot, arm.training, unchecked=True)
+    result = identify(arm.robot, arm.training)
     found = sy.validate(result, arm.held_out)
     assert (found.advice, found.is_better) == ("equal", False)
     assert found.verdict.startswith("hardly differs from the original")
@@ -135,6 +143,7 @@ OPTIONS = [
     {},
     {"friction": True, "offset": True},
     {"sensor_errors": "typical"},
+    {"joint_terms": "auto"},
     {"filter": "butterworth", "cutoff": 30.0},
     {"filter": "savitzky_golay", "window": 0.05},
     {"method": "wls_rc", "window": 0.161},
@@ -199,7 +208,7 @@ def test_slow_stretches_show_gravity_alone(arm) -> None:
     phi = robot.phi.copy()
     phi[:, 4:] *= 2
     wrong = robot.with_phi(phi)
-    found = sy.validate(sy.identify(wrong, arm.training, unchecked=True), log)
+    found = sy.validate(identify(wrong, arm.training), log)
     assert found.slow_seconds == pytest.approx(12, abs=2)
     assert found.slow.rmse_before < 0.05 * found.torque.rmse_before
     assert found.slow.name == "slow stretches"
