@@ -422,8 +422,7 @@ REAL_DATA = {
             "panda.urdf": "63792d2679f22c4e41cda2c4d9d903644e628970ad0656b9eec8485113941555",
         },
         panda,
-        "The inertias of panda.urdf are those of Gaz et al., RA-L 2019, who identified them with "
-        "other trajectories of this arm.",
+        "The inertias of panda.urdf are those of Gaz et al., RA-L 2019, identified on this arm.",
     ),
     "ur10e": RealData(
         "UR10e, 6 joints, motor currents times published gains, 100 Hz, 58 s",

@@ -242,6 +242,13 @@ PAGE = (ROOT / "docs/real-logs.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", REAL_DATA)
+def test_the_page_names_the_content_of_each_input(name) -> None:
+    for path, digest in REAL_DATA[name].files.items():
+        assert len(digest) == 64
+        assert re.search(rf"`{re.escape(Path(path).name)}`\s{digest[:16]}[,.]", PAGE)
+
+
+@pytest.mark.parametrize("name", REAL_DATA)
 def test_published_reference_errors_are_those_of_the_data(name, capsys, monkeypatch) -> None:
     """Needs the data: SYMBID_REAL_LOGS=DIR with one folder for each log, named like it."""
     if REAL is None:
