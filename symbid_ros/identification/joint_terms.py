@@ -209,7 +209,7 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     """
     parameters = problem.parameters
     names = np.array(parameters.names[parameters.inertial :])
-    stated = parameters.values != 0
+    stated = problem.prior.mean[: len(parameters)] != 0
     slipping = np.zeros(len(parameters), bool)
     for term, columns in parameters.term_columns.items():
         slipping[columns] = term in SLIDING_TERMS

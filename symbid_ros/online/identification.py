@@ -28,6 +28,7 @@ from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics, Topic
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker
 from symbid_ros.online.initial_state import InitialState
@@ -70,6 +71,9 @@ class OnlineEstimate:
     ----------
     found : Identification
         The estimate and its observations; has a verdict only if solved exactly.
+    parameters : ParameterSet
+        The estimate's parameters: those that an offline run gives if solved exactly, else with all
+        candidate terms.
     until : int
         Stamp of the newest data in it, ns.
     window : float
@@ -81,6 +85,7 @@ class OnlineEstimate:
     """
 
     found: Identification
+    parameters: ParameterSet
     until: int
     window: float
     alarms: tuple[str, ...]
@@ -228,7 +233,7 @@ class OnlineIdentification:
         if self._parameters.candidates:
             problem = self._with_candidate_prior(problem)
             self._choice = choose_terms(problem)
-            problem = self._choice.applied(problem, all_columns=True)
+            problem = self._choice.applied(problem)
         return self._estimate(Solver.of(problem), with_verdict=True)
 
     def _solve_approximately(self, new: Sequence[BlockRows]) -> OnlineEstimate | None:
@@ -327,7 +332,8 @@ class OnlineIdentification:
     def _estimate(self, solver: Solver, *, with_verdict: bool) -> OnlineEstimate:
         found = self._identify(solver, with_verdict=with_verdict)
         window = solver.chosen.window
-        return OnlineEstimate(found, self._until, window, solver.alarms, self._monitor.change)
+        parameters, change = solver.problem.parameters, self._monitor.change
+        return OnlineEstimate(found, parameters, self._until, window, solver.alarms, change)
 
     def reset(self) -> None:
         """Discard everything except the prior."""

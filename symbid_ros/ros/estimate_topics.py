@@ -13,7 +13,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.inertia import PARAMETERS, com_from_phi
 from symbid_ros.model.parameters import ParameterSet
@@ -95,18 +95,29 @@ def _inertia_stamped(numbers: FloatArray, link: str, stamp: Time) -> InertiaStam
     return message
 
 
-def estimate_message(estimate: Estimate, stamp: Time) -> DiagnosticArray:
-    """Return one status per link with all parameters and standard deviations, then joint terms."""
+def estimate_message(
+    estimate: Estimate, stamp: Time, names: Sequence[str] | None = None
+) -> DiagnosticArray:
+    """Return one status per link with all parameters and standard deviations, then joint terms.
+
+    ``names`` are those of all parameters, also of terms that the data do not ask for, so that
+    messages have the same keys at all times. Such a term is 0 with a standard deviation of 0.
+    """
     message = DiagnosticArray()
     message.header.stamp = stamp
-    groups: dict[str, list[int]] = {}
-    for index, name in enumerate(estimate.names):
-        groups.setdefault(name.rsplit("/", 1)[0], []).append(index)
-    message.status = [_status(estimate, group, indices) for group, indices in groups.items()]
+    groups: dict[str, list[str]] = {}
+    for name in names or estimate.names:
+        groups.setdefault(name.rsplit("/", 1)[0], []).append(name)
+    place = {name: index for index, name in enumerate(estimate.names)}
+    for name in estimate.fixed:
+        place.pop(name)
+    message.status = [_status(estimate, group, own, place) for group, own in groups.items()]
     return message
 
 
-def _status(estimate: Estimate, group: str, indices: Sequence[int]) -> DiagnosticStatus:
+def _status(
+    estimate: Estimate, group: str, names: Sequence[str], place: Mapping[str, int]
+) -> DiagnosticStatus:
     status = DiagnosticStatus(name=group, hardware_id=estimate.model, level=DiagnosticStatus.OK)
     status.message = "physically possible"
     if group not in estimate.consistent:
@@ -114,15 +125,19 @@ def _status(estimate: Estimate, group: str, indices: Sequence[int]) -> Diagnosti
     elif not estimate.consistent[group]:
         status.level = DiagnosticStatus.WARN
         status.message = "physically impossible: no mass density has these parameters"
-    for index in indices:
-        key = estimate.names[index].rsplit("/", 1)[1]
-        status.values.append(KeyValue(key=key, value=repr(float(estimate.value[index]))))
+
+    def add(key: str, numbers: FloatArray | BoolArray, index: int | None) -> None:
+        number = numbers.dtype.type(0) if index is None else numbers[index]
+        text = repr(float(number)) if numbers.dtype != bool else str(bool(number)).lower()
+        status.values.append(KeyValue(key=key, value=text))
+
+    for name in names:
+        key, index = name.rsplit("/", 1)[1], place.get(name)
+        add(key, estimate.value, index)
         if estimate.std is not None:
-            deviation = repr(float(estimate.std[index]))
-            status.values.append(KeyValue(key=f"{key}/std", value=deviation))
+            add(f"{key}/std", estimate.std, index)
         if estimate.determined is not None:
-            word = "true" if estimate.determined[index] else "false"
-            status.values.append(KeyValue(key=f"{key}/determined", value=word))
+            add(f"{key}/determined", estimate.determined, index)
     return status
 
 
@@ -155,7 +170,7 @@ class EstimateTopics:
         def publisher(kind: type[Any], topic: str) -> Publisher:
             return node.create_publisher(kind, f"~/{topic}", latched_qos())
 
-        model = parameters.model
+        model, self._names = parameters.model, parameters.names
         self._base = model.links[0].name
         self._inertia, self._inertia_stddev = (
             {
@@ -180,7 +195,7 @@ class EstimateTopics:
         self._effort_residual.publish(effort_residual_message(estimate, stamp))
         if self._wrench_residual is not None:
             self._wrench_residual.publish(wrench_residual_message(estimate, self._base, stamp))
-        self._estimate.publish(estimate_message(estimate, stamp))
+        self._estimate.publish(estimate_message(estimate, stamp, self._names))
 
     def describe(self, urdf: str) -> None:
         """Publish the robot description with the identified parameters."""

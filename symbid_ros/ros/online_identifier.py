@@ -263,7 +263,7 @@ class OnlineIdentifier:
         self._topics.publish(estimate, Time(nanoseconds=newest.until).to_msg())
         now = time.monotonic()
         if describe or now - self._described >= DESCRIPTION_PERIOD:
-            self._topics.describe(export_urdf(estimate, self._parameters))
+            self._topics.describe(export_urdf(estimate, newest.parameters))
             self._described = now
 
     def _solve_on_request(self) -> str:
@@ -277,7 +277,7 @@ class OnlineIdentifier:
         return self._write(self._solve_exactly(), self._out)
 
     def _write(self, estimate: OnlineEstimate, out: Path) -> str:
-        write_identification(estimate.found, self._parameters, out)
+        write_identification(estimate.found, estimate.parameters, out)
         return f"{_summarize(estimate)}, written to {out}"
 
     def _reset(self) -> str:
