@@ -47,6 +47,8 @@ LEAST_SHARE = 0.02
 # Share of its prior deviation above which an armature is unresolved. Fixed at zero it would bias
 # the links' inertias, which it resembles, so it stays free and undetermined.
 UNRESOLVED = 0.1
+# Share of its variance that is due to the links' parameters, above which it is mixed up with them.
+MIXED = 0.5
 # Windows in which a joint slips, below which nothing is said about its friction.
 FEWEST_SLIPPING = 25
 POSTURES = 20
@@ -231,7 +233,7 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
         (
             *_resting(problem.observations, parameters),
             *_replaceable(parameters, last.free),
-            *selections[0].inseparable,
+            *_inseparable(selections[0].inseparable, parameters, last.free),
         ),
         slips,
     )
@@ -243,7 +245,7 @@ class _Selection:
 
     free: BoolArray
     evidence: dict[str, float]
-    inseparable: tuple[str, ...]
+    inseparable: tuple[tuple[int, int], ...]
 
     @classmethod
     def of(
@@ -300,31 +302,36 @@ class _Elimination:
         self.left = terms
         self.evidence: dict[str, float] = {}
         self._mean, self._covariance = found.mean[terms], factor @ factor.T
+        precision = found.factor[:, terms]
+        self._without_links = np.linalg.inv(precision.T @ precision).diagonal()
         self._prior = found.prior
         self._parameters = parameters
         self._nonnegative = parameters.nonnegative
 
-    def inseparable(self) -> tuple[str, ...]:
+    def inseparable(self) -> tuple[tuple[int, int], ...]:
         """Return pairs of terms of one joint whose errors are completely correlated."""
         std = np.sqrt(self._covariance.diagonal())
         correlation = np.abs(self._covariance / np.outer(std, std))
         wide = std > 0.1 * self._prior.std[self.left]
         pairs = np.argwhere(np.triu(correlation > INSEPARABLE, 1) & np.outer(wide, wide))
-        names = self._parameters.names
-        found = []
-        for one, two in pairs:
-            joint, _, a = names[self.left[one]].rpartition("/")
-            other, _, b = names[self.left[two]].rpartition("/")
-            if joint == other:
-                found.append(f"{joint}: this log does not tell {a} from {b}")
-        return tuple(found)
+        joints = [self._parameters.names[i].rpartition("/")[0] for i in self.left]
+        return tuple(
+            (int(self.left[one]), int(self.left[two]))
+            for one, two in pairs
+            if joints[one] == joints[two]
+        )
 
     def unresolved(self) -> BoolArray:
-        """Return which terms are armatures that the data cannot tell from the links' inertias."""
-        std = np.sqrt(self._covariance.diagonal())
+        """Return which terms are armatures that the data cannot tell from the links' inertias.
+
+        They would be known far better if the links' parameters were.
+        """
+        variance = self._covariance.diagonal()
+        std = np.sqrt(variance)
         kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
         is_armature = np.array([kind == "armature" for kind in kinds], dtype=bool)
-        return is_armature & (std > UNRESOLVED * self._prior.std[self.left])
+        mixed = self._without_links < (1 - MIXED) * variance
+        return is_armature & mixed & (std > UNRESOLVED * self._prior.std[self.left])
 
     def run(self, kept: set[int], kept_before: set[int]) -> None:
         """Remove terms until all that are left are supported; ``kept`` are never removed."""
@@ -470,6 +477,18 @@ def _resting(observations: Sequence[Observations], parameters: ParameterSet) -> 
     return (
         f"{', '.join(own)}: moved faster than {COULOMB_SPEED:g} rad/s for less than "
         f"{seconds:.2g} s, too little to judge friction",
+    )
+
+
+def _inseparable(
+    pairs: Sequence[tuple[int, int]], parameters: ParameterSet, free: BoolArray
+) -> tuple[str, ...]:
+    """Return a sentence about each pair of which a term was chosen."""
+    names = [name.rpartition("/") for name in parameters.names]
+    return tuple(
+        f"{names[one][0]}: this log does not tell {names[one][2]} from {names[two][2]}"
+        for one, two in pairs
+        if free[one] or free[two]
     )
 
 

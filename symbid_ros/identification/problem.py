@@ -85,6 +85,11 @@ class Problem:
     choice: "TermChoice | None" = None
 
     @property
+    def data(self) -> tuple[Observations, ...]:
+        """The data for later runs, with the columns of all candidate terms."""
+        return self.stored or self.observations
+
+    @property
     def row_builder(self) -> RowBuilder:
         """Builds the rows of all unknowns."""
         return self.calibrated_rows or equation_rows(self.parameters)

@@ -158,7 +158,7 @@ class Solver:
         noise = {} if verdict is None else self._row_std(value, verdict.effective)
         return Identification(
             replace(estimate, verdict=verdict, row_std=noise),
-            problem.stored or problem.observations,
+            problem.data,
             found.deviation_factor,
             self.chosen.window,
             value,
@@ -220,7 +220,7 @@ class Solver:
         )
         return Identification(
             estimate,
-            problem.stored or problem.observations,
+            problem.data,
             None,
             self.chosen.window,
             value,

@@ -130,7 +130,10 @@ def read_estimate(message: DiagnosticArray) -> RobotEstimate:
         if PARAMETERS[0] in values:
             links.append(_link(status, values, determined))
         else:
-            joint_terms += sum("/" not in key for key in values)
+            # A term that the data do not ask for has a standard deviation of exactly 0.
+            joint_terms += sum(
+                "/" not in key and _number(values.get(f"{key}/std", "")) != 0 for key in values
+            )
             joint_determined += determined.count("true")
     stamp = message.header.stamp
     return RobotEstimate(

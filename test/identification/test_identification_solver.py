@@ -57,7 +57,11 @@ def symbitron():
 
 
 def load(folder, *bags, **options):
-    options = IdentifyOptions(**({"prior": folder / "prior.json"} | options))
+    # The robot has no friction; a choice of terms is tested by itself.
+    fixed = {"prior": folder / "prior.json"}
+    if not {"friction", "armature", "offset"} & options.keys():
+        fixed["joint_terms"] = ("none",)
+    options = IdentifyOptions(**(fixed | options))
     return BagRequest(tuple(folder / bag for bag in bags), MODEL, options).load()
 
 

@@ -98,7 +98,7 @@ def test_live_messages_give_the_estimate_of_their_bag(start, feed, offline) -> N
 
     exact = live.solve(exactly=True)
     solver = offline.solver
-    assert_same(exact.found.observations, solver.problem.observations)
+    assert_same(exact.found.observations, solver.problem.data)
     value, expected = exact.found.estimate.value, solver.posterior.mean
     assert np.all(np.abs(value - expected) <= 1e-7 * solver.posterior.std)
     assert exact.found.estimate.verdict.window == solver.chosen.window
@@ -176,7 +176,7 @@ def test_bursts_and_disordered_messages_change_nothing(start, feed, offline) -> 
     )
     replace(feed, messages=tuple(message for _, message in shuffled)).into(live, solving=0.7)
     observations = live.solve(exactly=True).found.observations
-    assert_same(observations, offline.solver.problem.observations)
+    assert_same(observations, offline.solver.problem.data)
 
 
 def test_a_backward_clock_jump_restarts_the_clock_and_loses_nothing(
@@ -193,7 +193,7 @@ def test_a_backward_clock_jump_restarts_the_clock_and_loses_nothing(
         replace(feed, messages=(first, second, straggler, *others)).into(live, solving=2.0)
     assert [record for record in caplog.records if "jumps back" in record.message]
     assert (live.clock_jumps, live.streams.stale) == (1, 1)
-    twice = [one.merge(one) for one in offline.solver.problem.observations]
+    twice = [one.merge(one) for one in offline.solver.problem.data]
     assert_same(live.solve(exactly=True).found.observations, twice)
 
 
@@ -205,7 +205,7 @@ def test_a_run_resumes_from_saved_information(start, feed, offline, tmp_path: Pa
     second = start(information=tmp_path / "information.npz")
     feed.between(8.0, np.inf).into(second)
     observations = second.solve(exactly=True).found.observations
-    assert_same(observations, offline.solver.problem.observations)
+    assert_same(observations, offline.solver.problem.data)
 
 
 def test_forgetting_discounts_old_rows_and_the_prior(start, feed, offline) -> None:

@@ -43,7 +43,7 @@ def test_live_messages_at_low_rates_give_the_estimate_of_their_bag(robot_and_bag
     exact = live.solve(exactly=True).found
     live.close()
     solver = BagRequest((bag,), model, initial().options).load().solver
-    offline = solver.problem.observations
+    offline = solver.problem.data
     assert [one.window for one in exact.observations] == [one.window for one in offline]
     assert tuple(one.window for one in offline) == expected
     for one, other in zip(exact.observations, offline, strict=True):

@@ -33,6 +33,7 @@ from symbid_ros.estimation.archive import load_archive
 from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.sensors import Instant
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.standing_controller import StandingController
 
@@ -146,7 +147,7 @@ class ClosedLoop(Simulator):
     """The robot and its controller without topics between them."""
 
     def __init__(self, steps: int) -> None:
-        super().__init__(**MOTION, is_commanded=True)
+        super().__init__(SimulateOptions(**MOTION), is_commanded=True)
         self.steps = steps
         self._brain = StandingController(**MOTION)
         self._before: Instant | None = None
