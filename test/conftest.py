@@ -115,7 +115,9 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
         with (folder / f"{path.name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
             if not path.exists():
-                record(Simulator(SimulateOptions(scenario, **options)), path)
+                robot = {key: options[key] for key in ("payload",) if key in options}
+                motion = {key: value for key, value in options.items() if key not in robot}
+                record(Simulator(SimulateOptions(scenario, **motion), **robot), path)
         return path
 
     return bag

@@ -80,7 +80,9 @@ def gripper(tmp_path_factory):
 def test_a_mimic_joint_needs_no_data(gripper, method):
     folder, robot = gripper
     cutoff = None if method == "map_lmi" else 0.0
-    options = IdentifyOptions(prior_percent=25.0, method=method, cutoff=cutoff)
+    options = IdentifyOptions(
+        prior_percent=25.0, method=method, cutoff=cutoff, joint_terms=("none",)
+    )
     request = BagRequest((folder / "log",), folder / "robot.urdf", options, base="fixed")
     prepared = request.load()
     wrong = robot.with_phi(1.2 * robot.phi)

@@ -62,10 +62,10 @@ def rms(error):
 
 @pytest.mark.parametrize("rows", [{}, {"filter": "savitzky_golay", "window": 0.011}], ids=str)
 def test_friction_of_the_model_file_is_used_and_kept(arm, rows, tmp_path, caplog):
-    options = IdentifyOptions(**rows)
+    options = IdentifyOptions(joint_terms=("none",), **rows)
     prepared = BagRequest((arm / "log",), arm / "robot.urdf", options, base="fixed").load()
     assert "states viscous friction of joint1" in caplog.text
-    assert "taken as known; identify it with `friction`" in caplog.text
+    assert "taken as known; add viscous to `joint_terms`" in caplog.text
     found = prepared.solve("map_lmi")
     write_identification(found, prepared.parameters, tmp_path)
     robot = load_model(arm / "robot.urdf", "fixed")
@@ -95,7 +95,8 @@ def test_friction_of_the_model_file_is_used_and_kept(arm, rows, tmp_path, caplog
 
 
 def test_an_estimate_without_friction_is_evaluated_without_it(arm, tmp_path):
-    prepared = BagRequest((arm / "log",), arm / "smooth.urdf", base="fixed").load()
+    options = IdentifyOptions(joint_terms=("none",))
+    prepared = BagRequest((arm / "log",), arm / "smooth.urdf", options, base="fixed").load()
     write_identification(prepared.solve("map_lmi"), prepared.parameters, tmp_path)
     robot = load_model(arm / "robot.urdf", "fixed")
     motion = read_true_motion([arm / "other"], robot)

@@ -44,6 +44,7 @@ def test_any_tree_is_identified_from_its_bag(tree, chosen, tmp_path):
     options = IdentifyOptions(
         prior=folder / "prior.json",
         choose_truncation=folder / "other" if method == "wls_rc" else None,
+        joint_terms=("none",),
         **chosen,
     )
     prepared = BagRequest((folder / "log",), folder / "robot.xml", options).load()

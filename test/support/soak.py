@@ -31,9 +31,9 @@ from std_srvs.srv import SetBool, Trigger
 from symbid_ros.cli.processes import unused_domain
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.sensors import Instant
-from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.standing_controller import StandingController
 
