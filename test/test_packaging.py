@@ -387,9 +387,10 @@ def test_entry_points_exist() -> None:
     for target in PROJECT["scripts"].values():
         module, function = target.split(":")
         source = ROOT / Path(*module.split(".")).with_suffix(".py")
-        names = {
-            n.name for n in ast.parse(source.read_text()).body if isinstance(n, ast.FunctionDef)
-        }
+        body = ast.parse(source.read_text()).body
+        names = {n.name for n in body if isinstance(n, ast.FunctionDef)}
+        for node in (n for n in body if isinstance(n, ast.Assign)):
+            names |= {target.id for target in node.targets if isinstance(target, ast.Name)}
         assert function in names
 
 

@@ -305,7 +305,7 @@ def print_validation(found: Validation) -> None:
     if (mass := found.mass) is not None:
         console.print(
             f"total mass: {mass.before:.2f} kg → {mass.after:.2f} kg, while the forces show "
-            f"{mass.measured:.2f} ± {mass.std:.2f} kg",
+            f"{mass.measured:.2f} ± {'–' if mass.std is None else f'{mass.std:.2f}'} kg",
             soft_wrap=True,
         )
     if found.coverage is not None and found.normalized_square is not None:

@@ -84,13 +84,13 @@ class TotalMass:
     before, after : float
         Of the original and of the identified model, kg.
     measured, std : float
-        According to the log, and its standard deviation, kg.
+        According to the log, and its standard deviation, kg; None with too few rows for one.
     """
 
     before: float
     after: float
     measured: float
-    std: float
+    std: float | None
 
 
 @dataclass(frozen=True)
@@ -265,7 +265,8 @@ class ForceRows:
         sums = np.array([[products[block].sum(), squares[block].sum()] for block in blocks])
         missing = sums[:, 0].sum() / sums[:, 1].sum()
         left = sums.sum(axis=0) - sums
-        std = _jackknife_std(left[:, 0] / left[:, 1])
+        is_known = bool(np.all(left[:, 1] > 0))
+        std = _jackknife_std(left[:, 0] / left[:, 1]) if is_known else None
         return TotalMass(float(before), float(after), float(after + missing), std)
 
 

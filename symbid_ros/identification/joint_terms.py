@@ -133,7 +133,7 @@ class TermChoice:
 
     def rows(self, observations: Sequence[Observations]) -> tuple[Observations, ...]:
         """Return the rows that this choice uses."""
-        return _rows(observations, slips=self.slips)
+        return rows_of(observations, slips=self.slips)
 
 
 def _restricted(build: CalibratingRows, parameters: ParameterSet) -> CalibratingRows:
@@ -259,7 +259,7 @@ class _Selection:
     ) -> "_Selection":
         parameters = problem.parameters
         prior = fixed_prior(problem.prior, candidates)
-        observations = _rows(problem.observations, slips=slips)
+        observations = rows_of(problem.observations, slips=slips)
         usable = replace(problem, observations=observations, prior=prior)
         chosen, near = WindowComparison(usable).finish()
         start = near
@@ -371,7 +371,7 @@ class _Elimination:
         self.left = np.delete(self.left, index)
 
 
-def _rows(observations: Sequence[Observations], *, slips: bool) -> tuple[Observations, ...]:
+def rows_of(observations: Sequence[Observations], *, slips: bool) -> tuple[Observations, ...]:
     """Return all rows, or those of slipping joints; window lengths without any are left out."""
     if not slips:
         return tuple(observations)

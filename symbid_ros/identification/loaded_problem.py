@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.choices import TERMS, Method
+from symbid_ros.choices import SLIDING_TERMS, TERMS, Method
 from symbid_ros.diagnosis.findings import Finding, Kind
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
@@ -24,7 +24,7 @@ from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior,
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.calibration import SensorErrorRequest, Tare, calibrate, read_tare
 from symbid_ros.identification.dataset import Dataset, Processing, read_dataset
-from symbid_ros.identification.joint_terms import candidate_prior, choose_terms
+from symbid_ros.identification.joint_terms import candidate_prior, choose_terms, rows_of
 from symbid_ros.identification.options import IdentifyOptions, Source
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.result_files import check_output
@@ -169,6 +169,7 @@ def load_information(
     parameters = load_parameters(robot, options)
     if options.chooses_terms:
         parameters = _columns_of(robot, observations)
+    observations = _with_columns(observations, parameters)
     _check_sizes(options, parameters)
     _check_layout(observations, parameters, "information")
     if any(len(one.layout.parameters) > len(parameters) for one in observations):
@@ -213,6 +214,19 @@ def _columns_of(robot: RobotModel, observations: Sequence[Observations]) -> Para
     if any(one.slipping is not None for one in observations):
         return ParameterSet(robot, TERMS, candidates=True)
     return ParameterSet(robot, terms_in(observations[0].layout.parameters))
+
+
+def _with_columns(
+    observations: tuple[Observations, ...], parameters: ParameterSet
+) -> tuple[Observations, ...]:
+    """Return data of candidate terms for the terms that the user names; other data as they are."""
+    named = parameters.names
+    if parameters.candidates or any(
+        one.slipping is None or not set(named) <= set(one.layout.parameters) for one in observations
+    ):
+        return observations
+    slips = not SLIDING_TERMS.isdisjoint(parameters.terms)
+    return tuple(one.restricted(named) for one in rows_of(observations, slips=slips))
 
 
 def choose_prior(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
@@ -312,7 +326,8 @@ def _check_sizes(options: IdentifyOptions, parameters: ParameterSet) -> None:
             "E501",
         )
     if options.information is not None:
-        _check_layout(load_archive(options.information), parameters, str(options.information))
+        earlier = _with_columns(load_archive(options.information), parameters)
+        _check_layout(earlier, parameters, str(options.information))
 
 
 def _check_layout(
@@ -350,7 +365,7 @@ def _build_solver(
         request = SensorErrorRequest(options.sensor_error_kinds, tares)
         problem = calibrate(problem, dataset, request)
     if options.information is not None:
-        earlier = load_archive(options.information)
+        earlier = _with_columns(load_archive(options.information), parameters)
         both = merged_observations(problem.observations, earlier, str(options.information))
         problem = replace(problem, observations=both)
     if parameters.candidates:
