@@ -266,6 +266,14 @@ class Solver:
     ) -> Estimate:
         parameters, prior = self.problem.parameters, self.posterior.prior
         p, choice = len(parameters), self.problem.choice
+        determined = np.asarray(std < DETERMINED * prior.std[:p])
+        if choice is not None:
+            # Fixed terms are exactly at their value; the solution is so to rounding.
+            chosen = {f"{one}/{term}" for one, terms in choice.by_joint.items() for term in terms}
+            fixed = np.array([name not in chosen for name in parameters.names])
+            fixed[: parameters.inertial] = False
+            value = np.concatenate([np.where(fixed, prior.mean[:p], value[:p]), value[p:]])
+            std = np.where(fixed, 0.0, std)
         return Estimate(
             method=method,
             model=parameters.model.name,
@@ -274,7 +282,7 @@ class Solver:
             value=value,
             prior=prior.mean[:p],
             std=std,
-            determined=np.asarray(std < DETERMINED * prior.std[:p]),
+            determined=determined,
             rank=rank,
             condition=condition,
             samples=round(self.chosen.rows.samples),

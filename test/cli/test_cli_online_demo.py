@@ -29,7 +29,7 @@ def test_the_estimates_converge_and_are_reported(symbid, tmp_path: Path) -> None
     assert ended.returncode == 0, ended.stderr
     lines = ended.stdout.splitlines()
     told = [line for line in lines if line.startswith("data to")]
-    determined = [int(re.findall(r": (\d+) of 110 parameters", line)[0]) for line in told]
+    determined = [int(re.findall(r": (\d+) of \d+ parameters", line)[0]) for line in told]
     assert determined[-1] > 0
     assert determined[-1] == max(determined)
     parameters = ParameterSet(load_model(config_file("symbitron.xml")))
