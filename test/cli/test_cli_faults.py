@@ -15,6 +15,7 @@ from symbid_ros.estimation.prior import model_prior
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import WINDOWS
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
@@ -225,7 +226,7 @@ def test_nan_and_infinite_values(fails, good, tmp_path) -> None:
                 instant.joint_position[2] = float("nan")
             return instant
 
-    faulty = Faulty("smooth", moves=1, motion_seed=3)
+    faulty = Faulty(SimulateOptions("smooth", moves=1, motion_seed=3))
     faulty.steps = 1000
     record(faulty, tmp_path / "faulty")
     fails("joint_states", "R_kfe", **good | {"bag": tmp_path / "faulty"})
