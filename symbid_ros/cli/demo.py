@@ -173,7 +173,8 @@ def _identify_offline(
 
     task = progress.add_task("identifying and reporting", total=6)
     validation = out / "validation"
-    options = IdentifyOptions(prior=out / "prior.json")
+    # The methods are compared on the same parameters.
+    options = IdentifyOptions(prior=out / "prior.json", joint_terms=("none",))
     for_thesis = replace(
         options, method="wls_rc", filter="butterworth", choose_truncation=validation
     )

@@ -173,9 +173,9 @@ def _evaluator(folder: StudyFolder, ideal: SimulatedLog, interval: float) -> Mot
 @lru_cache(maxsize=1)
 def _loaded(folder: StudyFolder, log: SimulatedLog) -> LoadedProblem:
     # Unchecked, as no sensor measures the overhead support, which carries the robot in a tare.
-    options = IdentifyOptions(
-        prior_percent=25.0, friction=log.friction, armature=log.friction, unchecked=True
-    )
+    # The methods are compared on the same parameters: those that the simulated robot has.
+    terms = ("viscous", "coulomb", "armature") if log.friction else ("none",)
+    options = IdentifyOptions(prior_percent=25.0, joint_terms=terms, unchecked=True)
     return BagRequest((folder.log(log),), config_file("symbitron.xml"), options).load()
 
 

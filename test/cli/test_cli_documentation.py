@@ -65,6 +65,7 @@ NOT_RUN = {
     r"(python3 -m )?colcon (build|test)\b": "test_packaging.py builds and tests",
     r"(export|unset|source)\b": "sets up the user's shell",
     r"(sudo|pip|python3|rosdep)\b": "installs",
+    r"python bench/": "needs data that the reader downloads; test_bench_real_logs.py runs it",
     r"python -m symbid_ros": "writes config/; test_ros_launch_arguments.py compares the files",
 }
 # Of rcl, of rosbag2 and of bench/recorder.py.
@@ -366,7 +367,7 @@ def test_measurements_have_the_options_named() -> None:
     assert called
     for span in called:
         script, *words = span.split()[1:]
-        known = re.findall(r'add_argument\("(--[\w-]+)"', (ROOT / script).read_text())
+        known = re.findall(r'add_argument\(\s*"(--[\w-]+)"', (ROOT / script).read_text())
         assert {word for word in words if word.startswith("--")} <= set(known), span
 
 
