@@ -41,7 +41,7 @@ class FileInfo:
     counts: dict[Topic, int]  # messages
     compression: tuple[str, ...] = ()  # of its chunks; empty if not compressed or unknown
     recorded_by: str = ""  # library that wrote it, if the file states it
-    fault: str = ""  # what is wrong with it and how to fix it
+    fault: str = ""  # the fault and its fix; empty for an intact file
     attachments: int = 0  # number of these records
     metadata: int = 0
 

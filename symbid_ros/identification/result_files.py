@@ -10,6 +10,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import check_writable, staged, write_text
+from symbid_ros.choices import JOINT_TERMS
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import (
     SensorCalibration,
@@ -81,7 +82,7 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
             failures = _write_all(outputs, stage, out)
     except SymbidError as error:
         failures = dict.fromkeys(outputs, str(error))
-    _log_unwritten(parameters.apply(estimate.value), out)
+    _log_unwritten(parameters, estimate.value, out)
     if not failures:
         return
     first = next(iter(failures.values()))
@@ -105,7 +106,21 @@ def _write_mjcf(path: Path, files: Mapping[PurePosixPath, str]) -> None:
         write_text(path.parent / place, text)
 
 
-def _log_unwritten(identified: RobotModel, out: Path) -> None:
+def _log_unwritten(parameters: ParameterSet, values: FloatArray, out: Path) -> None:
+    """Warn about identified parameters that the model files cannot hold."""
+    identified = parameters.apply(values)
+    lost = [
+        term
+        for term, columns in parameters.term_columns.items()
+        if JOINT_TERMS[term].field is None and np.any(values[columns])
+    ]
+    if lost:
+        logger.warning(
+            "%s: model.urdf and model.xml cannot hold %s, which only estimate.json has; efforts "
+            "computed from these models lack it",
+            out,
+            " and ".join(lost),
+        )
     for name, remarks in (
         ("model.urdf", unwritten(identified)),
         ("model.xml", replaced_values(identified)),

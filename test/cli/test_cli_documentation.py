@@ -1,4 +1,4 @@
-"""Each code block of README and docs/ runs and prints what is shown.
+"""Runs each code block of README and docs/ and compares its output with the page.
 
 Commands of ``symbid`` and Python code run unchanged, in a folder with the files that a reader would
 have; what a command prints is compared with the page. Other commands (NOT_RUN gives the reasons)

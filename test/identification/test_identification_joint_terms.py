@@ -13,6 +13,7 @@ from symbid_ros.dynamics.regressor import Samples, equation_of_motion
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout, random_motions
+from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.weak_form import WindowedRows, slipping_joints, valid_coordinates
 
@@ -45,6 +46,23 @@ def slow_waves(rng, time, joints, size):
     return [SLOWDOWN**order * each for order, each in enumerate(motion)]
 
 
+def samples_of(robot, time, position, velocity, acceleration):
+    """Return a fixed robot's motion (N, J) at times (N,), s, without efforts."""
+    rest = np.zeros((len(time), 3))
+    return Samples(
+        stamp=np.rint(1e9 * time).astype(np.int64),
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        effort=np.zeros_like(position),
+        base_angular_velocity=rest,
+        base_angular_acceleration=rest,
+        base_specific_force=rest - robot.gravity,
+        wrenches=np.zeros((len(time), 0, 6)),
+        wrench_frames=(),
+    )
+
+
 def log_of(robot, truth, seed=0, offset=0.0, moving=None, seconds=SECONDS):
     """Return a noisy log of a robot whose drives are those of the parameters ``truth``."""
     rng = np.random.default_rng(seed)
@@ -52,19 +70,7 @@ def log_of(robot, truth, seed=0, offset=0.0, moving=None, seconds=SECONDS):
     motion = slow_waves(rng, time, len(robot.joints), 1.2)
     if moving is not None:
         motion = [each * moving for each in motion]
-    rest = np.zeros((len(time), 3))
-    samples = Samples(
-        stamp=np.rint(1e9 * time).astype(np.int64),
-        position=motion[0],
-        velocity=motion[1],
-        acceleration=motion[2],
-        effort=np.zeros_like(motion[0]),
-        base_angular_velocity=rest,
-        base_angular_acceleration=rest,
-        base_specific_force=rest - robot.gravity,
-        wrenches=np.zeros((len(time), 0, 6)),
-        wrench_frames=(),
-    )
+    samples = samples_of(robot, time, *motion)
     rows = equation_of_motion(truth, samples)
     effort = rows.K @ truth.values - rows.y + offset
     effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
@@ -180,19 +186,9 @@ def test_a_joint_that_moves_one_way_does_not_tell_coulomb_from_offset():
     time = np.arange(0.0, SECONDS, 1 / RATE)
     rate = 0.5 + 0.3 * np.sin(2 * time)
     position = 0.5 * time - 0.15 * np.cos(2 * time)
-    rest = np.zeros((len(time), 3))
-    samples = Samples(
-        stamp=np.rint(1e9 * time).astype(np.int64),
-        position=position[:, None],
-        velocity=rate[:, None],
-        acceleration=(0.6 * np.cos(2 * time))[:, None],
-        effort=np.zeros((len(time), 1)),
-        base_angular_velocity=rest,
-        base_angular_acceleration=rest,
-        base_specific_force=rest - robot.gravity,
-        wrenches=np.zeros((len(time), 0, 6)),
-        wrench_frames=(),
-    )
+    acceleration = 0.6 * np.cos(2 * time)
+    motion = (each[:, None] for each in (position, rate, acceleration))
+    samples = samples_of(robot, time, *motion)
     rows = equation_of_motion(truth, samples)
     effort = rows.K @ truth.values - rows.y
     effort += 1e-3 * np.random.default_rng(0).normal(size=effort.shape)
@@ -208,19 +204,7 @@ def test_stribeck_friction_is_chosen():
     rng = np.random.default_rng(0)
     time = np.arange(0.0, SECONDS, 1 / RATE)
     motion = slow_waves(rng, time, len(robot.joints), 0.6)
-    rest = np.zeros((len(time), 3))
-    samples = Samples(
-        stamp=np.rint(1e9 * time).astype(np.int64),
-        position=motion[0],
-        velocity=motion[1],
-        acceleration=motion[2],
-        effort=np.zeros_like(motion[0]),
-        base_angular_velocity=rest,
-        base_angular_acceleration=rest,
-        base_specific_force=rest - robot.gravity,
-        wrenches=np.zeros((len(time), 0, 6)),
-        wrench_frames=(),
-    )
+    samples = samples_of(robot, time, *motion)
     phi = np.append(truth.values, np.full(len(robot.joints), 0.5))
     rows = equation_of_motion(columns, samples)
     effort = rows.K @ phi - rows.y + 1e-3 * rng.normal(size=motion[0].shape)
@@ -335,3 +319,20 @@ def test_contradictory_terms_are_refused(fields, code):
     with pytest.raises(OptionError) as caught:
         sy.IdentifyOptions(**fields)
     assert caught.value.code.endswith(code)
+
+
+def test_terms_that_a_model_file_cannot_hold_are_named(tmp_path, caplog):
+    (tmp_path / "robot.urdf").write_text(urdf_text(arm()))
+    robot = sy.load_model(tmp_path / "robot.urdf", "fixed")
+    result = sy.identify(robot, log_of(robot, drives(robot), offset=0.7), unchecked=True)
+    result.save(tmp_path / "out")
+    assert "model.urdf and model.xml cannot hold offset" in caplog.text
+
+
+def test_friction_of_the_model_file_leaves_out_joints_that_rest():
+    robot = arm()
+    truth = drives(robot, coulomb=0.8)
+    log = log_of(truth.model, truth, moving=np.zeros(len(robot.joints)), seconds=8.0)
+    result = sy.identify(truth.model, log, unchecked=True)
+    # Static friction is unknown, so a log at rest determines nothing.
+    assert not any(one.is_determined for one in result.parameters.values())

@@ -1,0 +1,174 @@
+"""Evidence for joint terms: backward elimination, and cross-validation by groups of seconds.
+
+Both work on the Gaussian posterior of all candidates together, so that no term needs a solve of
+its own.
+"""
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.estimation.group_moments import GroupMoments
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.model.parameters import ParameterSet
+
+# Log Bayes factor from which a term is chosen, and below which a chosen one is given up again, so
+# that a live choice does not alternate.
+ENTER, LEAVE = 2.0, 0.5
+# Correlation from which two terms of a joint cannot be told apart.
+INSEPARABLE = 0.995
+# Smallest share of a joint's information that is left when a group of rows is left out.
+LEAST_LEFT = 1e-3
+# Share of its prior deviation above which an armature is unresolved. Fixed at zero it would bias
+# the links' inertias, which it resembles, so it stays free and undetermined.
+UNRESOLVED = 0.1
+# Share of its variance that is due to the links' parameters, above which it is mixed up with them.
+MIXED = 0.5
+
+
+class Elimination:
+    """Removes the least supported term, again and again, from a Gaussian over the terms."""
+
+    def __init__(self, found: Posterior, parameters: ParameterSet, terms: IntArray) -> None:
+        factor = found.deviation_factor[terms]
+        self.left = terms
+        self._mean, self._covariance = found.mean[terms], factor @ factor.T
+        precision = found.factor[:, terms]
+        self._without_links = np.linalg.inv(precision.T @ precision).diagonal()
+        self._prior = found.prior
+        self._parameters = parameters
+        self._nonnegative = parameters.nonnegative
+
+    def inseparable(self) -> tuple[tuple[int, int], ...]:
+        """Return pairs of terms of one joint whose errors are completely correlated."""
+        std = np.sqrt(self._covariance.diagonal())
+        correlation = np.abs(self._covariance / np.outer(std, std))
+        wide = std > 0.1 * self._prior.std[self.left]
+        pairs = np.argwhere(np.triu(correlation > INSEPARABLE, 1) & np.outer(wide, wide))
+        joints = [self._parameters.names[i].rpartition("/")[0] for i in self.left]
+        return tuple(
+            (int(self.left[one]), int(self.left[two]))
+            for one, two in pairs
+            if joints[one] == joints[two]
+        )
+
+    def unresolved(self) -> BoolArray:
+        """Return which terms are armatures that the data cannot tell from the links' inertias.
+
+        They would be known far better if the links' parameters were.
+        """
+        variance = self._covariance.diagonal()
+        std = np.sqrt(variance)
+        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
+        is_armature = np.array([kind == "armature" for kind in kinds], dtype=bool)
+        mixed = self._without_links < (1 - MIXED) * variance
+        return is_armature & mixed & (std > UNRESOLVED * self._prior.std[self.left])
+
+    def run(self, kept: set[int], kept_before: set[int]) -> None:
+        """Remove terms until all that are left are supported; ``kept`` are never removed."""
+        while len(self.left):
+            factors = self._log_bayes_factors()
+            least = np.array([LEAVE if i in kept_before else ENTER for i in self.left])
+            margin = factors - least
+            margin[[i in kept for i in self.left]] = np.inf
+            worst = int(np.argmin(margin))
+            if margin[worst] >= 0:
+                return
+            self._remove(worst)
+
+    def _log_bayes_factors(self) -> FloatArray:
+        """Return the log Bayes factor of each term, free against fixed at the prior's mean.
+
+        For z posterior deviations between estimate and prior mean, it is the largest over the
+        prior deviations that are possible, (z² - 1 - ln z²)/2.
+        """
+        shift = self._mean - self._prior.mean[self.left]
+        # A negative friction or armature is impossible, so its size supports nothing.
+        impossible = (self._mean < 0) & (shift < 0) & self._nonnegative[self.left]
+        square = np.where(impossible, 0.0, shift**2 / self._covariance.diagonal())
+        square = np.maximum(square, 1.0)
+        return np.asarray((square - 1 - np.log(square)) / 2)
+
+    def _remove(self, index: int) -> None:
+        """Condition on a term at its prior mean."""
+        covariance = self._covariance
+        gain = covariance[:, index] / covariance[index, index]
+        shift = self._mean[index] - self._prior.mean[self.left[index]]
+        self._mean = np.delete(self._mean - gain * shift, index)
+        covariance = covariance - np.outer(gain, covariance[index])
+        self._covariance = np.delete(np.delete(covariance, index, 0), index, 1)
+        self.left = np.delete(self.left, index)
+
+
+def cross_validated(
+    free: BoolArray,
+    kept: set[int],
+    found: Posterior,
+    chosen: Observations,
+    parameters: ParameterSet,
+) -> BoolArray:
+    """Return the free parameters without terms that predict left-out rows no better than none."""
+    free = free.copy()
+    groups = chosen.groups
+    assert groups is not None
+    first = 6 * parameters.model.floating
+    columns_of = list(parameters.term_columns.values())
+    for place, coordinate in enumerate(groups.layout.own_coordinates):
+        own = {columns.start + coordinate - first for columns in columns_of}
+        while True:
+            terms = [i for i in sorted(own) if free[i] and i not in kept]
+            if not terms:
+                break
+            loss = _LeftOut(found, free, groups, place)
+            gains = [loss.without(i) - loss.without(None) for i in terms]
+            worst = int(np.argmin(gains))
+            if gains[worst] > 0:
+                break
+            free[terms[worst]] = False
+    return free
+
+
+class _LeftOut:
+    """Square error of a joint's rows, each group predicted from all other rows."""
+
+    def __init__(self, found: Posterior, free: BoolArray, groups: GroupMoments, place: int) -> None:
+        self._found = found
+        self._everything = found.deviation_factor @ found.deviation_factor.T
+        self._unknowns = np.ones(len(found.mean), bool)
+        self._unknowns[: len(free)] = free
+        coordinate = groups.layout.own_coordinates[place]
+        self._moment, self._columns = groups.moments[place], groups.layout.columns[coordinate]
+        self._weight = 1 / found.covariance[coordinate, coordinate]
+
+    def without(self, term: int | None) -> float:
+        """Return the sum of squares if one of the free terms is fixed too."""
+        unknowns = self._unknowns.copy()
+        if term is not None:
+            unknowns[term] = False
+        found, fixed = self._found, np.flatnonzero(~unknowns)
+        mean, covariance = found.mean, self._everything
+        if len(fixed):
+            gain = np.linalg.solve(covariance[np.ix_(fixed, fixed)], covariance[fixed]).T
+            mean = mean - gain @ (mean - found.prior.mean)[fixed]
+            covariance = covariance - gain @ covariance[fixed]
+        used = unknowns[self._columns]
+        columns = self._columns[used]
+        offset = self._columns[~used]
+        # Rows of the free columns, with the fixed ones moved to the right-hand side.
+        change = np.zeros((len(self._columns) + 1, len(columns) + 1))
+        change[np.flatnonzero(used), np.arange(len(columns))] = 1.0
+        change[np.flatnonzero(~used), -1] = -found.prior.mean[offset]
+        change[-1, -1] = 1.0
+        moments = change.T @ self._moment @ change
+        some = covariance[np.ix_(columns, columns)]
+        values, V = np.linalg.eigh(some)
+        L = V * np.sqrt(np.maximum(values, 0.0))
+        total = 0.0
+        for moment in moments:
+            G, g = self._weight * moment[:-1, :-1], self._weight * moment[:-1, -1]
+            left, U = np.linalg.eigh(np.eye(len(L)) - L.T @ G @ L)
+            pull = U.T @ (L.T @ (G @ mean[columns] - g))
+            without = mean[columns] + L @ (U @ (pull / np.maximum(left, LEAST_LEFT)))
+            value = np.append(-without, 1.0)
+            total += float(value @ moment @ value)
+        return total
