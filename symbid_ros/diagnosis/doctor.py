@@ -3,7 +3,7 @@
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import Diagnosis, Finding, Kind, Severity, merged
 from symbid_ros.diagnosis.model_checks import ModelChecks, check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, fatal_finding, unusable
@@ -81,11 +81,11 @@ class _LogDiagnoser:
 
     def diagnosis(self, source: str) -> Diagnosis:
         checks = self._checks(self.streams.unit_findings())
-        findings = [*self.fatal, *self.streams.findings(source), *checks.findings]
+        of_streams = [*self.fatal, *self.streams.findings(source)]
         return Diagnosis(
             source=source,
             streams=tuple(timing.figures for timing in self.streams.timings.values()),
-            findings=tuple(sorted(findings, key=lambda one: -one.severity)),
+            findings=tuple(merged(of_streams, checks.findings)),
             figures=checks.figures,
             left_out=tuple(checks.left_out),
         )

@@ -1,7 +1,7 @@
 """Findings about a log, their severity and the diagnosis that holds them."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from enum import Enum, IntEnum
 from types import MappingProxyType
@@ -31,6 +31,9 @@ class Kind(Enum):
     NOT_FINITE = "not_finite"
     FROZEN = "frozen"
     SATURATED = "saturated"
+    ACCELEROMETER_GAIN = "accelerometer_gain"
+    GYROSCOPE_GAIN = "gyroscope_gain"
+    JITTER = "jitter"
     QUATERNION_NORM = "quaternion_norm"
     ORIENTATION = "orientation"
     UNIT = "unit"
@@ -109,6 +112,16 @@ def _json_value(value: Any) -> Any:
     # Counts and comparisons of arrays are NumPy scalars, which the json module refuses.
     plain = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(plain, float) and not math.isfinite(plain) else plain
+
+
+def merged(of_streams: Iterable[Finding], of_model: Iterable[Finding]) -> list[Finding]:
+    """Return all findings, worst first; a gyroscope's gain is reported once for each topic."""
+    found = list(of_streams)
+    known = {one.stream for one in found if one.kind is Kind.GYROSCOPE_GAIN}
+    found += [
+        one for one in of_model if one.kind is not Kind.GYROSCOPE_GAIN or one.stream not in known
+    ]
+    return sorted(found, key=lambda one: -one.severity)
 
 
 @dataclass(frozen=True)

@@ -109,7 +109,7 @@ def check_forces(
     ]
     several = len(found) > MOST_FAULTS and len({one.kind for one in found}) > 1
     # Vanishing gains explain any log.
-    vanishing = bool(found) and not EXPLAINED[0] <= common <= EXPLAINED[1]
+    vanishing = bool(found or rotations) and not EXPLAINED[0] <= common <= EXPLAINED[1]
     if several or vanishing:
         found = [_contradiction([joints, *topics.values()])]
     left_out = () if is_anchored else ("wrench_gain: there is no effort to compare with",)

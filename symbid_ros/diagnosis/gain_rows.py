@@ -267,6 +267,13 @@ class CoordinateRows:
         ]
         return np.array(squares) / max(self.samples, 1)
 
+    def factor(self, coordinate: int) -> FloatArray:
+        """Return the triangular factor (w, q + 1) of a coordinate's rows [K y], all columns."""
+        columns, own = self._columns[coordinate], self._factors[coordinate]
+        factor = np.zeros((len(own), self.structure.shape[1] + 1))
+        factor[:, columns], factor[:, -1] = own[:, :-1], own[:, -1]
+        return factor
+
     @property
     def target_squares(self) -> FloatArray:
         """Mean squares (n,) of y."""

@@ -26,6 +26,10 @@ PINNED = 1e-6  # standard deviation of unknowns that are held at their prior
 NEARLY_PINNED = 1e-2
 # Residuals below this share of the load are rounding errors.
 LEAST = 1e-4
+# Friction of a joint whose effort is checked, in multiples of its load.
+WIDE = 3.0
+# Friction that is not modelled varies as slowly as the motion: so many rows count as one.
+UNMODELLED = 10.0
 
 
 @dataclass(frozen=True)
@@ -40,19 +44,22 @@ class GainProblem:
         Prior of the parameters φ.
     gains : GainLayout
         Layout of the r unknowns θ that follow φ.
+    links : int or None
+        Number of inertial parameters, which come first in φ; None if φ has no others.
     """
 
     rows: CoordinateRows
     mean: FloatArray
     std: FloatArray
     gains: GainLayout
+    links: int | None = None
 
     @classmethod
     def of(
         cls, rows: CoordinateRows, parameters: ParameterSet, std: FloatArray, gains: GainLayout
     ) -> "GainProblem":
         """Return the problem for given deviations of the inertias and small drive loads."""
-        mean = parameters.values
+        mean, links = parameters.values, len(std)
         std = np.concatenate([std, np.zeros(len(mean) - len(std))])
         first = parameters.model.dof - len(parameters.model.joints)
         load = loads(rows, np.append(mean, np.zeros(len(gains))))[first:]
@@ -61,7 +68,7 @@ class GainProblem:
                 size = np.sqrt(rows.column_squares(first + joint, column))
                 share = JOINT_TERMS[term].load_share
                 std[column] = share * load[joint] / max(size, 1e-9) + PINNED
-        return cls(rows, mean, std, gains)
+        return cls(rows, mean, std, gains, links)
 
     @property
     def expected(self) -> FloatArray:
@@ -134,7 +141,8 @@ def estimate_gains(problem: GainProblem) -> GainEstimate:
     """Return the most probable gains of wrenches and efforts, with trusted IMUs.
 
     Rows are weighted by the residual of their coordinate, at least `FLOOR` of the load. The first
-    residuals are those with gains of one, so that inconsistent rows get little weight.
+    residuals are those with gains of one, so that inconsistent rows get little weight. The gains of
+    efforts are the inverse ratios of `effort_scale`, with the same significance.
     """
     rows, gains = problem.rows, problem.gains
     scale = loads(rows, problem.expected)
@@ -145,7 +153,14 @@ def estimate_gains(problem: GainProblem) -> GainEstimate:
     for _ in range(ITERATIONS):
         at, deviation = problem.solve(free, left + (FLOOR * scale) ** 2)
         left = rows.residual_squares(at)
-    return _estimate(problem, at, deviation, left)
+    found = _estimate(problem, at, deviation, left)
+    for index in range(len(gains.driven)):
+        ratio, std = effort_scale(problem, found, index)
+        place = gains.efforts.start + index
+        found.mean[place] = 1 / ratio - 1
+        found.covariance[place], found.covariance[:, place] = 0.0, 0.0
+        found.covariance[place, place] = (std / ratio) ** 2
+    return found
 
 
 def estimate_delays(problem: GainProblem) -> GainEstimate:
@@ -188,6 +203,56 @@ def fit_imu_rotation(problem: GainProblem, gains: GainEstimate, index: int) -> R
         gain = np.linalg.solve(spread[theta], held[theta] - at[theta])
         left = problem.rows.residual_squares(at + spread @ gain)
     return turn
+
+
+def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple[float, float]:
+    """Return the ratio of a driven joint's efforts to those expected, and its deviation.
+
+    The gains of `estimate_gains` multiply friction and noise in the readings as well, so a joint
+    with more friction than load appears to have no gain. Here the readings are the load that the
+    inertias imply times the ratio, plus friction, armature and offset of any size. Only the load
+    determines the ratio.
+
+    Parameters
+    ----------
+    problem : GainProblem
+    gains : GainEstimate
+        Estimate from the same rows; its gains of wrenches are used.
+    index : int
+        Index of the driven joint.
+    """
+    layout, rows, p = problem.gains, problem.rows, len(problem.mean)
+    links = p if problem.links is None else problem.links
+    first = sum(name.startswith("base/") for name in rows.coordinates)
+    factor = rows.factor(first + layout.driven[index])
+    own = p + layout.efforts.start + index
+    read = -factor[:, own]
+    size = np.sqrt(float(read @ read) / max(rows.samples, 1))
+    # Remove the readings, their delay and the drives from the left side: the load remains.
+    unknowns = np.append(problem.mean, gains.mean)
+    unknowns[links:p] = unknowns[p + layout.effort_delay] = 0.0
+    unknowns[own] = -1.0
+    load = factor[:, :-1] @ unknowns - factor[:, -1]
+    if np.sqrt(float(load @ load) / rows.samples) <= LEAST * size or size == 0.0:
+        return 1.0, GAIN_STD
+    inertias = factor[:, :links] * problem.std[:links]
+    drives = factor[:, links:p]
+    norm = np.sqrt(np.sum(drives**2, axis=0) / rows.samples)
+    drives = drives[:, norm > 0] * (WIDE * size / norm[norm > 0])
+    ratio, left = 1.0, (LOAD_ERROR * size) ** 2
+    for _ in range(2 * ITERATIONS):
+        columns = np.column_stack([load, inertias * np.clip(abs(ratio), LEAST, 1 / LEAST), drives])
+        weight = 1 / (UNMODELLED * (left + (FLOOR * size) ** 2))
+        information = weight * columns.T @ columns + np.eye(columns.shape[1])
+        information[0, 0] += LEAST**2 * weight * float(load @ load) - 1
+        at = np.linalg.solve(information, weight * columns.T @ read)
+        ratio = float(at[0])
+        left = float(np.sum((read - columns @ at) ** 2)) / rows.samples
+    return _away_from_zero(ratio), float(np.sqrt(np.linalg.inv(information)[0, 0]))
+
+
+def _away_from_zero(ratio: float) -> float:
+    return float(np.copysign(max(abs(ratio), LEAST), ratio))
 
 
 def loads(rows: CoordinateRows, expected: FloatArray) -> FloatArray:

@@ -7,6 +7,13 @@ from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.diagnosis.imu_gain import (
+    GRAVITY,
+    GravityMoments,
+    accelerometer_findings,
+    gyroscope_findings,
+    proportional_gain,
+)
 from symbid_ros.signals.streams import ImuStream, Slice
 
 # Rounding to four decimals, the fewest that drivers use, changes the norm by less than this.
@@ -61,7 +68,6 @@ class QuaternionCheck:
         ]
 
 
-GRAVITY = 9.81
 DEGREES = 180 / np.pi
 # Mean specific force of a robot that stands, walks or hangs, in multiples of gravity.
 GRAVITY_RANGE = 0.5, 5.0
@@ -73,6 +79,8 @@ SPAN = 0.05
 SLOWEST = 0.03
 # Largest unexplained share of the orientation's rate for a valid gyroscope.
 MAX_UNEXPLAINED = 0.5
+# Intervals of the comparison per independent one.
+INDEPENDENT = 4
 # Another interpretation of the quaternion must leave so many times less.
 BETTER = 3.0
 
@@ -100,6 +108,12 @@ class RateComparison:
         U, _, Vt = np.linalg.svd(self.cross)
         rotation = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
         return float(np.degrees(Rotation.from_matrix(rotation).magnitude()))
+
+    def gain(self, gyro: float, count: int) -> tuple[float, float]:
+        """Return the gyroscope's gain and its standard deviation from its square, (rad/s)²."""
+        return proportional_gain(
+            self.orientation_square, float(np.trace(self.cross)), gyro, count / INDEPENDENT
+        )
 
     def unexplained(self, gyro: float, *, mirrored: bool = False, turned: bool = True) -> float:
         """Return the unexplained share of the rate at the best scale and rotation."""
@@ -130,6 +144,7 @@ class ImuCheck:
     _gyro_square: float = 0.0
     _rates: RateComparison = field(default_factory=RateComparison)
     _wxyz_rates: RateComparison = field(default_factory=RateComparison)
+    _gravity: GravityMoments = field(default_factory=GravityMoments)
 
     def add(self, imu: ImuStream) -> None:
         """Add messages in the order of their stamps."""
@@ -137,6 +152,7 @@ class ImuCheck:
         norm = norm[np.isfinite(norm)]
         self._messages += len(norm)
         self._size += float(norm.sum())
+        self._gravity.add(imu)
         if imu.orientation is None or len(imu.stamp) < 3:
             return
         length = np.linalg.norm(imu.orientation, axis=1)
@@ -164,7 +180,25 @@ class ImuCheck:
 
     def findings(self) -> list[Finding]:
         """Return the findings of this IMU."""
-        return [*self._gravity_findings(), *self._gyro_findings()]
+        found = [*self._gravity_findings(), *self._gyro_findings()]
+        return found or self._gain_findings()
+
+    def _gain_findings(self) -> list[Finding]:
+        """Return findings about scale errors, if units and axes are right."""
+        # A wrong gyroscope shortens the mean specific force.
+        return self._gyro_gain_findings() or accelerometer_findings(self.topic, self._gravity)
+
+    def _gyro_gain_findings(self) -> list[Finding]:
+        if self._rates.orientation_square > SLOWEST**2 * max(self._count, 1):
+            gain, std = self._rates.gain(self._gyro_square, self._count)
+            reference = "the rate at which the orientation changes"
+            if turning := gyroscope_findings(self.topic, gain, std, reference):
+                return turning
+        if self._gravity.is_known:
+            gain, std = self._gravity.gyroscope
+            reference = "the rate at which gravity turns in linear_acceleration"
+            return gyroscope_findings(self.topic, gain, std, reference)
+        return []
 
     def _gravity_findings(self) -> list[Finding]:
         mean = self._size / max(self._messages, 1)

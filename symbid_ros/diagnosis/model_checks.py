@@ -120,7 +120,7 @@ def check_model(
     """
     checks = ModelChecks()
     _check_imus(checks, statistics, imus)
-    if any(one.kind in (Kind.IMU_MOUNTING, Kind.UNIT) for one in checks.findings):
+    if any(one.severity is Severity.UNUSABLE for one in checks.findings):
         checks.left_out.append(DEPEND_ON_IMU)
         return checks
     if statistics.rows.samples < 1:
@@ -132,7 +132,7 @@ def check_model(
     problem = statistics.problem
     gains = estimate_gains(problem)
     verdict = check_forces(statistics, gains, joints, imus, wrenches)
-    if verdict.findings and checks.findings:
+    if verdict.findings and any(one.kind is Kind.DELAY for one in checks.findings):
         checks.left_out.append(
             "wrench_sign, wrench_frame, torque_sign, torque_gain, excitation: they depend on the "
             "IMU, which is late or early"
@@ -169,10 +169,11 @@ def _check_imus(checks: ModelChecks, statistics: ModelStatistics, imus: Sequence
             f"{topic}/delay_ms": 1e3 * found.delay,
             f"{topic}/delay_std_ms": 1e3 * found.delay_std,
             f"{topic}/rate_left": found.left,
+            f"{topic}/gyroscope_gain": found.gain,
         }
         wrong = list(mounting_findings(topic, found))
         checks.findings += wrong
-        if not wrong:
+        if not any(one.severity is Severity.UNUSABLE for one in wrong):
             checks.findings += delay_finding(
                 topic, found.delay, found.delay_std, "the joint states"
             )

@@ -2,7 +2,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,6 +20,13 @@ LEAST_CHANGES = 0.9
 # and while another reading changes with this share of its messages, because a simulation without
 # noise may come to rest.
 LEAST_MOTION = 0.5
+# A joint rests whose position changes by this share of its typical speed,
+RESTING = 0.05
+# or whose position stops changing at this share of it over the messages before,
+SLOW = 0.25
+ONSET = 10
+# and goes on with a step below this multiple of the typical one.
+JUMP = 5.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +43,10 @@ class ChannelChanges:
         Whether the reading differs from the previous message.
     is_blank : (N,) bool
         Whether the reading is exactly zero or NaN, which is not frozen.
+    position : (N,) float64 or None
+        Position of the joint that the reading belongs to; None for other sensors.
+    is_position : bool
+        Whether the reading is that position.
     """
 
     topic: str
@@ -43,6 +54,36 @@ class ChannelChanges:
     stamp: IntArray
     changed: BoolArray
     is_blank: BoolArray
+    position: FloatArray | None = None
+    is_position: bool = False
+
+    def is_at_rest(self, first: int, stop: int) -> bool:
+        """Return whether the joint rests from one message up to another.
+
+        An effort may be constant while the joint keeps its position. A position is that of a
+        resting joint if the joint slows down before and does not jump afterwards.
+        """
+        if self.position is None:
+            return False
+        steps = np.abs(np.diff(self.position))
+        typical = float(np.sqrt(np.nanmean(steps**2))) if len(steps) else 0.0
+        if not self.is_position:
+            moved = float(np.ptp(self.position[first:stop]))
+            return moved <= RESTING * typical * (stop - first)
+        before = steps[max(first - ONSET - 1, 0) : max(first - 1, 0)]
+        onset = float(np.nanmean(before)) if len(before) else 0.0
+        jump = float(steps[stop - 1]) if stop <= len(steps) else 0.0
+        return onset <= SLOW * typical and jump <= JUMP * typical
+
+    def stops(self, *, continues: bool) -> bool:
+        """Return whether a position that is constant up to the last message stopped abruptly.
+
+        Without any change that is decided by whether the previous slice's did.
+        """
+        changes = np.flatnonzero(self.changed)
+        if not self.is_position or len(changes) == 0:
+            return continues
+        return not self.is_at_rest(int(changes[-1]), len(self.stamp))
 
 
 @dataclass
@@ -57,12 +98,15 @@ class ChangeCounts:
         Messages in the runs.
     runs : list of (int, int)
         First and last stamp, ns, of every run without a change.
+    continues : bool
+        Whether the position stopped abruptly, up to the end of the last slice.
     """
 
     messages: int = 0
     changes: int = 0
     frozen_messages: int = 0
     runs: list[tuple[int, int]] = field(default_factory=list)
+    continues: bool = False
 
     @property
     def is_frozen(self) -> bool:
@@ -84,9 +128,15 @@ class FreezeDetector:
             counts = self.readings.setdefault((reading.topic, reading.name), ChangeCounts())
             counts.messages += len(reading.stamp)
             counts.changes += int(np.count_nonzero(reading.changed))
+            continued = counts.continues
+            counts.continues = reading.stops(continues=continued)
             for first, stop in _constant_runs(reading):
+                # The previous slice shows how this run began.
+                goes_on = continued and first == 0 and not reading.changed[0]
                 start, end = int(reading.stamp[first]), int(reading.stamp[stop - 1])
-                if _others_move(readings, reading, start, end):
+                if (goes_on or not reading.is_at_rest(first, stop)) and _others_move(
+                    readings, reading, start, end
+                ):
                     counts.frozen_messages += stop - first
                     counts.runs.append((start, end))
 
@@ -118,12 +168,14 @@ def _all_changes(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelC
     for field_name in ("position", "effort"):
         values = getattr(joints, field_name)
         for column, name in enumerate(joints.names):
-            yield _changes(
+            changes = _changes(
                 (joints.topic, f"{field_name} of {name}"),
                 joints.stamp,
                 values[:, column : column + 1],
                 during,
             )
+            position = joints.position[:, column][_inside(joints.stamp, during)]
+            yield replace(changes, position=position, is_position=field_name == "position")
     for imu in streams.imus:
         values = np.hstack([imu.angular_velocity, imu.linear_acceleration])
         yield _changes((imu.topic, ""), imu.stamp, values, during)
@@ -135,12 +187,16 @@ def _all_changes(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelC
 def _changes(
     name: tuple[str, str], stamp: IntArray, values: FloatArray, during: tuple[int, int]
 ) -> ChannelChanges:
-    inside = slice(*np.searchsorted(stamp, during).tolist())
+    inside = _inside(stamp, during)
     changed = np.ones(len(stamp), dtype=bool)
     changed[1:] = np.any(differs(values[1:], values[:-1]), axis=1)
     # Zeros and NaN are not measurements.
     is_blank = ~np.any(np.nan_to_num(values), axis=1)
     return ChannelChanges(*name, stamp[inside], changed[inside], is_blank[inside])
+
+
+def _inside(stamp: IntArray, during: tuple[int, int]) -> slice:
+    return slice(*np.searchsorted(stamp, during).tolist())
 
 
 def differs(later: FloatArray, earlier: FloatArray) -> BoolArray:

@@ -4,9 +4,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.diagnosis.imu_gain import gyroscope_findings, proportional_gain
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import (
     JointTable,
@@ -20,7 +22,8 @@ from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples, smoothed
 
-# Calibration errors are tenths of a degree, a wrong axis is ninety.
+# Calibration errors are tenths of a degree. Larger angles than the second make a log unusable.
+SMALLEST_ANGLE = np.radians(1.5)
 LARGEST_ANGLE = np.radians(5.0)
 # Rotations with a larger standard deviation are not reported.
 MAX_ANGLE_STD = np.radians(2.0)
@@ -210,6 +213,8 @@ class GyroFit:
         Root mean square of the joints' rate, rad/s.
     scale : float
         Ratio of the IMU's rate to the joints'.
+    gain, gain_std : float
+        The same without the noise of either, and its standard deviation.
     """
 
     rotation: FloatArray
@@ -221,6 +226,8 @@ class GyroFit:
     mirrored: float
     rate: float
     scale: float
+    gain: float = 1.0
+    gain_std: float = 0.0
 
 
 def fit_gyro(rates: StanceGyroMoments) -> GyroFit | None:
@@ -249,6 +256,8 @@ def fit_gyro(rates: StanceGyroMoments) -> GyroFit | None:
     pace = min(np.sqrt(rates.slope_square / total) / (2 * np.pi), CUTOFF)
     independent = max(2 * pace * rates.count * rates.step, 1.0)
     error = left * np.sqrt(total / rates.count)
+    followed = float(singular[0] + singular[1] + proper * singular[2])
+    gain, gain_std = proportional_gain(total, followed, float(rates.read[best]), independent)
     spread = np.linalg.eigvalsh(rates.expected)
     # Rotation about a single axis leaves rounding errors on the others.
     across = np.sqrt(max(float(spread[0] + spread[1]), 0.0) / rates.count)
@@ -264,6 +273,8 @@ def fit_gyro(rates: StanceGyroMoments) -> GyroFit | None:
         mirrored=float(mirrored),
         rate=float(np.sqrt(total / rates.count)),
         scale=float(np.sqrt(rates.read[best] / total)),
+        gain=gain,
+        gain_std=gain_std,
     )
 
 
@@ -309,18 +320,31 @@ def mounting_findings(topic: str, found: GyroFit) -> Iterator[Finding]:
             f"{100 * found.left:.0f} %); correct the sign in the driver",
             {"left": found.left, "left_if_mirrored": found.mirrored},
         )
-    elif (
+        return
+    if (
         found.left < MOST_LEFT
         and found.angle_std < MAX_ANGLE_STD
-        and found.angle > LARGEST_ANGLE + DEVIATIONS * found.angle_std
+        and found.angle > SMALLEST_ANGLE + DEVIATIONS * found.angle_std
     ):
+        is_large = found.angle > LARGEST_ANGLE + DEVIATIONS * found.angle_std
         angle, angle_std = np.degrees([found.angle, found.angle_std]).tolist()
+        roll, pitch, yaw = Rotation.from_matrix(found.rotation).as_euler("xyz", degrees=True)
         yield Finding(
             Kind.IMU_MOUNTING,
             topic,
-            Severity.UNUSABLE,
+            Severity.UNUSABLE if is_large else Severity.WARNING,
             f"{topic}: reports in axes rotated by {angle:.1f} ± {angle_std:.1g} degrees from "
-            "its frame in the model, according to the joints above a standing foot; correct the "
+            "its frame in the model, according to the joints above a standing foot (roll "
+            f"{roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} in the frame's axes); correct the "
             "frame's orientation in the model, or header.frame_id",
-            {"angle_deg": angle, "angle_std_deg": angle_std},
+            {
+                "angle_deg": angle,
+                "angle_std_deg": angle_std,
+                "roll_deg": float(roll),
+                "pitch_deg": float(pitch),
+                "yaw_deg": float(yaw),
+            },
         )
+    if found.left < MOST_LEFT:
+        reference = "the rate at which the joints rotate the robot above its feet"
+        yield from gyroscope_findings(topic, found.gain, found.gain_std, reference)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.imu_checks import ImuCheck, QuaternionCheck
+from symbid_ros.diagnosis.jitter import JitterCheck
 from symbid_ros.diagnosis.joint_checks import JointCheck
 from symbid_ros.diagnosis.sensor_faults import FreezeDetector, SaturationDetector
 from symbid_ros.diagnosis.timing import TimingCheck
@@ -42,6 +43,7 @@ class StreamChecks:
     _quaternion_checks: dict[str, QuaternionCheck] = field(default_factory=dict)
     _imu_checks: dict[str, ImuCheck] = field(default_factory=dict)
     _joint_check: JointCheck | None = None
+    _jitter_checks: dict[str, JitterCheck] = field(default_factory=dict)
     _freeze_detector: FreezeDetector = field(default_factory=FreezeDetector)
     _saturation_detector: SaturationDetector = field(default_factory=SaturationDetector)
     _defects: tuple[DefectCounts, ...] = ()
@@ -62,6 +64,8 @@ class StreamChecks:
         if self._joint_check is None:
             self._joint_check = JointCheck(streams.joints.topic, streams.joints.names)
         self._joint_check.add(streams.joints, during)
+        topic = streams.joints.topic
+        self._jitter_checks.setdefault(topic, JitterCheck(topic)).add(streams.joints, during)
         self._freeze_detector.add(streams, during)
         self._saturation_detector.add(streams, during)
         if self.model is not None and not self.has_streams:
@@ -87,6 +91,7 @@ class StreamChecks:
             *self._silence_findings(source),
             *repair_findings(self._defects),
             *(one for timing in self.timings.values() for one in timing.findings(first, last)),
+            *(one for each in self._jitter_checks.values() for one in each.findings()),
             *self._freeze_detector.findings(limited),
             *self._saturation_detector.findings(),
             *(one for each in self._quaternion_checks.values() for one in each.findings()),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.choices import SLIDING_TERMS, TERMS, Method
-from symbid_ros.diagnosis.findings import Finding, Kind
+from symbid_ros.diagnosis.findings import Finding, Kind, merged
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
@@ -418,7 +418,7 @@ def _diagnose(
         dict(zip(statistics.gains.wrench_frames, checks.wrench_topics, strict=True)),
     ).findings
     _refuse_unusable(source, found)
-    for finding in sorted([*of_streams, *found], key=lambda one: -one.severity):
+    for finding in merged(of_streams, found):
         left_out = finding.kind in (Kind.FROZEN, Kind.SATURATED)
         also = "; those messages are left out" if left_out else ""
         logger.warning("%s: %s%s", source, finding.message, also)

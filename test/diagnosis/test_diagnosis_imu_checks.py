@@ -52,8 +52,12 @@ def findings(imu, *cuts):
 @pytest.mark.parametrize(
     ("size", "kind", "says"),
     [
-        (0.51 * 9.81, None, ""),
-        (4.99 * 9.81, None, ""),
+        (0.51 * 9.81, Kind.ACCELEROMETER_GAIN, "-49.0 % from gravity"),
+        (0.9935 * 9.81, Kind.ACCELEROMETER_GAIN, "-0.6 % from gravity"),
+        (0.9945 * 9.81, None, ""),
+        (1.0055 * 9.81, None, ""),
+        (1.0065 * 9.81, Kind.ACCELEROMETER_GAIN, "+0.7 % from gravity"),
+        (4.99 * 9.81, Kind.ACCELEROMETER_GAIN, "+399.0 % from gravity"),
         (5.01 * 9.81, Kind.UNIT, "is 49.1 on average, not 9.81"),
         (0.49 * 9.81, Kind.GRAVITY, "lacks gravity"),
         (1.29, Kind.UNIT, "as if in g"),
@@ -71,34 +75,53 @@ def test_the_mean_specific_force_is_near_gravity(size, kind, says):
     assert [one.kind for one in found] == ([] if kind is None else [kind])
     for one in found:
         assert says in one.message
-        assert one.severity is Severity.UNUSABLE
-        assert one.figures == {"mean_m_s2": pytest.approx(size)}
+        is_gain = kind is Kind.ACCELEROMETER_GAIN
+        assert one.severity is (Severity.WARNING if is_gain else Severity.UNUSABLE)
+        assert one.figures["mean_m_s2"] == pytest.approx(size)
+        assert ("gain" in one.figures) is is_gain
     imu.linear_acceleration[:] = np.nan
     assert findings(imu) == []
 
 
 @pytest.mark.parametrize(
-    ("scale", "is_found"),
+    ("scale", "kind"),
     [
-        (1.0, False),
-        (0.1, False),
-        (-1.0, True),
-        (DEGREES * 1.296, True),
-        (DEGREES * 1.304, False),
-        (DEGREES / 1.296, True),
-        (DEGREES / 1.304, False),
+        (1.0, None),
+        (0.955, None),
+        (1.045, None),
+        (0.945, Kind.GYROSCOPE_GAIN),
+        (1.055, Kind.GYROSCOPE_GAIN),
+        (0.1, Kind.GYROSCOPE_GAIN),
+        (-1.0, Kind.IMU_MOUNTING),
+        (DEGREES * 1.296, Kind.UNIT),
+        (DEGREES * 1.304, Kind.GYROSCOPE_GAIN),
+        (DEGREES / 1.296, Kind.UNIT),
+        (DEGREES / 1.304, Kind.GYROSCOPE_GAIN),
     ],
 )
 @pytest.mark.parametrize("cuts", [(), (700,)])
-def test_the_scale_of_a_gyroscope_is_judged(scale, is_found, cuts):
+def test_the_scale_of_a_gyroscope_is_judged(scale, kind, cuts):
+    """By the orientation, without gravity; a bias does not matter."""
     rotation, rate = turning()
-    found = findings(stream(rotation, scale * rate + 0.5), *cuts)
-    kind = Kind.UNIT if scale > 0 else Kind.IMU_MOUNTING
-    assert [one.kind for one in found] == [kind] * is_found
+    found = findings(stream(rotation, scale * rate + 0.5, np.full(3, np.nan)), *cuts)
+    assert [one.kind for one in found] == ([] if kind is None else [kind])
     for one in found:
+        if kind is Kind.GYROSCOPE_GAIN:
+            assert one.figures["gain"] == pytest.approx(scale, rel=5e-3)
+            assert one.severity is Severity.WARNING
+            continue
         assert one.figures["rate_ratio"] == pytest.approx(abs(scale), rel=2e-3)
         assert one.figures["left"] == pytest.approx(1.0 if scale < 0 else 0.0, abs=0.1)
         assert one.severity is Severity.UNUSABLE
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5, 1.3])
+def test_a_wrong_gyroscope_is_not_the_accelerometers_fault(scale):
+    """Forces are turned by the angular velocity before they are averaged."""
+    rotation, rate = turning()
+    force = rotation.inv().apply([0.0, 0.0, 9.81])
+    found = findings(stream(rotation, scale * rate, force))
+    assert [one.kind for one in found] == [Kind.GYROSCOPE_GAIN] * (scale != 1)
 
 
 @pytest.mark.parametrize(("amplitude", "is_found"), [(0.9, False), (1.1, True)])
@@ -153,7 +176,7 @@ def test_unknown_orientations_and_rates_are_left_out():
     # Norms that are off by less than a tenth are known.
     imu = stream(1.09 * rotation.as_quat(), -rate)
     assert len(findings(imu)) == 1
-    imu = stream(1.11 * rotation.as_quat(), -rate)
+    imu = stream(1.11 * rotation.as_quat(), -rate, np.full(3, np.nan))
     assert findings(imu) == []
 
 

@@ -115,6 +115,39 @@ def test_a_turned_imu(judged, axis, degrees) -> None:
     assert diagnosis.findings[0].figures["angle_deg"] == pytest.approx(degrees, abs=1)
 
 
+@pytest.mark.parametrize(("axis", "degrees"), [("x", 3), ("y", -4), ("z", 5)])
+def test_an_imu_a_few_degrees_off_is_a_warning_with_its_angles(judged, axis, degrees) -> None:
+    turn = Rotation.from_euler(axis, degrees, degrees=True)
+
+    def spoil(log) -> None:
+        imu = log[IMU]
+        imu["orientation"] = (Rotation.from_quat(imu["orientation"]) * turn).as_quat()
+        for name in ("angular_velocity", "linear_acceleration"):
+            imu[name] = turn.apply(imu[name], inverse=True)
+
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.IMU_MOUNTING, IMU)]
+    (finding,) = diagnosis.findings
+    assert finding.severity is Severity.WARNING
+    angles = {"x": "roll", "y": "pitch", "z": "yaw"}
+    for other, name in angles.items():
+        expected = degrees if other == axis else 0.0
+        assert finding.figures[f"{name}_deg"] == pytest.approx(expected, abs=0.3)
+
+
+@pytest.mark.parametrize("gain", [0.9, 1.1])
+@pytest.mark.parametrize("oriented", [True, False])
+def test_a_gyroscopes_gain_is_named_once(judged, gain, oriented) -> None:
+    def spoil(log) -> None:
+        log[IMU]["angular_velocity"] *= gain
+        if not oriented:  # as if at rest, which tells nothing of rates
+            log[IMU]["orientation"] = np.tile([0.0, 0, 0, 1], (len(log[IMU]["time"]), 1))
+
+    diagnosis = judged(spoil)
+    assert found(diagnosis) == [(Kind.GYROSCOPE_GAIN, IMU)]
+    assert diagnosis.findings[0].figures["gain"] == pytest.approx(gain, abs=0.01)
+
+
 def test_an_accelerometer_that_is_turned_while_the_gyroscope_is_not(judged) -> None:
     turn = Rotation.from_euler("y", 60, degrees=True)
 

@@ -19,7 +19,7 @@ COUNT = 2000
 
 @pytest.fixture
 def streams() -> Streams:
-    """Noise at 1 kHz on every channel."""
+    """Noise at 1 kHz on every channel, of joints that move."""
     rng = np.random.default_rng(3)
     stamp = np.arange(COUNT, dtype=np.int64) * 1_000_000
 
@@ -27,6 +27,7 @@ def streams() -> Streams:
         return rng.normal(size=(COUNT, width))
 
     joints = JointStream("/joint_states", ("a", "b"), stamp, noise(2), noise(2), noise(2))
+    joints.position[:] += 100 * np.sin(2 * np.pi * 1.3e-9 * stamp)[:, None]
     imu = ImuStream("/imu", "imu", stamp, noise(4), noise(3), noise(3))
     wrench = WrenchStream("/wrench", "tool", stamp, noise(3), noise(3))
     return Streams("log", joints, (imu,), (wrench,))
@@ -189,6 +190,33 @@ def test_a_frozen_reading_is_found_in_each_slice(streams, name, joint) -> None:
     runs = [(400, 599), (600, 799)]
     assert counts.runs == [(a * millisecond, b * millisecond) for a, b in runs]
     assert (counts.frozen_messages, counts.changes) == (400, COUNT - 399)
+
+
+@pytest.mark.parametrize(("sway", "is_frozen"), [(4.0, False), (8.0, True)])
+def test_a_constant_effort_is_frozen_if_its_joint_moves(streams, sway, is_frozen) -> None:
+    """Also if the joint returns to where it was; the limit is a twentieth of its usual speed."""
+    joints = streams.joints
+    time = np.arange(COUNT) * 1e-3
+    joints.position[:, 0] = 100 * np.sin(2 * np.pi * time)
+    joints.position[500:1000, 0] = sway * np.sin(4 * np.pi * time[500:1000])
+    typical = np.sqrt(np.mean(np.diff(joints.position[:, 0]) ** 2))
+    assert 2 * 4.0 < 0.05 * typical * 500 < 2 * 8.0
+    joints.effort[500:1000, 0] = 3.0
+    _, findings = mask_faulty_messages(streams)
+    assert [one.kind for one in findings] == [Kind.FROZEN] * is_frozen
+
+
+@pytest.mark.parametrize("first", [250, 350])
+def test_an_encoder_frozen_for_several_slices_is_found(streams, first) -> None:
+    """The later slices do not show how it began."""
+    streams.joints.position[first : first + 1150, 0] = 0.1
+    detector = FreezeDetector()
+    for start in range(0, COUNT, 400):
+        detector.add(streams, (start * 1_000_000, (start + 400) * 1_000_000))
+    counts = detector.readings["/joint_states", "position of a"]
+    assert counts.is_frozen
+    # Less than a tenth of a second within a slice does not count.
+    assert counts.frozen_messages == 1150 - (50 if first == 350 else 0)
 
 
 def test_readings_are_counted_from_the_first_stamp_up_to_the_second(streams) -> None:

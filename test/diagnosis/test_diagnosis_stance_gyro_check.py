@@ -7,7 +7,7 @@ import pytest
 from random_robots import random_robot, random_rotation
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.diagnosis.findings import Kind
+from symbid_ros.diagnosis.findings import Kind, Severity
 from symbid_ros.diagnosis.stance_gyro_check import (
     GyroFit,
     StanceGyroMoments,
@@ -330,8 +330,17 @@ def test_a_fit_is_usable_if_it_explains_seven_tenths(left, mirrored, expected) -
         (fit(left=0.95, mirrored=0.31), None, {}),
         (fit(left=0.2, mirrored=0.06, angle=1.0), Kind.IMU_MOUNTING, {"left": 0.2}),
         (fit(angle=np.radians(5.1)), Kind.IMU_MOUNTING, {"angle_deg": 5.1, "angle_std_deg": 0.0}),
-        (fit(angle=np.radians(4.9)), None, {}),
-        (fit(angle=np.radians(9.9), angle_std=np.radians(1.0)), None, {}),
+        (fit(angle=np.radians(1.6)), Kind.IMU_MOUNTING, {"angle_deg": 1.6}),
+        (fit(angle=np.radians(1.4)), None, {}),
+        (fit(angle=np.radians(6.4), angle_std=np.radians(1.0)), None, {}),
+        (fit(angle=np.radians(6.6), angle_std=np.radians(1.0)), Kind.IMU_MOUNTING, {}),
+        (fit(gain=1.049), None, {}),
+        (fit(gain=0.951), None, {}),
+        (fit(gain=1.051), Kind.GYROSCOPE_GAIN, {"gain": 1.051}),
+        (fit(gain=0.949), Kind.GYROSCOPE_GAIN, {"gain": 0.949}),
+        (fit(gain=1.099, gain_std=0.01), None, {}),
+        (fit(gain=1.101, gain_std=0.01), Kind.GYROSCOPE_GAIN, {"gain_std": 0.01}),
+        (fit(gain=1.2, left=0.31), None, {}),
         (
             fit(angle=np.radians(10.1), angle_std=np.radians(1.0)),
             Kind.IMU_MOUNTING,
@@ -348,3 +357,17 @@ def test_mounting_and_unit_are_judged(found, kind, figures) -> None:
     assert [one.kind for one in findings] == ([] if kind is None else [kind])
     for one in findings:
         assert {name: one.figures[name] for name in figures} == pytest.approx(figures)
+
+
+@pytest.mark.parametrize(
+    ("angle", "std", "severity"),
+    [
+        (4.9, 0.0, Severity.WARNING),
+        (5.1, 0.0, Severity.UNUSABLE),
+        (9.9, 1.0, Severity.WARNING),
+        (10.1, 1.0, Severity.UNUSABLE),
+    ],
+)
+def test_a_log_with_a_large_angle_is_unusable(angle, std, severity) -> None:
+    (one,) = mounting_findings("/imu", fit(angle=np.radians(angle), angle_std=np.radians(std)))
+    assert (one.kind, one.severity) == (Kind.IMU_MOUNTING, severity)

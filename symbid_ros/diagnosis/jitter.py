@@ -1,0 +1,178 @@
+"""Finds joint states that were sampled at other times than their stamps say.
+
+A position q that was sampled j too late is off by q̇ j. The noise of two joints is independent, but
+j is common to all joints of a message. The variance of j is therefore the slope of the products
+r_a r_b of two joints' errors over q̇_a q̇_b.
+
+The error r is the difference between the change of a position and its velocity's integral. A second
+check needs no velocities: r is then the difference of a position from those before and after it,
+which shows only jitter that changes from message to message.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.signals.defects import ALWAYS
+from symbid_ros.signals.filters import LowPass
+from symbid_ros.signals.streams import JointStream
+
+# Smaller deviations, s, hardly change an estimate.
+LARGEST = 0.5e-3
+DEVIATIONS = 4.0
+# Hz; cutoff of the velocities that are computed from positions.
+MOTION = 10.0
+# s over which positions and velocities are compared.
+SPAN = 0.1
+# Blocks of this duration, s, count as independent.
+BLOCK = 2.0
+FEWEST_BLOCKS = 4
+FEWEST_MESSAGES = 16
+# A sample's own jitter and that of its neighbours add to the variance of cubic interpolation.
+NEIGHBOURS = 1 + 2 * (4 / 6) ** 2 + 2 * (1 / 6) ** 2
+# The jitter of both ends adds to that of a difference.
+ENDS = 2.0
+
+
+@dataclass
+class JitterMoments:
+    """Moments of the joints' errors and velocities.
+
+    Attributes
+    ----------
+    sums : list of (2,) float64
+        Of each block of time: covariance of r_a r_b with q̇_a q̇_b, and variance of the latter,
+        summed over pairs of joints, whose errors have unit variance.
+    """
+
+    sums: list[FloatArray] = field(default_factory=list)
+
+    def add(self, error: FloatArray, rate: FloatArray) -> None:
+        """Add a block of errors (N, J) and velocities (N, J) of J joints."""
+        scale = error.std(axis=0)
+        moves = (scale > 0) & np.isfinite(scale)
+        if np.count_nonzero(moves) < 2:
+            return
+        error, rate = error[:, moves] / scale[moves], rate[:, moves] / scale[moves]
+        count = len(error)
+        both = (error * rate).T @ (error * rate) / count
+        mean_error, mean_rate = error.T @ error / count, rate.T @ rate / count
+        square = (rate**2).T @ (rate**2) / count
+        pairs = ~np.eye(len(both), dtype=bool)
+        covariance = (both - mean_error * mean_rate)[pairs].sum()
+        variance = (square - mean_rate**2)[pairs].sum()
+        self.sums.append(np.array([covariance, variance]))
+
+    @property
+    def variance(self) -> tuple[float, float]:
+        """Variance of the jitter and its standard deviation, s²."""
+        if len(self.sums) < FEWEST_BLOCKS:
+            return 0.0, np.inf
+        sums = np.array(self.sums)
+        total = sums.sum(axis=0)
+        if total[1] <= 0:
+            return 0.0, np.inf
+        value = total[0] / total[1]
+        left = sums[:, 0] - value * sums[:, 1]
+        count = len(sums)
+        return float(value), float(np.sqrt(count / (count - 1) * np.sum(left**2)) / total[1])
+
+
+@dataclass
+class JitterCheck:
+    """Checks the stamps of joint states against positions and velocities, slice by slice.
+
+    Attributes
+    ----------
+    topic : str
+    """
+
+    topic: str
+    _samples: JitterMoments = field(default_factory=JitterMoments)
+    _spans: JitterMoments = field(default_factory=JitterMoments)
+
+    def add(self, joints: JointStream, during: tuple[int, int] = ALWAYS) -> None:
+        """Add the messages stamped from the first up to the second, ns."""
+        inside = slice(*np.searchsorted(joints.stamp, during).tolist())
+        stamp, position = joints.stamp[inside], joints.position[inside]
+        if len(stamp) < FEWEST_MESSAGES:
+            return
+        rate = 1e9 / max(float(np.median(np.diff(stamp))), 1.0)
+        measured = np.isfinite(position).all(axis=0)
+        if rate < 4 * MOTION or np.count_nonzero(measured) < 2:
+            return
+        velocity = joints.velocity[inside]
+        filled = measured & np.isfinite(velocity).all(axis=0) & velocity.any(axis=0)
+        if np.count_nonzero(filled) >= 2:
+            self._add_spans(stamp, position[:, filled], velocity[:, filled], rate)
+        self._add_samples(stamp, position[:, measured], rate)
+
+    def _add_samples(self, stamp: IntArray, position: FloatArray, rate: float) -> None:
+        slow = LowPass(min(MOTION, 0.2 * rate))(position, rate)
+        velocity = np.gradient(slow, 1 / rate, axis=0)[2:-2]
+        error = _interpolation_error((stamp - stamp[0]) * 1e-9, position)
+        for block in _blocks(len(error), rate):
+            self._samples.add(error[block], velocity[block])
+
+    def _add_spans(
+        self, stamp: IntArray, position: FloatArray, velocity: FloatArray, rate: float
+    ) -> None:
+        lag = max(1, round(SPAN * rate))
+        time = (stamp - stamp[0]) * 1e-9
+        if len(time) <= 2 * lag:
+            return
+        steps = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(time)[:, None]
+        path = np.vstack([np.zeros((1, velocity.shape[1])), np.cumsum(steps, axis=0)])
+        error = (path[lag:] - path[:-lag]) - (position[lag:] - position[:-lag])
+        mean = (position[lag:] - position[:-lag]) / SPAN
+        # A wrong scale or offset of the velocities is no jitter.
+        moved = np.sum(mean**2, axis=0)
+        error -= mean * np.sum(error * mean, axis=0) / np.where(moved > 0, moved, 1.0)
+        for block in _blocks(len(error), rate):
+            self._spans.add(error[block], mean[block])
+
+    def findings(self) -> list[Finding]:
+        """Return a finding if the samples' times differ from their stamps."""
+        for moments, times, how in (
+            (self._spans, ENDS, "their velocities"),
+            (self._samples, NEIGHBOURS, "those before and after"),
+        ):
+            variance, std = moments.variance
+            jitter = float(np.sqrt(max(variance, 0.0) / times))
+            if jitter > LARGEST and variance > DEVIATIONS * std:
+                return [
+                    Finding.of(
+                        self.topic,
+                        Kind.JITTER,
+                        f"positions disagree with {how} as if they were sampled "
+                        f"{1e3 * jitter:.1f} ms (rms) before or after their stamps; stamp messages "
+                        "when they are sampled, with the sensor's clock",
+                        {"jitter_ms": 1e3 * jitter, "deviations": variance / std},
+                        Severity.WARNING,
+                    )
+                ]
+        return []
+
+
+def _blocks(count: int, rate: float) -> Iterator[slice]:
+    length = round(BLOCK * rate)
+    for start in range(0, count - length + 1, length):
+        yield slice(start, start + length)
+
+
+def _interpolation_error(time: FloatArray, position: FloatArray) -> FloatArray:
+    """Return positions (N, J) minus the cubic through their four neighbours, (N - 4, J)."""
+    count = len(time)
+    at = time[2 : count - 2]
+    places = [slice(shift, count - 4 + shift) for shift in (0, 1, 3, 4)]
+    error = position[2 : count - 2].copy()
+    for one, place in enumerate(places):
+        weight = np.ones(count - 4)
+        for other, elsewhere in enumerate(places):
+            if other != one:
+                weight *= (at - time[elsewhere]) / (time[place] - time[elsewhere])
+        error -= weight[:, None] * position[place]
+    return error

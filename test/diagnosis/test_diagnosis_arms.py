@@ -1,0 +1,100 @@
+"""An arm whose drives rub more than they carry: only true faults of its efforts are found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from arm_log import arm_streams
+from documented_robots import ur5_urdf
+
+from symbid_ros.diagnosis.doctor import diagnose
+from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.log import Log
+from symbid_ros.signals.streams import Streams
+
+SECONDS = 20.0
+
+
+@pytest.fixture(scope="module")
+def ur5():
+    return load_model(ur5_urdf(), "fixed")
+
+
+def judged(ur5, streams: Streams, seed: int = 2) -> Diagnosis:
+    """Return the diagnosis against a model whose inertias are off by up to a quarter."""
+    parameters = ParameterSet(ur5)
+    drawn = draw_prior(parameters, "consistent", 25, seed).mean
+    return diagnose(Log.from_streams(streams), ur5.with_phi(parameters.link_phi(drawn)))
+
+
+def with_effort(streams: Streams, joint, factor: float) -> Streams:
+    effort = streams.joints.effort.copy()
+    effort[:, joint] *= factor
+    return replace(streams, joints=replace(streams.joints, effort=effort))
+
+
+@pytest.mark.parametrize(("friction", "seed"), [(0.0, 1), (0.05, 2), (0.15, 3)])
+def test_friction_is_no_gain(ur5, friction, seed) -> None:
+    diagnosis = judged(ur5, arm_streams(ur5, SECONDS, seed, friction=friction), seed)
+    assert [one.message for one in diagnosis.findings] == []
+    for name in ur5.joint_names[1:3]:
+        gain, std = (diagnosis.figures[f"{name}/effort_gain{end}"] for end in ("", "_std"))
+        assert abs(gain - 1) < 3 * std
+        assert std < 0.3
+
+
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+@pytest.mark.parametrize("friction", [0.0, 0.05])
+def test_currents_for_torques(ur5, friction, factor) -> None:
+    streams = with_effort(arm_streams(ur5, SECONDS, 1, friction=friction), slice(None), factor)
+    (finding,) = judged(ur5, streams).findings
+    assert (finding.kind, finding.severity) == (Kind.TORQUE_GAIN, Severity.WARNING)
+    assert finding.figures["reads"] == pytest.approx(factor, rel=0.3)
+
+
+def test_one_drive_in_another_unit(ur5) -> None:
+    streams = with_effort(arm_streams(ur5, SECONDS, 1, friction=0.05), 1, 0.1)
+    (finding,) = judged(ur5, streams).findings
+    assert finding.kind is Kind.TORQUE_GAIN
+    assert set(finding.figures) == {"reads", f"{ur5.joint_names[1]}/reads"}
+
+
+def test_an_effort_that_is_always_zero(ur5) -> None:
+    streams = with_effort(arm_streams(ur5, SECONDS, 1, friction=0.05), 1, 0.0)
+    (finding,) = judged(ur5, streams).findings
+    assert finding.kind is Kind.MISSING_JOINT
+    assert ur5.joint_names[1] in finding.message
+    assert "always zero" in finding.message
+
+
+@pytest.mark.parametrize("brakes", [False, True])
+def test_resting_joints_are_not_frozen(ur5, brakes) -> None:
+    """Their coarse encoders repeat, and so does the effort of a joint that its brake holds."""
+    streams = arm_streams(ur5, SECONDS, 1, friction=0.05, resting=ur5.joint_names[3:5])
+    position, effort = streams.joints.position.copy(), streams.joints.effort.copy()
+    # An encoder of 16 bits a turn that changes with nearly each message while the arm moves.
+    step = 2 * np.pi / 2**16
+    still = np.abs(streams.joints.velocity[:, 0]) < 5e-3
+    smooth = np.cumsum(streams.joints.velocity, axis=0) / 200 + position[0]
+    position = np.round(smooth / step) * step
+    position[:, 3:5] = np.round(streams.joints.position[:, 3:5] / 1e-3) * 1e-3
+    first = int(np.flatnonzero(~still)[0])
+    position[: max(first - 20, 0)] = position[max(first - 20, 0)]
+    if brakes:
+        effort[: max(first - 20, 0)] = effort[0]
+    joints = replace(streams.joints, position=position, effort=effort)
+    found = diagnose(Log.from_streams(replace(streams, joints=joints))).findings
+    assert Kind.FROZEN not in {one.kind for one in found}
+
+
+def test_an_encoder_that_stops_while_its_joint_moves_is_frozen(ur5) -> None:
+    streams = arm_streams(ur5, SECONDS, 1, friction=0.05)
+    position = streams.joints.position.copy()
+    position[2000:2100, 2] = position[2000, 2]
+    joints = replace(streams.joints, position=position)
+    found = diagnose(Log.from_streams(replace(streams, joints=joints))).findings
+    (frozen,) = (one for one in found if one.kind is Kind.FROZEN)
+    assert frozen.figures["frozen_s"] == pytest.approx(0.5, abs=0.02)
