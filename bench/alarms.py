@@ -33,6 +33,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
+from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
@@ -60,7 +61,9 @@ def symbitron(seed: int, options: tuple[tuple[str, object], ...]) -> Case:
         scenario = str(chosen.pop("scenario", "smooth"))
         record(
             Simulator(
-                scenario, moves=8, motion_seed=seed, noise_seed=seed, error_seed=seed, **chosen
+                SimulateOptions(
+                    scenario, moves=8, motion_seed=seed, noise_seed=seed, error_seed=seed, **chosen
+                )
             ),
             bag,
         )

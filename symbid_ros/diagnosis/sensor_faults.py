@@ -66,12 +66,14 @@ class ChannelChanges:
         if self.position is None:
             return False
         steps = np.abs(np.diff(self.position))
-        typical = float(np.sqrt(np.nanmean(steps**2))) if len(steps) else 0.0
+        known = steps[np.isfinite(steps)]
+        typical = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
         if not self.is_position:
             moved = float(np.ptp(self.position[first:stop]))
             return moved <= RESTING * typical * (stop - first)
         before = steps[max(first - ONSET - 1, 0) : max(first - 1, 0)]
-        onset = float(np.nanmean(before)) if len(before) else 0.0
+        before = before[np.isfinite(before)]
+        onset = float(np.mean(before)) if len(before) else 0.0
         jump = float(steps[stop - 1]) if stop <= len(steps) else 0.0
         return onset <= SLOW * typical and jump <= JUMP * typical
 
