@@ -21,6 +21,7 @@ from symbid_ros.dynamics.kinematics import (
     link_velocity,
     sample_first,
 )
+from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Joint, RobotModel
@@ -241,6 +242,11 @@ def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples)
     K[:, :, parameters.inertial :] = 0.0
     for term, columns in parameters.term_columns.items():
         K[:, rows, columns.start + joints] = content[term]
+    for coupling, coupled in parameters.coupling_columns.items():
+        content = _coupled_terms(parameters, coupling, samples)
+        for joint, ratio in zip(coupling.joints, coupling.ratios, strict=True):
+            for term, column in coupled.items():
+                K[:, rows[joint], column] = ratio * content[term]
 
 
 def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, FloatArray]:
@@ -257,6 +263,28 @@ def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, Float
         "offset": np.ones(1),
         "stribeck": stribeck_column(samples.velocity, parameters.model.joints),
     }
+
+
+def _coupled_terms(
+    parameters: ParameterSet, coupling: Coupling, samples: Samples
+) -> dict[Term, FloatArray]:
+    """Return the factor (N,) of each term of a coupled drive, a function of the drive's speed."""
+    speed = coupling.speed(samples.velocity)
+    joint = parameters.model.joints[coupling.joints[0]]
+    return {
+        "viscous": speed,
+        "coulomb": coulomb_column(speed),
+        "armature": coupling.speed(samples.acceleration),
+        "stribeck": stribeck_column(speed[:, None], [joint])[:, 0],
+    }
+
+
+def slipping(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
+    """Return which joints (N, J) slip together with all coupled drives that act on them."""
+    slips = is_slipping(velocity)
+    for coupling in parameters.couplings:
+        slips[:, coupling.joints] &= is_slipping(coupling.speed(velocity))[:, None]
+    return slips
 
 
 def generalised_force(

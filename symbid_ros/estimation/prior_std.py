@@ -3,9 +3,10 @@
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.choices import JOINT_TERMS
+from symbid_ros.choices import JOINT_TERMS, JointTerm
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, second_moments
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import Joint
 
 # A slide gets the terms of a revolute drive with this lever, m.
 _SLIDE_LEVER = 0.1
@@ -93,10 +94,13 @@ def is_stated(parameters: ParameterSet) -> BoolArray:
 
 def _term_scale(parameters: ParameterSet) -> FloatArray:
     """Return the standard deviations of the joint terms when the model file does not give them."""
-    return np.array(
-        [
-            each.std / (_SLIDE_LEVER**each.lever_power if joint.kind == "prismatic" else 1.0)
-            for each in (JOINT_TERMS[term] for term in parameters.terms)
-            for joint in parameters.model.joints
-        ]
-    )
+    joints = parameters.model.joints
+    pairs = [(term, joint) for term in parameters.terms for joint in joints]
+    for coupling, terms in parameters.coupling_columns.items():
+        pairs += [(term, joints[coupling.joints[0]]) for term in terms]
+    return np.array([_std_of(JOINT_TERMS[term], joint) for term, joint in pairs])
+
+
+def _std_of(term: JointTerm, joint: Joint) -> float:
+    is_slide = joint.kind == "prismatic"
+    return term.std / (_SLIDE_LEVER**term.lever_power if is_slide else 1.0)

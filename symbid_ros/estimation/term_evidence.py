@@ -10,6 +10,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.estimation.group_moments import GroupMoments
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 
 # Log Bayes factor from which a term is chosen, and below which a chosen one is given up again, so
@@ -24,6 +25,9 @@ LEAST_LEFT = 1e-3
 UNRESOLVED = 0.1
 # Share of its variance that is due to the links' parameters, above which it is mixed up with them.
 MIXED = 0.5
+# Share by which a coupled drive must reduce the square error of left-out rows of its joints. On
+# arms without coupled drives, model errors let it fall by up to 0.13; on a Stäubli TX40 by 0.95.
+LEAST_COUPLED = 0.3
 
 
 class Elimination:
@@ -61,6 +65,7 @@ class Elimination:
         std = np.sqrt(variance)
         kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
         is_armature = np.array([kind == "armature" for kind in kinds], dtype=bool)
+        is_armature &= self.left < self._parameters.first_coupled
         mixed = self._without_links < (1 - MIXED) * variance
         return is_armature & mixed & (std > UNRESOLVED * self._prior.std[self.left])
 
@@ -113,7 +118,8 @@ def cross_validated(
     assert groups is not None
     first = 6 * parameters.model.floating
     columns_of = list(parameters.term_columns.values())
-    for place, coordinate in enumerate(groups.layout.own_coordinates):
+    places = {coordinate: i for i, coordinate in enumerate(groups.layout.own_coordinates)}
+    for coordinate, place in places.items():
         own = {columns.start + coordinate - first for columns in columns_of}
         while True:
             terms = [i for i in sorted(own) if free[i] and i not in kept]
@@ -125,7 +131,61 @@ def cross_validated(
             if gains[worst] > 0:
                 break
             free[terms[worst]] = False
+    for coupling, coupled in parameters.coupling_columns.items():
+        # The drive's terms act on several joints, whose rows judge them together.
+        of_joints = [places[first + joint] for joint in coupling.joints if first + joint in places]
+        while terms := [i for i in coupled.values() if free[i]]:
+            losses = [_LeftOut(found, free, groups, place) for place in of_joints]
+            before = sum(loss.without(None) for loss in losses)
+            gains = [sum(loss.without(i) for loss in losses) - before for i in terms]
+            worst = int(np.argmin(gains))
+            if gains[worst] > 0:
+                break
+            free[terms[worst]] = False
     return free
+
+
+def predictive_couplings(
+    found: Posterior, chosen: Observations, parameters: ParameterSet
+) -> tuple[Coupling, ...]:
+    """Return the couplings that predict left-out rows better than the joints' terms alone.
+
+    The one that helps most is added first, until none helps any more.
+
+    Parameters
+    ----------
+    found : Posterior
+        With the terms of all couplings that may be chosen.
+    chosen : Observations
+        The rows that it is from.
+    parameters : ParameterSet
+    """
+    groups = chosen.groups
+    assert groups is not None
+    places = {coordinate: i for i, coordinate in enumerate(groups.layout.own_coordinates)}
+    first = 6 * parameters.model.floating
+    free = np.ones(len(parameters), bool)
+    free[parameters.first_coupled :] = False
+    taken: list[Coupling] = []
+
+    def error(coupling: Coupling, free: BoolArray) -> float:
+        joints = [places[first + joint] for joint in coupling.joints if first + joint in places]
+        return sum((_LeftOut(found, free, groups, place).without(None) for place in joints), 0.0)
+
+    while True:
+        best, most, best_free = None, LEAST_COUPLED, free
+        for coupling, columns in parameters.coupling_columns.items():
+            if coupling in taken:
+                continue
+            more = free.copy()
+            more[list(columns.values())] = True
+            gain = 1 - error(coupling, more) / error(coupling, free)
+            if gain > most:
+                best, most, best_free = coupling, gain, more
+        if best is None:
+            return tuple(taken)
+        taken.append(best)
+        free = best_free
 
 
 class _LeftOut:
@@ -141,7 +201,7 @@ class _LeftOut:
         self._weight = 1 / found.covariance[coordinate, coordinate]
 
     def without(self, term: int | None) -> float:
-        """Return the sum of squares if one of the free terms is fixed too."""
+        """Return the sum of squares, in variances, if one of the free terms is fixed too."""
         unknowns = self._unknowns.copy()
         if term is not None:
             unknowns[term] = False
@@ -171,4 +231,4 @@ class _LeftOut:
             without = mean[columns] + L @ (U @ (pull / np.maximum(left, LEAST_LEFT)))
             value = np.append(-without, 1.0)
             total += float(value @ moment @ value)
-        return total
+        return float(self._weight * total)

@@ -1,23 +1,22 @@
 """Check of an identification on the end of its own log, which a trial identification leaves out."""
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.errors import DataError, SymbidError
+from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import describe_change, validate_segments
-from symbid_ros.signals.segments import Segment, cut_to
+from symbid_ros.signals.segments import Segment, split
 from symbid_ros.signals.weak_form import WINDOWS
 
-SHARE = 0.25  # of the log that is held out
 # Instants between which postures are compared, s, and over which speeds are measured.
 PERIOD, STEP = 0.05, 0.1
 # Distance, in standard deviations of posture and speed, below which a state occurred before.
@@ -90,53 +89,6 @@ def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:
         repeats=repeats,
         coordinates={one.name: (one.rmse_before, one.rmse_after) for one in found.coordinates},
         summary=summary,
-    )
-
-
-@dataclass(frozen=True)
-class _Part:
-    """The segments from ``start`` up to ``stop``, ns, cut anew in every iteration."""
-
-    segments: Iterable[Segment]
-    start: int
-    stop: int
-
-    def __iter__(self) -> Iterator[Segment]:
-        for segment in self.segments:
-            yield from cut_to([segment], self.start, self.stop)
-
-
-def split(
-    segments: Iterable[Segment], gap: float, source: str
-) -> tuple[Iterable[Segment], Iterable[Segment]]:
-    """Return the segments before the last quarter of the covered time, and those in it.
-
-    Parameters
-    ----------
-    segments : iterable of Segment
-    gap : float
-        Time between both that belongs to neither, s: the longest window, so that no averaged signal
-        enters both.
-    source : str
-        Name of the log, for messages.
-
-    Raises
-    ------
-    DataError
-        When nothing is left of one part.
-    """
-    spans = [(int(one.stamp[0]), int(one.stamp[-1])) for one in segments]
-    lengths = np.array([stop - start for start, stop in spans])
-    left = (1 - SHARE) * float(lengths.sum())
-    ends = np.cumsum(lengths)
-    index = min(int(np.searchsorted(ends, left)), len(spans) - 1)
-    border = spans[index][1] - int(ends[index] - left)
-    begin = border + round(1e9 * gap)
-    if border <= spans[0][0] or begin >= spans[-1][1]:
-        raise DataError(f"{source}: too short to hold out a part; record longer", "E529")
-    return (
-        _Part(segments, spans[0][0], border),
-        _Part(segments, begin, spans[-1][1] + 1),
     )
 
 

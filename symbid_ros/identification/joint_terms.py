@@ -17,6 +17,7 @@ slipping joints are used; otherwise all rows are, and the other terms are chosen
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -25,11 +26,12 @@ from symbid_ros.choices import SLIDING_TERMS, Term
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
 from symbid_ros.estimation.information import random_motions
 from symbid_ros.estimation.observations import Observations
-from symbid_ros.estimation.posterior import posterior
+from symbid_ros.estimation.posterior import Posterior, posterior
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.term_evidence import Elimination, cross_validated
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.window_comparison import WindowComparison
+from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_errors import CalibratingRows
 
@@ -73,17 +75,31 @@ class TermChoice:
         return tuple(
             term
             for term, columns in self.parameters.term_columns.items()
-            if self.free[columns].any()
+            if self.free[columns].any() or any(term in one for one in self._coupled.values())
         )
 
     @property
-    def by_joint(self) -> dict[str, tuple[Term, ...]]:
-        """The chosen terms of each joint."""
-        columns = self.parameters.term_columns
+    def couplings(self) -> tuple[Coupling, ...]:
+        """Couplings of which at least one term was chosen."""
+        return tuple(coupling for coupling, terms in self._coupled.items() if terms)
+
+    @cached_property
+    def _coupled(self) -> dict[Coupling, tuple[Term, ...]]:
+        """The chosen terms of each coupling."""
         return {
+            coupling: tuple(term for term, column in columns.items() if self.free[column])
+            for coupling, columns in self.parameters.coupling_columns.items()
+        }
+
+    @property
+    def by_joint(self) -> dict[str, tuple[Term, ...]]:
+        """The chosen terms of each joint and coupling."""
+        columns = self.parameters.term_columns
+        joints = {
             joint: tuple(term for term, place in columns.items() if self.free[place][index])
             for index, joint in enumerate(self.parameters.model.joint_names)
         }
+        return joints | {coupling.label: terms for coupling, terms in self._coupled.items()}
 
     def applied(self, problem: Problem, *, all_columns: bool = False) -> Problem:
         """Return a problem of all candidates with this choice.
@@ -99,7 +115,7 @@ class TermChoice:
         prior = fixed_prior(problem.prior, self.free)
         if all_columns:
             return replace(problem, observations=observations, prior=prior)
-        parameters = ParameterSet(self.parameters.model, self.terms)
+        parameters = ParameterSet(self.parameters.model, self.terms, couplings=self.couplings)
         names = (*parameters.names, *problem.sensor_names)
         measurements = problem.pseudo_measurements
         if measurements is not None:
@@ -162,6 +178,12 @@ def candidate_prior(prior: Prior, parameters: ParameterSet, observations: Observ
                 if term == "armature":
                     std[column] = max(inertia[joint], LEAST_SHARE * std[column])
             std[column] = max(std[column], abs(prior.mean[column]))
+    for coupling, coupled in parameters.coupling_columns.items():
+        coordinates = [first + joint for joint in coupling.joints]
+        for column in coupled.values():
+            squares = np.array([rows.column_squares(one, column) for one in coordinates])
+            if parameters.names[column] in assumed and np.all(squares > 0):
+                std[column] = np.sqrt(np.max(rows.target_squares[coordinates] / squares))
     return prior.widened(std / prior.std)
 
 
@@ -199,6 +221,9 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     slipping = np.zeros(len(parameters), bool)
     for term, columns in parameters.term_columns.items():
         slipping[columns] = term in SLIDING_TERMS
+    for coupled in parameters.coupling_columns.values():
+        for term, column in coupled.items():
+            slipping[column] = term in SLIDING_TERMS
     everything = np.ones(len(parameters), bool)
     selections = []
     # With friction in the model file, a joint may stick even if no joint of the log slips.
@@ -220,6 +245,42 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     )
 
 
+def candidate_posterior(
+    problem: Problem, candidates: BoolArray, *, slips: bool
+) -> tuple[Posterior, Observations]:
+    """Return the posterior with all candidates free, and the rows that it is from.
+
+    Parameters
+    ----------
+    problem : Problem
+    candidates : (p,) bool
+        Parameters that are not fixed at their prior means.
+    slips : bool
+        Whether to use only rows of slipping joints.
+    """
+    prior = fixed_prior(problem.prior, candidates)
+    observations = rows_of(problem.observations, slips=slips)
+    usable = replace(problem, observations=observations, prior=prior)
+    chosen, start = WindowComparison(usable).finish()
+    correlation = None
+    for _ in range(2):
+        found = posterior(
+            chosen,
+            prior,
+            problem.pseudo_measurements,
+            empirical=problem.is_empirical,
+            count=problem.parameters.inertial,
+            tolerance=1e-2,
+            start=start,
+            correlation=correlation,
+            approximate=True,
+        )
+        start = found.mean
+        if chosen.groups is not None:
+            correlation = chosen.groups.correlation(found.mean, chosen.rows)
+    return found, chosen
+
+
 @dataclass
 class _Selection:
     """Backward elimination of terms on one set of rows."""
@@ -238,27 +299,7 @@ class _Selection:
         slips: bool,
     ) -> "_Selection":
         parameters = problem.parameters
-        prior = fixed_prior(problem.prior, candidates)
-        observations = rows_of(problem.observations, slips=slips)
-        usable = replace(problem, observations=observations, prior=prior)
-        chosen, near = WindowComparison(usable).finish()
-        start = near
-        correlation = None
-        for _ in range(2):
-            found = posterior(
-                chosen,
-                prior,
-                problem.pseudo_measurements,
-                empirical=problem.is_empirical,
-                count=parameters.inertial,
-                tolerance=1e-2,
-                start=start,
-                correlation=correlation,
-                approximate=True,
-            )
-            start = found.mean
-            if chosen.groups is not None:
-                correlation = chosen.groups.correlation(found.mean, chosen.rows)
+        found, chosen = candidate_posterior(problem, candidates, slips=slips)
         terms = np.flatnonzero(candidates)
         terms = terms[terms >= parameters.inertial]
         elimination = Elimination(found, parameters, terms)

@@ -23,13 +23,15 @@ from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior, model_prior
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.calibration import SensorErrorRequest, Tare, calibrate, read_tare
-from symbid_ros.identification.dataset import Dataset, Processing, read_dataset
+from symbid_ros.identification.couplings import find_couplings
+from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset, read_dataset
 from symbid_ros.identification.joint_terms import candidate_prior, choose_terms, rows_of
 from symbid_ros.identification.options import IdentifyOptions, Source
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.result_files import check_output
 from symbid_ros.identification.solver import Identification, Solver
-from symbid_ros.model.parameters import ParameterSet, terms_in
+from symbid_ros.model.coupling import Coupling, couplings_in
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
 
@@ -152,6 +154,11 @@ def load_problem(
     tares = {frame: one for each in tare for frame, one in read_tare(each).items()}
     inputs = tuple(map(str, (*log.files, robot.source, *options.files)))
     solver = _build_solver(options, inputs, parameters, prior, dataset=dataset, tares=tares)
+    if options.finds_couplings and (couplings := find_couplings(solver, dataset)):
+        parameters = replace(parameters, couplings=couplings)
+        processing = Processing.of(options)
+        dataset = fold_dataset(dataset.segments, dataset.source, parameters, processing)
+        solver = _build_solver(options, inputs, parameters, prior, dataset=dataset, tares=tares)
     return LoadedProblem(options, inputs, parameters, prior, dataset, solver, validation, tares)
 
 
@@ -193,7 +200,12 @@ def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet
     if options.chooses_terms and options.information is not None:
         parameters = _columns_of(robot, load_archive(options.information))
     else:
-        parameters = ParameterSet(robot, options.terms, candidates=options.chooses_terms)
+        parameters = ParameterSet(
+            robot,
+            options.terms,
+            candidates=options.chooses_terms,
+            couplings=tuple(Coupling.parse(one, robot) for one in options.couplings),
+        )
     for term, values in parameters.known_terms.items():
         stated = [
             name for name, value in zip(robot.joint_names, values, strict=True) if value != 0.0
@@ -212,8 +224,9 @@ def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet
 def _columns_of(robot: RobotModel, observations: Sequence[Observations]) -> ParameterSet:
     """Return the columns that observations have: those of candidate terms, or of given ones."""
     if any(one.slipping is not None for one in observations):
-        return ParameterSet(robot, TERMS, candidates=True)
-    return ParameterSet(robot, terms_in(observations[0].layout.parameters))
+        names = observations[0].layout.parameters
+        return ParameterSet(robot, TERMS, candidates=True, couplings=couplings_in(names, robot))
+    return ParameterSet.of_names(robot, observations[0].layout.parameters)
 
 
 def _with_columns(

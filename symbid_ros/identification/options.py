@@ -129,6 +129,13 @@ class IdentifyOptions:
     offset: bool = option(
         False, "The same as `joint_terms` offset: a constant torque of every joint.", group=JOINTS
     )
+    coupling: tuple[str, ...] = option(
+        (),
+        "Drives that turn with several joints, such as joint_5+joint_6 or joint_2-0.5*joint_3: "
+        "friction and armature then act on this sum as well.",
+        group=JOINTS,
+        unset="searched for in logs of arms",
+    )
     sensor_errors: tuple[str, ...] = option(
         (),
         f"Sensor errors to identify: typical (all of these), or a comma-separated list of "
@@ -268,8 +275,12 @@ class IdentifyOptions:
 
     @property
     def _named_terms(self) -> list[str]:
-        parts = ",".join(self.joint_terms).split(",")
-        return [name for part in parts if (name := part.strip())]
+        return _names(self.joint_terms)
+
+    @property
+    def couplings(self) -> list[str]:
+        """The named couplings, one sum of joints each."""
+        return _names(self.coupling)
 
     def _check_joint_terms(self) -> None:
         for name in self._named_terms:
@@ -286,6 +297,12 @@ class IdentifyOptions:
                 raise OptionError(
                     f"`joint_terms` {name} contradicts {others[0]}; give one of them", "E502"
                 )
+        if self.couplings and not set(self.terms) - {"offset"}:
+            raise OptionError(
+                "`coupling` needs joint terms that act on it; leave `joint_terms` out, or name "
+                "viscous, coulomb, armature or stribeck",
+                "E503",
+            )
         if self._named_terms == ["auto"] and not (
             self.method in GAUSSIAN and self.row_filter == "weak"
         ):
@@ -294,6 +311,12 @@ class IdentifyOptions:
                 "name the terms",
                 "E503",
             )
+
+    @property
+    def finds_couplings(self) -> bool:
+        """Whether couplings of joints are searched for in the log."""
+        added = self.couplings, self.sensor_error_kinds, self.information
+        return self.chooses_terms and not any(added)
 
     @cached_property
     def sensor_error_kinds(self) -> tuple[SensorErrorKind, ...]:
@@ -305,8 +328,7 @@ class IdentifyOptions:
 
     @property
     def _named_sensor_errors(self) -> list[str]:
-        parts = ",".join(self.sensor_errors).split(",")
-        return [name for part in parts if (name := part.strip())]
+        return _names(self.sensor_errors)
 
     def _check_sensor_errors(self) -> None:
         known = "typical", *SENSOR_ERROR_KINDS
@@ -360,3 +382,8 @@ class IdentifyOptions:
                 "`filter` butterworth",
                 "E503",
             )
+
+
+def _names(values: tuple[str, ...]) -> list[str]:
+    """Return the names in comma-separated lists."""
+    return [name for part in ",".join(values).split(",") if (name := part.strip())]

@@ -24,7 +24,7 @@ from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_files, replaced_values
 from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import is_mjcf
-from symbid_ros.model.parameters import ParameterSet, terms_in
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.user_files import load_json
 
@@ -109,10 +109,15 @@ def _write_mjcf(path: Path, files: Mapping[PurePosixPath, str]) -> None:
 def _log_unwritten(parameters: ParameterSet, values: FloatArray, out: Path) -> None:
     """Warn about identified parameters that the model files cannot hold."""
     identified = parameters.apply(values)
-    lost = [
+    lost: list[str] = [
         term
         for term, columns in parameters.term_columns.items()
         if JOINT_TERMS[term].field is None and np.any(values[columns])
+    ]
+    lost += [
+        f"friction and armature of {coupling.label}"
+        for coupling, columns in parameters.coupling_columns.items()
+        if np.any(values[list(columns.values())])
     ]
     if lost:
         logger.warning(
@@ -225,7 +230,7 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
         return EstimatedModel(parameters, load_prior(file, parameters).mean)
     estimate = load_estimate(file)
     # The model may be the true robot, with friction that the estimate does not have.
-    parameters = ParameterSet(model, terms_in(estimate.names)).with_known_values(estimate.known)
+    parameters = ParameterSet.of_names(model, estimate.names).with_known_values(estimate.known)
     if set(parameters.names) != set(estimate.names):
         raise EstimateError(
             f"{file}: its parameters, of model {estimate.model!r}, are not those of "

@@ -9,6 +9,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import JOINT_TERMS, TERMS, Term
 from symbid_ros.errors import ModelError
+from symbid_ros.model.coupling import Coupling, coupled_terms, couplings_in
 from symbid_ros.model.inertia import PARAMETERS, UNITS
 from symbid_ros.model.tree import Joint, RobotModel
 
@@ -20,7 +21,7 @@ class ParameterSet:
     """The standard parameters of a robot, Eq. 2.27–2.28 and 2.49, in column order.
 
     Each link that is not virtual has ten parameters, base first. They are followed by one
-    parameter per joint for each of ``terms``.
+    parameter per joint for each of ``terms``, and by some of these terms for each coupling.
 
     Attributes
     ----------
@@ -32,6 +33,8 @@ class ParameterSet:
         sign(q̇) exp(-|q̇|/v). They are sorted in this order.
     candidates : bool
         Whether the terms are candidates, of which the data choose some for each joint.
+    couplings : tuple of Coupling
+        Drives that turn with several joints, with friction and armature of their own.
 
     Raises
     ------
@@ -42,6 +45,7 @@ class ParameterSet:
     model: RobotModel
     terms: tuple[Term, ...] = ()
     candidates: bool = False
+    couplings: tuple[Coupling, ...] = ()
 
     def __post_init__(self) -> None:
         """Check and sort the terms."""
@@ -80,11 +84,36 @@ class ParameterSet:
         }
 
     @cached_property
+    def coupling_columns(self) -> dict[Coupling, dict[Term, int]]:
+        """Column of each term of each coupling."""
+        terms = coupled_terms(self.terms)
+        return {
+            coupling: {
+                term: self.first_coupled + len(terms) * index + place
+                for place, term in enumerate(terms)
+            }
+            for index, coupling in enumerate(self.couplings)
+        }
+
+    @property
+    def first_coupled(self) -> int:
+        """Number of parameters of links and joints, which come before those of couplings."""
+        return self.inertial + len(self.model.joints) * len(self.terms)
+
+    @classmethod
+    def of_names(cls, model: RobotModel, names: Collection[str]) -> "ParameterSet":
+        """Return the parameters of a robot with the joint terms and couplings of ``names``."""
+        return cls(model, terms_in(names), couplings=couplings_in(names, model))
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names ``<link>/<m|mc_x|…|Izz>``, then ``<joint>/<term>`` grouped by term."""
+        """Names ``<link>/<m|mc_x|…|Izz>``, then ``<joint>/<term>`` by term, then couplings."""
         inertial = [f"{link}/{name}" for link in self.link_names for name in PARAMETERS]
         joint = [f"{joint}/{term}" for term in self.terms for joint in self.model.joint_names]
-        return (*inertial, *joint)
+        coupled = [
+            f"{one.label}/{term}" for one in self.couplings for term in coupled_terms(self.terms)
+        ]
+        return (*inertial, *joint, *coupled)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
@@ -94,7 +123,12 @@ class ParameterSet:
             for term in self.terms
             for each in self.model.joints
         ]
-        return (*(UNITS * len(self.links)), *joint)
+        coupled = [
+            JOINT_TERMS[term].units[self.model.joints[one.joints[0]].kind == "prismatic"]
+            for one in self.couplings
+            for term in coupled_terms(self.terms)
+        ]
+        return (*(UNITS * len(self.links)), *joint, *coupled)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -114,6 +148,9 @@ class ParameterSet:
         chosen = np.zeros(len(self), dtype=bool)
         for term, columns in self.term_columns.items():
             chosen[columns] = JOINT_TERMS[term].is_nonnegative
+        for coupled in self.coupling_columns.values():
+            for term, column in coupled.items():
+                chosen[column] = JOINT_TERMS[term].is_nonnegative
         return chosen
 
     @cached_property

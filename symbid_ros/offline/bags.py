@@ -17,7 +17,7 @@ from symbid_ros.identification.result import Result
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet, terms_in
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.signals.log import Log
@@ -133,7 +133,7 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
         When the bag has no ground truth, or the result is of another robot.
     """
     estimate = result.estimate
-    parameters = ParameterSet(robot, terms_in(estimate.names)).with_known_values(estimate.known)
+    parameters = ParameterSet.of_names(robot, estimate.names).with_known_values(estimate.known)
     if parameters.names != estimate.names:
         raise EstimateError(
             f"result: its parameters, of model {estimate.model!r}, are not those of "

@@ -1,17 +1,19 @@
 """Uniformly sampled segments of a log, and fingerprints of the seconds they cover."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from hashlib import blake2b
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray, map_arrays
+from symbid_ros.errors import DataError
 
 SECOND = 1_000_000_000  # ns
 # Stamps after September 2001 come from a wall clock, which shows each second once. Simulated time,
 # and the clock of a computer that has not been set, start at 0 in every run.
 WALL_CLOCK = SECOND * SECOND
+HELD_OUT = 0.25  # share of a log that is held out
 
 
 @dataclass(frozen=True)
@@ -100,3 +102,50 @@ def _hash(segment: Segment, index: int) -> int:
     parts = segment.stamp[index], segment.position[index], segment.effort[index]
     content = b"".join(np.asarray(part).tobytes() for part in parts)
     return int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The segments from ``start`` up to ``stop``, ns, cut anew in every iteration."""
+
+    segments: Iterable[Segment]
+    start: int
+    stop: int
+
+    def __iter__(self) -> Iterator[Segment]:
+        for segment in self.segments:
+            yield from cut_to([segment], self.start, self.stop)
+
+
+def split(
+    segments: Iterable[Segment], gap: float, source: str
+) -> tuple[Iterable[Segment], Iterable[Segment]]:
+    """Return the segments before the last quarter of the covered time, and those in it.
+
+    Parameters
+    ----------
+    segments : iterable of Segment
+    gap : float
+        Time between both that belongs to neither, s: the longest window, so that no averaged signal
+        enters both.
+    source : str
+        Name of the log, for messages.
+
+    Raises
+    ------
+    DataError
+        When nothing is left of one part.
+    """
+    spans = [(int(one.stamp[0]), int(one.stamp[-1])) for one in segments]
+    lengths = np.array([stop - start for start, stop in spans])
+    left = (1 - HELD_OUT) * float(lengths.sum())
+    ends = np.cumsum(lengths)
+    index = min(int(np.searchsorted(ends, left)), len(spans) - 1)
+    border = spans[index][1] - int(ends[index] - left)
+    begin = border + round(1e9 * gap)
+    if border <= spans[0][0] or begin >= spans[-1][1]:
+        raise DataError(f"{source}: too short to hold out a part; record longer", "E529")
+    return (
+        _Part(segments, spans[0][0], border),
+        _Part(segments, begin, spans[-1][1] + 1),
+    )

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SLIDING_TERMS
-from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion, is_slipping
+from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion, slipping
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.filters import LowPass
@@ -190,14 +190,14 @@ def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
         has_friction = np.full(len(model.joints), not SLIDING_TERMS.isdisjoint(parameters.terms))
         if "coulomb" in parameters.known_terms:
             has_friction |= parameters.known_terms["coulomb"] != 0
-        valid[:, 6 * model.floating :] = is_slipping(velocity) | ~has_friction
+        valid[:, 6 * model.floating :] = slipping(parameters, velocity) | ~has_friction
     valid[:, [6 * model.floating + joint for joint in model.followers]] = False
     return valid
 
 
 def slipping_joints(parameters: ParameterSet, velocity: FloatArray) -> BoolArray | None:
     """Return which joints (N, J) slip if it is open whether they have friction, else None."""
-    return is_slipping(velocity) if parameters.candidates else None
+    return slipping(parameters, velocity) if parameters.candidates else None
 
 
 def suitable_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:

@@ -12,11 +12,11 @@ from symbid_ros.errors import DataError
 from symbid_ros.estimation.estimate import load_estimate
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.dataset import AlignedLog
-from symbid_ros.identification.holdout import repeated_share, split
+from symbid_ros.identification.holdout import repeated_share
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.data_summary import verdict_entries
-from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.segments import Segment, split
 
 RATE = 250.0
 SECOND = 1_000_000_000

@@ -1,0 +1,77 @@
+"""Noisy logs of arms whose drives have friction, armature, couplings or gains."""
+
+from dataclasses import replace
+
+import numpy as np
+from analytic_log import waves
+from random_robots import random_robot
+
+import symbid_ros as sy
+from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.model.parameters import ParameterSet
+
+RATE, SECONDS = 200.0, 24.0
+SLOWDOWN = 0.4
+NOISE = 2e-3  # share of the joint's RMS effort
+
+
+def arm(seed=3, links=4):
+    return random_robot(seed, links=links, floating=False, wrench_frames=0)
+
+
+def drives(robot, **terms):
+    """Return the robot's parameters with the same values of some terms at every joint."""
+    joints = tuple(
+        replace(
+            joint,
+            damping=terms.get("viscous", 0.0),
+            friction_loss=terms.get("coulomb", 0.0),
+            armature=terms.get("armature", 0.0),
+        )
+        for joint in robot.joints
+    )
+    return ParameterSet(replace(robot, joints=joints))
+
+
+def slow_waves(rng, time, joints, size):
+    """Return sums of sines far below the cutoff of the filters, and their derivatives."""
+    motion = waves(rng, SLOWDOWN * time, (joints,), size)
+    return [SLOWDOWN**order * each for order, each in enumerate(motion)]
+
+
+def samples_of(robot, time, position, velocity, acceleration):
+    """Return a fixed robot's motion (N, J) at times (N,), s, without efforts."""
+    rest = np.zeros((len(time), 3))
+    return Samples(
+        stamp=np.rint(1e9 * time).astype(np.int64),
+        position=position,
+        velocity=velocity,
+        acceleration=acceleration,
+        effort=np.zeros_like(position),
+        base_angular_velocity=rest,
+        base_angular_acceleration=rest,
+        base_specific_force=rest - robot.gravity,
+        wrenches=np.zeros((len(time), 0, 6)),
+        wrench_frames=(),
+    )
+
+
+def log_of(robot, truth, seed=0, offset=0.0, moving=None, seconds=SECONDS, extra=None, gain=1.0):
+    """Return a noisy log of a robot whose drives are those of the parameters ``truth``.
+
+    ``extra`` computes further torques from velocity and acceleration; ``gain`` divides efforts.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, 1 / RATE)
+    motion = slow_waves(rng, time, len(robot.joints), 1.2)
+    if moving is not None:
+        motion = [each * moving for each in motion]
+    samples = samples_of(robot, time, *motion)
+    rows = equation_of_motion(truth, samples)
+    effort = rows.K @ truth.values - rows.y + offset
+    if extra is not None:
+        effort += extra(*motion[1:])
+    effort /= gain
+    effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
+    position = motion[0] + 1e-6 * rng.normal(size=effort.shape)
+    return sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
