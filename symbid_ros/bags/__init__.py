@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from symbid_ros.bags.container.file_index import RecordedTopic as RecordedTopic
     from symbid_ros.bags.container.files import count_messages as count_messages
+    from symbid_ros.bags.container.files import join_names as join_names
     from symbid_ros.bags.info import BagInfo as BagInfo
     from symbid_ros.bags.info import FileInfo as FileInfo
     from symbid_ros.bags.info import bag_info as bag_info
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 # Where each name is defined.
 MODULES = {
     "container.file_index": ("RecordedTopic",),
-    "container.files": ("count_messages",),
+    "container.files": ("count_messages", "join_names"),
     "info": ("BagInfo", "FileInfo", "bag_info"),
     "recovery.recover": ("recover",),
     "recovery.report": ("LostRange", "RecoveryReport"),

@@ -167,7 +167,7 @@ class _Slicer:
         recorded = read_stamps(decoder)
         is_split = (
             topic in self._chosen.joints
-            and len(group_joints(decoder, frozenset(self._chosen.joint_names))) > 1
+            and len(group_joints(decoder, self._chosen.recorded_joints)) > 1
         )
         return np.unique(recorded) if is_split else recorded
 

@@ -14,6 +14,7 @@ from symbid_ros.cli.bag import app as bag
 from symbid_ros.cli.demo import demo
 from symbid_ros.cli.estimates import evaluate, identify, prior, report
 from symbid_ros.cli.flags import flag
+from symbid_ros.cli.init import init
 from symbid_ros.cli.simulate import simulate, udp_client
 from symbid_ros.cli.study import study
 from symbid_ros.cli.validate import compare, validate
@@ -30,7 +31,19 @@ app = typer.Typer(
 )
 USAGE = 2  # status after an error that the user can correct
 
-COMMANDS = demo, simulate, prior, identify, validate, compare, evaluate, report, study, udp_client
+COMMANDS = (
+    demo,
+    simulate,
+    prior,
+    init,
+    identify,
+    validate,
+    compare,
+    evaluate,
+    report,
+    study,
+    udp_client,
+)
 
 for command in COMMANDS:
     app.command(command.__name__.replace("_", "-"))(command)

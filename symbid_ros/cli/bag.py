@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from symbid_ros.cli.flags import BaseKind, with_flags
+from symbid_ros.cli.flags import BaseKind, Robot, with_flags
 from symbid_ros.messages.log_options import LogOptions
 
 if TYPE_CHECKING:
@@ -74,6 +74,7 @@ def doctor(
             show_default=False,
         ),
     ] = None,
+    robot: Robot = None,
     base: BaseKind = "auto",
     as_json: Json = False,
 ) -> None:
@@ -85,8 +86,8 @@ def doctor(
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import load_bag
 
-    robot = None if model is None else load_model(model, base)
-    found = diagnose(load_bag(bags, robot, log), robot)
+    loaded = None if model is None else load_model(model, base)
+    found = diagnose(load_bag(bags, loaded, log), loaded)
     print_verdict(found, as_json=as_json)
     if found.severity:
         raise typer.Exit(int(found.severity))

@@ -8,7 +8,14 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from symbid_ros.cli.flags import BaseKind, Model, with_flags
+from symbid_ros.cli.flags import (
+    BaseKind,
+    Model,
+    ModelOrRobot,
+    Robot,
+    require_model,
+    with_flags,
+)
 from symbid_ros.errors import EstimateError, PriorError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
@@ -56,12 +63,14 @@ def prior(
 
 @with_flags
 def identify(
+    *,
     bags: Annotated[list[Path], typer.Argument(help="Bags of one robot.", show_default=False)],
-    model: Model,
+    model: ModelOrRobot = None,
     out: Annotated[Path, typer.Option(help="Folder for the estimate and the identified models.")],
+    robot: Robot = None,
+    base: BaseKind = "auto",
     options: IdentifyOptions,
     log: LogOptions,
-    base: BaseKind = "auto",
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the result of an earlier run in --out.")
     ] = False,
@@ -82,7 +91,7 @@ def identify(
     from symbid_ros.offline.bags import BagRequest
 
     require_no_files(out, RESULT_FILES, overwrite=overwrite)
-    problem = BagRequest(tuple(bags), model, options, log, base).load(out)
+    problem = BagRequest(tuple(bags), require_model(model), options, log, base).load(out)
     found = identify_with_holdout(problem)
     write_identification(found, problem.parameters, out)
     print_estimate(found.estimate, out)

@@ -9,13 +9,27 @@ from typing import Annotated, Any, Literal, get_type_hints
 import typer
 
 from symbid_ros.choices import Base
+from symbid_ros.errors import OptionError
 from symbid_ros.options import Option, options_of, spelled
 
 Model = Annotated[Path, typer.Option(help="Robot model, URDF or MJCF.")]
+# Of a command that also takes a robot file.
+ModelOrRobot = Annotated[
+    Path | None, typer.Option(help="Robot model, URDF or MJCF.", show_default=False)
+]
+Robot = Annotated[
+    Path | None,
+    typer.Option(
+        help="Robot file (robot.yaml of `symbid init`) with values of options that are not given.",
+        show_default=False,
+    ),
+]
 BaseKind = Annotated[
     Base,
     typer.Option(help="Base of a URDF; auto: floating, unless the root link is named 'world'."),
 ]
+
+CONTEXT = "context"  # parameter in which typer passes how options were given
 
 
 def flag(name: str) -> str:
@@ -26,7 +40,8 @@ def flag(name: str) -> str:
 def with_flags(function: Callable[..., None]) -> Callable[..., None]:
     """Replace each parameter that is a dataclass of options by one flag for each option.
 
-    The function receives the dataclass with the values of the flags.
+    The function receives the dataclass with the values of the flags. If it has a parameter
+    ``robot``, options that are not given have the values in that robot file.
     """
     hints = get_type_hints(function, include_extras=True)
     groups: dict[str, type] = {}
@@ -42,8 +57,16 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
     # Keyword-only parameters may be in any order; others need those without a default first.
     shown = [one.replace(kind=inspect.Parameter.KEYWORD_ONLY) for one in shown]
 
+    takes_robot = "robot" in hints
+    if takes_robot:
+        shown.append(
+            inspect.Parameter(CONTEXT, inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+        )
+
     @wraps(function)
     def command(**values: Any) -> None:
+        if takes_robot:
+            _fill_from_robot_file(values, values.pop(CONTEXT))
         for name, kind in groups.items():
             given = {option.name: values.pop(option.name) for option in options_of(kind)}
             # None means that the flag was not given.
@@ -53,6 +76,34 @@ def with_flags(function: Callable[..., None]) -> Callable[..., None]:
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in shown}
     return command
+
+
+def _fill_from_robot_file(values: dict[str, Any], context: typer.Context) -> None:
+    """Set the options that were not given to those of the robot file."""
+    file = values["robot"]
+    if file is None:
+        return
+    from symbid_ros.offline.robot_file import load_robot_file  # loads NumPy
+
+    for name, value in load_robot_file(file).items():
+        source = context.get_parameter_source(name)
+        if name in values and (source is None or source.name == "DEFAULT"):
+            values[name] = value
+
+
+def require_model(model: Path | None) -> Path:
+    """Return the model that a command was given, directly or by its robot file.
+
+    Raises
+    ------
+    OptionError
+        When there is none.
+    """
+    if model is None:
+        raise OptionError(
+            "there is no model; give `model`, or a `robot` file that names it", "E501"
+        )
+    return model
 
 
 def _parameter(option: Option) -> inspect.Parameter:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from symbid_ros.cli.flags import with_flags
+from symbid_ros.cli.flags import Robot, with_flags
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.log_options import LogOptions
 
@@ -25,6 +25,7 @@ def validate(
     ],
     bag: HeldOut,
     log: LogOptions,
+    robot: Robot = None,
     predictions: Annotated[
         Path | None,
         typer.Option(help="Bag folder to write measured and predicted efforts to."),
@@ -65,6 +66,7 @@ def compare(
     ],
     bag: HeldOut,
     log: LogOptions,
+    robot: Robot = None,
     as_json: Json = False,
 ) -> None:
     """Rank identifications of one robot by their error on a log that none of them used.

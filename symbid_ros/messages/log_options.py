@@ -1,4 +1,4 @@
-"""Options that select topics, and a part of a recording."""
+"""Options that select topics and a part of a recording, and say how they relate to the model."""
 
 import math
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from symbid_ros.errors import OptionError
 from symbid_ros.options import check_values, option
 
 GROUP = "Topics and time"
+MAPPING = "How the log differs from the model"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +44,41 @@ class LogOptions:
     frame_prefix: str = option(
         "",
         "Prefix of the sensors' frames that the model's frames lack, such as robot1/.",
-        group=GROUP,
+        group=MAPPING,
+    )
+    rename_frame: tuple[str, ...] = option(
+        (),
+        "Frame in the log and its name in the model, such as imu_sensor:=imu_link.",
+        group=MAPPING,
+    )
+    rename_joint: tuple[str, ...] = option(
+        (),
+        "Joint in the log and its name in the model, such as j1:=shoulder_pan_joint.",
+        group=MAPPING,
+    )
+    hold_joint: tuple[str, ...] = option(
+        (),
+        "Joint that is not recorded and its constant position in rad (m), such as "
+        "wrist_joint:=0.5.",
+        group=MAPPING,
+        unset="joints that the log lacks are held at 0, with a warning",
+    )
+    effort_scale: tuple[str, ...] = option(
+        (),
+        "Joint and the Nm (N) in one unit of its efforts, such as elbow_joint:=-0.11 for a "
+        "current.",
+        group=MAPPING,
+    )
+    flip_wrench: tuple[str, ...] = option(
+        (),
+        "Frame of a sensor that measures the wrench of the robot on its environment.",
+        group=MAPPING,
+    )
+    rotate_imu: tuple[str, ...] = option(
+        (),
+        "Frame of an IMU, and roll, pitch and yaw in degrees of the sensor's axes in it, such as "
+        "imu_link:=180,0,90.",
+        group=MAPPING,
     )
 
     def __post_init__(self) -> None:

@@ -6,8 +6,6 @@ may share a topic, each publishing its own joints.
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -20,7 +18,6 @@ from symbid_ros.signals.joint_merging import merged_joints
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 AXES = ("x", "y", "z")
-S = TypeVar("S", ImuStream, WrenchStream)
 
 # Without a model, a group of joints counts as the robot's if its number of messages is at least
 # this share of the largest group's.
@@ -111,25 +108,22 @@ def build_streams(
     joints = [
         build_joint_stream(part, tallies[topic])
         for topic in chosen.joints
-        for part in split_by_joints(decoders[topic], frozenset(chosen.joint_names), tallies[topic])
+        for part in split_by_joints(decoders[topic], chosen.recorded_joints, tallies[topic])
     ]
-    prefix = chosen.frame_prefix
+    mapping = chosen.mapping
+    merged = merged_joints(joints, source, chosen.recorded_joints)
     return Streams(
         source=source,
-        joints=merged_joints(joints, source, chosen.joint_names),
+        joints=chosen.held_joints.added_to(mapping.converted_joints(merged), source),
         imus=tuple(
-            _without_prefix(build_imu_stream(decoders[topic], tallies[topic]), prefix)
+            mapping.converted_imu(build_imu_stream(decoders[topic], tallies[topic]))
             for topic in chosen.imus
         ),
         wrenches=tuple(
-            _without_prefix(build_wrench_stream(decoders[topic], tallies[topic]), prefix)
+            mapping.converted_wrench(build_wrench_stream(decoders[topic], tallies[topic]))
             for topic in chosen.wrenches
         ),
     )
-
-
-def _without_prefix(stream: S, prefix: str) -> S:
-    return replace(stream, frame_id=stream.frame_id.removeprefix(prefix))
 
 
 def read_stamps(decoder: TopicDecoder) -> IntArray:

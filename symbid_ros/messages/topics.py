@@ -2,10 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 from symbid_ros.errors import BagError
 from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.messages.sensor_mapping import SAME, HeldJoints, SensorMapping
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 
 TRUTH = "ground_truth"
@@ -58,16 +60,16 @@ class TopicSelection:
         Imu topics; None selects all.
     wrenches : tuple of str or None
         WrenchStamped topics; None selects all named ``wrench`` in any namespace.
-    frame_prefix : str
-        Prefix of the sensors' frames that the model's frames lack, such as ``robot1/``.
+    mapping : SensorMapping
+        Names, units and signs of the log.
     joint_names : tuple of str
-        Joints to read, if known: messages that name none of them are ignored.
+        Joints of the model, if known: messages that name none of them are ignored.
     """
 
     joints: tuple[str, ...] | None = None
     imus: tuple[str, ...] | None = None
     wrenches: tuple[str, ...] | None = None
-    frame_prefix: str = ""
+    mapping: SensorMapping = SAME
     joint_names: tuple[str, ...] = ()
 
     @classmethod
@@ -77,7 +79,7 @@ class TopicSelection:
             joints=options.joint_topic or None,
             imus=options.imu_topic or None,
             wrenches=options.wrench_topic or None,
-            frame_prefix=options.frame_prefix,
+            mapping=SensorMapping.of(options),
         )
 
     def __post_init__(self) -> None:
@@ -98,15 +100,28 @@ class SelectedTopics:
     ----------
     joints, imus, wrenches : tuple of Topic
         Topics by sensor type; at least one has joint states.
-    frame_prefix, joint_names
+    mapping, joint_names
         As in `TopicSelection`.
+    is_live : bool
+        Whether the topics are those of a running robot.
     """
 
     joints: tuple[Topic, ...]
     imus: tuple[Topic, ...]
     wrenches: tuple[Topic, ...]
-    frame_prefix: str = ""
+    mapping: SensorMapping = SAME
     joint_names: tuple[str, ...] = ()
+    is_live: bool = False
+
+    @cached_property
+    def recorded_joints(self) -> frozenset[str]:
+        """Names that the log uses for the model's joints; empty if these are unknown."""
+        return self.mapping.recorded_joints(self.joint_names)
+
+    @cached_property
+    def held_joints(self) -> HeldJoints:
+        """Joints of the model that this recording lacks."""
+        return HeldJoints(self.joint_names, self.mapping.held, self.is_live)
 
     @property
     def all(self) -> tuple[Topic, ...]:
@@ -170,7 +185,7 @@ class TopicSelector:
             joints,
             self._find(IMU, self.selection.imus, None),
             self._find(WRENCH, self.selection.wrenches, "wrench"),
-            self.selection.frame_prefix,
+            self.selection.mapping,
             self.selection.joint_names,
         )
         for topic in chosen.all:

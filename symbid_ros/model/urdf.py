@@ -49,7 +49,7 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
         if element.tag.startswith("xacro:"):
             raise ModelError(
                 f"{place(element)}: <{element.tag}> is xacro; run `xacro {path.name} > "
-                f"{_expanded_name(path)}` and give that file",
+                f"{expanded_name(path)}` and give that file",
                 "E104",
             )
     reader = UrdfReader(str(path), robot)
@@ -61,7 +61,7 @@ def load_urdf(path: Path, base: Base = "auto") -> RobotModel:
     )
 
 
-def _expanded_name(path: Path) -> str:
+def expanded_name(path: Path) -> str:
     """Return a name for the output of xacro: without .xacro, and never the input itself."""
     stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
     return f"{stem}.urdf" if path.name != f"{stem}.urdf" else f"{stem}_expanded.urdf"

@@ -5,6 +5,7 @@ import time
 
 from symbid_ros.errors import DataError
 from symbid_ros.messages.layout import Layout
+from symbid_ros.messages.sensor_mapping import SAME, SensorMapping
 from symbid_ros.messages.single_message import MessagePattern, SingleMessageDecoder
 from symbid_ros.messages.topics import Topic
 from symbid_ros.messages.types import IMU, JOINT_STATE, NANO, WRENCH
@@ -38,8 +39,8 @@ class MessageCheck:
         Name and type.
     model : RobotModel
         The robot's joints and frames.
-    frame_prefix : str
-        Prefix of ``header.frame_id`` that the model's frames lack.
+    mapping : SensorMapping
+        Names of joints and frames in the messages.
 
     Attributes
     ----------
@@ -51,12 +52,12 @@ class MessageCheck:
         ``header.frame_id`` of the topic's sensor; None before its first message.
     """
 
-    def __init__(self, topic: Topic, model: RobotModel, frame_prefix: str = "") -> None:
+    def __init__(self, topic: Topic, model: RobotModel, mapping: SensorMapping = SAME) -> None:
         self._topic = topic
         self._messages = SingleMessageDecoder(topic)
         self._patterns: list[MessagePattern] = []
-        self._joints = frozenset(model.measured_joint_names)
-        self._frames, self._prefix = known_frames(model), frame_prefix
+        self._joints = mapping.recorded_joints(model.measured_joint_names)
+        self._frames, self._mapping = known_frames(model), mapping
         self._last: int | None = None
         self._held: tuple[int, bytes] | None = None
         self._warned = float("-inf")
@@ -123,7 +124,7 @@ class MessageCheck:
         if self._topic.msgtype == JOINT_STATE:
             return self._joint_rejection_reason(layout.text["name"])
         frame = layout.text["header.frame_id"][0]
-        if self.frame is None and frame.removeprefix(self._prefix) in self._frames:
+        if self.frame is None and self._mapping.frame(frame) in self._frames:
             self.frame = frame
         if frame == self.frame:
             return ""

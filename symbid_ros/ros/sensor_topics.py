@@ -8,6 +8,7 @@ from itertools import pairwise
 from rclpy.node import Node
 
 from symbid_ros.errors import DataError
+from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.single_message import SingleMessageDecoder
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
@@ -65,11 +66,8 @@ class CandidateTopic:
     frame: str = ""
     is_placed: bool = False
 
-    def examine(self, frames: frozenset[str], prefix: str) -> None:
-        """Read messages until one has a frame of the model, and put that one back.
-
-        The sensors' frames begin with a prefix that the model's ``frames`` lack.
-        """
+    def examine(self, frames: frozenset[str], mapping: SensorMapping) -> None:
+        """Read messages until one has a frame of the model, and put that one back."""
         if self.topic.msgtype == JOINT_STATE:
             self.is_placed = True
         if self.is_placed or self.subscription is None:
@@ -81,7 +79,7 @@ class CandidateTopic:
             except DataError:
                 continue
             self.frame = layout.text["header.frame_id"][0]
-            if self.frame.removeprefix(prefix) in frames:
+            if mapping.frame(self.frame) in frames:
                 self.is_placed = True
                 self.subscription.put_back(message)
                 return
@@ -119,7 +117,7 @@ class SensorTopics:
         self._subscribe(self._wanted(topics))
         frames = known_frames(self.model)
         for candidate in self._candidates.values():
-            candidate.examine(frames, self.own.selection.frame_prefix)
+            candidate.examine(frames, self.own.selection.mapping)
         chosen = self._choice()
         now = time.monotonic()
         if frozenset(chosen) != self._chosen:
@@ -136,7 +134,7 @@ class SensorTopics:
             tuple(sorted(by_type[JOINT_STATE], key=lambda topic: order.index(topic.name))),
             by_type[IMU],
             by_type[WRENCH],
-            self.own.selection.frame_prefix,
+            self.own.selection.mapping,
             self.own.selection.joint_names,
         )
 

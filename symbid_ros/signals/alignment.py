@@ -117,7 +117,9 @@ def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: st
     except ModelError as error:
         prefix = suggested_prefix(frame, model)
         if not prefix:
-            raise ModelError(f"{source}: {sensor.topic}: {error}", "E308") from error
+            raise ModelError(
+                f"{source}: {sensor.topic}: {error}, or give `rename_frame` {frame}:=NAME", "E308"
+            ) from error
         raise ModelError(
             f"{source}: {sensor.topic}: frame {frame!r} is not in model {model.source}, but "
             f"{frame.removeprefix(prefix)!r} is; give `frame_prefix` {prefix}",
@@ -282,8 +284,9 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
     if missing:
         raise ModelError(
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
-            f"has {', '.join(names)}; name every topic of joint states (`joint_topic`), "
-            "or give the model of this robot",
+            f"has {', '.join(names)}; name every topic of joint states (`joint_topic`), give "
+            f"`rename_joint` NAME:={missing[0]} or `hold_joint` {missing[0]}:=POSITION, or the "
+            "model of this robot",
             "E306",
         )
     leaders = [

@@ -12,6 +12,7 @@ from split_joints import JOINTS, Part, left, right, split_joints, stamped
 from symbid_ros.bags import bag_log, read_streams
 from symbid_ros.errors import DataError
 from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import IMU, read_leading_stamp
 from symbid_ros.model.load import load_model
@@ -53,7 +54,7 @@ class Heard:
 def heard(feed, model, prefix="") -> Heard:
     """Feed a scheduler and take its blocks each second."""
     scheduler = BlockScheduler(
-        replace(feed.selected, frame_prefix=prefix), model, 1.0, "live topics"
+        replace(feed.selected, mapping=SensorMapping(prefix)), model, 1.0, "live topics"
     )
     due = feed.messages[0][0]
     blocks, pieces = [], []

@@ -12,6 +12,7 @@ from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import String
 
+from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
@@ -150,11 +151,11 @@ def test_prefixed_frames_are_accepted_with_frame_prefix(publishers: Publishers, 
         publishers.publish_again()
         assert lost.find() is None
     assert "frame_prefix:=robot1/" in lost.missing()["/imu/data"]
-    found = sensors(publishers, model, selection=TopicSelection(frame_prefix="robot1/"))
+    found = sensors(publishers, model, selection=TopicSelection(mapping=SensorMapping("robot1/")))
     while (selected := found.find()) is None or len(selected.all) < len(OWN):
         publishers.publish_again()
     assert publishers.selected_topics(found) == set(OWN)
-    assert selected.frame_prefix == "robot1/"
+    assert selected.mapping.frame_prefix == "robot1/"
 
 
 def test_several_joint_state_topics_are_used_in_the_given_order(

@@ -1,0 +1,57 @@
+"""``symbid init``."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from symbid_ros.cli.flags import BaseKind
+
+
+def init(
+    model: Annotated[
+        Path,
+        typer.Option(
+            help="Robot model: URDF, MJCF or xacro, whose URDF is written beside the robot file."
+        ),
+    ],
+    bag: Annotated[list[Path], typer.Option(help="Bag of the robot, in sequence if several.")],
+    out: Annotated[Path, typer.Option(help="Robot file to write, such as robot.yaml.")],
+    base: BaseKind = "auto",
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Replace a file of that name.")
+    ] = False,
+) -> None:
+    """Write a robot file: topics, names, signs and units that a log and a model differ in.
+
+    What was guessed is marked CHECK. `symbid identify`, `validate` and `bag doctor` read the file
+    with --robot, the node `identifier` with --params-file.
+
+    Exit status: 0 the log is usable as the file says, 1 correct the file first, 2 error.
+    """
+    from symbid_ros.atomic_write import check_output_file
+    from symbid_ros.diagnosis.findings import Severity
+    from symbid_ros.errors import SymbidError
+    from symbid_ros.model.urdf import expanded_name
+    from symbid_ros.offline.robot_setup import expand_xacro, inspect_robot
+
+    is_xacro = model.suffix == ".xacro"
+    urdf = out.parent / expanded_name(model) if is_xacro else model
+    for file in [out, *([urdf] if is_xacro else [])]:
+        check_output_file(file)
+        if file.exists() and not overwrite:
+            raise SymbidError(f"{file}: exists; choose another `out`, or give `overwrite`", "E551")
+    if is_xacro:
+        expand_xacro(model, urdf)
+    setup = inspect_robot(urdf, bag, base)
+    setup.write(out)
+    console = Console(soft_wrap=True)
+    for name, values in setup.options.items():
+        console.print(f"{name}: {', '.join(values)}", markup=False, highlight=False)
+    for lines in setup.comments.values():
+        for line in lines:
+            console.print(line, markup=False, highlight=False)
+    console.print(f"written: {out}", markup=False, highlight=False)
+    if setup.diagnosis is not None and setup.diagnosis.severity is Severity.UNUSABLE:
+        raise typer.Exit(1)

@@ -1,0 +1,237 @@
+"""`symbid init` and `--robot`: from a foreign driver's bag to a validated robot."""
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from bag_editing import Messages, edit_bag
+from hypothesis import given
+from hypothesis import strategies as st
+
+from symbid_ros.errors import OptionError
+from symbid_ros.model.load import load_model
+from symbid_ros.offline.name_matching import match_names
+from symbid_ros.offline.robot_file import OF_THE_NODE, load_robot_file
+from symbid_ros.offline.robot_setup import DESCRIPTIONS, EXAMPLES, inspect_robot
+from symbid_ros.package_paths import config_file
+
+# Nm per ampere of the motors, whose signs differ.
+CONSTANTS = np.array([10.0, 9.0, -8.0, 11.0, 12.0, 10.0, 9.0, 8.0, -10.0, 12.0])
+ENTRY = re.compile(r"(.*):=(.*)")
+
+
+def foreign_name(joint: str) -> str:
+    return f"exo/{'left' if joint.startswith('L_') else 'right'}_{joint[2:].lower()}_motor"
+
+
+def joints(messages: Messages) -> None:
+    """Currents, and other names."""
+    messages.records["effort"][:] /= CONSTANTS
+    everything = np.ones(len(messages.records), dtype=bool)
+    names = [foreign_name(name) for name in messages.joints]
+    messages.rename(everything, range(len(names)), names)
+
+
+def reversed_plate(messages: Messages) -> None:
+    for name in ("wrench.force", "wrench.torque"):
+        messages.records[name] *= -1
+    messages.reframe("plate_left")
+
+
+def imu(messages: Messages) -> None:
+    messages.reframe("exo/imu_link")
+
+
+@pytest.fixture(scope="module")
+def foreign(log, tmp_path_factory) -> Path:
+    edits = {"/joint_states": joints, "/imu/data": imu, "/left_foot/wrench": reversed_plate}
+    return edit_bag(log, tmp_path_factory.mktemp("foreign") / "bag", edits)
+
+
+@pytest.fixture(scope="module")
+def robot_file(symbid_here, foreign, tmp_path_factory) -> Path:
+    model, out = config_file("symbitron.urdf"), tmp_path_factory.mktemp("robot") / "robot.yaml"
+    ended = symbid_here("init", "--model", model, "--bag", foreign, "--out", out)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "flip_wrench: left_sole" in ended.stdout
+    return out
+
+
+def entries(values: list[str]) -> dict[str, str]:
+    return dict(ENTRY.fullmatch(value).groups() for value in values)
+
+
+def test_init_finds_names_signs_and_units(robot_file) -> None:
+    (parameters,) = [
+        one["ros__parameters"] for one in yaml.safe_load(robot_file.read_text()).values()
+    ]
+    robot = load_model(config_file("symbitron.urdf"))
+    assert entries(parameters["rename_joint"]) == {
+        foreign_name(name): name for name in robot.joint_names
+    }
+    assert entries(parameters["rename_frame"]) == {
+        "exo/imu_link": "imu_link",
+        "plate_left": "left_sole",
+    }
+    assert parameters["flip_wrench"] == ["left_sole"]
+    found = {name: float(value) for name, value in entries(parameters["effort_scale"]).items()}
+    for name, constant in zip(robot.joint_names, CONSTANTS, strict=True):
+        if name in found:
+            assert found[name] == pytest.approx(constant, rel=0.15)
+    assert len(found) >= 8  # the ankles' side joints carry little
+
+
+def test_the_file_serves_the_commands(symbid_here, foreign, robot_file, tmp_path) -> None:
+    healthy = symbid_here("bag", "doctor", foreign, "--robot", robot_file)
+    assert healthy.returncode < 2
+    out = tmp_path / "result"
+    options = ("--no-holdout", "--joint-terms", "none", "--out", out)
+    ended = symbid_here("identify", foreign, "--robot", robot_file, *options)
+    assert ended.returncode < 2, ended.stderr
+    ended = symbid_here("validate", out, "--bag", foreign, "--robot", robot_file)
+    assert ended.returncode < 2, ended.stderr
+    assert "all joints" in ended.stdout
+
+
+def test_an_option_of_the_command_line_comes_first(
+    symbid_here, foreign, robot_file, tmp_path
+) -> None:
+    ended = symbid_here(
+        *("identify", foreign, "--robot", robot_file, "--out", tmp_path / "result"),
+        *("--rename-joint", "a:=b"),
+    )
+    assert ended.returncode == 2
+    assert "has no joint" in ended.stderr
+
+
+def test_a_model_is_needed(symbid_here, foreign, tmp_path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text("/**: {ros__parameters: {base: fixed}}")
+    ended = symbid_here("identify", foreign, "--robot", file, "--out", tmp_path / "result")
+    assert (ended.returncode, "give --model, or a --robot file" in ended.stderr) == (2, True)
+
+
+def test_an_existing_file_is_kept(symbid_here, foreign, robot_file) -> None:
+    before = robot_file.read_bytes()
+    model = config_file("symbitron.urdf")
+    ended = symbid_here("init", "--model", model, "--bag", foreign, "--out", robot_file)
+    assert (ended.returncode, "--overwrite" in ended.stderr) == (2, True)
+    assert robot_file.read_bytes() == before
+
+
+def test_relative_paths_start_at_the_file(tmp_path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(
+        "identifier:\n  ros__parameters:\n    model: robot.urdf\n    tare: [a, /b]\n"
+        "    joint_topic: ['']\n    prior: ''\n    solve_period: 2.0\n    window: 0.1\n"
+    )
+    assert load_robot_file(file) == {
+        "model": tmp_path / "robot.urdf",
+        "tare": [tmp_path / "a", Path("/b")],
+        "window": 0.1,
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("- a", "the file is not a mapping"),
+        ("/**: {model: a.urdf}", "ros__parameters is not a mapping"),
+        ("bridge: {ros__parameters: {}}", "'bridge' is not a node of a robot file"),
+        ("/**: {ros__parameters: {wrench_topik: a}}", "did you mean wrench_topic?"),
+        ("/**: {ros__parameters: {zzz: a}}", "there is no parameter zzz; remove it"),
+        ("/**: {ros__parameters: {base: loose}}", "'loose' is not valid; give one of"),
+        ("{", "not valid YAML"),
+    ],
+)
+def test_an_invalid_file_is_refused(text: str, reason: str, tmp_path) -> None:
+    file = tmp_path / "robot.yaml"
+    file.write_text(text)
+    with pytest.raises(OptionError, match=re.escape(reason)) as refused:
+        load_robot_file(file)
+    assert str(file) in str(refused.value)
+
+
+def test_every_parameter_of_the_node_may_be_in_a_robot_file() -> None:
+    from symbid_ros.identification.options import IdentifyOptions
+    from symbid_ros.messages.log_options import LogOptions
+    from symbid_ros.ros.identifier_parameters import PARAMETERS
+
+    options = {each.name for kind in (IdentifyOptions, LogOptions) for each in fields(kind)}
+    others = {one.name for one in PARAMETERS} - options - {"model", "base"}
+    assert set(OF_THE_NODE) == others | {"use_sim_time"}
+    assert set(DESCRIPTIONS) == set(EXAMPLES) <= options
+
+
+def test_an_arm_whose_log_lacks_joints_and_names_others(simulated, tmp_path) -> None:
+    """A log of the right leg alone, on a fixed base: the left leg is held."""
+    bag = simulated("smooth", moves=1, motion_seed=21, noise_seed=5)
+
+    def right_leg(messages: Messages) -> None:
+        columns = [i for i, name in enumerate(messages.joints) if name.startswith("R_")]
+        names = [messages.joints[i] for i in columns]
+        messages.rename(np.ones(len(messages.records), dtype=bool), columns, names)
+
+    short = edit_bag(bag, tmp_path / "bag", {"/joint_states": right_leg})
+    setup = inspect_robot(config_file("symbitron.urdf"), [short])
+    left = [name for name in load_model(setup.model).joint_names if name.startswith("L_")]
+    assert setup.options["hold_joint"] == [f"{name}:=0.0" for name in left]
+    assert "rename_joint" not in setup.options
+
+
+def test_xacro_is_expanded_beside_the_file(symbid_here, log, tmp_path) -> None:
+    text = config_file("symbitron.urdf").read_text()
+    declared = text.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1)
+    end = declared.index(">", declared.index("<robot ")) + 1
+    property_ = '<xacro:property name="heavy" value="${2 * 6.75}"/>'
+    (tmp_path / "exo.urdf.xacro").write_text(
+        (declared[:end] + property_ + declared[end:]).replace('"13.5"', '"${heavy}"')
+    )
+    call = ("init", "--model", tmp_path / "exo.urdf.xacro", "--bag", log)
+    ended = symbid_here(*call, "--out", tmp_path / "robot.yaml")
+    assert ended.returncode == 0, ended.stderr
+    found = load_robot_file(tmp_path / "robot.yaml")
+    assert found["model"] == tmp_path / "exo.urdf"
+    np.testing.assert_allclose(
+        load_model(found["model"]).phi, load_model(config_file("symbitron.urdf")).phi
+    )
+    (tmp_path / "exo.urdf.xacro").write_text('<robot xmlns:xacro="x"><xacro:nothing/></robot>')
+    ended = symbid_here(*call, "--out", tmp_path / "robot.yaml", "--overwrite")
+    assert (ended.returncode, "xacro: " in ended.stderr) == (2, True)
+
+
+ARM = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint")
+
+
+@pytest.mark.parametrize(
+    ("recorded", "is_certain"),
+    [
+        ([f"ur5_{name}" for name in ARM], True),
+        (["ShoulderPan", "ShoulderLift", "Elbow", "Wrist1", "Wrist2"], True),
+        (["j1", "j2", "j3", "j4", "j5"], False),
+        (["joint_5", "joint_4", "joint_3", "joint_2", "joint_1"], False),
+    ],
+)
+def test_names_of_an_arm_are_matched(recorded: list[str], is_certain: bool) -> None:
+    found, certain = match_names(recorded, ARM)
+    assert certain == is_certain
+    order = recorded if recorded[0] != "joint_5" else recorded[::-1]
+    assert found == dict(zip(order, ARM, strict=True))
+
+
+@given(st.permutations(ARM), st.sampled_from(["robot1_", "left/", ""]))
+def test_matching_is_one_to_one_and_independent_of_order(names: list[str], prefix: str) -> None:
+    found, certain = match_names([f"{prefix}{name}" for name in names], ARM)
+    assert certain
+    assert found == {f"{prefix}{name}": name for name in ARM}
+
+
+@given(st.lists(st.text(max_size=8), unique=True), st.lists(st.text(max_size=8), unique=True))
+def test_any_names_are_matched_one_to_one(recorded: list[str], wanted: list[str]) -> None:
+    found, _ = match_names(recorded, wanted)
+    assert set(found) <= set(recorded)
+    assert len(set(found.values())) == len(found)
+    assert set(found.values()) <= set(wanted)
