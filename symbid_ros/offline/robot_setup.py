@@ -179,7 +179,7 @@ def expand_xacro(file: Path, out: Path) -> None:
         raise ModelError(
             f"{file}: needs xacro, which is not installed; run `pip install xacro`, or give the "
             "URDF",
-            "E118",
+            "E119",
         ) from None
     try:
         document = xacro.process_file(str(file))
@@ -188,7 +188,7 @@ def expand_xacro(file: Path, out: Path) -> None:
         raise ModelError(
             f"{file}: xacro: {reason}; correct the file, and for $(find PACKAGE) source the "
             "workspace of the package",
-            "E118",
+            "E119",
         ) from None
     write_text(out, document.toprettyxml(indent="  "))
 
