@@ -10,11 +10,12 @@ from tokenize import TokenError
 from typing import IO, Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.atomic_write import write_through
 from symbid_ros.errors import EstimateError
-from symbid_ros.estimation.group_moments import GroupMoments
+from symbid_ros.estimation.group_moments import GROUPS, CoordinateMoments, GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.user_files import open_regular
@@ -85,7 +86,7 @@ def write_archive(
     write_through(path, lambda stream: np.savez_compressed(stream, **content))
 
 
-def _arrays(one: Observations, key: str) -> dict[str, FloatArray]:
+def _arrays(one: Observations, key: str) -> dict[str, NDArray[Any]]:
     """Return the arrays of one window length; ``key`` ends their names."""
     upper = np.triu_indices(one.layout.width)
     arrays = {
@@ -96,7 +97,11 @@ def _arrays(one: Observations, key: str) -> dict[str, FloatArray]:
     }
     if one.groups is not None:
         arrays[f"group_counts_{key}"] = one.groups.counts
-        arrays[f"groups_{key}"] = np.concatenate([each.ravel() for each in one.groups.moments])
+        parts = one.groups.parts
+        arrays[f"groups_{key}"] = np.concatenate([each.moments.ravel() for each in parts])
+        arrays[f"group_columns_{key}"] = np.concatenate(
+            [np.column_stack([np.full(len(one.left), one.coordinate), one.left]) for one in parts]
+        )
     return arrays
 
 
@@ -214,15 +219,37 @@ def _observations(
 def _groups(content: dict[str, np.ndarray], key: str, layout: RowLayout) -> GroupMoments | None:
     if f"groups_{key}" not in content:
         return None
-    empty = GroupMoments.empty(layout)
-    sizes = [each.size for each in empty.moments]
+    shapes = _group_shapes(content, key, layout)
+    sizes = [GROUPS * len(left) * (len(layout.columns[i]) + 1) for i, left in shapes]
     flat = _numbers(content, f"groups_{key}", (sum(sizes),), least=-LARGEST_ENTRY)
-    parts = np.split(flat, np.cumsum(sizes)[:-1])
-    moments = tuple(
-        part.reshape(each.shape) for part, each in zip(parts, empty.moments, strict=True)
+    parts = tuple(
+        CoordinateMoments(i, left, moments.reshape(GROUPS, len(left), -1))
+        for (i, left), moments in zip(shapes, np.split(flat, np.cumsum(sizes)[:-1]), strict=True)
     )
-    counts = _numbers(content, f"group_counts_{key}", empty.counts.shape)
-    return GroupMoments(layout, moments, counts)
+    counts = _numbers(content, f"group_counts_{key}", (GROUPS, len(layout.coordinates)))
+    return GroupMoments(layout, parts, counts)
+
+
+def _group_shapes(
+    content: dict[str, np.ndarray], key: str, layout: RowLayout
+) -> list[tuple[int, IntArray]]:
+    """Return the coordinates that have moments, each with the columns on the left."""
+    name = f"group_columns_{key}"
+    if name not in content:  # earlier versions wrote all moments of joints with candidate terms
+        return [(i, np.arange(len(layout.columns[i]) + 1)) for i in layout.own_coordinates]
+    found = content[name]
+    _require(found.ndim == 2 and found.shape[1] == 2, f"{name} must have two columns")
+    _require(found.dtype.kind == "i", f"{name} must be integers")
+    _require(
+        np.all((found >= 0) & (found[:, :1] < len(layout.coordinates))), f"{name} is out of range"
+    )
+    shapes = []
+    for i in np.unique(found[:, 0]).tolist():
+        left = found[found[:, 0] == i, 1]
+        _require(np.all(np.diff(left) > 0), f"{name} must be ascending")
+        _require(left[-1] <= len(layout.columns[i]), f"{name} is out of range")
+        shapes.append((i, left))
+    return shapes
 
 
 def _information(

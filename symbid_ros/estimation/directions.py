@@ -11,8 +11,6 @@ from symbid_ros.model.inertia import PARAMETERS
 
 # Condition number above which the prior's covariance is numerically singular.
 _CONDITION = 1e12
-# Tolerance for rounding. A posterior wider than its prior by more belongs to another prior.
-_SLACK = 1e-6
 # Smallest loading that is printed, relative to the largest one.
 _WORTH_READING = 0.2
 
@@ -32,7 +30,8 @@ class DeterminedDirections:
     threshold : float
         Ratio below which a direction is determined.
     ratios : (p,) float64
-        Ratio r of posterior to prior standard deviation of each direction, ascending.
+        Ratio r of posterior to prior standard deviation of each direction, ascending; 1 where
+        correlated residuals make the estimate less certain than the prior.
     directions : (p, p) float64
         Columns of D = C⁻¹, the change of φ for one prior standard deviation of ξ_i, in the
         parameters' units. D Dᵀ is the prior's covariance, D diag(r²) Dᵀ the posterior's.
@@ -103,7 +102,7 @@ def determined_directions(
     PriorError
         When the prior's covariance is singular.
     EstimateError
-        When a factor is not finite or the posterior is wider than the prior.
+        When a factor is not finite.
     """
     if not (np.all(np.isfinite(prior_factor)) and np.all(np.isfinite(posterior_factor))):
         raise EstimateError(
@@ -126,12 +125,6 @@ def determined_directions(
     whitened = np.linalg.solve(scaled, posterior_factor / prior_std[:, None])
     axes, ratios, _ = np.linalg.svd(whitened)
     axes, ratios = axes[:, ::-1], ratios[::-1]
-    if ratios[-1] > 1 + _SLACK:
-        raise EstimateError(
-            f"the posterior is {ratios[-1]:.6g} times as wide as the prior in some direction; "
-            "compare it with the prior that it was computed from",
-            "E423",
-        )
     loadings = scaled @ axes
     largest = np.abs(loadings).argmax(axis=0)
     axes = axes * np.where(np.take_along_axis(loadings, largest[None], axis=0)[0] < 0, -1.0, 1.0)

@@ -1,117 +1,206 @@
-"""Moments of each joint's own rows, by groups of seconds, for cross-validation by blocks.
+"""Moments of each coordinate's rows, by groups of seconds.
 
-A joint term affects its own joint's rows only. So whether the term predicts rows that were not
-used can be told from the moments of these rows alone, group by group, without a second pass over
-the data.
+Residuals of a wrong model are correlated in time, so they carry less information than as many
+independent ones. How much less is told by the scores Σ k e of a coordinate's columns k and
+residuals e: in groups of seconds their variance exceeds that of independent residuals. A joint term
+affects its own joint's rows only, so whether it predicts rows that were not used can be told from
+the same moments. Both need no second pass over the data.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.regressor import Rows
-from symbid_ros.estimation.information import Information, RowLayout
-from symbid_ros.signals.weak_form import WindowedRows
+from symbid_ros.estimation.information import RowLayout
+from symbid_ros.signals.weak_form import SampledRows, WindowedRows
 
 # Seconds of a log are dealt to this many groups in turn. Residuals of neighbouring rows are
 # correlated, so rows are left out by whole seconds.
 GROUPS = 8
 SECOND = 1_000_000_000
+# Columns of a coordinate whose scores are compared, evenly spread, if no terms are to be chosen.
+COLUMNS = 12
+
+
+@dataclass(frozen=True)
+class CoordinateMoments:
+    """Moments of one coordinate's rows in each group.
+
+    Attributes
+    ----------
+    coordinate : int
+    left : (r,) int
+        Places of some of the c + 1 columns of [K_i y_i].
+    moments : (GROUPS, r, c + 1) float64
+        Σ [K_i y_i]ᵀ [K_i y_i], of these columns with all.
+    """
+
+    coordinate: int
+    left: IntArray
+    moments: FloatArray
+
+    def ratio(self, phi: FloatArray, counts: FloatArray, variance: float) -> float:
+        """Return the variance of scores over that of independent residuals; NaN if unknown.
+
+        Parameters
+        ----------
+        phi : (c,) float64
+            Parameters of the columns.
+        counts : (GROUPS,) float64
+            Rows in each group.
+        variance : float
+            Of a residual.
+        """
+        used = np.flatnonzero(counts > 0)
+        is_column = self.left < len(phi)
+        left = self.left[is_column]
+        if len(used) < 2 or not len(left) or variance <= 0:
+            return np.nan
+        moments = self.moments[used][:, is_column]
+        squares = moments[:, np.arange(len(left)), left].sum(axis=0)
+        moves = squares > 1e-12 * squares.max(initial=0.0)
+        if not moves.any():
+            return np.nan
+        share = counts[used] / counts.sum()
+        scores = moments @ np.append(-phi, 1.0)
+        scores = scores - share[:, None] * scores.sum(axis=0)
+        found = np.sum(scores[:, moves] ** 2, axis=0) / (1 - np.sum(share**2))
+        return float(np.mean(found / (variance * squares[moves])))
 
 
 @dataclass(frozen=True)
 class GroupMoments:
-    """Moments Σ [K_i y_i]ᵀ [K_i y_i] of each joint's rows in each group.
+    """Moments of the rows of all coordinates in each group.
 
     Attributes
     ----------
     layout : RowLayout
         Layout of the rows.
-    moments : tuple of (GROUPS, c + 1, c + 1) float64
-        For each coordinate with a parameter of its own, in the order of ``coordinates``; its c
-        columns are those of the layout.
+    parts : tuple of CoordinateMoments
+        Of each coordinate that has columns.
     counts : (GROUPS, n) float64
         Valid rows of each coordinate in each group.
     """
 
     layout: RowLayout
-    moments: tuple[FloatArray, ...]
+    parts: tuple[CoordinateMoments, ...]
     counts: FloatArray
 
     @classmethod
-    def empty(cls, layout: RowLayout) -> "GroupMoments":
-        """Return the moments of no data."""
-        sizes = [len(layout.columns[i]) + 1 for i in layout.own_coordinates]
-        moments = tuple(np.zeros((GROUPS, size, size)) for size in sizes)
-        return cls(layout, moments, np.zeros((GROUPS, len(layout.coordinates))))
+    def empty(cls, layout: RowLayout, *, candidates: bool = False) -> "GroupMoments":
+        """Return the moments of no data; all moments of joints whose terms are candidates."""
+        complete = layout.own_coordinates if candidates else ()
+        parts = []
+        for coordinate, columns in enumerate(layout.columns):
+            count = len(columns)
+            if not count:
+                continue
+            left = np.arange(count + 1)
+            if coordinate not in complete:
+                left = np.unique(np.linspace(0, count - 1, min(COLUMNS, count)).astype(int))
+            parts.append(
+                CoordinateMoments(coordinate, left, np.zeros((GROUPS, len(left), count + 1)))
+            )
+        return cls(layout, tuple(parts), np.zeros((GROUPS, len(layout.coordinates))))
+
+    @property
+    def complete(self) -> tuple[CoordinateMoments, ...]:
+        """The coordinates with all moments, those of joints whose terms are candidates."""
+        columns = self.layout.columns
+        return tuple(
+            each for each in self.parts if len(each.left) == len(columns[each.coordinate]) + 1
+        )
 
     def fold(self, blocks: Iterable[WindowedRows]) -> "GroupMoments":
-        """Return the moments with more rows."""
-        moments = [each.copy() for each in self.moments]
+        """Return the moments with more rows averaged over windows."""
+        return self._fold((block.mean, block.valid, block.stamp) for block in blocks)
+
+    def fold_samples(self, blocks: Iterable[SampledRows]) -> "GroupMoments":
+        """Return the moments with more rows at single instants, zero where invalid."""
+        return self._fold((block.rows, block.valid, block.stamp) for block in blocks)
+
+    def _fold(self, blocks: Iterable[tuple[Rows, BoolArray, IntArray]]) -> "GroupMoments":
+        sums = [each.moments.copy() for each in self.parts]
         counts = self.counts.copy()
-        for block in blocks:
-            group = (block.stamp // SECOND) % GROUPS
-            np.add.at(counts, group, block.valid)
-            for each, coordinate in zip(moments, self.layout.own_coordinates, strict=True):
-                rows = _rows_of(block.mean, coordinate, self.layout)
-                for one in np.unique(group):
-                    some = rows[group == one]
-                    each[one] += some.T @ some
-        return GroupMoments(self.layout, tuple(moments), counts)
+        for rows, valid, stamp in blocks:
+            group = (stamp // SECOND) % GROUPS
+            np.add.at(counts, group, valid)
+            members = [(one, group == one) for one in np.unique(group)]
+            for each, part in zip(sums, self.parts, strict=True):
+                columns = self.layout.columns[part.coordinate]
+                flat = np.column_stack(
+                    [rows.K[:, part.coordinate, columns], rows.y[:, part.coordinate]]
+                )
+                for one, some in members:
+                    each[one] += flat[some][:, part.left].T @ flat[some]
+        return self._with(sums, counts)
+
+    def _with(self, sums: Iterable[FloatArray], counts: FloatArray) -> "GroupMoments":
+        parts = tuple(
+            replace(part, moments=each) for part, each in zip(self.parts, sums, strict=True)
+        )
+        return GroupMoments(self.layout, parts, counts)
 
     def discounted(self, share: float) -> "GroupMoments":
         """Return the moments with every row's weight times ``share``, from 0 to 1."""
-        moments = tuple(share * each for each in self.moments)
-        return GroupMoments(self.layout, moments, share * self.counts)
+        return self._with((share * each.moments for each in self.parts), share * self.counts)
 
     def merge(self, other: "GroupMoments") -> "GroupMoments":
-        """Return the sum of both, which have the same layout."""
-        both = zip(self.moments, other.moments, strict=True)
-        return GroupMoments(
-            self.layout, tuple(one + two for one, two in both), self.counts + other.counts
-        )
+        """Return the sum of both, which have the same layout, where both have moments."""
+        others = {each.coordinate: each for each in other.parts}
+        parts = []
+        for one in self.parts:
+            two = others.get(one.coordinate)
+            if two is None:
+                continue
+            left, here, there = np.intersect1d(one.left, two.left, return_indices=True)
+            moments = one.moments[:, here] + two.moments[:, there]
+            parts.append(CoordinateMoments(one.coordinate, left, moments))
+        return GroupMoments(self.layout, tuple(parts), self.counts + other.counts)
 
-    def correlation(self, phi: FloatArray, information: Information) -> FloatArray:
-        """Return by how much residuals at φ (p,) vary more from group to group than white noise.
+    def restricted(self, layout: RowLayout) -> "GroupMoments":
+        """Return the moments for a layout with some of the parameters, the others being zero."""
+        parts = []
+        for part in self.parts:
+            kept = np.isin(self.layout.columns[part.coordinate], _places(self.layout, layout))
+            used = np.append(kept, True)
+            place = np.cumsum(used) - 1
+            some = used[part.left]
+            moments = part.moments[:, some][:, :, used]
+            parts.append(CoordinateMoments(part.coordinate, place[part.left[some]], moments))
+        return GroupMoments(layout, tuple(parts), self.counts)
+
+    def correlation(self, phi: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return by how much residuals at φ vary more from group to group than independent ones.
 
         Parameters
         ----------
         phi : (p,) float64
             Parameters that fit all groups together.
-        information : Information
-            Of the same rows.
+        variance : (n,) float64
+            Mean square of the residuals of each coordinate.
 
         Returns
         -------
         (n,) float64
-            At least 1. Mean over the columns k of a coordinate's rows of the variance of Σ k e in
+            At least 1. Mean over columns k of a coordinate's rows of the variance of Σ k e in
             a group, over that of independent residuals e; a coordinate without moments gets the
             mean of the others.
         """
-        layout = self.layout
-        ratios = np.ones(len(layout.coordinates))
-        total = information.residual_moment(phi).diagonal()
-        for moment, coordinate in zip(self.moments, layout.own_coordinates, strict=True):
-            count = self.counts[:, coordinate].sum()
-            used = np.flatnonzero(self.counts[:, coordinate] > 0)
-            if len(used) < 2 or count == 0:
-                continue
-            value = np.append(-phi[layout.columns[coordinate]], 1.0)
-            scores = (moment[used] @ value)[:, :-1]
-            scores = scores - scores.mean(axis=0)
-            squares = np.einsum("gcc->c", moment)[:-1]
-            moves = squares > 1e-12 * squares.max(initial=0.0)
-            expected = total[coordinate] / count * squares[moves]
-            found = np.sum(scores[:, moves] ** 2, axis=0) * len(used) / (len(used) - 1)
-            if moves.any() and total[coordinate] > 0:
-                ratios[coordinate] = float(np.mean(found / expected))
-        return np.maximum(ratios, 1.0)
+        ratios = np.full(len(self.layout.coordinates), np.nan)
+        for part in self.parts:
+            i = part.coordinate
+            ratios[i] = part.ratio(
+                phi[self.layout.columns[i]], self.counts[:, i], float(variance[i])
+            )
+        known = np.isfinite(ratios)
+        ratios = np.maximum(ratios, 1.0)
+        return np.where(known, ratios, ratios[known].mean() if known.any() else 1.0)
 
 
-def _rows_of(rows: Rows, coordinate: int, layout: RowLayout) -> FloatArray:
-    """Return [K_i y_i] (N, c + 1) of one coordinate."""
-    return np.column_stack(
-        [rows.K[:, coordinate, layout.columns[coordinate]], rows.y[:, coordinate]]
-    )
+def _places(layout: RowLayout, some: RowLayout) -> IntArray:
+    """Return the indices of a layout's parameters that another layout has too."""
+    return np.array([layout.parameters.index(name) for name in some.parameters], dtype=np.intp)

@@ -50,7 +50,8 @@ class Observations:
     seconds : frozenset of int
         Fingerprints of the seconds that the rows cover; empty for rows of unknown origin.
     groups : GroupMoments or None
-        Moments of each joint's own rows, by groups of seconds, if joint terms are candidates.
+        Moments of each coordinate's rows, by groups of seconds; None in archives of earlier
+        versions.
     slipping : Observations or None
         Of candidate terms: the same windows without the rows of joints that may stick.
     """
@@ -70,11 +71,9 @@ class Observations:
         """Return the observations of no data; ``candidates`` tells whether the terms are such."""
         n = len(layout.coordinates)
         nothing = Information.empty(layout)
-        one = cls(nothing, nothing, np.zeros((n, n)), window)
-        if candidates:
-            one = replace(one, groups=GroupMoments.empty(layout))
-            one = replace(one, slipping=one)
-        return one
+        groups = GroupMoments.empty(layout, candidates=candidates)
+        one = cls(nothing, nothing, np.zeros((n, n)), window, groups=groups)
+        return replace(one, slipping=one) if candidates else one
 
     @property
     def layout(self) -> RowLayout:
@@ -91,16 +90,19 @@ class Observations:
         """
         n = len(layout.coordinates)
         counts = np.zeros((n, n))
+        groups = GroupMoments.empty(layout)
 
         def used() -> Iterator[Rows]:
-            nonlocal counts
+            nonlocal counts, groups
             for block in blocks:
                 valid = block.valid.astype(np.float64)
                 counts = counts + valid.T @ valid
-                yield Rows(block.rows.K * valid[..., None], block.rows.y * valid)
+                rows = Rows(block.rows.K * valid[..., None], block.rows.y * valid)
+                groups = groups.fold_samples([replace(block, rows=rows)])
+                yield rows
 
         rows = Information.empty(layout).fold(used())
-        return cls(rows, Information.empty(layout), counts, 0.0, inflation)
+        return cls(rows, Information.empty(layout), counts, 0.0, inflation, groups=groups)
 
     def fold(self, blocks: Iterable[WindowedRows]) -> "Observations":
         """Return the observations with more rows."""
@@ -167,14 +169,22 @@ class Observations:
     def restricted(self, parameters: tuple[str, ...]) -> "Observations":
         """Return the observations of some parameters if the others are zero."""
         if parameters == self.layout.parameters:
-            return replace(self, groups=None, slipping=None)
+            return replace(self, slipping=None)
+        rows = self.rows.restricted(parameters)
         return replace(
             self,
-            rows=self.rows.restricted(parameters),
+            rows=rows,
             noise=self.noise.restricted(parameters),
-            groups=None,
+            groups=self.groups and self.groups.restricted(rows.layout),
             slipping=None,
         )
+
+    def correlation(self, phi: FloatArray) -> FloatArray:
+        """Return by how much residuals at φ (p,) vary more than independent ones, (n,) from 1."""
+        if self.groups is None:
+            return np.ones(len(self.counts))
+        variance = self.rows.residual_moment(phi).diagonal()
+        return self.groups.correlation(phi, variance / np.maximum(self.counts.diagonal(), 1))
 
     def residual_covariance(self, phi: FloatArray) -> FloatArray:
         """Return the covariance Σ (n, n) of a row's residual at φ (p,), corrected for overlap.

@@ -59,7 +59,8 @@ class Posterior:
     mean : (p,) float64
         Most probable parameters, in SI units.
     factor : (p, p) float64
-        R with (RᵀR)⁻¹ the covariance: the minimised square is ‖R (φ - mean)‖².
+        R: the minimised square is ‖R (φ - mean)‖². The covariance is (RᵀR)⁻¹ if residuals are
+        independent in time.
     prior : Prior
         Distribution before the data.
     covariance : (n, n) float64
@@ -69,6 +70,9 @@ class Posterior:
         has chosen them.
     noise_share : float
         Largest share of a direction's apparent information that is noise in the regressor.
+    excess_score : (p, k) float64 or None
+        N: correlation of the residuals in time adds the covariance N Nᵀ to the score, see
+        :mod:`symbid_ros.estimation.sandwich`. None without such correlation.
     """
 
     mean: FloatArray
@@ -77,6 +81,7 @@ class Posterior:
     covariance: FloatArray
     prior_scale: float
     noise_share: float
+    excess_score: FloatArray | None = None
 
     @cached_property
     def deviation_factor(self) -> FloatArray:
@@ -85,7 +90,11 @@ class Posterior:
         scaled = self.factor * scale
         inverse = np.linalg.solve(scaled, np.eye(len(scale)))
         factor: FloatArray = scale[:, None] * inverse
-        return factor
+        if self.excess_score is None:
+            return factor
+        wide = np.concatenate([factor, factor @ (factor.T @ self.excess_score)], axis=1)
+        triangle = np.asarray(np.linalg.qr(wide.T, mode="r"), dtype=np.float64)
+        return triangle.T
 
     @cached_property
     def std(self) -> FloatArray:

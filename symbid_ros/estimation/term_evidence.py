@@ -7,7 +7,7 @@ its own.
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.estimation.group_moments import GroupMoments
+from symbid_ros.estimation.group_moments import CoordinateMoments, GroupMoments
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.coupling import Coupling
@@ -118,14 +118,14 @@ def cross_validated(
     assert groups is not None
     first = 6 * parameters.model.floating
     columns_of = list(parameters.term_columns.values())
-    places = {coordinate: i for i, coordinate in enumerate(groups.layout.own_coordinates)}
-    for coordinate, place in places.items():
+    parts = {part.coordinate: part for part in groups.complete}
+    for coordinate, part in parts.items():
         own = {columns.start + coordinate - first for columns in columns_of}
         while True:
             terms = [i for i in sorted(own) if free[i] and i not in kept]
             if not terms:
                 break
-            loss = _LeftOut(found, free, groups, place)
+            loss = _LeftOut(found, free, groups, part)
             gains = [loss.without(i) - loss.without(None) for i in terms]
             worst = int(np.argmin(gains))
             if gains[worst] > 0:
@@ -133,9 +133,9 @@ def cross_validated(
             free[terms[worst]] = False
     for coupling, coupled in parameters.coupling_columns.items():
         # The drive's terms act on several joints, whose rows judge them together.
-        of_joints = [places[first + joint] for joint in coupling.joints if first + joint in places]
+        of_joints = [parts[first + joint] for joint in coupling.joints if first + joint in parts]
         while terms := [i for i in coupled.values() if free[i]]:
-            losses = [_LeftOut(found, free, groups, place) for place in of_joints]
+            losses = [_LeftOut(found, free, groups, part) for part in of_joints]
             before = sum(loss.without(None) for loss in losses)
             gains = [sum(loss.without(i) for loss in losses) - before for i in terms]
             worst = int(np.argmin(gains))
@@ -162,15 +162,15 @@ def predictive_couplings(
     """
     groups = chosen.groups
     assert groups is not None
-    places = {coordinate: i for i, coordinate in enumerate(groups.layout.own_coordinates)}
+    parts = {part.coordinate: part for part in groups.complete}
     first = 6 * parameters.model.floating
     free = np.ones(len(parameters), bool)
     free[parameters.first_coupled :] = False
     taken: list[Coupling] = []
 
     def error(coupling: Coupling, free: BoolArray) -> float:
-        joints = [places[first + joint] for joint in coupling.joints if first + joint in places]
-        return sum((_LeftOut(found, free, groups, place).without(None) for place in joints), 0.0)
+        joints = [parts[first + joint] for joint in coupling.joints if first + joint in parts]
+        return sum((_LeftOut(found, free, groups, part).without(None) for part in joints), 0.0)
 
     while True:
         best, most, best_free = None, LEAST_COUPLED, free
@@ -191,14 +191,15 @@ def predictive_couplings(
 class _LeftOut:
     """Square error of a joint's rows, each group predicted from all other rows."""
 
-    def __init__(self, found: Posterior, free: BoolArray, groups: GroupMoments, place: int) -> None:
+    def __init__(
+        self, found: Posterior, free: BoolArray, groups: GroupMoments, part: CoordinateMoments
+    ) -> None:
         self._found = found
         self._everything = found.deviation_factor @ found.deviation_factor.T
         self._unknowns = np.ones(len(found.mean), bool)
         self._unknowns[: len(free)] = free
-        coordinate = groups.layout.own_coordinates[place]
-        self._moment, self._columns = groups.moments[place], groups.layout.columns[coordinate]
-        self._weight = 1 / found.covariance[coordinate, coordinate]
+        self._moment, self._columns = part.moments, groups.layout.columns[part.coordinate]
+        self._weight = 1 / found.covariance[part.coordinate, part.coordinate]
 
     def without(self, term: int | None) -> float:
         """Return the sum of squares, in variances, if one of the free terms is fixed too."""

@@ -276,8 +276,7 @@ def candidate_posterior(
             approximate=True,
         )
         start = found.mean
-        if chosen.groups is not None:
-            correlation = chosen.groups.correlation(found.mean, chosen.rows)
+        correlation = chosen.correlation(found.mean)
     return found, chosen
 
 

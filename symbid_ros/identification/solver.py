@@ -14,6 +14,7 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.physical_consistency import consistent_minimum
 from symbid_ros.estimation.posterior import CONVERGED, Posterior
+from symbid_ros.estimation.sandwich import with_correlated_residuals
 from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, select_rank
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
@@ -79,7 +80,7 @@ class Solver:
     chosen : Observations
         With the most informative window length.
     posterior : Posterior
-        From these.
+        From these; its covariance allows for residuals that are correlated in time.
     """
 
     problem: Problem
@@ -90,16 +91,16 @@ class Solver:
     def of(cls, problem: Problem) -> "Solver":
         """Choose the most informative window length and compute its posterior."""
         best, near = WindowComparison(problem).finish()
-        return cls(problem, best, solve_window(problem, best, near, CONVERGED))
+        found = solve_window(problem, best, near, CONVERGED)
+        return cls(problem, best, with_correlated_residuals(found, best))
 
     @classmethod
     def approximate(
         cls, problem: Problem, chosen: Observations, start: FloatArray | None
     ) -> "Solver":
         """Solve one window length to a hundredth of a standard deviation, from a near start."""
-        return cls(
-            problem, chosen, solve_window(problem, chosen, start, COMPARABLE, approximate=True)
-        )
+        found = solve_window(problem, chosen, start, COMPARABLE, approximate=True)
+        return cls(problem, chosen, with_correlated_residuals(found, chosen))
 
     @property
     def whiteness(self) -> float:

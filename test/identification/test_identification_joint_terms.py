@@ -165,17 +165,19 @@ def test_group_moments_are_those_of_each_joints_rows():
     valid = valid_coordinates(parameters, samples.velocity)
     slips = valid & slipping_joints(parameters, samples.velocity)
     block = WindowedRows(rows, rows, valid, stamp, slips)
-    groups = GroupMoments.empty(layout).fold([block])
-    for moment, coordinate in zip(groups.moments, layout.own_coordinates, strict=True):
+    groups = GroupMoments.empty(layout, candidates=True).fold([block])
+    assert groups.complete == groups.parts
+    for part, coordinate in zip(groups.parts, layout.own_coordinates, strict=True):
+        assert part.coordinate == coordinate
         columns = layout.columns[coordinate]
         flat = np.column_stack([rows.K[:, coordinate, columns], rows.y[:, coordinate]])
         for group in range(GROUPS):
             some = flat[(stamp // 1_000_000_000) % GROUPS == group]
-            np.testing.assert_allclose(moment[group], some.T @ some, rtol=1e-12, atol=1e-12)
+            np.testing.assert_allclose(part.moments[group], some.T @ some, rtol=1e-12, atol=1e-12)
     np.testing.assert_array_equal(groups.counts.sum(axis=0), valid.sum(axis=0))
     twice = groups.merge(groups).discounted(0.5)
-    for one, other in zip(twice.moments, groups.moments, strict=True):
-        np.testing.assert_allclose(one, other)
+    for one, other in zip(twice.parts, groups.parts, strict=True):
+        np.testing.assert_allclose(one.moments, other.moments)
 
 
 @pytest.mark.parametrize(("coefficient", "low", "high"), [(0.0, 1.0, 1.6), (0.95, 3.0, 60.0)])
@@ -196,10 +198,9 @@ def test_correlated_residuals_count_as_fewer_rows(coefficient, low, high):
     stamp = np.arange(count) * 40_000_000
     block = WindowedRows(rows, rows, np.ones(residual.shape, bool), stamp)
     groups = GroupMoments.empty(layout).fold([block])
-    information = Information.empty(layout).fold([rows])
     phi = np.zeros(len(parameters))
     phi[parameters.inertial :] = residual.mean(axis=0)
-    found = groups.correlation(phi, information)
+    found = groups.correlation(phi, np.mean((residual - residual.mean(axis=0)) ** 2, axis=0))
     if coefficient:
         assert low < found.max() < high
     else:
@@ -224,6 +225,23 @@ def test_information_about_some_parameters_is_that_of_their_rows():
     np.testing.assert_allclose(
         restricted.factor.T @ restricted.factor, direct.factor.T @ direct.factor, atol=1e-9
     )
+
+
+def test_group_moments_of_some_parameters_are_those_of_their_rows():
+    parameters = ParameterSet(arm(), TERMS, candidates=True)
+    some = ParameterSet(arm(), ("viscous", "offset"))
+    samples = random_motions(parameters.model, 60)
+    stamp = np.arange(60) * 200_000_000
+    y = np.random.default_rng(2).normal(size=(60, parameters.model.dof))
+    found = []
+    for each in (parameters, some):
+        rows = replace(equation_of_motion(each, samples), y=y)
+        block = WindowedRows(rows, rows, np.ones(y.shape, bool), stamp)
+        found.append(GroupMoments.empty(RowLayout.of(each), candidates=True).fold([block]))
+    restricted = found[0].restricted(found[1].layout)
+    for one, other in zip(restricted.parts, found[1].parts, strict=True):
+        np.testing.assert_array_equal(one.left, other.left)
+        np.testing.assert_allclose(one.moments, other.moments, atol=1e-9)
 
 
 @pytest.mark.parametrize(
