@@ -83,7 +83,8 @@ def write_archive(
     if calibration is not None:
         content["sensor_factor"] = calibration.factor
         content["linearization"] = calibration.linearization
-    write_through(path, lambda stream: np.savez_compressed(stream, **content))
+    # Random digits: compression would save a fifth and take longer than all the rest.
+    write_through(path, lambda stream: np.savez(stream, **content))
 
 
 def _arrays(one: Observations, key: str) -> dict[str, NDArray[Any]]:

@@ -68,8 +68,17 @@ class RowLayout:
 
     def restricted(self, parameters: tuple[str, ...]) -> "RowLayout":
         """Return the layout with some of the parameters, in the same order."""
-        kept = [self.parameters.index(name) for name in parameters]
-        return RowLayout(self.coordinates, parameters, self.structure[:, kept])
+        if parameters not in self._restrictions:
+            kept = [self.parameters.index(name) for name in parameters]
+            self._restrictions[parameters] = RowLayout(
+                self.coordinates, parameters, self.structure[:, kept]
+            )
+        return self._restrictions[parameters]
+
+    @cached_property
+    def _restrictions(self) -> dict[tuple[str, ...], "RowLayout"]:
+        """Layouts with some of the parameters; one object for each, for what it caches."""
+        return {}
 
     @cached_property
     def own_coordinates(self) -> tuple[int, ...]:
@@ -97,18 +106,31 @@ class RowLayout:
         )
 
     @cached_property
-    def coordinate_pairs(self) -> IntArray:
-        """(w w,) index into a flat (n, n) matrix of the coordinates of each pair of entries."""
-        n = len(self.columns)
+    def _moment_pattern(self) -> csr_array:
+        """Places in a flat moment (w w,) of the entries of :meth:`moments_by_pair`."""
+        n, p = len(self.columns), len(self.parameters)
         coordinate = np.repeat(np.arange(n), [len(each) + 1 for each in self.columns])
-        return np.asarray((coordinate[:, None] * n + coordinate).ravel())
-
-    @cached_property
-    def moment_places(self) -> IntArray:
-        """(w w,) index into a flat moment of [K y], (p+1, p+1), of each pair of entries."""
-        p = len(self.parameters)
         column = np.concatenate([np.append(each, p) for each in self.columns])
-        return np.asarray((column[:, None] * (p + 1) + column).ravel())
+        rows = (column[:, None] * (p + 1) + column).ravel()
+        pairs = (coordinate[:, None] * n + coordinate).ravel()
+        return csr_array((np.arange(self.width**2), (rows, pairs)), shape=((p + 1) ** 2, n**2))
+
+    def moments_by_pair(self, gram: FloatArray) -> csr_array:
+        """Return the moments of [K y] by pairs of coordinates, from those of the flat rows.
+
+        Parameters
+        ----------
+        gram : (w, w) float64
+            Σ rowᵀ row of flat rows.
+
+        Returns
+        -------
+        ((p + 1) (p + 1), n n) csr_array
+            Multiplied by a flat precision across coordinates (n, n): the moment Σ [K y]ᵀ P [K y].
+        """
+        pattern = self._moment_pattern  # sorted once for each layout
+        data = gram.ravel()[pattern.data]
+        return csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
     def flatten(self, rows: Rows) -> FloatArray:
         """Return the flat rows (N, w) of N samples."""
@@ -306,13 +328,9 @@ class Information:
     @cached_property
     def _products(self) -> csr_array:
         """((p+1)(p+1), n n) the moments of [K y], by pairs of coordinates."""
-        layout = self.layout
         # The products are symmetric, so half of each is enough.
         half = blas.dsyrk(1.0, self.factor, trans=True)
-        gram = half + np.triu(half, 1).T
-        shape = (len(layout.parameters) + 1) ** 2, len(layout.coordinates) ** 2
-        places = layout.moment_places, layout.coordinate_pairs
-        return csr_array((gram.ravel(), places), shape=shape)
+        return self.layout.moments_by_pair(half + np.triu(half, 1).T)
 
     @cached_property
     def target_squares(self) -> FloatArray:
