@@ -52,6 +52,7 @@ class Kind(Enum):
     WRENCH_FRAME = "wrench_frame"
     WRENCH_GAIN = "wrench_gain"
     IMU_MOUNTING = "imu_mounting"
+    ENCODER_OFFSET = "encoder_offset"
     DELAY = "delay"
     TORQUE_SIGN = "torque_sign"
     TORQUE_GAIN = "torque_gain"

@@ -9,6 +9,9 @@ joint positions, x(t) = gain x'(t + d) for a reading x', and the equation of mot
 is linear in φ, A - 1, M - 1, g - 1 and the delays together, except for the product of the errors
 of φ and M. A wrong sign, frame or unit is therefore as exact as a small error. Errors of inertias
 and joint friction are part of φ.
+
+Offsets of the joints' encoders enter with the derivative of the equation at the model's φ. It
+changes as slowly as the robot moves and is computed for few instants.
 """
 
 from collections.abc import Callable, Iterator
@@ -30,11 +33,14 @@ from symbid_ros.signals.weak_form import RowBuilder, SampledRows, valid_rows
 
 CHUNK = 512
 PER_SENSOR = 10  # unknowns of a wrench sensor or an IMU: its matrix row by row, then its delay
+# Period at which the columns of encoder offsets are computed, ns, and step of the difference, rad.
+OFFSET_PERIOD = 200_000_000
+OFFSET_STEP = 1e-4
 
 
 @dataclass(frozen=True)
 class GainLayout:
-    """Order of the unknowns of wrenches, IMUs, efforts of driven joints, and their delays.
+    """Order of the unknowns: wrenches, IMUs, efforts of driven joints, their delays, encoders.
 
     Attributes
     ----------
@@ -44,12 +50,15 @@ class GainLayout:
         Indices of the D driven joints in the model.
     joint_names : tuple of str
         Names of the driven joints.
+    measured : tuple of int
+        Indices of the E revolute joints with an encoder of their own.
     """
 
     wrench_frames: tuple[str, ...]
     imu_frames: tuple[str, ...]
     driven: tuple[int, ...]
     joint_names: tuple[str, ...]
+    measured: tuple[int, ...] = ()
 
     @classmethod
     def of(
@@ -58,10 +67,15 @@ class GainLayout:
         """Return the layout for a log's sensors; a fixed base needs no IMU."""
         driven = tuple(place for place, joint in enumerate(model.joints) if joint.effort > 0)
         names = tuple(model.joint_names[place] for place in driven)
-        return cls(wrench_frames, imu_frames if model.floating else (), driven, names)
+        measured = tuple(
+            place
+            for place, joint in enumerate(model.joints)
+            if joint.kind == "revolute" and place not in model.followers
+        )
+        return cls(wrench_frames, imu_frames if model.floating else (), driven, names, measured)
 
     def __len__(self) -> int:
-        return self.effort_delay + 1
+        return int(self.encoders.stop)
 
     def wrench(self, index: int) -> slice:
         """Return the indices of a wrench sensor's A."""
@@ -81,6 +95,17 @@ class GainLayout:
     def effort_delay(self) -> int:
         """The index of the delay of all efforts."""
         return int(self.efforts.stop)
+
+    @property
+    def encoders(self) -> slice:
+        """The indices of the encoders' offsets, rad."""
+        return slice(self.effort_delay + 1, self.effort_delay + 1 + len(self.measured))
+
+    @cached_property
+    def is_encoder(self) -> BoolArray:
+        """(r,) which unknowns are offsets of encoders."""
+        is_encoder: BoolArray = np.arange(len(self)) > self.effort_delay
+        return is_encoder
 
     @cached_property
     def is_delay(self) -> BoolArray:
@@ -108,6 +133,14 @@ class GainLayout:
         affects[:, PER_SENSOR * len(self.wrench_frames) : self.efforts.start] = True
         rows, columns_ = self._efforts(model)
         affects[rows, columns_] = affects[rows, self.effort_delay] = True
+        # A joint's position matters to the joints that carry it and to those that it carries.
+        carries = model.ancestors[:, 1:]
+        related = carries | carries.T | bool(model.followers)
+        # Joints between the base and an IMU matter to the base's motion.
+        for frame in self.imu_frames:
+            related |= model.ancestors[:, model.frame(frame).link]
+        affects[:first, self.encoders] = True
+        affects[first:, self.encoders] = related[:, list(self.measured)]
         return affects
 
     def _efforts(self, model: RobotModel) -> tuple[IntArray, IntArray]:
@@ -151,7 +184,35 @@ class GainLayout:
         effort = np.nan_to_num(readings.effort[:, list(self.driven)])
         C[:, rows_, columns_] = effort
         C[:, rows_, self.effort_delay] = slope(effort)
+        C[:, :, self.encoders] = self._encoder_columns(parameters, readings)
         return C
+
+    def _encoder_columns(self, parameters: ParameterSet, readings: SensorSamples) -> FloatArray:
+        """Return the derivative (N, n, E) of y - K φ by the encoders' offsets."""
+        model = parameters.model
+        shape = (len(readings), model.dof, len(self.measured))
+        if not self.measured:
+            return np.zeros(shape)
+        period = readings.stamp // OFFSET_PERIOD
+        starts = np.flatnonzero(np.diff(period, prepend=period[0] - 1))
+        means = readings.averaged(starts)
+        count, repeats = len(means), len(self.measured) + 1
+        shifted = means[np.tile(np.arange(count), repeats)]
+        position = shifted.position.reshape(repeats, count, -1).copy()
+        for index, joint in enumerate(self.measured):
+            position[index + 1, :, joint] -= OFFSET_STEP
+        shifted = replace(shifted, position=position.reshape(repeats * count, -1))
+        rows = equation_of_motion(parameters, at_base(shifted, model))
+        residual = np.nan_to_num(rows.y) - rows.K @ parameters.values
+        residual = residual.reshape(repeats, count, model.dof)
+        at_means = (residual[1:] - residual[0]).transpose(1, 2, 0) / OFFSET_STEP
+        if count == 1:
+            return np.broadcast_to(at_means, shape)
+        place = np.interp(readings.stamp, means.stamp, np.arange(count))
+        before = np.minimum(place.astype(int), count - 2)
+        share = (place - before)[:, None, None]
+        columns: FloatArray = at_means[before] * (1 - share) + at_means[before + 1] * share
+        return columns
 
 
 def specific_force_jacobian(parameters: ParameterSet, poses: LinkPoses) -> FloatArray:

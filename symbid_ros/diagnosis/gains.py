@@ -1,11 +1,11 @@
 """Estimates the sensors' gains and delays under a model with uncertain inertias."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import JOINT_TERMS
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
 from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
@@ -28,6 +28,10 @@ NEARLY_PINNED = 1e-2
 LEAST = 1e-4
 # Friction of a joint whose effort is checked, in multiples of its load.
 WIDE = 3.0
+# Ratios of readings to efforts that errors of the inertias may cause.
+PLAUSIBLE = 0.6, 1.6
+# Number of variances at which the evidence is compared.
+VARIANCES = 60
 # Friction that is not modelled varies as slowly as the motion: so many rows count as one.
 UNMODELLED = 10.0
 
@@ -46,6 +50,9 @@ class GainProblem:
         Layout of the r unknowns θ that follow φ.
     links : int or None
         Number of inertial parameters, which come first in φ; None if φ has no others.
+    body_std : (p,) float64 or None
+        Like ``std``, but values near zero, such as a centre of mass on an axis, may be off by a
+        quarter of the link's size. Checks of single joints use it.
     """
 
     rows: CoordinateRows
@@ -53,12 +60,18 @@ class GainProblem:
     std: FloatArray
     gains: GainLayout
     links: int | None = None
+    body_std: FloatArray | None = None
 
     @classmethod
     def of(
-        cls, rows: CoordinateRows, parameters: ParameterSet, std: FloatArray, gains: GainLayout
+        cls,
+        rows: CoordinateRows,
+        parameters: ParameterSet,
+        std: FloatArray,
+        gains: GainLayout,
+        body_std: FloatArray,
     ) -> "GainProblem":
-        """Return the problem for given deviations of the inertias and small drive loads."""
+        """Return the problem for given deviations of the inertias (p,) and small drive loads."""
         mean, links = parameters.values, len(std)
         std = np.concatenate([std, np.zeros(len(mean) - len(std))])
         first = parameters.model.dof - len(parameters.model.joints)
@@ -68,7 +81,12 @@ class GainProblem:
                 size = np.sqrt(rows.column_squares(first + joint, column))
                 share = JOINT_TERMS[term].load_share
                 std[column] = share * load[joint] / max(size, 1e-9) + PINNED
-        return cls(rows, mean, std, gains, links)
+        return cls(rows, mean, std, gains, links, np.append(body_std, std[links:]))
+
+    @property
+    def for_joints(self) -> "GainProblem":
+        """The problem with the deviations for checks of single joints."""
+        return self if self.body_std is None else replace(self, std=self.body_std)
 
     @property
     def expected(self) -> FloatArray:
@@ -149,11 +167,11 @@ def estimate_gains(problem: GainProblem) -> GainEstimate:
     pinned = np.full(len(gains), PINNED)
     at, _ = problem.solve(pinned, (LOAD_ERROR * scale) ** 2)
     left = rows.residual_squares(at)
-    free = np.where(gains.is_imu, PINNED, _prior_std(gains))
+    free = np.where(gains.is_imu | gains.is_encoder, PINNED, _prior_std(gains))
     for _ in range(ITERATIONS):
         at, deviation = problem.solve(free, left + (FLOOR * scale) ** 2)
         left = rows.residual_squares(at)
-    found = _estimate(problem, at, deviation, left)
+    found = estimate_of(problem, at, deviation, left)
     for index in range(len(gains.driven)):
         ratio, std = effort_scale(problem, found, index)
         place = gains.efforts.start + index
@@ -169,13 +187,14 @@ def estimate_delays(problem: GainProblem) -> GainEstimate:
     The gains cannot shrink, so the residuals weight the rows without a floor.
     """
     rows, gains = problem.rows, problem.gains
-    std = np.where(gains.is_delay, DELAY_STD, np.where(gains.is_imu, PINNED, NEARLY_PINNED))
+    pinned = gains.is_imu | gains.is_encoder
+    std = np.where(gains.is_delay, DELAY_STD, np.where(pinned, PINNED, NEARLY_PINNED))
     scale = loads(rows, problem.expected)
     left = (LOAD_ERROR * scale) ** 2
     for _ in range(ITERATIONS):
         at, deviation = problem.solve(std, left + (LEAST * scale) ** 2)
         left = rows.residual_squares(at)
-    return _estimate(problem, at, deviation, left)
+    return estimate_of(problem, at, deviation, left)
 
 
 def fit_imu_rotation(problem: GainProblem, gains: GainEstimate, index: int) -> RotationFit:
@@ -187,13 +206,13 @@ def fit_imu_rotation(problem: GainProblem, gains: GainEstimate, index: int) -> R
     scale = loads(problem.rows, problem.expected)
     place = problem.gains.imu(index)
     free = _prior_std(problem.gains)
-    pinned = problem.gains.is_imu.copy()
+    pinned = problem.gains.is_imu | problem.gains.is_encoder
     pinned[place] = False
     std = np.where(pinned, PINNED, free)
     left = gains.left
     for _ in range(ITERATIONS):
         at, deviation = problem.solve(std, left + (FLOOR * scale) ** 2)
-        own = _estimate(problem, at, deviation, left)
+        own = estimate_of(problem, at, deviation, left)
         turn = fit_rotation(*own.matrix(place), is_scaled=False)
         held = at.copy()
         held[len(problem.mean) :][place] = (turn.sign * turn.rotation - np.eye(3)).ravel()
@@ -235,7 +254,7 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
     load = factor[:, :-1] @ unknowns - factor[:, -1]
     if np.sqrt(float(load @ load) / rows.samples) <= LEAST * size or size == 0.0:
         return 1.0, GAIN_STD
-    inertias = factor[:, :links] * problem.std[:links]
+    inertias = factor[:, :links] * problem.for_joints.std[:links]
     drives = factor[:, links:p]
     norm = np.sqrt(np.sum(drives**2, axis=0) / rows.samples)
     drives = drives[:, norm > 0] * (WIDE * size / norm[norm > 0])
@@ -248,7 +267,48 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
         at = np.linalg.solve(information, weight * columns.T @ read)
         ratio = float(at[0])
         left = float(np.sum((read - columns @ at) ** 2)) / rows.samples
-    return _away_from_zero(ratio), float(np.sqrt(np.linalg.inv(information)[0, 0]))
+    std = float(np.sqrt(np.linalg.inv(information)[0, 0]))
+    if layout.wrench_frames or PLAUSIBLE[0] < ratio < PLAUSIBLE[1]:
+        return _away_from_zero(ratio), std
+    # Without measured forces an uncertain load attenuates the ratio. The evidence tells whether
+    # efforts of the right scale explain the readings as well.
+    found, right = (
+        log_evidence(
+            read - one * load,
+            np.column_stack([abs(one) * inertias, drives]),
+            UNMODELLED * (FLOOR * size) ** 2,
+            rows.samples / UNMODELLED,
+        )
+        for one in (ratio, 1.0)
+    )
+    deviations = float(np.sqrt(max(2 * (found - right), 0.0)))
+    return _away_from_zero(ratio), max(std, abs(ratio - 1) / max(deviations, 1.0))
+
+
+def log_evidence(
+    target: FloatArray, columns: FloatArray, least: float, independent: float
+) -> float:
+    """Return the log probability of a target whose noise variance is not known, up to a constant.
+
+    Parameters
+    ----------
+    target : (w,) float64
+        Factor of the target.
+    columns : (w, q) float64
+        Factor of the columns of q unknowns with zero mean and a deviation of one.
+    least : float
+        Smallest variance of the noise.
+    independent : float
+        Number of independent rows.
+    """
+    values, V = np.linalg.eigh(columns.T @ columns)
+    fit = (V.T @ (columns.T @ target)) ** 2
+    square = float(target @ target)
+    weight = np.geomspace(1 / max(square, least), 1 / least, VARIANCES)[:, None]
+    ratio = weight * np.maximum(values, 0.0)
+    left = weight[:, 0] * square - np.sum(weight**2 * fit / (1 + ratio), axis=1)
+    cost = left + np.sum(np.log1p(ratio), axis=1) - independent * np.log(weight[:, 0])
+    return float(-0.5 * cost.min())
 
 
 def _away_from_zero(ratio: float) -> float:
@@ -273,9 +333,10 @@ def _prior_std(gains: GainLayout) -> FloatArray:
     return np.where(gains.is_delay, DELAY_STD, GAIN_STD)
 
 
-def _estimate(
+def estimate_of(
     problem: GainProblem, at: FloatArray, deviation: FloatArray, left: FloatArray
 ) -> GainEstimate:
+    """Return an estimate from the unknowns (p + r,), L of their covariance, and the residuals."""
     p = len(problem.mean)
     before = problem.rows.residual_squares(problem.expected)
     forces = [name.startswith("base/force") for name in problem.rows.coordinates]
@@ -289,7 +350,7 @@ def _estimate(
     )
 
 
-# A delay must explain this many squared deviations, and this share of the total.
+# A delay or offset must explain this many squared deviations, and this share of the total.
 EVIDENCE = 25.0
 SHARE = 0.1
 
@@ -298,12 +359,26 @@ def find_late_streams(delays: GainEstimate) -> dict[int, tuple[float, float]]:
     """Return the indices of non-zero delays, each with its delay and standard deviation, s.
 
     Relative delays are known better than absolute ones, so one late stream may look like all
-    others early. Delays are selected greedily, the one that explains most first, until little of
-    the estimate is left.
+    others early.
     """
-    free = np.flatnonzero(delays.sensors.is_delay)
-    mean = delays.mean[free]
-    precision = np.linalg.inv(delays.covariance[np.ix_(free, free)]).astype(np.float64)
+    return select_nonzero(delays, delays.sensors.is_delay)
+
+
+def select_nonzero(estimate: GainEstimate, among: BoolArray) -> dict[int, tuple[float, float]]:
+    """Return the unknowns that differ from zero, each with its value and standard deviation.
+
+    They are selected greedily, the one that explains most first, until little of the estimate is
+    left.
+
+    Parameters
+    ----------
+    estimate : GainEstimate
+    among : (r,) bool
+        The unknowns to select from, which have the same unit.
+    """
+    free = np.flatnonzero(among)
+    mean = estimate.mean[free]
+    precision = np.linalg.inv(estimate.covariance[np.ix_(free, free)]).astype(np.float64)
     moment = precision @ mean
     total = left = float(mean @ moment)
     chosen: list[int] = []

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.diagnosis.encoder_offsets import estimate_offsets, offset_findings
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.forces import (
     MAX_ROTATION_COST,
@@ -149,7 +150,11 @@ def check_model(
     if verdict.blamed:
         checks.left_out.append(f"delay, excitation: they would only repeat {verdict.blamed}")
         return checks
-    _check_delays(checks, statistics, joints, imus, wrenches)
+    _check_encoders(checks, problem, gains, statistics.model.joint_names, joints)
+    if any(one.kind is Kind.ENCODER_OFFSET for one in checks.findings):
+        checks.left_out.append(f"delay: it would only repeat {Kind.ENCODER_OFFSET.value}")
+    else:
+        _check_delays(checks, statistics, joints, imus, wrenches)
     _check_excitation(checks, statistics, gains)
     return checks
 
@@ -193,6 +198,25 @@ def _check_imu_rotations(
             checks.findings.append(reversed_imu_finding([topic]))
         elif fit.sign > 0 and fit.angle > LARGEST_ANGLE:
             checks.findings.append(rotated_imu_finding(topic, fit, evidence))
+
+
+def _check_encoders(
+    checks: ModelChecks,
+    problem: GainProblem,
+    gains: GainEstimate,
+    names: tuple[str, ...],
+    joints: str,
+) -> None:
+    """Check the zeros of the joints' encoders."""
+    estimate = estimate_offsets(problem, gains.left)
+    layout = estimate.sensors
+    for index, joint in enumerate(layout.measured):
+        offset, std = estimate.delay(layout.encoders.start + index)
+        checks.figures |= {
+            f"{names[joint]}/offset_deg": float(np.degrees(offset)),
+            f"{names[joint]}/offset_std_deg": float(np.degrees(std)),
+        }
+    checks.findings += offset_findings(joints, names, estimate)
 
 
 def _check_delays(

@@ -12,7 +12,8 @@ from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, gain_rows
 from symbid_ros.diagnosis.gains import GainProblem
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
 from symbid_ros.estimation.information import RowLayout
-from symbid_ros.estimation.prior import Prior, model_prior
+from symbid_ros.estimation.prior import DEFAULT_PERCENT, Prior, model_prior
+from symbid_ros.estimation.prior_std import body_std
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import LowPass
@@ -106,7 +107,16 @@ class ModelStatistics:
     @property
     def problem(self) -> GainProblem:
         """The estimation problem of the gains and delays."""
-        return GainProblem.of(self.rows, self.parameters, self.prior.std, self.gains)
+        return GainProblem.of(
+            self.rows, self.parameters, self.prior.std, self.gains, self._body_std
+        )
+
+    @property
+    def _body_std(self) -> FloatArray:
+        """(p,) deviations of inertias of which every moment is uniform within ±25 %."""
+        links = self.parameters.link_phi(self.prior.mean)
+        std = np.concatenate([body_std(phi, DEFAULT_PERCENT) for phi in links])
+        return np.asarray(np.maximum(std, self.prior.std))
 
     @property
     def weight(self) -> float:

@@ -254,7 +254,7 @@ class Information:
         layout = self.layout.restricted(parameters)
         kept = set(layout.parameters)
         columns = [
-            np.append([self.layout.parameters[i] in kept for i in each], True)
+            np.array([*(self.layout.parameters[i] in kept for i in each), True], dtype=bool)
             for each in self.layout.columns
         ]
         return Information(layout, _triangle(self.factor[:, np.concatenate(columns)]), self.samples)

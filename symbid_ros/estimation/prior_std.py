@@ -4,7 +4,11 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import JOINT_TERMS, JointTerm
-from symbid_ros.model.inertia import phi_from_pseudo_inertia, second_moments
+from symbid_ros.model.inertia import (
+    phi_from_pseudo_inertia,
+    pseudo_inertia,
+    second_moments,
+)
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import Joint
 
@@ -50,6 +54,15 @@ def consistent_std(root: FloatArray, half_width: float) -> FloatArray:
     trace = np.einsum("iik->k", spread)
     std: FloatArray = np.sqrt(variance * (trace**2 + 2 * np.sum(spread**2, axis=(0, 1))))
     return std
+
+
+def body_std(phi: FloatArray, percent: float) -> FloatArray:
+    """Return the deviations (10,) of a link φ of which every moment is uniform ± percent.
+
+    Those of :func:`consistent_std`; a link that no body has is projected onto one.
+    """
+    values, axes = np.linalg.eigh(pseudo_inertia(phi))
+    return consistent_std(axes * np.sqrt(np.maximum(values, 0.0)), percent / 100)
 
 
 def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:

@@ -62,6 +62,31 @@ def test_one_drive_in_another_unit(ur5) -> None:
     assert set(finding.figures) == {"reads", f"{ur5.joint_names[1]}/reads"}
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.08])
+@pytest.mark.parametrize(("joint", "degrees"), [(1, 10), (2, -10), (0, 10)])
+def test_an_encoder_with_a_wrong_zero_where_gravity_shows_it(ur5, friction, joint, degrees) -> None:
+    streams = arm_streams(ur5, SECONDS, 1, friction=friction)
+    position = streams.joints.position.copy()
+    position[:, joint] += np.radians(degrees)
+    diagnosis = judged(ur5, replace(streams, joints=replace(streams.joints, position=position)))
+    if joint == 0:  # turns about the vertical: no effort changes
+        assert diagnosis.findings == ()
+        assert diagnosis.figures[f"{ur5.joint_names[0]}/offset_std_deg"] > 10
+        return
+    (finding,) = diagnosis.findings
+    assert (finding.kind, finding.severity) == (Kind.ENCODER_OFFSET, Severity.WARNING)
+    assert ur5.joint_names[joint] in finding.message
+    assert finding.figures["offset_deg"] == pytest.approx(degrees, rel=0.5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_wrist_with_hardly_any_load_of_its_own_has_no_gain(ur5, seed) -> None:
+    """The true centre of mass is on its axis, the model's is not."""
+    resting = ur5.joint_names[0], ur5.joint_names[3]
+    streams = arm_streams(ur5, SECONDS, seed, friction=0.08, resting=resting)
+    assert [one.message for one in judged(ur5, streams, seed).findings] == []
+
+
 def test_an_effort_that_is_always_zero(ur5) -> None:
     streams = with_effort(arm_streams(ur5, SECONDS, 1, friction=0.05), 1, 0.0)
     (finding,) = judged(ur5, streams).findings

@@ -56,7 +56,11 @@ def test_unknowns_have_places_of_their_own(floating):
     covered += range(layout.efforts.start, layout.efforts.stop)
     assert layout.efforts.stop - layout.efforts.start == 3
     covered.append(layout.effort_delay)
+    covered += np.flatnonzero(layout.is_encoder).tolist()
     assert covered == list(range(len(layout)))
+    revolute = [i for i, joint in enumerate(robot(floating).joints) if joint.kind == "revolute"]
+    assert layout.measured == tuple(revolute)
+    assert layout.encoders == slice(layout.effort_delay + 1, len(layout))
     assert layout.is_delay.sum() == 2 + imus + 1
     assert layout.is_delay[layout.effort_delay]
     expected = np.zeros(len(layout), dtype=bool)
@@ -140,7 +144,26 @@ def test_delays_are_the_readings_slopes(case):
         np.testing.assert_allclose(C[:, :, place], slope, atol=1e-6 * np.abs(slope).max())
     one = layout.columns(parameters, readings[:1])
     np.testing.assert_array_equal(one[:, :, layout.is_delay], 0)
-    np.testing.assert_allclose(one[..., ~layout.is_delay], C[:1][..., ~layout.is_delay])
+    others = ~layout.is_delay & ~layout.is_encoder
+    np.testing.assert_allclose(one[..., others], C[:1][..., others])
+
+
+def test_an_encoders_column_is_the_slope_of_the_residual(case):
+    parameters, readings, layout = case
+    instant = readings[20:21]
+    C = layout.columns(parameters, instant)
+    for index, joint in enumerate(layout.measured):
+        sides = []
+        for offset in (1e-6, -1e-6):
+            position = instant.position.copy()
+            position[:, joint] -= offset
+            sides.append(residual(parameters, replace(instant, position=position)))
+        slope = (sides[0] - sides[1]) / 2e-6
+        found = C[:, :, layout.encoders.start + index]
+        np.testing.assert_allclose(found, slope, atol=5e-3 * max(np.abs(slope).max(), 1e-3))
+    # The columns of other instants are interpolated between means over 0.2 s.
+    every = layout.columns(parameters, readings)[:, :, layout.encoders]
+    assert every.shape == (COUNT, parameters.model.dof, len(layout.measured))
 
 
 def test_the_structure_covers_what_sensors_reach(case):
@@ -149,7 +172,7 @@ def test_the_structure_covers_what_sensors_reach(case):
     structure = layout.structure(parameters.model)
     assert not np.any(reached & ~structure)
     # Nothing else is in the rows of efforts and wrenches; an IMU's columns may be zero.
-    others = ~layout.is_imu
+    others = ~layout.is_imu & ~layout.is_encoder
     for index in range(len(layout.imu_frames)):
         others[layout.imu(index).stop] = False
     np.testing.assert_array_equal(reached[:, others], structure[:, others])
