@@ -1,0 +1,390 @@
+"""Default options on robots of example-robot-data, judged against the noise-free truth.
+
+Usage: .venv/bin/python bench/foreign_robots.py [--robots ur5 anymal] [--draws 1] [--seconds 60]
+
+Prints a Markdown table. The model file of each draw is wrong by up to 25 % in every link, and the
+robot moves at random: an arm on a fixed base, a legged robot with all feet on the ground. Encoders,
+efforts, IMU and foot sensors are noisy; efforts by 0.1 % of a joint's largest effort.
+
+- friction: `absent` or `present` (viscous, Coulomb and armature); `stated`: the file states values,
+  wrong by up to 50 %, or placeholders if there is none
+- prior, default, by hand: RMS error of the torque on another motion, relative to the torque's RMS,
+  while a joint moves faster than 0.05 rad/s, where Coulomb friction is defined. By hand: the terms
+  that the robot has are named
+- ratio: of the prior's error to the default's
+- covered: share of determined parameters, joint terms included, inside their 90 % interval
+"""
+
+import argparse
+import logging
+from dataclasses import dataclass, replace
+from importlib.metadata import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
+
+import symbid_ros as sy
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.intervals import HALF_WIDTH
+from symbid_ros.model.parameters import ParameterSet
+
+FloatArray = NDArray[np.float64]
+
+ARMS = {
+    "ur5": "ur5_robot.urdf",
+    "ur10": "ur10_robot.urdf",
+    "xarm7": "xarm7.urdf",
+    "panda": "panda.urdf",
+    "z1": "z1.urdf",
+    "kinova": "kinova.urdf",
+}
+# Feet of each legged robot.
+LEGGED = {
+    "anymal": ("anymal.urdf", ("LF_FOOT", "RF_FOOT", "LH_FOOT", "RH_FOOT")),
+    "solo12": ("solo12.urdf", ("FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT")),
+    "a1": ("a1.urdf", ("FL_foot", "FR_foot", "RL_foot", "RR_foot")),
+    "go2": ("go2.urdf", ("FL_foot", "FR_foot", "RL_foot", "RR_foot")),
+    "hyq": ("hyq_no_sensors.urdf", ("lf_foot", "rf_foot", "lh_foot", "rh_foot")),
+}
+FRICTION = ("absent", "absent, stated", "present", "present, stated")
+RATE = 250.0  # Hz
+MODEL_ERROR = 25.0  # %
+SINES = 6
+FREQUENCIES = (0.03, 0.6)  # Hz
+LARGEST_SPEED = 1.5  # rad/s
+ENCODER, GYRO, ACCELEROMETER = 2e-5, 2e-3, 2e-2  # rad, rad/s, m/s²
+# Of efforts by the largest effort, and of the feet's forces by the weight.
+EFFORT, FORCE = 1e-3, 1e-3
+LARGEST = 5.0  # times the RMS effort; files state limits of 1000 Nm for small drives
+SLIPS = 0.05  # rad/s; Coulomb friction of slower joints is undefined
+TILT, SHIFT = 0.12, 0.025  # of a standing base: rad and m
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Figures of one identification; errors relative to the torque's RMS."""
+
+    prior: float
+    default: float
+    by_hand: float
+    errors: FloatArray
+    alarms: tuple[str, ...]
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--robots", nargs="+", default=[*ARMS, *LEGGED])
+    options.add_argument("--friction", nargs="+", choices=FRICTION, default=FRICTION)
+    options.add_argument("--draws", type=int, default=1)
+    options.add_argument("--seed", type=int, default=100)
+    options.add_argument("--seconds", type=float, default=60.0)
+    given = options.parse_args()
+    logging.disable(logging.WARNING)
+    print("| robot | friction | prior % | default % | by hand % | ratio | covered | alarms |")
+    print("|---|---|---|---|---|---|---|---|", flush=True)
+    with threadpool_limits(1):
+        for name in given.robots:
+            for friction in given.friction:
+                trials = [
+                    trial(name, friction, given.seed + number, given.seconds)
+                    for number in range(given.draws)
+                ]
+                print(table_row(name, friction, trials), flush=True)
+
+
+def table_row(name: str, friction: str, trials: list[Trial]) -> str:
+    """Return the geometric means of the errors, and pooled coverage."""
+    prior, default, by_hand = (
+        float(np.exp(np.mean([np.log(getattr(one, field)) for one in trials])))
+        for field in ("prior", "default", "by_hand")
+    )
+    errors = np.concatenate([one.errors for one in trials])
+    covered = np.mean(np.abs(errors) < HALF_WIDTH)
+    alarms = "; ".join(sorted({alarm[:60] for one in trials for alarm in one.alarms})) or "none"
+    return (
+        f"| {name} | {friction} | {100 * prior:.2g} | {100 * default:.2g} | {100 * by_hand:.2g} | "
+        f"{prior / default:.0f} | {covered:.2f} | {alarms} |"
+    )
+
+
+def load_robot(name: str) -> tuple[sy.RobotModel, tuple[str, ...]]:
+    """Return a robot and its feet."""
+    file, feet = LEGGED[name] if name in LEGGED else (ARMS[name], ())
+    for each in files("example-robot-data") or ():
+        if each.name == file:
+            path = Path(str(each.locate()))
+            return sy.load_model(path, base="floating" if feet else "fixed"), feet
+    raise SystemExit(f"example-robot-data has no {file}")
+
+
+def trial(name: str, friction: str, seed: int, seconds: float) -> Trial:
+    """Simulate a log, identify it with default options and with named terms, and judge both."""
+    robot, feet = load_robot(name)
+    rng = np.random.default_rng(seed)
+    motion = move(robot, feet, rng, seconds)
+    size = np.sqrt(np.mean(torque(plain(robot), motion) ** 2, axis=0))
+    size = np.maximum(size, 0.05 * size.max())
+    truth = with_friction(robot, friction.startswith("present"), size, rng)
+    log = record(truth, motion, size, rng)
+    model = inaccurate(truth, friction.endswith("stated"), size, seed, rng)
+    terms = "viscous,coulomb,armature" if friction.startswith("present") else "none"
+    found = sy.identify(model, log)
+    by_hand = sy.identify(model, log, joint_terms=(terms,), no_holdout=True)
+    other = move(robot, feet, rng, 20.0)
+    true = torque(truth, other)
+    slips = np.abs(other.velocity) > SLIPS
+    scale = np.sqrt(np.mean(true[slips] ** 2))
+
+    def error(values: FloatArray) -> float:
+        return float(np.sqrt(np.mean((values - true)[slips] ** 2)) / scale)
+
+    return Trial(
+        error(torque(model, other)),
+        error(predicted(found, other)),
+        error(predicted(by_hand, other)),
+        scores(found, truth),
+        found.alarms,
+    )
+
+
+def plain(robot: sy.RobotModel) -> sy.RobotModel:
+    """Return a robot without friction and armature."""
+    joints = (
+        replace(joint, damping=0.0, friction_loss=0.0, armature=0.0) for joint in robot.joints
+    )
+    return replace(robot, joints=tuple(joints))
+
+
+def with_friction(
+    robot: sy.RobotModel, is_present: bool, size: FloatArray, rng: np.random.Generator
+) -> sy.RobotModel:
+    """Return the true robot; friction in proportion to the efforts (J,), Nm."""
+    if not is_present:
+        return plain(robot)
+    joints = tuple(
+        replace(
+            joint,
+            damping=0.08 * one * rng.uniform(0.5, 1.5),
+            friction_loss=0.10 * one * rng.uniform(0.5, 1.5),
+            armature=0.01 * one * rng.uniform(0.5, 1.5),
+        )
+        for joint, one in zip(robot.joints, size, strict=True)
+    )
+    return replace(robot, joints=joints)
+
+
+def inaccurate(
+    truth: sy.RobotModel, is_stated: bool, size: FloatArray, seed: int, rng: np.random.Generator
+) -> sy.RobotModel:
+    """Return the model file's robot: wrong links, and friction as the file states it."""
+    links = ParameterSet(plain(truth))
+    wrong = links.apply(draw_prior(links, "consistent", MODEL_ERROR, seed).mean)
+    if not is_stated:
+        return plain(wrong)
+    joints = tuple(
+        replace(
+            joint,
+            damping=(true.damping or 0.002 * one) * rng.uniform(0.5, 1.5),
+            friction_loss=true.friction_loss * rng.uniform(0.5, 1.5),
+            armature=true.armature * rng.uniform(0.5, 1.5),
+        )
+        for joint, true, one in zip(wrong.joints, truth.joints, size, strict=True)
+    )
+    return replace(wrong, joints=joints)
+
+
+def move(
+    robot: sy.RobotModel, feet: tuple[str, ...], rng: np.random.Generator, seconds: float
+) -> Samples:
+    """Return a random motion with the wrenches of the feet, and no efforts yet."""
+    time = np.arange(0.0, seconds, 1 / RATE)
+    if not feet:
+        position = robot.apply_mimics(waves(rng, time, len(robot.joints), LARGEST_SPEED / 2))
+        rest = np.zeros((len(time), 3))
+        return samples(time, position, rest, rest, rest - robot.gravity)
+    rotation = Rotation.from_euler("xyz", waves(rng, time, 3, 1.0, TILT))
+    place = waves(rng, time, 3, 1.0, SHIFT)
+    position = standing(robot, feet, rotation, place)
+    turn = make_interp_spline(time, rotation.as_quat(), k=5).derivative()(time)
+    # ω in base axes is twice the vector part of q⁻¹ q̇.
+    omega = 2 * products(rotation.inv().as_quat(), turn)[:, :3]
+    alpha = make_interp_spline(time, omega, k=5).derivative()(time)
+    upwards = np.array([0.0, 0.0, 9.81])
+    world = make_interp_spline(time, place, k=5).derivative(2)(time) + upwards
+    motion = samples(time, position, omega, alpha, rotation.inv().apply(world))
+    motion = replace(motion, wrenches=np.zeros((len(time), len(feet), 6)), wrench_frames=feet)
+    owed = base_wrench(robot, motion)
+    poses = link_poses(robot, position)
+    effect = contact_jacobian(robot, feet, poses).reshape(len(time), len(feet), 6, -1)
+    # Forces without moments, with the smallest sum of squares; each row of `effect` is its wrench.
+    forces = effect[:, :, 3:, :6].reshape(len(time), 3 * len(feet), 6)
+    shares = forces @ np.linalg.solve(forces.transpose(0, 2, 1) @ forces, owed[..., None])
+    motion.wrenches[:, :, 3:] = shares.reshape(len(time), len(feet), 3)
+    return motion
+
+
+def waves(
+    rng: np.random.Generator, time: FloatArray, count: int, speed: float, largest: float = np.inf
+) -> FloatArray:
+    """Return sums of sines (N, count) within a speed and an amplitude."""
+    omega = 2 * np.pi * rng.uniform(*FREQUENCIES, (SINES, count))
+    amplitude = rng.uniform(0.3, 1.0, (SINES, count)) / omega
+    angle = time[:, None, None] * omega + rng.uniform(0, 2 * np.pi, (SINES, count))
+    value = np.sum(amplitude * np.sin(angle), axis=1)
+    rate = np.abs(np.sum(amplitude * omega * np.cos(angle), axis=1)).max(axis=0)
+    return value * np.minimum(speed / rate, largest / np.abs(value).max(axis=0))
+
+
+def samples(
+    time: FloatArray, position: FloatArray, omega: FloatArray, alpha: FloatArray, force: FloatArray
+) -> Samples:
+    """Return a motion whose joint derivatives are those of a quintic spline."""
+    spline = make_interp_spline(time, position, k=5)
+    return Samples(
+        stamp=np.rint(time * 1e9).astype(np.int64),
+        position=position,
+        velocity=spline.derivative()(time),
+        acceleration=spline.derivative(2)(time),
+        effort=np.zeros_like(position),
+        base_angular_velocity=omega,
+        base_angular_acceleration=alpha,
+        base_specific_force=force,
+        wrenches=np.zeros((len(time), 0, 6)),
+        wrench_frames=(),
+    )
+
+
+def products(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return products of quaternions xyzw (N, 4), of any length."""
+    u, v = first[:, :3], second[:, :3]
+    vector = first[:, 3:] * v + second[:, 3:] * u + np.cross(u, v)
+    return np.column_stack([vector, first[:, 3] * second[:, 3] - np.sum(u * v, axis=1)])
+
+
+def standing(
+    robot: sy.RobotModel, feet: tuple[str, ...], rotation: Rotation, place: FloatArray
+) -> FloatArray:
+    """Return joint positions (N, J) that keep the feet where a crouched robot has them.
+
+    Newton steps of each leg of three joints; the legs do not affect each other.
+    """
+    legs = [np.flatnonzero(robot.ancestors[:, robot.frame(foot).link]) for foot in feet]
+    # Hips straight, and knees half bent within their range.
+    crouched = np.zeros(len(robot.joints))
+    for _, hip, knee in legs:
+        joint = robot.joints[knee]
+        bent = 1.5 if joint.lower + joint.upper > 0 else -1.5
+        crouched[[hip, knee]] = -0.5 * bent, bent
+
+    def reached(position: FloatArray) -> FloatArray:
+        poses = link_poses(robot, position)
+        frames = [robot.frame(foot) for foot in feet]
+        return np.stack(
+            [
+                poses.position[:, one.link] + poses.rotation[:, one.link] @ one.translation
+                for one in frames
+            ],
+            axis=1,
+        )
+
+    goal = np.stack(
+        [rotation.inv().apply(foot - place) for foot in reached(crouched[None])[0]], axis=1
+    )
+    position = np.tile(crouched, (len(place), 1))
+    step = 1e-6
+    for _ in range(12):
+        here = reached(position)
+        slopes = np.empty((len(place), len(feet), 3, 3))
+        for number in range(3):
+            moved = position.copy()
+            for leg in legs:
+                moved[:, leg[number]] += step
+            slopes[..., number] = (reached(moved) - here) / step
+        change = np.linalg.solve(slopes, (goal - here)[..., None])[..., 0]
+        for index, leg in enumerate(legs):
+            position[:, leg] += change[:, index]
+    if np.abs(reached(position) - goal).max() > 1e-9:
+        raise SystemExit(f"{robot.source}: its feet cannot stay in place")
+    return position
+
+
+def base_wrench(robot: sy.RobotModel, motion: Samples) -> FloatArray:
+    """Return the wrench (N, 6) that moves the base without any contact."""
+    parameters = ParameterSet(robot)
+    return (equation_of_motion(parameters, motion).K @ parameters.values)[:, :6]
+
+
+def torque(robot: sy.RobotModel, motion: Samples) -> FloatArray:
+    """Return the torques (N, J) that move a robot, friction included."""
+    parameters = ParameterSet(plain(robot))
+    rows = equation_of_motion(parameters, motion)
+    needed = (rows.K @ parameters.values - rows.y)[:, -len(robot.joints) :]
+    damping, loss, armature = (
+        np.array([getattr(joint, name) for joint in robot.joints])
+        for name in ("damping", "friction_loss", "armature")
+    )
+    speed = motion.velocity
+    return needed + damping * speed + loss * np.sign(speed) + armature * motion.acceleration
+
+
+def record(
+    truth: sy.RobotModel, motion: Samples, size: FloatArray, rng: np.random.Generator
+) -> sy.Log:
+    """Return the noisy log of a motion of the true robot."""
+    efforts = torque(truth, motion)
+    limits = np.array([joint.effort for joint in truth.joints])
+    noise = EFFORT * np.minimum(limits, LARGEST * size)
+    imus, wrenches = {}, {}
+    if truth.floating:
+        read = np.hstack([motion.base_angular_velocity, motion.base_specific_force])
+        deviation = np.repeat([GYRO, ACCELEROMETER], 3)
+        imus[truth.link_names[0]] = read + deviation * rng.normal(size=read.shape)
+        weight = 9.81 * truth.phi[:, 0].sum()
+        for index, foot in enumerate(motion.wrench_frames):
+            exact = motion.wrenches[:, index, 3:]
+            read = exact + FORCE * weight * rng.normal(size=exact.shape)
+            wrenches[foot] = np.hstack([read, np.zeros_like(read)])
+    measured = [truth.joint_names.index(name) for name in truth.measured_joint_names]
+    position = motion.position + ENCODER * rng.normal(size=motion.position.shape)
+    efforts = efforts + noise * rng.normal(size=efforts.shape)
+    return sy.Log.from_arrays(
+        truth,
+        time=motion.stamp,
+        position=position[:, measured],
+        effort=efforts[:, measured],
+        imus=imus,
+        wrenches=wrenches,
+    )
+
+
+def predicted(found: sy.Result, motion: Samples) -> FloatArray:
+    """Return the torques (N, J) that an identified robot needs."""
+    rows = equation_of_motion(found._parameters, motion)
+    return (rows.K @ found.estimate.value - rows.y)[:, -motion.position.shape[1] :]
+
+
+def scores(found: sy.Result, truth: sy.RobotModel) -> FloatArray:
+    """Return the errors of determined parameters in standard deviations."""
+    estimate = found.estimate
+    links = ParameterSet(plain(truth))
+    true = dict(zip(links.names, links.values.tolist(), strict=True))
+    for joint in truth.joints:
+        true |= {
+            f"{joint.name}/viscous": joint.damping,
+            f"{joint.name}/coulomb": joint.friction_loss,
+            f"{joint.name}/armature": joint.armature,
+        }
+    some = estimate.determined & (estimate.std > 0)
+    exact = np.array([true.get(name, 0.0) for name in estimate.names])
+    return (estimate.value - exact)[some] / estimate.std[some]
+
+
+if __name__ == "__main__":
+    main()
