@@ -97,3 +97,13 @@ def test_a_mimic_joint_needs_no_data(gripper, method):
     mass = [found.estimate.names.index(f"panda_{side}finger/m") for side in ("left", "right")]
     true = parameters.values[mass].sum()
     assert found.estimate.value[mass].sum() == pytest.approx(true, rel=0.05)
+
+
+def test_the_data_choose_the_terms_of_measured_joints_alone(gripper):
+    folder, _ = gripper
+    request = BagRequest((folder / "log",), folder / "robot.urdf", base="fixed")
+    estimate = request.load().solve().estimate
+    assert estimate.joint_terms is not None
+    assert not estimate.joint_terms[FINGERS[1]]
+    fixed = {name for name in estimate.names if name.startswith(FINGERS[1])}
+    assert fixed <= estimate.fixed
