@@ -10,7 +10,9 @@ from symbid_ros.choices import JOINT_TERMS
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout
 from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
 from symbid_ros.estimation.information import stacked_factor
+from symbid_ros.estimation.prior_std import OFFSET_STD
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.wrist_sensors import COMPONENTS
 from symbid_ros.signals.weak_form import INFLATION
 
 # Residuals below this share of the load count as zero. Gains that shrink together with the inertias
@@ -76,8 +78,10 @@ class GainProblem:
         std = np.concatenate([std, np.zeros(len(mean) - len(std))])
         first = parameters.model.dof - len(parameters.model.joints)
         load = loads(rows, np.append(mean, np.zeros(len(gains))))[first:]
+        std[parameters.sensor_offsets] = OFFSET_STD * len(parameters.model.wrist_sensors)
+        joints = parameters.joints.tolist()
         for term, columns in parameters.term_columns.items():
-            for joint, column in enumerate(range(columns.start, columns.stop)):
+            for joint, column in zip(joints, range(columns.start, columns.stop), strict=True):
                 size = np.sqrt(rows.column_squares(first + joint, column))
                 share = JOINT_TERMS[term].load_share
                 std[column] = share * load[joint] / max(size, 1e-9) + PINNED
@@ -322,7 +326,8 @@ def loads(rows: CoordinateRows, expected: FloatArray) -> FloatArray:
     a force may lack a sensor.
     """
     names = rows.coordinates
-    kinds = np.array([name.split("_")[0] if name.startswith("base/") else "" for name in names])
+    vectors = [name for name in names if name.rpartition("/")[2] in COMPONENTS]
+    kinds = np.array([name.rpartition("_")[0] if name in vectors else "" for name in names])
     squares = np.maximum(rows.target_squares, rows.residual_squares(expected))
     largest = np.array([squares[kinds == kind].max() for kind in kinds])
     mean = np.maximum(largest, LEAST**2 * largest.max())

@@ -66,7 +66,8 @@ class ModelStatistics:
     ) -> None:
         self.model = model
         self.parameters = ParameterSet(model, TERMS)
-        self.prior: Prior = model_prior(ParameterSet(model))
+        links = ParameterSet(model)
+        self.prior: Prior = model_prior(links).marginal(links.names[: links.inertial])
         self.gains = GainLayout.of(model, tuple(wrench_frames), tuple(imu_frames))
         structure = RowLayout.of(self.parameters).structure
         self.rows = CoordinateRows(

@@ -30,7 +30,7 @@ class StreamChecks:
     has_streams : bool
         Whether every topic had messages in at least one slice.
     joint_topic, imu_topics, wrench_topics : str and tuples of str
-        Topics of the first such slice.
+        Topics of the first such slice; of wrenches, those of contacts.
     """
 
     model: RobotModel | None
@@ -73,7 +73,10 @@ class StreamChecks:
         if not self.has_streams:
             self.joint_topic = streams.joints.topic
             self.imu_topics = tuple(imu.topic for imu in streams.imus)
-            self.wrench_topics = tuple(wrench.topic for wrench in streams.wrenches)
+            internal = {} if self.model is None else self.model.wrist_sensors
+            self.wrench_topics = tuple(
+                wrench.topic for wrench in streams.wrenches if wrench.frame_id not in internal
+            )
         self.has_streams = True
 
     def unit_findings(self) -> list[Finding]:

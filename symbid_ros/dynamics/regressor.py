@@ -197,7 +197,7 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
         np.matmul(np.ascontiguousarray(axes), wrenches, out=rows)
         rows *= carries
         y[part] = generalised_force(model, block, posture.poses, axes)
-    if parameters.terms:
+    if len(parameters) > parameters.inertial:
         _fill_joint_terms(K, parameters, samples)
     if parameters.known_terms:
         y -= known_force(parameters, samples)
@@ -235,18 +235,23 @@ def _link_wrenches(parameters: ParameterSet, posture: Posture, samples: Samples)
 
 
 def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples) -> None:
-    """Write the columns of the joint terms, each joint's into its own row."""
+    """Write the columns of joint terms and sensor offsets, each joint's into its own row."""
     content = _joint_terms(parameters, samples)
-    joints = np.arange(samples.velocity.shape[1])
-    rows = K.shape[1] - len(joints) + joints
+    joints, first = parameters.joints, 6 * parameters.model.floating
     K[:, :, parameters.inertial :] = 0.0
     for term, columns in parameters.term_columns.items():
-        K[:, rows, columns.start + joints] = content[term]
+        factor = np.broadcast_to(content[term], samples.velocity.shape)
+        K[:, first + joints, range(columns.start, columns.stop)] = factor[:, joints]
     for coupling, coupled in parameters.coupling_columns.items():
         content = _coupled_terms(parameters, coupling, samples)
         for joint, ratio in zip(coupling.joints, coupling.ratios, strict=True):
             for term, column in coupled.items():
-                K[:, rows[joint], column] = ratio * content[term]
+                K[:, first + joint, column] = ratio * content[term]
+    offset = parameters.sensor_offsets.start
+    for place in parameters.model.wrist_sensors.values():
+        # The effort of these joints is minus the reading, which contains the offset.
+        K[:, range(first + place.start, first + place.stop), range(offset, offset + 6)] = -1.0
+        offset += 6
 
 
 def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, FloatArray]:
@@ -282,6 +287,8 @@ def _coupled_terms(
 def slipping(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
     """Return which joints (N, J) slip together with all coupled drives that act on them."""
     slips = is_slipping(velocity)
+    for place in parameters.model.wrist_sensors.values():
+        slips[:, place] = True  # a sensor has no friction
     for coupling in parameters.couplings:
         slips[:, coupling.joints] &= is_slipping(coupling.speed(velocity))[:, None]
     return slips

@@ -13,6 +13,7 @@ from symbid_ros.atomic_write import write_text
 from symbid_ros.choices import CHANNELS, FILTERS, TERMS, Channels, Filter
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
+from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.user_files import load_json
 
 MODEL_FILES = "model.urdf", "model.xml"
@@ -127,6 +128,9 @@ class Estimate:
         None if the user named the terms.
     remarks : tuple of str
         What the robot or the log cannot tell about joint terms, one sentence each.
+    wrist_sensors : tuple of str
+        ``FRAME:LINK`` of each wrist force/torque sensor, with the first link beyond it; a minus
+        before it marks a sensor that reads the wrench of the robot on the payload.
     """
 
     method: str
@@ -153,6 +157,7 @@ class Estimate:
     holdout: HoldOut | None = None
     joint_terms: dict[str, tuple[str, ...]] | None = None
     remarks: tuple[str, ...] = ()
+    wrist_sensors: tuple[str, ...] = ()
 
     @property
     def fixed(self) -> frozenset[str]:
@@ -189,6 +194,31 @@ class Estimate:
             parts.append(f"{term} ({where})")
         return ", ".join(parts) or "none"
 
+    def describe_payloads(self) -> tuple[str, ...]:
+        """Return lines about what lies beyond each wrist sensor, and about the sensor's offset."""
+        place = {name: index for index, name in enumerate(self.names)}
+        lines = []
+        for sensor in self.wrist_sensors:
+            frame, _, link = sensor.removeprefix("-").partition(":")
+            first = place[f"{link}/m"]
+            mass, com, inertia = com_from_phi(self.value[first : first + 10])
+            std = "" if self.std is None else f" ± {self.std[first]:.2g}"
+            products = ", ".join(f"{one:.4g}" for one in inertia[np.triu_indices(3)])
+            force, moment = (
+                ", ".join(
+                    f"{self.value[place[f'{frame}/offset_{kind}_{axis}']]:.3g}" for axis in "xyz"
+                )
+                for kind in ("force", "moment")
+            )
+            lines += [
+                f"beyond {frame}: {mass:.4g}{std} kg, centre of mass "
+                f"({', '.join(f'{1e3 * one:.1f}' for one in com)}) mm from the sensor, axes of "
+                f"{link}",
+                f"  inertia about it xx, xy, xz, yy, yz, zz: {products} kg m²",
+                f"  offset of the sensor: {force} N; {moment} Nm",
+            ]
+        return tuple(lines)
+
     def document(self) -> dict[str, object]:
         """Return the content of estimate.json; values that the method cannot give are None."""
         count = len(self.names)
@@ -224,6 +254,7 @@ class Estimate:
             "holdout": None if self.holdout is None else asdict(self.holdout),
             "joint_terms": self.joint_terms,
             "remarks": list(self.remarks),
+            "wrist_sensors": list(self.wrist_sensors),
         }
 
     def write(self, path: Path) -> None:
@@ -278,6 +309,7 @@ def load_estimate(path: Path) -> Estimate:
             holdout=_holdout(document.get("holdout")),
             joint_terms=_joint_terms(document.get("joint_terms")),
             remarks=tuple(document.get("remarks", ())),
+            wrist_sensors=tuple(map(str, document.get("wrist_sensors", ()))),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(

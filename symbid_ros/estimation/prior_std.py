@@ -20,6 +20,10 @@ _FLOOR = 0.01
 PAYLOAD = 0.1
 # Smallest extent of a loaded link, m, because the payload may stick out.
 _LEAST_EXTENT = 0.05
+# The same for what lies beyond a wrist sensor, which is measured and need not be guessed.
+SENSED_MASS, SENSED_EXTENT = 0.2, 0.2
+# Deviations of a wrist sensor's offset, Nm and N: few sensors read more when unloaded.
+OFFSET_STD = (10.0,) * 3 + (100.0,) * 3
 # Scale of a link without mass or extent in the file.
 _BARE_MASS, _BARE_EXTENT = 1.0, 0.1
 
@@ -30,6 +34,7 @@ def percent_std(parameters: ParameterSet, mean: FloatArray, percent: float) -> F
     std: FloatArray = np.maximum(uniform, percent_floor(parameters, percent))
     joints = slice(parameters.inertial, None)
     std[joints] = np.where(is_stated(parameters)[joints], std[joints], _term_scale(parameters))
+    _widen_beyond_sensors(std, parameters)
     return std
 
 
@@ -38,7 +43,18 @@ def absolute_std(parameters: ParameterSet, amount: float) -> FloatArray:
     std = np.full(len(parameters), amount / np.sqrt(3))
     joints = slice(parameters.inertial, None)
     std[joints] = np.where(is_stated(parameters)[joints], std[joints], _term_scale(parameters))
+    _widen_beyond_sensors(std, parameters)
     return std
+
+
+def _widen_beyond_sensors(std: FloatArray, parameters: ParameterSet) -> None:
+    """Allow for any payload in the deviations (p,) of the links beyond wrist sensors, in place."""
+    mass = SENSED_MASS * abs(parameters.values[: parameters.inertial : 10].sum())
+    scale = (mass or _BARE_MASS) * SENSED_EXTENT ** np.repeat([0, 1, 2], [1, 3, 6])
+    links = parameters.links.tolist()
+    for place in parameters.model.wrist_sensors.values():
+        own = slice(10 * links.index(place.stop), 10 * links.index(place.stop) + 10)
+        std[own] = np.maximum(std[own], scale)
 
 
 def consistent_std(root: FloatArray, half_width: float) -> FloatArray:
@@ -106,12 +122,13 @@ def is_stated(parameters: ParameterSet) -> BoolArray:
 
 
 def _term_scale(parameters: ParameterSet) -> FloatArray:
-    """Return the standard deviations of the joint terms when the model file does not give them."""
+    """Return the deviations of joint terms that the model file does not give, and of offsets."""
     joints = parameters.model.joints
-    pairs = [(term, joint) for term in parameters.terms for joint in joints]
+    pairs = [(term, joints[place]) for term in parameters.terms for place in parameters.joints]
     for coupling, terms in parameters.coupling_columns.items():
         pairs += [(term, joints[coupling.joints[0]]) for term in terms]
-    return np.array([_std_of(JOINT_TERMS[term], joint) for term, joint in pairs])
+    offsets = OFFSET_STD * len(parameters.model.wrist_sensors)
+    return np.array([*(_std_of(JOINT_TERMS[term], joint) for term, joint in pairs), *offsets])
 
 
 def _std_of(term: JointTerm, joint: Joint) -> float:

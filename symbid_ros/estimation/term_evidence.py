@@ -118,9 +118,13 @@ def cross_validated(
     assert groups is not None
     first = 6 * parameters.model.floating
     columns_of = list(parameters.term_columns.values())
+    joints = parameters.joints.tolist()
     parts = {part.coordinate: part for part in groups.complete}
     for coordinate, part in parts.items():
-        own = {columns.start + coordinate - first for columns in columns_of}
+        if coordinate - first not in joints:
+            continue
+        index = joints.index(coordinate - first)
+        own = {columns.start + index for columns in columns_of}
         while True:
             terms = [i for i in sorted(own) if free[i] and i not in kept]
             if not terms:

@@ -98,5 +98,6 @@ def neighbours(parameters: ParameterSet) -> tuple[Coupling, ...]:
         Coupling.of(model, pair, (1.0, ratio))
         for pair in pairs
         if all(model.joints[joint].kind == "revolute" for joint in pair)
+        and set(pair) <= set(model.moving_joints)
         for ratio in (1.0, -1.0)
     )

@@ -15,7 +15,7 @@ from symbid_ros.dynamics.regressor import (
     known_force,
     momentum_regressor,
 )
-from symbid_ros.errors import BagError
+from symbid_ros.errors import BagError, EstimateError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.rotation import rotation_from_xyzw
 from symbid_ros.model.tree import RobotModel
@@ -105,6 +105,12 @@ def true_motion(truth: TruthStreams, streams: Streams, model: RobotModel) -> Tru
 def _at(truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotModel) -> TrueMotion:
     """Return the motion at stamps that every stream has."""
     rows = np.searchsorted(truth.stamp, stamp)
+    if model.wrist_sensors:
+        raise EstimateError(
+            f"{truth.source}: its ground truth lacks the wrench through the wrist sensors "
+            f"{', '.join(model.wrist_sensors)}; use `symbid validate` instead",
+            "E512",
+        )
     columns = joint_columns(truth.joint_names, model, f"{truth.source}: ground_truth/joints")
     effort = truth.effort[np.ix_(rows, columns)]
     effort[:, list(model.followers)] = 0.0

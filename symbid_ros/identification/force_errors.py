@@ -176,13 +176,26 @@ class ForceRows:
 
     @property
     def joints(self) -> IntArray:
-        """Coordinates of the joints that have rows."""
-        return np.asarray(self.used[self.used >= self.first_joint])
+        """Coordinates of the moving joints that have rows."""
+        moving = self.first_joint + np.array(self.model.moving_joints, dtype=np.int64)
+        return np.intersect1d(self.used, moving)
+
+    @property
+    def sensors(self) -> IntArray:
+        """Coordinates of wrist sensors' forces that have rows."""
+        places = self.model.wrist_sensors.values()
+        forces = [self.first_joint + place.start + axis for place in places for axis in (3, 4, 5)]
+        return np.intersect1d(self.used, forces)
 
     @property
     def main(self) -> IntArray:
-        """Coordinates by which models are judged: the joints, or forces on the base without."""
-        return self.joints if len(self.joints) else np.arange(3, 6)
+        """Coordinates by which models are judged: the joints if they have rows.
+
+        Otherwise forces on the base, or those of wrist sensors on a robot with a fixed base.
+        """
+        if len(self.joints):
+            return self.joints
+        return np.arange(3, 6) if self.model.floating else self.sensors
 
     @property
     def error_before(self) -> FloatArray:

@@ -94,10 +94,10 @@ class TermChoice:
     @property
     def by_joint(self) -> dict[str, tuple[Term, ...]]:
         """The chosen terms of each joint and coupling."""
-        columns = self.parameters.term_columns
+        columns, names = self.parameters.term_columns, self.parameters.model.joint_names
         joints = {
-            joint: tuple(term for term, place in columns.items() if self.free[place][index])
-            for index, joint in enumerate(self.parameters.model.joint_names)
+            names[joint]: tuple(term for term, place in columns.items() if self.free[place][index])
+            for index, joint in enumerate(self.parameters.joints)
         }
         return joints | {coupling.label: terms for coupling, terms in self._coupled.items()}
 
@@ -167,8 +167,9 @@ def candidate_prior(prior: Prior, parameters: ParameterSet, observations: Observ
     rows = observations.rows
     first = 6 * parameters.model.floating
     assumed = set(prior.assumed)
+    joints = parameters.joints.tolist()
     for term, columns in parameters.term_columns.items():
-        for joint, column in enumerate(range(columns.start, columns.stop)):
+        for joint, column in zip(joints, range(columns.start, columns.stop), strict=True):
             if parameters.names[column] not in assumed:
                 continue
             square = rows.column_squares(first + joint, column)
@@ -299,15 +300,15 @@ class _Selection:
     ) -> "_Selection":
         parameters = problem.parameters
         found, chosen = candidate_posterior(problem, candidates, slips=slips)
-        terms = np.flatnonzero(candidates)
-        terms = terms[terms >= parameters.inertial]
+        is_term = np.zeros(len(parameters), bool)
+        is_term[parameters.inertial : parameters.sensor_offsets.start] = True
+        terms = np.flatnonzero(candidates & is_term)
         elimination = Elimination(found, parameters, terms)
         inseparable = elimination.inseparable()
         kept = set(terms[stated[terms] | elimination.unresolved()].tolist())
         before = set() if previous is None else set(np.flatnonzero(previous.free).tolist())
         elimination.run(kept, before)
-        free = np.ones(len(parameters), bool)
-        free[parameters.inertial :] = False
+        free = ~is_term
         free[elimination.left] = True
         if chosen.groups is not None:
             free = cross_validated(free, kept, found, chosen, parameters)
@@ -325,7 +326,8 @@ def rows_of(observations: Sequence[Observations], *, slips: bool) -> tuple[Obser
 def _any_slips(observations: Sequence[Observations], parameters: ParameterSet) -> bool:
     slipping = [one.slipping for one in observations if one.slipping is not None]
     first = 6 * parameters.model.floating
-    return any(np.any(one.counts.diagonal()[first:] >= FEWEST_SLIPPING) for one in slipping)
+    rows = first + parameters.joints
+    return any(np.any(one.counts.diagonal()[rows] >= FEWEST_SLIPPING) for one in slipping)
 
 
 def _resting(observations: Sequence[Observations], parameters: ParameterSet) -> tuple[str, ...]:
@@ -336,8 +338,8 @@ def _resting(observations: Sequence[Observations], parameters: ParameterSet) -> 
     first = 6 * parameters.model.floating
     rows = slipping.counts.diagonal()[first:]
     own = [
-        name
-        for index, name in enumerate(parameters.model.joint_names)
+        parameters.model.joint_names[index]
+        for index in parameters.joints
         if rows[index] < FEWEST_SLIPPING and index not in parameters.model.followers
     ]
     if not own:
@@ -367,7 +369,7 @@ def _replaceable(parameters: ParameterSet, free: BoolArray) -> tuple[str, ...]:
     samples = random_motions(parameters.model, 3 * len(parameters) // parameters.model.dof + 10)
     K = equation_of_motion(parameters, samples).K
     K = K.reshape(-1, K.shape[2])
-    terms = [i for i in range(count, len(parameters)) if free[i]]
+    terms = [i for i in range(count, parameters.sensor_offsets.start) if free[i]]
     if not terms:
         return ()
     scale = np.linalg.norm(K, axis=0)

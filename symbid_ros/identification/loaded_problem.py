@@ -30,9 +30,11 @@ from symbid_ros.identification.options import IdentifyOptions, Source
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.result_files import check_output
 from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.identification.wrist_evidence import reversed_sensors, unnamed_sensors
 from symbid_ros.model.coupling import Coupling, couplings_in
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.wrist_sensors import reversed_sensor, with_wrist_sensors
 from symbid_ros.signals.log import Log
 
 logger = logging.getLogger(__name__)
@@ -149,8 +151,15 @@ def load_problem(
     tare = _open_logs(options.tare, log)
     chosen_on = () if options.choose_truncation is None else (options.choose_truncation,)
     other = next(iter(_open_logs(chosen_on, log)), None)
-    dataset = _read_checked(log, options, parameters, prior)
-    validation = None if other is None else _read_checked(other, options, parameters, prior)
+    dataset, checks = _read(log, options, parameters)
+    if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
+        return load_problem(robot, log, _with_reversed(options, wrong, log.source), out)
+    _diagnose(dataset, checks, parameters, prior)
+    _report_unnamed_sensors(parameters.model, dataset)
+    validation = None
+    if other is not None:
+        validation, checks = _read(other, options, parameters)
+        _diagnose(validation, checks, parameters, prior)
     tares = {frame: one for each in tare for frame, one in read_tare(each).items()}
     inputs = tuple(map(str, (*log.files, robot.source, *options.files)))
     solver = _build_solver(options, inputs, parameters, prior, dataset=dataset, tares=tares)
@@ -160,6 +169,36 @@ def load_problem(
         dataset = fold_dataset(dataset.segments, dataset.source, parameters, processing)
         solver = _build_solver(options, inputs, parameters, prior, dataset=dataset, tares=tares)
     return LoadedProblem(options, inputs, parameters, prior, dataset, solver, validation, tares)
+
+
+def _with_reversed(options: IdentifyOptions, wrong: Sequence[str], source: str) -> IdentifyOptions:
+    """Return the options with the opposite sign of some wrist sensors, and log a warning."""
+    frames = {one.removeprefix("-").partition(":")[0] for one in wrong}
+    named = [
+        reversed_sensor(one) if one.removeprefix("-").partition(":")[0] in frames else one
+        for one in options.wrist_sensors
+    ]
+    logger.warning(
+        "%s: the mass beyond %s would be negative, so its sign is reversed; give `wrist_sensor` %s",
+        source,
+        ", ".join(sorted(frames)),
+        ",".join(named),
+    )
+    return replace(options, wrist_sensor=tuple(named))
+
+
+def _report_unnamed_sensors(model: RobotModel, dataset: Dataset) -> None:
+    """Log a warning about wrench sensors that carry a rigid body, which are no contacts."""
+    for sensor, mass, share in unnamed_sensors(model, dataset.samples):
+        logger.warning(
+            "%s: the force at %s is that of a body of %.3g kg fixed to it (%.0f %% of its "
+            "variance); if it is a wrist sensor, give `wrist_sensor` %s",
+            dataset.source,
+            sensor.removeprefix("-"),
+            mass,
+            100 * share,
+            sensor,
+        )
 
 
 def load_information(
@@ -173,6 +212,7 @@ def load_information(
         When the information is of another robot or other parameters, or an option is invalid or
         needs a log.
     """
+    robot = with_wrist_sensors(robot, options.wrist_sensors)
     parameters = load_parameters(robot, options)
     if options.chooses_terms:
         parameters = _columns_of(robot, observations)
@@ -197,6 +237,7 @@ def load_information(
 
 def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet:
     """Return the columns of the data, and warn about known joint terms of the model file."""
+    robot = with_wrist_sensors(robot, options.wrist_sensors)
     if options.chooses_terms and options.information is not None:
         parameters = _columns_of(robot, load_archive(options.information))
     else:
@@ -387,23 +428,20 @@ def _build_solver(
     return Solver.of(problem)
 
 
-def _read_checked(
-    log: Log, options: IdentifyOptions, parameters: ParameterSet, prior: Prior
-) -> Dataset:
-    """Read a log and check it as `symbid bag doctor` does, unless the options skip that."""
-    processing = Processing.of(options)
-    if options.unchecked:
-        return read_dataset(log, parameters, processing)
-    checks = StreamChecks(parameters.model)
-    dataset = read_dataset(log, parameters, processing, checks)
-    _diagnose(dataset, checks, parameters, prior)
-    return dataset
+def _read(
+    log: Log, options: IdentifyOptions, parameters: ParameterSet
+) -> tuple[Dataset, StreamChecks | None]:
+    """Read a log; the checks of its streams are None if the options skip them."""
+    checks = None if options.unchecked else StreamChecks(parameters.model)
+    return read_dataset(log, parameters, Processing.of(options), checks), checks
 
 
 def _diagnose(
-    dataset: Dataset, checks: StreamChecks, parameters: ParameterSet, prior: Prior
+    dataset: Dataset, checks: StreamChecks | None, parameters: ParameterSet, prior: Prior
 ) -> None:
     """Log warnings about a log's streams, by themselves and against the model.
+
+    This is what `symbid bag doctor` does. Nothing happens without checks.
 
     The prior's mean serves as the robot, within ±25 %. A log too long to be kept is read again.
 
@@ -413,6 +451,8 @@ def _diagnose(
         When the log is unusable: a unit, sign, frame or mounting is wrong, a contact is missing, or
         a topic carries almost no information.
     """
+    if checks is None:
+        return
     source = dataset.source
     of_streams = checks.findings(source)
     _refuse_unusable(source, of_streams)

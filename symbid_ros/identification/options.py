@@ -142,6 +142,14 @@ class IdentifyOptions:
         f"{', '.join(SENSOR_ERROR_KINDS)}.",
         group=JOINTS,
     )
+    wrist_sensor: tuple[str, ...] = option(
+        (),
+        "Frame of each wrist force/torque sensor, as FRAME or FRAME:LINK with the first link "
+        "beyond it, comma-separated; -FRAME if it reads the wrench of the robot on the payload. "
+        "What lies beyond it is identified as a link of its own, together with the sensor's "
+        "offset.",
+        group=JOINTS,
+    )
     filter: Filter | None = option(
         None,
         "weak: average the equation of motion over short windows; butterworth, savitzky_golay: "
@@ -317,6 +325,12 @@ class IdentifyOptions:
         """Whether couplings of joints are searched for in the log."""
         added = self.couplings, self.sensor_error_kinds, self.information
         return self.chooses_terms and not any(added)
+
+    @cached_property
+    def wrist_sensors(self) -> tuple[str, ...]:
+        """The wrist sensors, as FRAME or FRAME:LINK."""
+        parts = ",".join(self.wrist_sensor).split(",")
+        return tuple(name for part in parts if (name := part.strip()))
 
     @cached_property
     def sensor_error_kinds(self) -> tuple[SensorErrorKind, ...]:

@@ -23,6 +23,7 @@ from symbid_ros.identification.solver import Identification
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.wrist_sensors import without_wrist_sensors
 from symbid_ros.signals.log import Log
 
 if TYPE_CHECKING:
@@ -244,7 +245,7 @@ class Result:
     @cached_property
     def robot(self) -> RobotModel:
         """The robot with the identified parameters."""
-        return self._parameters.apply(self.estimate.value)
+        return without_wrist_sensors(self._parameters.apply(self.estimate.value))
 
     @property
     def information(self) -> LogInformation:

@@ -26,6 +26,7 @@ from symbid_ros.model.export_urdf import unwritten, urdf_text
 from symbid_ros.model.load import is_mjcf
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.wrist_sensors import with_wrist_sensors
 from symbid_ros.user_files import load_json
 
 logger = logging.getLogger(__name__)
@@ -229,6 +230,7 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
         parameters = ParameterSet(model)
         return EstimatedModel(parameters, load_prior(file, parameters).mean)
     estimate = load_estimate(file)
+    model = with_wrist_sensors(model, estimate.wrist_sensors)
     # The model may be the true robot, with friction that the estimate does not have.
     parameters = ParameterSet.of_names(model, estimate.names).with_known_values(estimate.known)
     if set(parameters.names) != set(estimate.names):

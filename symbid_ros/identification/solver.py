@@ -21,6 +21,7 @@ from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
 from symbid_ros.model.inertia import is_consistent
+from symbid_ros.model.wrist_sensors import sensor_names
 from symbid_ros.package_paths import package_version
 from symbid_ros.signals.sensor_errors import CalibratingRows
 from symbid_ros.signals.weak_form import RowBuilder
@@ -273,6 +274,7 @@ class Solver:
             chosen = {f"{one}/{term}" for one, terms in choice.by_joint.items() for term in terms}
             fixed = np.array([name not in chosen for name in parameters.names])
             fixed[: parameters.inertial] = False
+            fixed[parameters.sensor_offsets] = False
             value = np.concatenate([np.where(fixed, prior.mean[:p], value[:p]), value[p:]])
             std = np.where(fixed, 0.0, std)
         return Estimate(
@@ -297,6 +299,7 @@ class Solver:
             known=parameters.known_values,
             joint_terms=None if choice is None else dict(choice.by_joint),
             remarks=() if choice is None else choice.remarks,
+            wrist_sensors=sensor_names(parameters.model),
         )
 
 

@@ -28,7 +28,7 @@ Advice = Literal["better", "equal", "worse", "mixed"]
 FEWEST_SLOW = 10  # rows below which slow stretches are not reported
 WINDOW = 0.161  # s; for comparisons of results without windows
 ALL_JOINTS, SLOW_STRETCHES = "all joints", "slow stretches"
-BASE_MOMENT, BASE_FORCE = "base moment", "base force"
+BASE_MOMENT, BASE_FORCE, WRIST_SENSORS = "base moment", "base force", "wrist sensors"
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,8 @@ class Validation:
     coordinates : tuple of ForceError
         Moment and force on a floating base, then the joints.
     torque, base_moment, base_force : ForceError or None
-        All joints, and the wrench on a floating base.
+        All joints, and the wrench on a floating base. Without efforts on a fixed base, ``torque``
+        is about the forces of wrist sensors.
     slow : ForceError or None
         All joints on slow stretches, where gravity alone loads them.
     slow_seconds : float
@@ -316,10 +317,12 @@ def _predictor(result: Result | str | Path) -> ForcePredictor:
 
 
 def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validation:
-    model, joints = rows.model, rows.joints
+    model = rows.model
+    joints = rows.joints if model.floating else rows.main
+    drives = ALL_JOINTS if len(rows.joints) else WRIST_SENSORS
     groups: dict[str, IntArray] = {}
     if len(joints):
-        groups[ALL_JOINTS] = joints
+        groups[drives] = joints
     if model.floating:
         groups |= {BASE_MOMENT: np.arange(3), BASE_FORCE: np.arange(3, 6)}
     errors = {name: rows.error(places, name) for name, places in groups.items()}
@@ -339,7 +342,7 @@ def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validati
         coordinates=tuple(
             rows.error(np.array([place]), model.coordinates[place]) for place in rows.used.tolist()
         ),
-        torque=errors.get(ALL_JOINTS),
+        torque=errors.get(drives),
         base_moment=errors.get(BASE_MOMENT),
         base_force=errors.get(BASE_FORCE),
         slow=slow,
@@ -402,7 +405,8 @@ def describe_change(error: ForceError) -> str:
     """Describe an error before and after, in percent if anything was measured."""
     if error.percent_before is None or error.percent_after is None:
         return f"{error.rmse_before:.3g} → {error.rmse_after:.3g} {error.unit}"
-    what = "force on the base" if error.name == BASE_FORCE else "torque"
+    forces = {BASE_FORCE: "force on the base", WRIST_SENSORS: "wrist forces"}
+    what = forces.get(error.name, "torque")
     before, after = percent(error.percent_before), percent(error.percent_after)
     return f"{before} → {after} of the measured {what}"
 

@@ -30,7 +30,8 @@ _KEPT = 0.9
 class BodyJoint:
     """A joint of a body: ``axis`` and ``anchor`` (3,) in the body's frame.
 
-    ``mimic`` is the name of the joint that it follows, with multiplier and offset.
+    ``mimic`` is the name of the joint that it follows, with multiplier and offset. ``sensor`` is
+    that of :class:`symbid_ros.model.tree.Joint`.
     """
 
     name: str
@@ -45,6 +46,7 @@ class BodyJoint:
     friction_loss: float = 0.0
     armature: float = 0.0
     mimic: tuple[str, float, float] | None = None
+    sensor: str = ""
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ class _Assembly:
                     joint.damping,
                     joint.friction_loss,
                     joint.armature,
+                    sensor=joint.sensor,
                 )
             )
             name = body.name if last else f"{body.name}:{joint.name}"
@@ -170,7 +173,7 @@ def assemble(
         Link(*fields) for fields in zip(assembly.names, assembly.phi, assembly.virtual, strict=True)
     )
     frames = tuple(assembly.frames[key] for key in sorted(assembly.frames))
-    return RobotModel(name, links, joints, frames, floating, gravity, source)
+    return RobotModel(name, links, joints, frames, floating, gravity, source, tuple(bodies))
 
 
 def _with_leaders(

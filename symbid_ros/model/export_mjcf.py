@@ -22,6 +22,7 @@ from symbid_ros.model.mjcf import file_bodies, load_mjcf
 from symbid_ros.model.mjcf_source import included_file, read_mjcf
 from symbid_ros.model.rotation import quaternion_from_rotation
 from symbid_ros.model.tree import Joint, RobotModel
+from symbid_ros.model.wrist_sensors import without_wrist_sensors
 from symbid_ros.model.xml_file import Element, XmlEditor, as_element, is_editable, read_xml
 
 # Compiler settings that change the inertias given in the file.
@@ -76,7 +77,7 @@ def mjcf_files(
         files = updated_mjcf(possible, source, folder, name)
         if files is not None:
             return files
-    root = _minimal_tree(possible)
+    root = _minimal_tree(without_wrist_sensors(possible))
     annotate(root, comment, *replaced_values(model))
     return {PurePosixPath(name): ET.tostring(root, encoding="unicode") + "\n"}
 
@@ -219,6 +220,7 @@ def updated_mjcf(
     root = read_mjcf(source)
     elements = [as_element(body) for body in root.iterfind("worldbody//body")]
     names, stated = file_bodies(source)
+    model = without_wrist_sensors(model, kept=names)
     named = [element.get("name", body) for element, body in zip(elements, names, strict=False)]
     if len(elements) != len(names) or named != names:
         return None

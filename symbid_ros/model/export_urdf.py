@@ -15,6 +15,7 @@ from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.rotation import rpy_from_rotation
 from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.model.urdf import UrdfReader
+from symbid_ros.model.wrist_sensors import without_wrist_sensors
 from symbid_ros.model.xml_file import XmlEditor, as_element, is_editable, read_xml
 
 # urdfdom requires numbers for effort and velocity and does not read "inf".
@@ -41,7 +42,7 @@ def urdf_text(model: RobotModel, source: Path | None = None, *, comment: str = "
     """
     if source is not None and is_editable(source):
         return _updated(with_nonnegative_terms(model), source)
-    robot = _minimal_tree(with_nonnegative_terms(model))
+    robot = _minimal_tree(without_wrist_sensors(with_nonnegative_terms(model)))
     annotate(robot, comment, *unwritten(model))
     return '<?xml version="1.0"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
 
@@ -56,6 +57,7 @@ def unwritten(model: RobotModel) -> tuple[str, ...]:
 def _updated(model: RobotModel, source: Path) -> str:
     root, editor = read_xml(source), XmlEditor(source)
     reader = UrdfReader(str(source), root)
+    model = without_wrist_sensors(model, kept=reader.links)
     names = {*model.link_names, *(frame.name for frame in model.frames)}
     stated = {name: reader.phi(name) for name in reader.links if name in names}
     for name, phi in updated_bodies(model, stated).items():

@@ -12,7 +12,10 @@ from symbid_ros.errors import ModelError
 from symbid_ros.model.coupling import Coupling, coupled_terms, couplings_in
 from symbid_ros.model.inertia import PARAMETERS, UNITS
 from symbid_ros.model.tree import Joint, RobotModel
+from symbid_ros.model.wrist_sensors import COMPONENTS
 
+# Start of the names of wrist sensors' offsets.
+OFFSET = "offset_"
 _FIELDS = {term: each.field for term, each in JOINT_TERMS.items() if each.field}
 
 
@@ -21,7 +24,8 @@ class ParameterSet:
     """The standard parameters of a robot, Eq. 2.27–2.28 and 2.49, in column order.
 
     Each link that is not virtual has ten parameters, base first. They are followed by one
-    parameter per joint for each of ``terms``, and by some of these terms for each coupling.
+    parameter per moving joint for each of ``terms``, by some of these terms for each coupling, and
+    by six offsets of each wrist sensor.
 
     Attributes
     ----------
@@ -74,9 +78,14 @@ class ParameterSet:
         return 10 * len(self.links)
 
     @cached_property
+    def joints(self) -> IntArray:
+        """Indices of the joints that have terms: those that move."""
+        return np.array(self.model.moving_joints, dtype=np.int64)
+
+    @cached_property
     def term_columns(self) -> dict[Term, slice]:
-        """Columns of each term in use, one per joint in model order."""
-        joints = len(self.model.joints)
+        """Columns of each term in use, one for each of ``joints``."""
+        joints = len(self.joints)
         starts = (self.inertial + joints * position for position in range(len(self.terms)))
         return {
             term: slice(start, start + joints)
@@ -98,7 +107,7 @@ class ParameterSet:
     @property
     def first_coupled(self) -> int:
         """Number of parameters of links and joints, which come before those of couplings."""
-        return self.inertial + len(self.model.joints) * len(self.terms)
+        return self.inertial + len(self.joints) * len(self.terms)
 
     @classmethod
     def of_names(cls, model: RobotModel, names: Collection[str]) -> "ParameterSet":
@@ -106,29 +115,45 @@ class ParameterSet:
         return cls(model, terms_in(names), couplings=couplings_in(names, model))
 
     @cached_property
+    def sensor_offsets(self) -> slice:
+        """Columns of the offsets of wrist sensors, in the order of their joints."""
+        first = self.first_coupled + len(coupled_terms(self.terms)) * len(self.couplings)
+        return slice(first, first + 6 * len(self.model.wrist_sensors))
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names ``<link>/<m|mc_x|…|Izz>``, then ``<joint>/<term>`` by term, then couplings."""
+        """Names ``<link>/<m|mc_x|…|Izz>``, then ``<joint>/<term>`` by term, then couplings.
+
+        The offsets of wrist sensors follow, ``<frame>/offset_<moment|force>_<x|y|z>``.
+        """
         inertial = [f"{link}/{name}" for link in self.link_names for name in PARAMETERS]
-        joint = [f"{joint}/{term}" for term in self.terms for joint in self.model.joint_names]
+        named = self.model.joint_names
+        joint = [f"{named[place]}/{term}" for term in self.terms for place in self.joints]
         coupled = [
             f"{one.label}/{term}" for one in self.couplings for term in coupled_terms(self.terms)
         ]
-        return (*inertial, *joint, *coupled)
+        offsets = [
+            f"{frame}/{OFFSET}{component}"
+            for frame in self.model.wrist_sensors
+            for component in COMPONENTS
+        ]
+        return (*inertial, *joint, *coupled, *offsets)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
         """SI unit of each parameter."""
         joint = [
-            JOINT_TERMS[term].units[each.kind == "prismatic"]
+            JOINT_TERMS[term].units[self.model.joints[place].kind == "prismatic"]
             for term in self.terms
-            for each in self.model.joints
+            for place in self.joints
         ]
         coupled = [
             JOINT_TERMS[term].units[self.model.joints[one.joints[0]].kind == "prismatic"]
             for one in self.couplings
             for term in coupled_terms(self.terms)
         ]
-        return (*(UNITS * len(self.links)), *joint, *coupled)
+        offsets = (("Nm",) * 3 + ("N",) * 3) * len(self.model.wrist_sensors)
+        return (*(UNITS * len(self.links)), *joint, *coupled, *offsets)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -139,7 +164,7 @@ class ParameterSet:
         values = np.zeros(len(self))
         values[: self.inertial] = self.model.phi[self.links].ravel()
         for term, columns in self.term_columns.items():
-            values[columns] = [_file_value(joint, term) for joint in self.model.joints]
+            values[columns] = [_file_value(self.model.joints[place], term) for place in self.joints]
         return values
 
     @cached_property
@@ -202,10 +227,8 @@ class ParameterSet:
         joints = list(self.model.joints)
         for term, columns in self.term_columns.items():
             if term in _FIELDS:
-                joints = [
-                    replace(joint, **{_FIELDS[term]: value})
-                    for joint, value in zip(joints, values[columns].tolist(), strict=True)
-                ]
+                for place, value in zip(self.joints, values[columns].tolist(), strict=True):
+                    joints[place] = replace(joints[place], **{_FIELDS[term]: value})
         return replace(self.model.with_phi(phi), joints=tuple(joints))
 
 

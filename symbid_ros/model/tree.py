@@ -1,13 +1,16 @@
 """A robot as a tree of links joined by revolute and prismatic joints."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.errors import ModelError
+
+if TYPE_CHECKING:
+    from symbid_ros.model.bodies import Body
 
 STANDARD_GRAVITY = np.array([0.0, 0.0, -9.81])
 
@@ -75,6 +78,10 @@ class Joint:
         rotor and gear reflected to the joint (kg m² or kg), as given in the file.
     mimic : Mimic or None
         The joint that it follows. Its generalised force is added to its leader's.
+    sensor : str
+        Frame of the wrist force/torque sensor of which this joint is one component, with a minus
+        before it if the sensor reads the opposite wrench; empty for a joint that moves. See
+        :mod:`symbid_ros.model.wrist_sensors`.
     """
 
     name: str
@@ -91,6 +98,7 @@ class Joint:
     friction_loss: float = 0.0
     armature: float = 0.0
     mimic: Mimic | None = None
+    sensor: str = ""
 
 
 @dataclass(frozen=True)
@@ -133,6 +141,8 @@ class RobotModel:
         Gravity in m/s²: in world axes for a floating base, in base axes for a fixed one.
     source : str
         Path of the model file, for messages.
+    bodies : tuple of Body
+        Bodies of the model file, of which the links are made; empty for a robot without a file.
     """
 
     name: str
@@ -142,6 +152,7 @@ class RobotModel:
     floating: bool
     gravity: FloatArray
     source: str
+    bodies: "tuple[Body, ...]" = field(default=(), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Reject duplicate names of links and joints."""
@@ -168,15 +179,36 @@ class RobotModel:
         return {k: joint.mimic for k, joint in enumerate(self.joints) if joint.mimic is not None}
 
     @cached_property
+    def wrist_sensors(self) -> dict[str, slice]:
+        """Indices of the six joints of each wrist force/torque sensor, by its frame."""
+        first: dict[str, int] = {}
+        for index, joint in enumerate(self.joints):
+            if joint.sensor:
+                first.setdefault(joint.sensor.removeprefix("-"), index)
+        return {frame: slice(index, index + 6) for frame, index in first.items()}
+
+    @cached_property
+    def moving_joints(self) -> tuple[int, ...]:
+        """Indices of the joints that are not components of a wrist sensor."""
+        return tuple(index for index, joint in enumerate(self.joints) if not joint.sensor)
+
+    @cached_property
     def measured_joint_names(self) -> tuple[str, ...]:
-        """Names of the joints without a leader, which a log must contain."""
-        return tuple(joint.name for joint in self.joints if joint.mimic is None)
+        """Names of the joints that a log must contain: those that move and have no leader."""
+        return tuple(
+            joint.name for joint in self.joints if joint.mimic is None and not joint.sensor
+        )
 
     def apply_mimics(self, values: FloatArray, *, rates: bool = False) -> FloatArray:
-        """Return joint positions (N, J), or rates, with those of mimic joints computed."""
-        if not self.followers:
+        """Return joint positions (N, J), or rates, with those of mimic joints computed.
+
+        The joints of wrist sensors are at rest at zero.
+        """
+        if not self.followers and not self.wrist_sensors:
             return values
         complete = values.copy()
+        for place in self.wrist_sensors.values():
+            complete[:, place] = 0.0
         for joint, mimic in self.followers.items():
             offset = 0.0 if rates else mimic.offset
             complete[:, joint] = mimic.multiplier * values[:, mimic.leader] + offset

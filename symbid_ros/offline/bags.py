@@ -19,6 +19,7 @@ from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.wrist_sensors import with_wrist_sensors
 from symbid_ros.signals.filters import CausalLowPass
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import TimeRange
@@ -133,6 +134,7 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
         When the bag has no ground truth, or the result is of another robot.
     """
     estimate = result.estimate
+    robot = with_wrist_sensors(robot, estimate.wrist_sensors)
     parameters = ParameterSet.of_names(robot, estimate.names).with_known_values(estimate.known)
     if parameters.names != estimate.names:
         raise EstimateError(

@@ -27,6 +27,7 @@ from symbid_ros.identification.joint_terms import TermChoice, candidate_prior, c
 from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.window_comparison import WindowSelector
+from symbid_ros.identification.wrist_evidence import check_signs
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.online.block_scheduler import BlockScheduler
@@ -125,7 +126,7 @@ class OnlineIdentification:
         self._problem = replace(
             initial_state.problem,
             inputs=(*initial_state.problem.inputs, *topics),
-            has_wrenches=bool(selected.wrenches),
+            has_wrenches=len(selected.wrenches) > len(self._parameters.model.wrist_sensors),
         )
         self._scheduler = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)
@@ -205,7 +206,8 @@ class OnlineIdentification:
         Raises
         ------
         DataError
-            When the measured forces do not match the robot's weight.
+            When the measured forces do not match the robot's weight, or a wrist sensor reads the
+            opposite wrench.
         """
         self.advance()
         known = self._accumulator.blocks.stop or 0  # end of the processed blocks
@@ -388,6 +390,7 @@ class OnlineIdentification:
     def _check_weight(self, shortest: Observations) -> None:
         if not self._options.unchecked:
             check_weight(shortest.rows, self._parameters, self._problem.prior)
+            check_signs(shortest.rows, self._parameters)
 
     def _identify(self, solver: Solver, *, with_verdict: bool) -> Identification:
         method = self._options.method

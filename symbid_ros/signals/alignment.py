@@ -71,7 +71,7 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
             "E302",
         )
     segments = tuple(
-        _segment(channels, grid, period, streams, efforts)
+        _segment(channels, grid, period, streams, efforts=efforts, model=model)
         for grid in _grids(channels, start, stop, period)
     )
     if not segments:
@@ -106,7 +106,24 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ]
     for sensor in sensors:
         _check_frame(sensor, model, streams.source)
+    _check_wrist_sensors(streams, model)
     return align(streams, model)
+
+
+def _check_wrist_sensors(streams: Streams, model: RobotModel) -> None:
+    """Check that one topic has each wrist sensor's frame."""
+    for frame in model.wrist_sensors:
+        topics = [one.topic for one in streams.wrenches if one.frame_id == frame]
+        if len(topics) == 1:
+            continue
+        others = sorted({one.frame_id for one in streams.wrenches} - {frame})
+        found = f"{' and '.join(topics)} have" if topics else "no WrenchStamped topic has"
+        also = f" (others have {', '.join(others)})" if others else ""
+        action = "name one of them" if topics else "record its topic, or correct `wrist_sensor`"
+        raise DataError(
+            f"{streams.source}: {found} the frame {frame} of the wrist sensor{also}; {action}",
+            "E324",
+        )
 
 
 def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: str) -> None:
@@ -197,23 +214,33 @@ def _segment(
     grid: IntArray,
     period: float,
     streams: Streams,
+    *,
     efforts: MeasuredEfforts,
+    model: RobotModel,
 ) -> Segment:
     joints = efforts.values.shape[1]
     position_and_effort, *others = (_resampled(channel, grid) for channel in channels)
     imus, wrenches = others[: len(streams.imus)], others[len(streams.imus) :]
     count = len(grid)
     readings = np.stack(imus, axis=1) if imus else np.zeros((count, 0, 6))
+    effort = efforts.masked(grid, position_and_effort[:, joints:])
+    contacts: dict[str, FloatArray] = {}
+    for sensor, reading in zip(streams.wrenches, wrenches, strict=True):
+        if (place := model.wrist_sensors.get(sensor.frame_id)) is None:
+            contacts[sensor.topic] = reading
+        else:
+            # A joint's effort acts on what lies beyond it, a reading on what lies before.
+            effort[:, place] = -reading
     return Segment(
         stamp=grid,
         rate=1e9 / period,
         position=position_and_effort[:, :joints],
-        effort=efforts.masked(grid, position_and_effort[:, joints:]),
+        effort=effort,
         angular_velocity=readings[:, :, :3],
         linear_acceleration=readings[:, :, 3:],
-        wrenches=np.stack(wrenches, axis=1) if wrenches else np.zeros((count, 0, 6)),
+        wrenches=np.stack([*contacts.values()], axis=1) if contacts else np.zeros((count, 0, 6)),
         imu_frames=tuple(imu.frame_id for imu in streams.imus),
-        wrench_frames=tuple(wrench.frame_id for wrench in streams.wrenches),
+        wrench_frames=tuple(one.frame_id for one in streams.wrenches if one.topic in contacts),
     )
 
 
@@ -260,6 +287,8 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
     longest = LONGEST_GAP * float(np.median(np.diff(stamp))) if len(stamp) > 1 else 0.0
     effort = joints.effort[is_complete][:, columns]
     effort[:, list(model.followers)] = 0.0
+    for place in model.wrist_sensors.values():
+        effort[:, place] = 0.0  # their readings follow in each segment
     efforts = measured_efforts(stamp, effort, model, longest, topic)
     if not model.floating and not efforts.any_row:
         raise DataError(
@@ -273,7 +302,7 @@ def _joint_channel(streams: Streams, model: RobotModel) -> tuple[_Matrix, Measur
 def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntArray:
     """Return the index in ``names`` of each joint of the model; ``source`` is for messages.
 
-    A mimic joint has the index of the joint that it follows.
+    A mimic joint has the index of the joint that it follows, a wrist sensor's joint any index.
 
     Raises
     ------
@@ -293,7 +322,10 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
         index if joint.mimic is None else joint.mimic.leader
         for index, joint in enumerate(model.joints)
     ]
-    places = [list(names).index(model.joint_names[leader]) for leader in leaders]
+    places = [
+        0 if model.joints[leader].sensor else list(names).index(model.joint_names[leader])
+        for leader in leaders
+    ]
     return np.array(places, dtype=np.int64)
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 from importlib.metadata import files
 from pathlib import Path
 
+from payload_arm import payload_arm_log, write_payload_bag
 from random_logs import LogPlan, random_streams, write_bag
 
 from symbid_ros.estimation.prior import draw_prior
@@ -28,7 +29,10 @@ def ur5_urdf() -> Path:
 
 
 def write_arm(folder: Path) -> None:
-    """Write ``my_arm.urdf`` and two bags of a UR5 with friction that its file does not state."""
+    """Write ``my_arm.urdf`` and two bags of a UR5 with friction that its file does not state.
+
+    In ``payload_bag`` the arm carries a payload behind a wrist sensor.
+    """
     model = load_model(ur5_urdf())
     joints = tuple(
         replace(joint, damping=2.0 - 0.25 * index, friction_loss=3.0 - 0.4 * index)
@@ -38,4 +42,6 @@ def write_arm(folder: Path) -> None:
     for name, count, seed in (("arm_bag", 10_000, 3), ("other_arm_bag", 8_500, 9)):
         plan = LogPlan(rate=250.0, count=count)
         write_bag(random_streams(robot, plan, seed), folder / name)
+    lifted = payload_arm_log(robot, "tool0", seconds=30.0)
+    write_payload_bag(lifted, robot, "tool0", folder / "payload_bag")
     write_inaccurate(ur5_urdf(), folder / "my_arm.urdf", seed=4)

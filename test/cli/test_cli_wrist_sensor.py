@@ -1,0 +1,92 @@
+"""A bag of an arm with a wrist sensor, by the command and live."""
+
+import json
+
+import numpy as np
+import pytest
+from documented_robots import ur5_urdf, write_inaccurate
+from live_feed import feed_of
+from payload_arm import COM, MASS, OFFSET, payload_arm_log, write_payload_bag
+
+from symbid_ros.errors import DataError
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.model.load import load_model
+from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.online.initial_state import InitialState
+
+SENSOR = ("--wrist-sensor", "tool0")
+FAST = ("--joint-terms", "none", "--window", "0.161")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wrist")
+    arm = load_model(ur5_urdf())
+    write_inaccurate(ur5_urdf(), folder / "arm.urdf", seed=1)
+    log = payload_arm_log(arm, "tool0", seconds=13.0)
+    write_payload_bag(log, arm, "tool0", folder / "bag")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def document(folder, symbid_here):
+    ended = symbid_here(
+        "identify", folder / "bag", "--model", folder / "arm.urdf", *SENSOR, *FAST, "--out",
+        folder / "out",
+    )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "beyond tool0: 1.7 ±" in ended.stdout
+    return json.loads((folder / "out" / "estimate.json").read_text())
+
+
+def payload(parameters, value=lambda one: one["value"]):
+    mass = value(parameters["tool0/m"])
+    com = [value(parameters[f"tool0/mc_{axis}"]) / mass for axis in "xyz"]
+    offset = [
+        value(parameters[f"tool0/offset_{kind}_{axis}"])
+        for kind in ("force", "moment")
+        for axis in "xyz"
+    ]
+    return mass, com, offset
+
+
+def assert_payload(mass, com, offset):
+    assert mass == pytest.approx(MASS, rel=5e-3)
+    np.testing.assert_allclose(com, COM, atol=1e-3)
+    np.testing.assert_allclose(offset, OFFSET, atol=0.05)
+
+
+def test_the_command_finds_the_payload(document, folder):
+    assert document["wrist_sensors"] == ["tool0:tool0"]
+    assert_payload(*payload(document["parameters"]))
+    # The file's own link beyond the sensor holds the payload.
+    written = load_model(folder / "out" / "model.urdf")
+    (tool,) = (body for body in written.bodies if body.name == "tool0")
+    assert tool.phi[0] == pytest.approx(MASS, rel=5e-3)
+
+
+def test_a_saved_result_is_validated(document, folder, symbid_here):
+    ended = symbid_here("validate", folder / "out", "--bag", folder / "bag")
+    assert ended.returncode == 0
+    assert "tool0/force_z" in ended.stdout
+
+
+@pytest.mark.parametrize("sensor", ["tool0", "-tool0"])
+def test_live_messages_give_the_same_payload(document, folder, sensor):
+    options = IdentifyOptions(wrist_sensor=(sensor,), joint_terms=("none",), window=0.161)
+    initial = InitialState.of(load_model(folder / "arm.urdf", "fixed"), options)
+    feed = feed_of(folder / "bag")
+    live = OnlineIdentification(initial, feed.selected, Pace(share=1.0))
+    try:
+        if sensor.startswith("-"):
+            with pytest.raises(DataError, match="restart with `wrist_sensor` tool0"):
+                feed.into(live, solving=5.0)
+            return
+        feed.into(live, solving=6.0)
+        found = live.solve(exactly=True).found.estimate
+    finally:
+        live.close()
+    values = dict(zip(found.names, found.value.tolist(), strict=True))
+    assert_payload(*payload(values, float))
+    for name, entry in document["parameters"].items():
+        assert values[name] == pytest.approx(entry["value"], abs=1e-6 + 1e-3 * entry["std"])

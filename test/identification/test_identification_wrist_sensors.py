@@ -1,0 +1,125 @@
+"""A payload behind a wrist sensor is identified together with the arm and the sensor's offset."""
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from documented_robots import ur5_urdf
+from payload_arm import COM, INERTIA, MASS, OFFSET, payload_arm_log
+
+from symbid_ros.errors import DataError
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.api import identify
+from symbid_ros.identification.validation import validate
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.log import Log
+
+FRAME = "tool0"
+FAST = {"joint_terms": ("none",), "no_holdout": True, "window": 0.161}
+
+
+@pytest.fixture(scope="module")
+def true_arm():
+    return load_model(ur5_urdf())
+
+
+@pytest.fixture(scope="module")
+def arm(true_arm):
+    """Links of the arm are wrong by up to 25 %, and the payload is not in the model."""
+    parameters = ParameterSet(true_arm)
+    return parameters.apply(draw_prior(parameters, "consistent", 25, 1).mean)
+
+
+@pytest.fixture(scope="module")
+def measured(true_arm):
+    """Efforts and wrenches of good sensors."""
+    return payload_arm_log(true_arm, FRAME, seconds=15.0)
+
+
+def log_of(arm, measured, wrench, frame=FRAME):
+    return Log.from_arrays(
+        arm,
+        time=measured.time,
+        position=measured.position,
+        effort=measured.effort,
+        wrenches={frame: wrench},
+    )
+
+
+def assert_payload(found, link, offset=OFFSET):
+    payload = found.links[link]
+    assert payload.mass == pytest.approx(MASS, rel=5e-3)
+    np.testing.assert_allclose(payload.com, COM, atol=1e-3)
+    np.testing.assert_allclose(payload.inertia, INERTIA, atol=1e-3)
+    names = [f"{FRAME}/offset_{kind}_{axis}" for kind in ("force", "moment") for axis in "xyz"]
+    errors = np.array([found.parameters[name].value for name in names]) - offset
+    stds = np.array([found.parameters[name].std for name in names])
+    assert np.all(np.abs(errors) < 4 * stds)
+    assert all(found.parameters[name].is_determined for name in names)
+
+
+def test_payload_arm_and_offset_are_found_together(arm, true_arm, measured):
+    log = log_of(arm, measured, measured.wrench)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST | {"no_holdout": False})
+    assert_payload(found, FRAME)
+    assert not found.alarms
+    # The returned robot is the user's own, which carries the payload.
+    assert found.robot.joint_names == arm.joint_names
+    carried = found.robot.phi[-1, 0] - true_arm.phi[-1, 0]
+    assert carried == pytest.approx(MASS, rel=0.02)
+    assert found.estimate.holdout.percent_after < 2
+    assert found.estimate.describe_payloads()[0].startswith("beyond tool0: 1.7")
+
+
+def test_terms_chosen_by_the_data_are_those_of_joints_only(arm, measured):
+    log = log_of(arm, measured, measured.wrench)
+    options = FAST | {"joint_terms": ("auto",)}
+    found = identify(arm, log, wrist_sensor=(FRAME,), **options)
+    assert_payload(found, FRAME)
+    assert set(found.estimate.joint_terms) == set(arm.joint_names)
+
+
+def test_a_sensor_of_the_opposite_sign_is_recognised(arm, measured, caplog):
+    log = log_of(arm, measured, -measured.wrench)
+    with caplog.at_level(logging.WARNING):
+        found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
+    assert "give `wrist_sensor` -tool0" in caplog.text
+    assert_payload(found, FRAME, -OFFSET)
+    assert found.estimate.wrist_sensors == ("-tool0:tool0",)
+
+
+def test_a_sensor_that_is_not_named_is_recognised(arm, measured, caplog):
+    log = log_of(arm, measured, measured.wrench)
+    with caplog.at_level(logging.WARNING):
+        identify(arm, log, **FAST, unchecked=True)
+    assert "a body of 1.7 kg fixed to it" in caplog.text
+    assert "give `wrist_sensor` tool0" in caplog.text
+
+
+def test_without_any_effort_the_payload_is_still_found(arm, measured):
+    silent = replace(measured, effort=np.full_like(measured.effort, np.nan))
+    log = log_of(arm, silent, measured.wrench)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST, unchecked=True)
+    assert_payload(found, FRAME)
+    assert not any(one.is_determined for name, one in found.parameters.items() if "arm" in name)
+    assert validate(found, log).percent_after < 2
+
+
+def test_a_saved_result_predicts_the_sensor_and_merges(arm, measured, tmp_path):
+    log = log_of(arm, measured, measured.wrench)
+    found = identify(arm, log, wrist_sensor=(FRAME,), **FAST)
+    found.save(tmp_path)
+    again = validate(tmp_path, log)
+    assert {one.name for one in again.coordinates} >= {f"{FRAME}/force_z", "elbow_joint"}
+    written = load_model(tmp_path / "model.urdf", "fixed")
+    np.testing.assert_allclose(written.phi, found.robot.phi, atol=1e-9)
+    other = identify(arm, found.information, wrist_sensor=(FRAME,), joint_terms=("none",))
+    np.testing.assert_allclose(other.estimate.value, found.estimate.value, rtol=1e-6, atol=1e-9)
+
+
+def test_a_log_without_the_sensor_is_refused(arm, measured):
+    log = log_of(arm, measured, measured.wrench, frame="ee_link")
+    with pytest.raises(DataError, match=r"no WrenchStamped topic has the frame tool0 .*ee_link"):
+        identify(arm, log, wrist_sensor=(FRAME,), **FAST)
