@@ -7,7 +7,7 @@ Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
 Filter = Literal["weak", "butterworth", "savitzky_golay"]
 Channels = Literal["all", "thesis"]
 Criterion = Literal["gen_force", "torque", "com"]
-Term = Literal["viscous", "coulomb", "armature", "offset", "stribeck"]
+Term = Literal["viscous", "coulomb", "armature", "offset", "stribeck", "load"]
 Scenario = Literal["smooth", "squat", "vibrating", "suspended", "tare"]
 SensorErrorKind = Literal[
     "plate_offset",
@@ -60,6 +60,7 @@ JOINT_TERMS: dict[Term, JointTerm] = {
     "armature": JointTerm(("kg m^2", "kg"), "armature", 0.1, 2, 0.3, True),
     "offset": JointTerm(("Nm", "N"), None, 1.0, 1, 0.1, False),
     "stribeck": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, False),
+    "load": JointTerm(("Nm/Nm", "N/N"), None, 0.1, 0, 0.1, True),
 }
 # Terms that act only while a joint slips. A sticking joint has static friction in their place.
-SLIDING_TERMS: frozenset[Term] = frozenset({"coulomb", "stribeck"})
+SLIDING_TERMS: frozenset[Term] = frozenset({"coulomb", "stribeck", "load"})

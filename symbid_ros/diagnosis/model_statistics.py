@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.choices import TERMS
+from symbid_ros.choices import TERMS, Term
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, gain_rows
 from symbid_ros.diagnosis.gains import GainProblem
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
@@ -33,6 +33,8 @@ RATE, PASSED = 250.0, 0.2
 # A wrench sensor is loaded if its root mean square force exceeds these shares of the most loaded
 # sensor's and of the weight.
 LEAST_LOAD, LEAST_SHARE = 0.1, 0.01
+# Friction that grows with the load would be taken for a gain, so it is not among the terms here.
+CHECKED_TERMS: tuple[Term, ...] = tuple(term for term in TERMS if term != "load")
 # Rows are built from all of the first blocks, and from ever fewer of the later ones.
 DENSE = 25
 
@@ -65,7 +67,7 @@ class ModelStatistics:
         self, model: RobotModel, wrench_frames: Sequence[str], imu_frames: Sequence[str]
     ) -> None:
         self.model = model
-        self.parameters = ParameterSet(model, TERMS)
+        self.parameters = ParameterSet(model, CHECKED_TERMS)
         links = ParameterSet(model)
         self.prior: Prior = model_prior(links).marginal(links.names[: links.inertial])
         self.gains = GainLayout.of(model, tuple(wrench_frames), tuple(imu_frames))

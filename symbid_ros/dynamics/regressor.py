@@ -156,6 +156,34 @@ def stribeck_column(velocity: FloatArray, joints: Sequence[Joint]) -> FloatArray
     return column
 
 
+def load_column(
+    parameters: ParameterSet, samples: Samples, K: FloatArray, y: FloatArray
+) -> FloatArray:
+    """Return sign(q̇) |τ| (N, J), Coulomb friction in proportion to the load of the gear.
+
+    The load τ is the effort that the reference inertias need, so that the column depends on the
+    motion and the contacts alone and predictions need no efforts (Hamon, Gautier and Garrec 2010,
+    Dynamic identification of robots with a dry friction model depending on load and velocity,
+    IROS). A wrong size of the reference enters the parameter.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    samples : Samples
+    K : (N, n, p) float64
+        Regressor; the columns of links are used.
+    y : (N, n) float64
+        Generalised force, from which that of the efforts is subtracted.
+    """
+    first = 6 * parameters.model.floating
+    own = np.zeros_like(y)
+    own[:, first:] = samples.effort
+    parameters.model.fold_followers(own)
+    needed = K[:, first:, : parameters.inertial] @ parameters.load_reference
+    load: FloatArray = np.abs(np.nan_to_num(needed - (y - own)[:, first:]))
+    return load * coulomb_column(samples.velocity)
+
+
 @dataclass(frozen=True)
 class Rows:
     """N samples of the equation of motion.
@@ -199,9 +227,13 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
         y[part] = generalised_force(model, block, posture.poses, axes)
     if len(parameters) > parameters.inertial:
         _fill_joint_terms(K, parameters, samples)
+    model.fold_followers(K)
+    if "load" in parameters.terms:
+        columns = parameters.term_columns["load"]
+        factor = load_column(parameters, samples, K, y)[:, parameters.joints]
+        K[:, first_joint + parameters.joints, range(columns.start, columns.stop)] = factor
     if parameters.known_terms:
         y -= known_force(parameters, samples)
-    model.fold_followers(K)
     return Rows(K, y)
 
 
@@ -240,8 +272,9 @@ def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples)
     joints, first = parameters.joints, 6 * parameters.model.floating
     K[:, :, parameters.inertial :] = 0.0
     for term, columns in parameters.term_columns.items():
-        factor = np.broadcast_to(content[term], samples.velocity.shape)
-        K[:, first + joints, range(columns.start, columns.stop)] = factor[:, joints]
+        if term in content:
+            factor = np.broadcast_to(content[term], samples.velocity.shape)
+            K[:, first + joints, range(columns.start, columns.stop)] = factor[:, joints]
     for coupling, coupled in parameters.coupling_columns.items():
         content = _coupled_terms(parameters, coupling, samples)
         for joint, ratio in zip(coupling.joints, coupling.ratios, strict=True):
@@ -255,7 +288,7 @@ def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples)
 
 
 def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, FloatArray]:
-    """Return the factor (N, J) of each joint term, Eq. 2.49 with armature and offset.
+    """Return the factor (N, J) of each joint term that needs no force, extending Eq. 2.49.
 
     The armature is the inertia of rotor and gear reflected to the joint, and moves with q̇_j
     alone. As in MuJoCo, the rotor's motion with its link is neglected, because it is small

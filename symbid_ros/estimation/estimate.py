@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,8 @@ from symbid_ros.choices import CHANNELS, FILTERS, TERMS, Channels, Filter
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.model.inertia import com_from_phi
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.user_files import load_json
 
 MODEL_FILES = "model.urdf", "model.xml"
@@ -131,6 +133,8 @@ class Estimate:
     wrist_sensors : tuple of str
         ``FRAME:LINK`` of each wrist force/torque sensor, with the first link beyond it; a minus
         before it marks a sensor that reads the wrench of the robot on the payload.
+    load_reference : dict of str to float
+        Parameters of links from which the load of joints follows, if their friction depends on it.
     """
 
     method: str
@@ -158,6 +162,16 @@ class Estimate:
     joint_terms: dict[str, tuple[str, ...]] | None = None
     remarks: tuple[str, ...] = ()
     wrist_sensors: tuple[str, ...] = ()
+    load_reference: dict[str, float] = field(default_factory=dict)
+
+    def parameters_of(self, model: RobotModel) -> ParameterSet:
+        """Return the columns of a robot with the joint terms of this estimate."""
+        parameters = ParameterSet.of_names(model, self.names).with_known_values(self.known)
+        if not self.load_reference:
+            return parameters
+        names = parameters.names[: parameters.inertial]
+        reference = np.array([self.load_reference.get(name, 0.0) for name in names])
+        return replace(parameters, reference=reference)
 
     @property
     def fixed(self) -> frozenset[str]:
@@ -255,6 +269,7 @@ class Estimate:
             "joint_terms": self.joint_terms,
             "remarks": list(self.remarks),
             "wrist_sensors": list(self.wrist_sensors),
+            "load_reference": self.load_reference,
         }
 
     def write(self, path: Path) -> None:
@@ -310,6 +325,7 @@ def load_estimate(path: Path) -> Estimate:
             joint_terms=_joint_terms(document.get("joint_terms")),
             remarks=tuple(document.get("remarks", ())),
             wrist_sensors=tuple(map(str, document.get("wrist_sensors", ()))),
+            load_reference=_numbers(document, "load_reference"),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(

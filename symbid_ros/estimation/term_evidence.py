@@ -7,6 +7,7 @@ its own.
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.choices import Term
 from symbid_ros.estimation.group_moments import CoordinateMoments, GroupMoments
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
@@ -26,8 +27,11 @@ UNRESOLVED = 0.1
 # Share of its variance that is due to the links' parameters, above which it is mixed up with them.
 MIXED = 0.5
 # Share by which a coupled drive must reduce the square error of left-out rows of its joints. On
-# arms without coupled drives, model errors let it fall by up to 0.13; on a Stäubli TX40 by 0.95.
-LEAST_COUPLED = 0.3
+# arms without coupled drives, model errors let it fall by up to 0.42; on a Stäubli TX40 by 0.79.
+LEAST_COUPLED = 0.5
+
+# Terms by which a coupled drive is found; its armature resembles the links' inertias.
+FRICTION: tuple[Term, ...] = ("viscous", "coulomb")
 
 
 class Elimination:
@@ -44,9 +48,18 @@ class Elimination:
         self._nonnegative = parameters.nonnegative
 
     def inseparable(self) -> tuple[tuple[int, int], ...]:
-        """Return pairs of terms of one joint whose errors are completely correlated."""
-        std = np.sqrt(self._covariance.diagonal())
-        correlation = np.abs(self._covariance / np.outer(std, std))
+        """Return pairs of terms of one joint whose errors are completely correlated.
+
+        Friction that depends on the load, which may resemble all other terms together, is fixed.
+        """
+        covariance = self._covariance
+        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
+        fixed = np.array([kind == "load" for kind in kinds], dtype=bool)
+        if fixed.any():
+            gain = np.linalg.solve(covariance[np.ix_(fixed, fixed)], covariance[fixed])
+            covariance = covariance - covariance[:, fixed] @ gain
+        std = np.sqrt(np.where(fixed, self._covariance.diagonal(), covariance.diagonal()))
+        correlation = np.abs(covariance / np.outer(std, std))
         wide = std > 0.1 * self._prior.std[self.left]
         pairs = np.argwhere(np.triu(correlation > INSEPARABLE, 1) & np.outer(wide, wide))
         joints = [self._parameters.names[i].rpartition("/")[0] for i in self.left]
@@ -150,7 +163,7 @@ def cross_validated(
 
 
 def predictive_couplings(
-    found: Posterior, chosen: Observations, parameters: ParameterSet
+    found: Posterior, chosen: Observations, parameters: ParameterSet, free: BoolArray
 ) -> tuple[Coupling, ...]:
     """Return the couplings that predict left-out rows better than the joints' terms alone.
 
@@ -163,13 +176,13 @@ def predictive_couplings(
     chosen : Observations
         The rows that it is from.
     parameters : ParameterSet
+    free : (p,) bool
+        The parameters of links, and the terms that the joints have without couplings.
     """
     groups = chosen.groups
     assert groups is not None
     parts = {part.coordinate: part for part in groups.complete}
     first = 6 * parameters.model.floating
-    free = np.ones(len(parameters), bool)
-    free[parameters.first_coupled :] = False
     taken: list[Coupling] = []
 
     def error(coupling: Coupling, free: BoolArray) -> float:
@@ -182,7 +195,10 @@ def predictive_couplings(
             if coupling in taken:
                 continue
             more = free.copy()
-            more[list(columns.values())] = True
+            friction = [columns[term] for term in FRICTION if term in columns]
+            more[friction] = True
+            if np.any(_conditional(found, more)[0][friction] < 0):  # drives dissipate power
+                continue
             gain = 1 - error(coupling, more) / error(coupling, free)
             if gain > most:
                 best, most, best_free = coupling, gain, more
@@ -192,6 +208,19 @@ def predictive_couplings(
         free = best_free
 
 
+def _conditional(found: Posterior, unknowns: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and covariance given that all but some unknowns are at their prior means."""
+    mean, covariance = found.mean, found.deviation_factor @ found.deviation_factor.T
+    free = np.ones(len(mean), bool)
+    free[: len(unknowns)] = unknowns
+    fixed = np.flatnonzero(~free)
+    if len(fixed):
+        gain = np.linalg.solve(covariance[np.ix_(fixed, fixed)], covariance[fixed]).T
+        mean = mean - gain @ (mean - found.prior.mean)[fixed]
+        covariance = covariance - gain @ covariance[fixed]
+    return mean, covariance
+
+
 class _LeftOut:
     """Square error of a joint's rows, each group predicted from all other rows."""
 
@@ -199,7 +228,6 @@ class _LeftOut:
         self, found: Posterior, free: BoolArray, groups: GroupMoments, part: CoordinateMoments
     ) -> None:
         self._found = found
-        self._everything = found.deviation_factor @ found.deviation_factor.T
         self._unknowns = np.ones(len(found.mean), bool)
         self._unknowns[: len(free)] = free
         self._moment, self._columns = part.moments, groups.layout.columns[part.coordinate]
@@ -210,12 +238,8 @@ class _LeftOut:
         unknowns = self._unknowns.copy()
         if term is not None:
             unknowns[term] = False
-        found, fixed = self._found, np.flatnonzero(~unknowns)
-        mean, covariance = found.mean, self._everything
-        if len(fixed):
-            gain = np.linalg.solve(covariance[np.ix_(fixed, fixed)], covariance[fixed]).T
-            mean = mean - gain @ (mean - found.prior.mean)[fixed]
-            covariance = covariance - gain @ covariance[fixed]
+        found = self._found
+        mean, covariance = _conditional(found, unknowns)
         used = unknowns[self._columns]
         columns = self._columns[used]
         offset = self._columns[~used]

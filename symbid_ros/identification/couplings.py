@@ -69,9 +69,13 @@ def find_couplings(solver: Solver, dataset: Dataset) -> tuple[Coupling, ...]:
         choice=None,
         stored=None,
     )
+    candidates = np.ones(len(parameters), bool)
+    found, chosen = candidate_posterior(everything, candidates, slips=True)
     free = np.ones(len(parameters), bool)
-    found, chosen = candidate_posterior(everything, free, slips=True)
-    couplings = predictive_couplings(found, chosen, parameters)
+    first = parameters.first_coupled
+    free[:first] = choice.free[:first]
+    free[first : parameters.sensor_offsets.start] = False
+    couplings = predictive_couplings(found, chosen, parameters, free)
     for one in couplings:
         logger.warning(
             "%s: %s share a drive: friction or armature acts on %s, which is identified as well; "

@@ -115,7 +115,9 @@ class TermChoice:
         prior = fixed_prior(problem.prior, self.free)
         if all_columns:
             return replace(problem, observations=observations, prior=prior)
-        parameters = ParameterSet(self.parameters.model, self.terms, couplings=self.couplings)
+        parameters = replace(
+            self.parameters, terms=self.terms, candidates=False, couplings=self.couplings
+        )
         names = (*parameters.names, *problem.sensor_names)
         measurements = problem.pseudo_measurements
         if measurements is not None:

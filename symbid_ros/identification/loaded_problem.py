@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.choices import SLIDING_TERMS, TERMS, Method
+from symbid_ros.choices import SLIDING_TERMS, Method
 from symbid_ros.diagnosis.findings import Finding, Kind, merged
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
@@ -31,7 +31,7 @@ from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.result_files import check_output
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.wrist_evidence import reversed_sensors, unnamed_sensors
-from symbid_ros.model.coupling import Coupling, couplings_in
+from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import reversed_sensor, with_wrist_sensors
@@ -266,7 +266,7 @@ def _columns_of(robot: RobotModel, observations: Sequence[Observations]) -> Para
     """Return the columns that observations have: those of candidate terms, or of given ones."""
     if any(one.slipping is not None for one in observations):
         names = observations[0].layout.parameters
-        return ParameterSet(robot, TERMS, candidates=True, couplings=couplings_in(names, robot))
+        return replace(ParameterSet.of_names(robot, names), candidates=True)
     return ParameterSet.of_names(robot, observations[0].layout.parameters)
 
 

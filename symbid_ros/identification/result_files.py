@@ -232,7 +232,7 @@ def load_estimated_model(path: Path, model: RobotModel) -> EstimatedModel:
     estimate = load_estimate(file)
     model = with_wrist_sensors(model, estimate.wrist_sensors)
     # The model may be the true robot, with friction that the estimate does not have.
-    parameters = ParameterSet.of_names(model, estimate.names).with_known_values(estimate.known)
+    parameters = estimate.parameters_of(model)
     if set(parameters.names) != set(estimate.names):
         raise EstimateError(
             f"{file}: its parameters, of model {estimate.model!r}, are not those of "

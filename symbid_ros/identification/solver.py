@@ -21,6 +21,7 @@ from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
 from symbid_ros.model.inertia import is_consistent
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.wrist_sensors import sensor_names
 from symbid_ros.package_paths import package_version
 from symbid_ros.signals.sensor_errors import CalibratingRows
@@ -300,7 +301,16 @@ class Solver:
             joint_terms=None if choice is None else dict(choice.by_joint),
             remarks=() if choice is None else choice.remarks,
             wrist_sensors=sensor_names(parameters.model),
+            load_reference=_load_reference(parameters),
         )
+
+
+def _load_reference(parameters: ParameterSet) -> dict[str, float]:
+    """Return the link parameters that give the joints' load, if any term needs them."""
+    if "load" not in parameters.terms:
+        return {}
+    reference = parameters.load_reference.tolist()
+    return dict(zip(parameters.names[: parameters.inertial], reference, strict=True))
 
 
 def _with_window(candidates: Sequence[Observations], window: float) -> Observations:

@@ -31,14 +31,17 @@ class ParameterSet:
     ----------
     model : RobotModel
         The robot.
-    terms : tuple of {"viscous", "coulomb", "armature", "offset", "stribeck"}
+    terms : tuple of {"viscous", "coulomb", "armature", "offset", "stribeck", "load"}
         Terms that a drive adds to its joint's row: viscous q̇, Coulomb sign(q̇), armature q̈
-        (the reflected inertia of rotor and gear), a constant offset, and Stribeck friction
-        sign(q̇) exp(-|q̇|/v). They are sorted in this order.
+        (the reflected inertia of rotor and gear), a constant offset, Stribeck friction
+        sign(q̇) exp(-|q̇|/v), and Coulomb friction in proportion to the load, sign(q̇) |τ|. They
+        are sorted in this order.
     candidates : bool
         Whether the terms are candidates, of which the data choose some for each joint.
     couplings : tuple of Coupling
         Drives that turn with several joints, with friction and armature of their own.
+    reference : (inertial,) float64 or None
+        Link parameters that give the joints' load τ; by default those of the model.
 
     Raises
     ------
@@ -50,6 +53,7 @@ class ParameterSet:
     terms: tuple[Term, ...] = ()
     candidates: bool = False
     couplings: tuple[Coupling, ...] = ()
+    reference: FloatArray | None = None
 
     def __post_init__(self) -> None:
         """Check and sort the terms."""
@@ -157,6 +161,13 @@ class ParameterSet:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @cached_property
+    def load_reference(self) -> FloatArray:
+        """(inertial,) parameters of the links from which the joints' load follows."""
+        if self.reference is None:
+            return self.model.phi[self.links].ravel()
+        return self.reference
 
     @cached_property
     def values(self) -> FloatArray:

@@ -17,7 +17,6 @@ from symbid_ros.identification.result import Result
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
-from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
 from symbid_ros.signals.filters import CausalLowPass
@@ -135,7 +134,7 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
     """
     estimate = result.estimate
     robot = with_wrist_sensors(robot, estimate.wrist_sensors)
-    parameters = ParameterSet.of_names(robot, estimate.names).with_known_values(estimate.known)
+    parameters = estimate.parameters_of(robot)
     if parameters.names != estimate.names:
         raise EstimateError(
             f"result: its parameters, of model {estimate.model!r}, are not those of "

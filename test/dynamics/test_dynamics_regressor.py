@@ -203,7 +203,7 @@ def test_random_trees_obey_pinocchios_regressor(seed, tmp_path):
     assert relative_rmse(left, pinocchio_torque(model, path, samples, rng)) < 1e-11
 
 
-@pytest.mark.parametrize(("terms", "rank"), [((), 80), (("viscous", "coulomb"), 100), (TERMS, 130)])
+@pytest.mark.parametrize(("terms", "rank"), [((), 80), (("viscous", "coulomb"), 100), (TERMS, 140)])
 def test_symbitron_has_the_thesis_base_parameters(terms, rank):
     model = load_model(CONFIG / "symbitron.urdf")
     samples = random_samples(model, 300, np.random.default_rng(3), ())
@@ -219,10 +219,27 @@ def test_joint_columns_are_eq_2_49_with_armature_and_offset():
     assert np.all(is_slipping(samples.velocity))
     parameters = ParameterSet(model, TERMS)
     viscous, coulomb, armature, offset, stribeck = np.arange(10.0) + 20 * np.arange(5)[:, None]
-    phi = np.r_[np.zeros(110), viscous, coulomb, armature, offset, stribeck]
+    phi = np.r_[np.zeros(110), viscous, coulomb, armature, offset, stribeck, np.zeros(10)]
     torque = equation_of_motion(parameters, samples).K @ phi
     expected = viscous * samples.velocity + coulomb * np.sign(samples.velocity)
     expected += armature * samples.acceleration + offset
     expected += stribeck * np.sign(samples.velocity) * np.exp(-np.abs(samples.velocity) / 0.2)
     np.testing.assert_array_equal(torque[:, :6], 0)
     np.testing.assert_allclose(torque[:, 6:], expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("floating", [True, False])
+def test_load_friction_is_in_proportion_to_the_effort_without_friction(floating):
+    model = random_robot(5, links=5, floating=floating, wrench_frames=1)
+    frames = tuple(frame.name for frame in model.frames if frame.name.startswith("wrench"))
+    samples = random_samples(model, 20, np.random.default_rng(1), frames)
+    bare = ParameterSet(model)
+    rows = equation_of_motion(bare, replace(samples, effort=np.zeros_like(samples.effort)))
+    effort = (rows.K @ bare.values - rows.y)[:, 6 * floating :]
+    parameters = ParameterSet(model, ("load",))
+    K = equation_of_motion(parameters, samples).K
+    joints = np.arange(len(model.joints))
+    columns = K[:, 6 * floating + joints, parameters.term_columns["load"].start + joints]
+    slips = is_slipping(samples.velocity)
+    expected = np.abs(effort) * np.sign(samples.velocity)
+    np.testing.assert_allclose(columns[slips], expected[slips], rtol=1e-9)

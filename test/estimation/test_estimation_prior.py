@@ -162,7 +162,14 @@ def test_missing_joint_terms_are_zero_with_the_terms_deviation(driven):
         for term, std in terms_of(parameters, prior.std).items():
             np.testing.assert_array_equal(std[kinds == "revolute"], JOINT_TERMS[term].std)
         # Seen at the lever of the same drive, a slide's motion and effort each count once.
-        levers = {"viscous": 100, "coulomb": 10, "armature": 100, "offset": 10, "stribeck": 10}
+        levers = {
+            "viscous": 100,
+            "coulomb": 10,
+            "armature": 100,
+            "offset": 10,
+            "stribeck": 10,
+            "load": 1,
+        }
         for term, std in terms_of(parameters, prior.std).items():
             np.testing.assert_allclose(
                 std[kinds == "prismatic"], levers[term] * JOINT_TERMS[term].std

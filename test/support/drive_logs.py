@@ -56,10 +56,13 @@ def samples_of(robot, time, position, velocity, acceleration):
     )
 
 
-def log_of(robot, truth, seed=0, offset=0.0, moving=None, seconds=SECONDS, extra=None, gain=1.0):
+def log_of(
+    robot, truth, seed=0, offset=0.0, moving=None, seconds=SECONDS, extra=None, load=0.0, gain=1.0
+):
     """Return a noisy log of a robot whose drives are those of the parameters ``truth``.
 
-    ``extra`` computes further torques from velocity and acceleration; ``gain`` divides efforts.
+    ``extra`` computes further torques from velocity and acceleration, ``load`` is Coulomb friction
+    per torque of the links, and ``gain`` divides efforts.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, 1 / RATE)
@@ -71,6 +74,7 @@ def log_of(robot, truth, seed=0, offset=0.0, moving=None, seconds=SECONDS, extra
     effort = rows.K @ truth.values - rows.y + offset
     if extra is not None:
         effort += extra(*motion[1:])
+    effort += load * np.abs(rows.K @ truth.values - rows.y) * np.sign(motion[1])
     effort /= gain
     effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
     position = motion[0] + 1e-6 * rng.normal(size=effort.shape)
