@@ -1,16 +1,17 @@
-"""Starts real node processes on a ROS graph of the test's own."""
+"""Starts nodes as processes on a ROS graph of the test's own."""
 
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 import rclpy
+from preloaded import PreloadedProcess
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -26,31 +27,8 @@ class Ended:
 
 
 class NodeProcess:
-    def __init__(
-        self,
-        executable: str,
-        env: dict[str, str],
-        parameters: dict[str, object],
-        namespace: str = "/",
-    ) -> None:
-        arguments = [
-            word
-            for name, value in parameters.items()
-            for word in ("-p", f"{name}:={str(value).lower() if value in (True, False) else value}")
-        ]
-        self._process = subprocess.Popen(
-            [
-                Path(sys.executable).parent / executable,
-                "--ros-args",
-                "-r",
-                f"__ns:={namespace}",
-                *arguments,
-            ],
-            env=env,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+    def __init__(self, process: "PreloadedProcess | subprocess.Popen[str]") -> None:
+        self._process = process
 
     def send(self, number: signal.Signals) -> None:
         self._process.send_signal(number)
@@ -64,8 +42,10 @@ class NodeProcess:
         status = self._process.poll()
         if status is None:
             self._process.send_signal(signal.SIGABRT)  # prints the stack of each thread
-        # Waiting for the end has read the pipes already.
-        err = "" if self._process.stderr.closed else self._process.communicate()[1]
+        try:
+            err = self._process.communicate()[1]
+        except ValueError:  # waiting for the end has read the pipes already
+            err = ""
         return f"{Path(self._process.args[0]).name} (status {status}): {err[-5000:]}"
 
     def kill(self) -> None:
@@ -77,8 +57,8 @@ class NodeProcess:
 class Graph:
     """Starts node processes in the test's own domain and observes them from a node."""
 
-    def __init__(self, env: dict[str, str]):
-        self._env = env
+    def __init__(self, env: dict[str, str], outputs: Path):
+        self._env, self._outputs = env, outputs
         self._processes: list[NodeProcess] = []
         self.details: Callable[[], object] = tuple  # its result is printed when a wait fails
         self._context = Context()
@@ -88,7 +68,28 @@ class Graph:
         self._executor.add_node(self.node)
 
     def start(self, executable: str, namespace: str = "/", **parameters: object) -> NodeProcess:
-        self._processes.append(NodeProcess(executable, self._env, parameters, namespace))
+        """Start a node whose libraries are loaded already."""
+        process = PreloadedProcess(
+            f"symbid_ros.ros.start:{executable}",
+            _words(executable, namespace, parameters),
+            self._env,
+            self._outputs / f"{len(self._processes)}_{executable}",
+        )
+        return self._keep(process)
+
+    def execute(self, executable: str, namespace: str = "/", **parameters: object) -> NodeProcess:
+        """Start the executable itself, as ``ros2 run`` does; its end includes the interpreter's."""
+        process = subprocess.Popen(
+            _words(str(Path(sys.executable).parent / executable), namespace, parameters),
+            env=self._env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        return self._keep(process)
+
+    def _keep(self, process: "PreloadedProcess | subprocess.Popen[str]") -> NodeProcess:
+        self._processes.append(NodeProcess(process))
         return self._processes[-1]
 
     def wait_until(self, condition: Callable[[], object]) -> None:
@@ -113,10 +114,20 @@ class Graph:
         self._context.try_shutdown()
 
 
+def _words(executable: str, namespace: str, parameters: Mapping[str, object]) -> list[str]:
+    """Return the command line of a node."""
+    words = [executable, "--ros-args", "-r", f"__ns:={namespace}"]
+    for name, value in parameters.items():
+        words += ["-p", f"{name}:={str(value).lower() if value in (True, False) else value}"]
+    return words
+
+
 @pytest.fixture
-def graph(domain: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Graph]:
+def graph(
+    domain: int, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Graph]:
     monkeypatch.setenv("PYTHONFAULTHANDLER", "1")
-    graph = Graph(dict(os.environ))
+    graph = Graph(dict(os.environ), tmp_path_factory.mktemp("nodes"))
     try:
         yield graph
     finally:

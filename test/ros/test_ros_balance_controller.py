@@ -181,7 +181,7 @@ def test_bad_commands_are_reported_and_ignored(graph) -> None:
 @pytest.mark.parametrize(("source", "number"), [("topic", signal.SIGINT), ("udp", signal.SIGTERM)])
 def test_signals_end_a_bridge_that_waits(graph, source: str, number: signal.Signals) -> None:
     statuses = StatusProbe(graph)
-    bridge = graph.start("mujoco_bridge", command_source=source, udp_port=0)
+    bridge = graph.execute("mujoco_bridge", command_source=source, udp_port=0)
     graph.wait_until(lambda: statuses.message(COMMANDS) == "waiting for a controller")
     bridge.send(number)
     ended = bridge.ended()
@@ -193,7 +193,7 @@ def test_signals_end_a_bridge_that_waits(graph, source: str, number: signal.Sign
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_a_controller_without_measurements(graph, number: signal.Signals) -> None:
     statuses = StatusProbe(graph)
-    controller = graph.start("balance_controller")
+    controller = graph.execute("balance_controller")
     graph.wait_until(lambda: statuses.message(CONTROL).startswith("no measurements"))
     described = descriptors(graph, "/balance_controller", ["scenario", "moves", "use_sim_time"])
     assert all(each.description for each in described)

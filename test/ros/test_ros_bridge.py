@@ -138,7 +138,7 @@ def test_signal_ends_the_bridge_cleanly(graph, number: signal.Signals) -> None:
         lambda message: stamps.append(message.clock.sec * 10**9 + message.clock.nanosec),
         100,
     )
-    bridge = graph.start("mujoco_bridge", clock_rate=50.0)
+    bridge = graph.execute("mujoco_bridge", clock_rate=50.0)
     graph.wait_until(lambda: len(stamps) > 5)
     bridge.send(number)
     ended = bridge.ended()

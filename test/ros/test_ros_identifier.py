@@ -2,8 +2,6 @@
 
 import json
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ import pytest
 from bag_editing import topic_counts
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped, WrenchStamped
+from preloaded import run_symbid
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -48,15 +47,8 @@ def recorded(graph, bag: Path) -> Path:
 
 def command(bag: Path, out: Path, *options: object) -> dict[str, Any]:
     """Identify with the command and return estimate.json."""
-    subprocess.run(
-        [
-            Path(sys.executable).parent / "symbid",
-            *("identify", bag, *map(str, options), "--out", out),
-        ],
-        check=True,
-        capture_output=True,
-        timeout=300,
-    )
+    ended = run_symbid("identify", bag, *options, "--out", out, output=out.with_suffix(".symbid"))
+    assert ended.returncode == 0, ended.stderr
     return json.loads((out / "estimate.json").read_text())
 
 

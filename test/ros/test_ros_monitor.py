@@ -240,7 +240,7 @@ class TestProcess:
             )
 
     def test_a_log_gets_a_line_for_each_estimate_and_a_table_at_the_end(self, graph) -> None:
-        monitor = graph.start("monitor", estimates=3, truth=config_file("symbitron.xml"))
+        monitor = graph.execute("monitor", estimates=3, truth=config_file("symbitron.xml"))
         ended = publish_until_ended(graph, monitor, Identifier(graph))
         assert (ended.status, ended.err) == (0, "")
         lines = ended.out.splitlines()

@@ -2,8 +2,6 @@
 
 import json
 import signal
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped
+from preloaded import run_symbid
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
@@ -68,15 +67,9 @@ def bridge(graph: Any, **parameters: object) -> Any:
 
 
 def offline(bag: Path, out: Path) -> dict[str, Any]:
-    subprocess.run(
-        [
-            Path(sys.executable).parent / "symbid",
-            *("identify", bag, "--model", MODEL, "--prior-percent", "25", "--out", out),
-        ],
-        check=True,
-        capture_output=True,
-        timeout=300,
-    )
+    options = "--model", MODEL, "--prior-percent", 25, "--out", out
+    ended = run_symbid("identify", bag, *options, output=out.with_suffix(".symbid"))
+    assert ended.returncode == 0, ended.stderr
     return json.loads((out / "estimate.json").read_text())
 
 

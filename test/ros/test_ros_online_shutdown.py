@@ -58,7 +58,7 @@ def test_the_newest_estimate_is_saved_when_an_error_ends_the_node(
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_stopping_without_an_estimate_is_an_error_that_states_why(graph, tmp_path, number) -> None:
-    process = graph.start("identifier", model=MODEL, out=tmp_path / "out")
+    process = graph.execute("identifier", model=MODEL, out=tmp_path / "out")
     graph.wait_for_node("identifier")
     graph.wait_until(lambda: graph.node.count_publishers("/identifier/estimate"))
     process.send(number)

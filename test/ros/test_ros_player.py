@@ -203,7 +203,7 @@ def test_a_part_of_the_bag(graph, tmp_path: Path) -> None:
 def test_loop_jumps_back_until_a_signal(graph, tmp_path: Path, number: signal.Signals) -> None:
     log = write_log(tmp_path / "bag", 400)
     stamps = received_stamps(graph)
-    player = graph.start(
+    player = graph.execute(
         "player",
         bag=f"[{log}]",
         rate=2.0,

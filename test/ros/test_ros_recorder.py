@@ -47,7 +47,7 @@ def joint_state(milliseconds: int) -> JointState:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_completes_the_bag(graph, tmp_path: Path, number: signal.Signals) -> None:
     publisher = graph.node.create_publisher(JointState, "joint_states", RELIABLE)
-    recorder = graph.start("recorder", bag=tmp_path / "bag", topics="[joint_states]")
+    recorder = graph.execute("recorder", bag=tmp_path / "bag", topics="[joint_states]")
     graph.wait_until(publisher.get_subscription_count)
     sent = [joint_state(n) for n in range(500)]
     for message in sent:
