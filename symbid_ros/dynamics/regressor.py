@@ -278,6 +278,8 @@ def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples)
     for coupling, coupled in parameters.coupling_columns.items():
         content = _coupled_terms(parameters, coupling, samples)
         for joint, ratio in zip(coupling.joints, coupling.ratios, strict=True):
+            if joint in parameters.link_side:
+                continue
             for term, column in coupled.items():
                 K[:, first + joint, column] = ratio * content[term]
     offset = parameters.sensor_offsets.start
@@ -294,10 +296,14 @@ def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, Float
     alone. As in MuJoCo, the rotor's motion with its link is neglected, because it is small
     compared to the geared motion (Featherstone 2008, sec. 9.6).
     """
+    armature = samples.acceleration
+    if parameters.link_side:
+        armature = armature.copy()
+        armature[:, parameters.link_side] = 0.0
     return {
         "viscous": samples.velocity,
         "coulomb": coulomb_column(samples.velocity),
-        "armature": samples.acceleration,
+        "armature": armature,
         "offset": np.ones(1),
         "stribeck": stribeck_column(samples.velocity, parameters.model.joints),
     }

@@ -96,7 +96,8 @@ def neighbours(parameters: ParameterSet) -> tuple[Coupling, ...]:
     pairs = [
         (joint.parent - 1, index)
         for index, joint in enumerate(model.joints)
-        if joint.parent > 0 and not {index, joint.parent - 1} & set(model.followers)
+        if joint.parent > 0
+        and not {index, joint.parent - 1} & {*model.followers, *parameters.link_side}
     ]
     return tuple(
         Coupling.of(model, pair, (1.0, ratio))

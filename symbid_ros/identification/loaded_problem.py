@@ -215,7 +215,8 @@ def load_information(
     robot = with_wrist_sensors(robot, options.wrist_sensors)
     parameters = load_parameters(robot, options)
     if options.chooses_terms:
-        parameters = _columns_of(robot, observations)
+        columns = _columns_of(robot, observations)
+        parameters = replace(columns, link_side=parameters.link_side)
     observations = _with_columns(observations, parameters)
     _check_sizes(options, parameters)
     _check_layout(observations, parameters, "information")
@@ -247,6 +248,7 @@ def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet
             candidates=options.chooses_terms,
             couplings=tuple(Coupling.parse(one, robot) for one in options.couplings),
         )
+    parameters = replace(parameters, link_side=_link_side(robot, options.effort_sides))
     for term, values in parameters.known_terms.items():
         stated = [
             name for name, value in zip(robot.joint_names, values, strict=True) if value != 0.0
@@ -260,6 +262,20 @@ def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet
             term,
         )
     return parameters
+
+
+def _link_side(robot: RobotModel, sides: Mapping[str, str]) -> tuple[int, ...]:
+    """Return the joints whose efforts are measured on the link's side."""
+    for name in sides:
+        if name and name not in robot.joint_names:
+            raise OptionError(
+                f"`effort_side`: {robot.source} has no joint {name!r}; name one of "
+                f"{', '.join(robot.joint_names)}",
+                "E501",
+            )
+    default = sides.get("", "motor")
+    named = [sides.get(name, default) for name in robot.joint_names]
+    return tuple(index for index, side in enumerate(named) if side == "link")
 
 
 def _columns_of(robot: RobotModel, observations: Sequence[Observations]) -> ParameterSet:

@@ -42,6 +42,7 @@ FLAGS: dict[str, tuple[Term, ...]] = {
     "offset": ("offset",),
 }
 
+EFFORT_SIDES = "motor", "link"
 WEIGHING_STD = 0.05  # kg; what a good floor scale does
 
 
@@ -128,6 +129,13 @@ class IdentifyOptions:
     )
     offset: bool = option(
         False, "The same as `joint_terms` offset: a constant torque of every joint.", group=JOINTS
+    )
+    effort_side: tuple[str, ...] = option(
+        (),
+        "Where efforts are measured: motor (before the gear, or from currents), link (behind the "
+        "gear, which excludes the armature), or a list such as joint_1=link,joint_2=motor.",
+        group=JOINTS,
+        unset="motor",
     )
     coupling: tuple[str, ...] = option(
         (),
@@ -285,6 +293,21 @@ class IdentifyOptions:
     def _named_terms(self) -> list[str]:
         return _names(self.joint_terms)
 
+    @cached_property
+    def effort_sides(self) -> dict[str, str]:
+        """Side of the effort of each named joint; that of all others under the empty name."""
+        sides = {}
+        for part in _names(self.effort_side):
+            joint, _, side = part.rpartition("=")
+            if side not in EFFORT_SIDES or joint in sides:
+                raise OptionError(
+                    f"`effort_side`: {part!r} is not valid; give motor, link, or each joint once, "
+                    "as in joint_1=link,joint_2=motor",
+                    "E501",
+                )
+            sides[joint] = side
+        return sides
+
     @property
     def couplings(self) -> list[str]:
         """The named couplings, one sum of joints each."""
@@ -305,6 +328,16 @@ class IdentifyOptions:
                 raise OptionError(
                     f"`joint_terms` {name} contradicts {others[0]}; give one of them", "E502"
                 )
+        if (
+            self.effort_sides == {"": "link"}
+            and not self.chooses_terms
+            and "armature" in self.terms
+        ):
+            raise OptionError(
+                "efforts on the link's side contain no armature; leave armature or `effort_side` "
+                "out",
+                "E502",
+            )
         if self.couplings and not set(self.terms) - {"offset"}:
             raise OptionError(
                 "`coupling` needs joint terms that act on it; leave `joint_terms` out, or name "

@@ -11,7 +11,7 @@ from symbid_ros.choices import JOINT_TERMS, TERMS, Term
 from symbid_ros.errors import ModelError
 from symbid_ros.model.coupling import Coupling, coupled_terms, couplings_in
 from symbid_ros.model.inertia import PARAMETERS, UNITS
-from symbid_ros.model.tree import Joint, RobotModel
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import COMPONENTS
 
 # Start of the names of wrist sensors' offsets.
@@ -40,6 +40,8 @@ class ParameterSet:
         Whether the terms are candidates, of which the data choose some for each joint.
     couplings : tuple of Coupling
         Drives that turn with several joints, with friction and armature of their own.
+    link_side : tuple of int
+        Joints whose effort is measured behind the gear. It does not contain the armature.
     reference : (inertial,) float64 or None
         Link parameters that give the joints' load τ; by default those of the model.
 
@@ -53,6 +55,7 @@ class ParameterSet:
     terms: tuple[Term, ...] = ()
     candidates: bool = False
     couplings: tuple[Coupling, ...] = ()
+    link_side: tuple[int, ...] = ()
     reference: FloatArray | None = None
 
     def __post_init__(self) -> None:
@@ -175,7 +178,7 @@ class ParameterSet:
         values = np.zeros(len(self))
         values[: self.inertial] = self.model.phi[self.links].ravel()
         for term, columns in self.term_columns.items():
-            values[columns] = [_file_value(self.model.joints[place], term) for place in self.joints]
+            values[columns] = [self._file_value(place, term) for place in self.joints]
         return values
 
     @cached_property
@@ -196,7 +199,7 @@ class ParameterSet:
         The equation of motion takes them as known.
         """
         stated = {
-            term: np.array([_file_value(joint, term) for joint in self.model.joints])
+            term: np.array([self._file_value(j, term) for j in range(len(self.model.joints))])
             for term in TERMS
             if term not in self.terms
         }
@@ -239,15 +242,19 @@ class ParameterSet:
         for term, columns in self.term_columns.items():
             if term in _FIELDS:
                 for place, value in zip(self.joints, values[columns].tolist(), strict=True):
+                    if term == "armature" and place in self.link_side:
+                        continue
                     joints[place] = replace(joints[place], **{_FIELDS[term]: value})
         return replace(self.model.with_phi(phi), joints=tuple(joints))
+
+    def _file_value(self, joint: int, term: Term) -> float:
+        """Return what the model file states of a term that acts on the joint's measured effort."""
+        if term not in _FIELDS or (term == "armature" and joint in self.link_side):
+            return 0.0
+        return float(getattr(self.model.joints[joint], _FIELDS[term]))
 
 
 def terms_in(names: Collection[str]) -> tuple[Term, ...]:
     """Return the joint terms that occur in parameter names."""
     kinds = {name.rpartition("/")[2] for name in names}
     return tuple(term for term in TERMS if term in kinds)
-
-
-def _file_value(joint: Joint, term: Term) -> float:
-    return float(getattr(joint, _FIELDS[term])) if term in _FIELDS else 0.0
