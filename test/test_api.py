@@ -179,7 +179,8 @@ def test_merged_information_equals_that_of_both_logs(robot, folder, result) -> N
         sy.identify(robot, one, prior_percent=25, joint_terms=("none",))
         for one in (result.information, information)
     )
-    assert np.all(together.estimate.std <= alone.estimate.std * (1 + 1e-6))
+    # How much residuals are correlated is estimated from the logs, too.
+    assert np.all(together.estimate.std <= 1.01 * alone.estimate.std)
     with pytest.raises(sy.EstimateError, match="counted twice"):
         sy.merge([result.information, result.information])
 

@@ -245,6 +245,8 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
     if verdict.sensors:
         known = sum(error.determined for error in verdict.sensors)
         lines.append(f"{known} of {len(verdict.sensors)} sensor errors determined")
+    if verdict.unexplained:
+        lines.append(Text(f"at most {verdict.unexplained[0]}, apart from noise"))
     if not verdict.alarms:
         return [*lines, Text("no alarm", style="green")]
     count = len(verdict.alarms)

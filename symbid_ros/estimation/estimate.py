@@ -12,6 +12,7 @@ from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.atomic_write import write_text
 from symbid_ros.choices import CHANNELS, FILTERS, TERMS, Channels, Filter
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
@@ -390,4 +391,6 @@ def _verdict(document: dict[str, Any] | None) -> Verdict | None:
         name: tuple(EstimatedQuantity(**entry) for entry in document[name])
         for name in ("base", "sensors")
     }
-    return Verdict(**(document | lists | quantities))
+    # Earlier versions did not write the unexplained forces.
+    unexplained = tuple(UnexplainedForce(**one) for one in document.get("unexplained", ()))
+    return Verdict(**(document | lists | quantities | {"unexplained": unexplained}))

@@ -186,6 +186,14 @@ class Observations:
         variance = self.rows.residual_moment(phi).diagonal()
         return self.groups.correlation(phi, variance / np.maximum(self.counts.diagonal(), 1))
 
+    def joint_correlation(self, phi: FloatArray) -> FloatArray:
+        """Return :meth:`correlation` for joints with candidate terms, and 1 for the others."""
+        ratios = np.ones(len(self.counts))
+        if self.groups is not None:
+            joints = [part.coordinate for part in self.groups.complete]
+            ratios[joints] = self.correlation(phi)[joints]
+        return ratios
+
     def residual_covariance(self, phi: FloatArray) -> FloatArray:
         """Return the covariance Σ (n, n) of a row's residual at φ (p,), corrected for overlap.
 

@@ -9,6 +9,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.base_parameters import base_parameters
 from symbid_ros.estimation.directions import determined_directions
 from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
 from symbid_ros.model.parameters import ParameterSet
 
 # A parameter or direction is determined if the data say more about it than the prior, which halves
@@ -72,6 +73,8 @@ class Verdict:
         Base parameters: the combinations of parameters that affect forces.
     sensors : tuple of EstimatedQuantity
         Sensor errors that were identified together with the robot.
+    unexplained : tuple of UnexplainedForce
+        Of each coordinate, the largest share first; empty if there was one window only.
     """
 
     window: float
@@ -85,6 +88,21 @@ class Verdict:
     directions: tuple[str, ...]
     base: tuple[EstimatedQuantity, ...]
     sensors: tuple[EstimatedQuantity, ...]
+    unexplained: tuple[UnexplainedForce, ...] = ()
+
+    @property
+    def is_coloured(self) -> bool:
+        """Whether residuals raise an alarm: correlated in time, and not small."""
+        return is_coloured(self.whiteness, self.unexplained)
+
+
+def is_coloured(whiteness: float, unexplained: Sequence[UnexplainedForce]) -> bool:
+    """Return whether residuals are correlated in time and not small against the forces.
+
+    Their size is unknown if ``unexplained`` is empty.
+    """
+    is_large = not unexplained or unexplained[0].share > SMALL
+    return whiteness > SUSPICIOUS_WHITENESS and is_large
 
 
 def assess(
@@ -95,7 +113,7 @@ def assess(
     window: float,
     whiteness: float,
     sensors: tuple[Sequence[str], Sequence[str]] = ((), ()),
-    has_wrenches: bool = True,
+    unexplained: tuple[UnexplainedForce, ...] = (),
 ) -> Verdict:
     """Return the verdict on an estimate.
 
@@ -107,12 +125,10 @@ def assess(
         The estimate, which may differ from the posterior's mean.
     parameters : ParameterSet
         The robot's columns.
-    window, whiteness : float
+    window, whiteness, unexplained
         See :class:`Verdict`.
     sensors : pair of sequences of str
         Names and units of the sensor errors.
-    has_wrenches : bool
-        Whether the robot has wrench sensors, which a tare could calibrate.
     """
     p = len(parameters)
     prior, factor = posterior.prior.covariance_factor(), posterior.deviation_factor
@@ -148,13 +164,14 @@ def assess(
         prior_scale=posterior.prior_scale,
         whiteness=whiteness,
         noise_share=posterior.noise_share,
-        alarms=alarms(posterior, whiteness, has_wrenches=has_wrenches),
+        alarms=alarms(posterior, whiteness, unexplained),
         effective=known.effective,
         gain=known.gain,
         link_gain=known.link_gain,
         directions=tuple(known.describe(i) for i in range(count)),
         base=base,
         sensors=errors,
+        unexplained=unexplained,
     )
 
 
@@ -166,7 +183,9 @@ def _square(factor: FloatArray) -> FloatArray:
     return triangle.T
 
 
-def alarms(posterior: Posterior, whiteness: float, *, has_wrenches: bool = True) -> tuple[str, ...]:
+def alarms(
+    posterior: Posterior, whiteness: float, unexplained: Sequence[UnexplainedForce] = ()
+) -> tuple[str, ...]:
     """Return the alarms of an estimate, one line each; arguments as in :func:`assess`."""
     found = []
     if posterior.prior_scale > SUSPICIOUS_SCALE:
@@ -174,16 +193,33 @@ def alarms(posterior: Posterior, whiteness: float, *, has_wrenches: bool = True)
             f"the data contradict the prior, which would have to be {posterior.prior_scale:.1f} "
             "times wider: the prior, the kinematics or a sensor's calibration is wrong"
         )
-    if whiteness > SUSPICIOUS_WHITENESS:
-        tare = "a tare bag, " if has_wrenches else ""
-        found.append(
-            f"the residuals are not white noise (whiteness {whiteness:.1f}, at most 1 for noise): "
-            f"the model or a sensor's calibration is wrong; add {tare}sensor_errors typical or "
-            "the missing joint terms (friction, armature, offset)"
-        )
+    if is_coloured(whiteness, unexplained):
+        found.append(coloured_alarm(whiteness, unexplained))
     if posterior.noise_share > SUSPICIOUS_NOISE:
         found.append(
             f"{100 * posterior.noise_share:.0f} % of the information about one direction is noise "
             "in the motion: move more, or use longer windows"
         )
     return tuple(found)
+
+
+def coloured_alarm(
+    whiteness: float, unexplained: Sequence[UnexplainedForce], *, when: str = "", cause: str = ""
+) -> str:
+    """Return the alarm of residuals that are correlated in time.
+
+    Parameters
+    ----------
+    whiteness, unexplained
+        See :class:`Verdict`.
+    when : str
+        When most of the force is unexplained, if that is known.
+    cause : str
+        What explains it, and what to do, if causes were tried.
+    """
+    size = f"{unexplained[0]}{when and f', mostly {when}'}: " if unexplained else ""
+    cause = cause or (
+        "the model lacks an effect or a sensor's calibration is wrong; identify a bag to have "
+        "likely causes tried"
+    )
+    return f"{size}the residuals are not white noise (whiteness {whiteness:.1f}); {cause}"

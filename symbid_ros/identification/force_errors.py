@@ -222,10 +222,7 @@ class ForceRows:
 
     def unit(self, coordinate: int) -> str:
         """Return the unit of a coordinate."""
-        if coordinate < self.first_joint:
-            return "Nm" if coordinate < 3 else "N"
-        joint = self.model.joints[coordinate - self.first_joint]
-        return "N" if joint.kind == "prismatic" else "Nm"
+        return self.model.coordinate_units[coordinate]
 
     def error(self, places: IntArray, name: str) -> ForceError:
         """Return the error at some coordinates, all joints or all of the base."""

@@ -10,6 +10,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.estimate import HoldOut
 from symbid_ros.identification.dataset import Processing, fold_dataset
+from symbid_ros.identification.likely_cause import explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.solver import Identification
@@ -39,7 +40,7 @@ def identify_with_holdout(problem: LoadedProblem) -> Identification:
     SymbidError
         When the log cannot be identified.
     """
-    found = problem.solve()
+    found = explained(problem, problem.solve())
     if problem.options.no_holdout:
         return found
     try:

@@ -279,7 +279,7 @@ def candidate_posterior(
             approximate=True,
         )
         start = found.mean
-        correlation = chosen.correlation(found.mean)
+        correlation = chosen.joint_correlation(found.mean)
     return found, chosen
 
 

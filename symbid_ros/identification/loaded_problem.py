@@ -426,7 +426,6 @@ def _build_solver(
         pseudo_measurements=build_pseudo_measurements(options, parameters, prior),
         is_empirical=options.is_empirical,
         inputs=inputs,
-        has_wrenches=bool(dataset.samples.wrench_frames),
     )
     if parameters.candidates:
         prior = candidate_prior(prior, parameters, dataset.observations[0])

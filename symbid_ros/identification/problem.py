@@ -61,8 +61,6 @@ class Problem:
         Whether only the longest window length may be used.
     inputs : tuple of str
         Input files, recorded in the estimate.
-    has_wrenches : bool
-        Whether the robot has wrench sensors.
     calibrated_rows : CalibratingRows or None
         Builds rows with columns for sensor errors; None without these unknowns.
     stored : tuple of Observations or None
@@ -79,7 +77,6 @@ class Problem:
     is_empirical: bool = False
     needs_longest_window: bool = False
     inputs: tuple[str, ...] = ()
-    has_wrenches: bool = True
     calibrated_rows: CalibratingRows | None = None
     stored: tuple[Observations, ...] | None = None
     choice: "TermChoice | None" = None

@@ -17,6 +17,7 @@ from symbid_ros.estimation.posterior import CONVERGED, Posterior
 from symbid_ros.estimation.sandwich import with_correlated_residuals
 from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, select_rank
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
+from symbid_ros.estimation.unexplained import UnexplainedForce, unexplained_forces
 from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
@@ -113,9 +114,18 @@ class Solver:
         return whiteness(observations[0], observations[-1], self.posterior.mean)
 
     @property
+    def unexplained(self) -> tuple[UnexplainedForce, ...]:
+        """Force of each coordinate beyond model and noise; empty with one window length only."""
+        observations = self.problem.observations
+        if len(observations) < 2:
+            return ()
+        units = self.problem.parameters.model.coordinate_units
+        return unexplained_forces(observations[0], observations[-1], self.posterior.mean, units)
+
+    @property
     def alarms(self) -> tuple[str, ...]:
         """Reasons not to trust the estimate, one line each."""
-        return alarms(self.posterior, self.whiteness, has_wrenches=self.problem.has_wrenches)
+        return alarms(self.posterior, self.whiteness, self.unexplained)
 
     def map(self, *, with_verdict: bool = True) -> Identification:
         """Return the most probable parameters."""
@@ -149,7 +159,7 @@ class Solver:
                 window=self.chosen.window,
                 whiteness=self.whiteness,
                 sensors=(problem.sensor_names, problem.sensor_units),
-                has_wrenches=problem.has_wrenches,
+                unexplained=self.unexplained,
             )
         estimate = self._estimate(
             method,

@@ -247,6 +247,13 @@ class RobotModel:
         base = [f"base/{kind}_{axis}" for kind in ("moment", "force") for axis in "xyz"]
         return (*(base if self.floating else []), *self.joint_names)
 
+    @property
+    def coordinate_units(self) -> tuple[str, ...]:
+        """Units of the n generalised forces, Nm or N."""
+        base = ["Nm", "Nm", "Nm", "N", "N", "N"]
+        joints = ("N" if joint.kind == "prismatic" else "Nm" for joint in self.joints)
+        return (*(base if self.floating else []), *joints)
+
     def frame(self, name: str) -> Frame:
         """Return a frame by its name. The name of a link means the link's own frame.
 

@@ -126,7 +126,6 @@ class OnlineIdentification:
         self._problem = replace(
             initial_state.problem,
             inputs=(*initial_state.problem.inputs, *topics),
-            has_wrenches=len(selected.wrenches) > len(self._parameters.model.wrist_sensors),
         )
         self._scheduler = BlockScheduler(selected, self._parameters.model, pace.lag, "live topics")
         self.faults: deque[str] = deque(maxlen=RECENT_FAULTS)

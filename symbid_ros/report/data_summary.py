@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from symbid_ros.estimation.estimate import Estimate, HoldOut
+from symbid_ros.estimation.unexplained import SMALL
 from symbid_ros.estimation.verdict import (
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
@@ -51,15 +52,31 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
         SummaryEntry(
             "Whiteness",
             significant(white) if white > 0 else ABSENT,
-            f"of the residuals, at most 1 for white noise; alarm above {SUSPICIOUS_WHITENESS:g}",
-            is_alarm=white > SUSPICIOUS_WHITENESS,
+            f"of the residuals, at most 1 for white noise; alarm above {SUSPICIOUS_WHITENESS:g} "
+            "unless the unexplained force is small",
+            is_alarm=verdict.is_coloured,
         ),
+        *_unexplained_entries(verdict),
         SummaryEntry(
             "Noise in the motion",
             f"{significant(100 * noise)} %",
             "of the apparent information about the worst direction; alarm above "
             f"{100 * SUSPICIOUS_NOISE:g} %",
             is_alarm=noise > SUSPICIOUS_NOISE,
+        ),
+    )
+
+
+def _unexplained_entries(verdict: Verdict) -> tuple[SummaryEntry, ...]:
+    if not verdict.unexplained:
+        return ()
+    worst = verdict.unexplained[0]
+    return (
+        SummaryEntry(
+            "Unexplained force",
+            f"{significant(100 * worst.share)} %",
+            f"at most, apart from noise: {worst}; small below {100 * SMALL:g} %",
+            is_alarm=verdict.is_coloured,
         ),
     )
 

@@ -13,6 +13,7 @@ from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.truncated_svd import informative_rank
+from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
 from symbid_ros.estimation.verdict import (
     DETERMINED,
     SUSPICIOUS_NOISE,
@@ -141,7 +142,7 @@ def test_sensor_errors_are_separate_from_the_robots_parameters():
     assert verdict.gain < told.gain
 
 
-def alarms(judged, *, whiteness=1.0, has_wrenches=True, **changes):
+def alarms(judged, *, whiteness=1.0, unexplained=(), **changes):
     doubtful = replace(judged.posterior, **changes)
     return assess(
         doubtful,
@@ -149,7 +150,7 @@ def alarms(judged, *, whiteness=1.0, has_wrenches=True, **changes):
         judged.parameters,
         window=0.081,
         whiteness=whiteness,
-        has_wrenches=has_wrenches,
+        unexplained=unexplained,
     ).alarms
 
 
@@ -163,10 +164,11 @@ def test_alarms_are_raised_only_beyond_their_thresholds(judged):
     assert alarms(judged, whiteness=below * SUSPICIOUS_WHITENESS, **calm) == ()
     (white,) = alarms(judged, whiteness=above * SUSPICIOUS_WHITENESS, **calm)
     assert f"whiteness {SUSPICIOUS_WHITENESS:.1f}" in white
-    assert "a tare bag" in white
-    (unarmed,) = alarms(judged, whiteness=2.0, has_wrenches=False, **calm)
-    assert "tare" not in unarmed, "there is nothing to tare"
-    assert "sensor_errors" in unarmed
+    assert "identify a bag" in white
+    small, large = (UnexplainedForce("knee", "Nm", 4.0, 80.0, share * SMALL) for share in (0.9, 5))
+    assert alarms(judged, whiteness=2.0, unexplained=(small,), **calm) == ()
+    (sized,) = alarms(judged, whiteness=2.0, unexplained=(large, small), **calm)
+    assert sized.startswith("4 Nm of 80 Nm unexplained on knee: ")
     assert alarms(judged, **calm | {"noise_share": below * SUSPICIOUS_NOISE}) == ()
     (noise,) = alarms(judged, **calm | {"noise_share": above * SUSPICIOUS_NOISE})
     assert "50 %" in noise

@@ -1,0 +1,97 @@
+"""Size of the forces that a model leaves unexplained, apart from noise.
+
+The variance of averaged white noise falls with the ratio r of the window lengths, an error that
+lasts keeps its variance. From the residual variances v of short and v' of long windows, the lasting
+part has the variance (v' - r v)/(1 - r).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.observations import Observations
+
+# Share of the measured force below which an unexplained part raises no alarm.
+SMALL = 0.01
+# A force counts as at least this share of the largest of its unit: a joint that carries almost
+# nothing is not the one to look at.
+LEAST_FORCE = 0.05
+
+
+@dataclass(frozen=True)
+class UnexplainedForce:
+    """The part of a coordinate's force that neither the model nor noise explains.
+
+    Attributes
+    ----------
+    coordinate : str
+        ``base/moment_x`` … ``base/force_z`` or a joint.
+    unit : str
+        Nm or N.
+    size, measured : float
+        Root mean squares of the unexplained and of the measured force; the latter of all three
+        axes for a base.
+    share : float
+        Unexplained share of the measured force, or of a twentieth of the largest such force if
+        that is more.
+    """
+
+    coordinate: str
+    unit: str
+    size: float
+    measured: float
+    share: float
+
+    def __str__(self) -> str:
+        """Return the sizes, such as ``3 Nm of 80 Nm unexplained on knee``."""
+        size, measured = (force_text(one, self.unit) for one in (self.size, self.measured))
+        return f"{size} of {measured} unexplained on {self.coordinate}"
+
+
+def force_text(size: float, unit: str) -> str:
+    """Return a force with two significant digits, such as ``110 Nm``."""
+    return f"{float(f'{size:.2g}'):g} {unit}"
+
+
+def unexplained_forces(
+    short: Observations, long: Observations, phi: FloatArray, units: Sequence[str]
+) -> tuple[UnexplainedForce, ...]:
+    """Return the unexplained force of each coordinate that has rows, the largest share first.
+
+    Parameters
+    ----------
+    short, long : Observations
+        Of the same log with the shortest and the longest windows.
+    phi : (p,) float64
+        Parameters.
+    units : sequence of str
+        Of the n coordinates.
+    """
+    ratio = short.window / long.window
+    counts = short.counts.diagonal()
+    before, after = (
+        one.rows.residual_moment(phi).diagonal() / np.maximum(one.counts.diagonal(), 1)
+        for one in (short, long)
+    )
+    lasting = np.maximum(after - ratio * before, 0.0) / (1 - ratio)
+    measured = short.rows.target_squares / np.maximum(counts, 1)
+    names = short.layout.coordinates
+    # Single axes of a base's wrench may be near zero.
+    for kind in ("base/moment", "base/force"):
+        axes = [i for i, name in enumerate(names) if name.startswith(kind)]
+        measured[axes] = measured[axes].sum()
+    size, measured = np.sqrt(lasting), np.sqrt(measured)
+    largest = {
+        unit: max(one for one, other in zip(measured, units, strict=True) if other == unit)
+        for unit in set(units)
+    }
+    found = []
+    for i in np.flatnonzero(counts > 0).tolist():
+        scale = max(measured[i], LEAST_FORCE * largest[units[i]])
+        share = size[i] / scale if scale > 0 else 0.0
+        found.append(
+            UnexplainedForce(names[i], units[i], float(size[i]), float(measured[i]), float(share))
+        )
+    return tuple(sorted(found, key=lambda one: -one.share))

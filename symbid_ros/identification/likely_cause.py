@@ -1,0 +1,457 @@
+"""Finds the likely cause of residuals that are correlated in time, by trying candidates.
+
+Each candidate adds columns to the rows of a log: terms of joints that were not identified, effects
+that no option models, and sensor errors, linearised about the estimate. The one whose columns best
+predict blocks of the log that were left out is named, with the force that would remain.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
+from symbid_ros.dynamics.regressor import Rows, coulomb_column, stribeck_column
+from symbid_ros.errors import SymbidError
+from symbid_ros.estimation.unexplained import force_text
+from symbid_ros.estimation.verdict import coloured_alarm
+from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.solver import Identification
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_errors import CalibratingRows, LinearizationPoint, SensorErrors
+from symbid_ros.signals.sensor_samples import SensorSamples
+from symbid_ros.signals.weak_form import RowBuilder, SampledRows, block_length, windowed_rows
+
+# Blocks of a log are dealt to this many groups, each predicted from the others.
+GROUPS = 4
+# Most blocks that are used, evenly spread over the log; the motion varies little beyond.
+MOST_BLOCKS = 40
+# Share by which a cause must reduce the square error of left-out blocks to be named.
+LEAST_GAIN = 0.3
+# Deviations of sensor errors that are tried, in typical ones.
+WIDEST = 10.0
+# Weight that keeps columns finite which others replace, as a share of their squares.
+RIDGE = 1e-3
+# Share of the rows with the largest value of a quantity, in which more than half of the square
+# error makes it "mostly" there.
+QUARTER, MOSTLY = 0.25, 0.5
+
+NO_OPTION = "no option models it, and the standard deviations allow for it"
+EFFECTS = {
+    "viscous": "viscous friction",
+    "coulomb": "Coulomb friction",
+    "armature": "armature",
+    "offset": "constant torques",
+    "stribeck": "Stribeck friction",
+    "quadratic": "friction that grows with the square of the speed",
+    "load": "friction in proportion to the load",
+    "delay": "a delay",
+    "elasticity": "elasticity",
+    "torque_gain": "gains of the efforts",
+    "encoder_offset": "encoder offsets",
+    "imu_mounting": "the mounting of the IMU",
+    "imu_bias": "the bias of the IMU",
+    "plate_offset": "offsets of the wrench sensors",
+    "plate_gain": "gains of the wrench sensors",
+    "plate_pose": "positions of the wrench sensors",
+}
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A candidate that explains residuals.
+
+    Attributes
+    ----------
+    kind : str
+        Key of ``EFFECTS``.
+    gain : float
+        Share by which it reduces the square error of left-out blocks.
+    remains : float
+        RMS error with it of left-out blocks, over that without it, of the coordinate in question.
+    detail : str
+        Where it is largest, and how large.
+    """
+
+    kind: str
+    gain: float
+    remains: float
+    detail: str
+
+    @property
+    def advice(self) -> str:
+        """What to do about it."""
+        if self.kind in TERMS:
+            return f"leave `joint_terms` out, or add {self.kind} to it"
+        if self.kind == "plate_offset":
+            return "give a `tare`, or `sensor_errors` plate_offset"
+        if self.kind in SENSOR_ERROR_KINDS:
+            return f"give `sensor_errors` {self.kind}"
+        if self.kind == "delay":
+            return "correct the stamps of one of them"
+        return NO_OPTION
+
+
+def explained(problem: LoadedProblem, found: Identification) -> Identification:
+    """Return an identification whose alarm of correlated residuals names their likely cause."""
+    verdict = found.estimate.verdict
+    if verdict is None or not verdict.is_coloured or not verdict.unexplained:
+        return found
+    try:
+        rows = CandidateRows.of(problem, found)
+        cause = None if rows is None else rows.best_cause(verdict.unexplained[0].coordinate)
+    except SymbidError:
+        return found
+    if rows is None:
+        return found
+    worst = verdict.unexplained[0]
+    tried = ", ".join(EFFECTS[one.kind] for one in rows.candidates)
+    sentence = f"none of these explains it: {tried}; check link lengths and frames of the model"
+    if cause is not None:
+        left = worst.size * cause.remains
+        likely = "likely cause" if cause.gain > MOSTLY else "a part of it"
+        sentence = (
+            f"{likely}: {EFFECTS[cause.kind]}{cause.detail}, which would leave "
+            f"{force_text(left, worst.unit)}; {cause.advice}"
+        )
+    before = coloured_alarm(verdict.whiteness, verdict.unexplained)
+    after = coloured_alarm(
+        verdict.whiteness, verdict.unexplained, when=rows.when(worst.coordinate), cause=sentence
+    )
+    alarms = tuple(after if alarm == before else alarm for alarm in verdict.alarms)
+    return replace(found, estimate=replace(found.estimate, verdict=replace(verdict, alarms=alarms)))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Columns of a possible cause.
+
+    Attributes
+    ----------
+    kind : str
+        Key of ``EFFECTS``.
+    owners : tuple of str
+        Joint or sensor frame of each of the m columns.
+    columns : (N, n, m) float64
+    std : (m,) float64 or None
+        Typical size of the coefficients, if they have one.
+    """
+
+    kind: str
+    owners: tuple[str, ...]
+    columns: FloatArray
+    std: FloatArray | None = None
+
+
+@dataclass(frozen=True)
+class CandidateRows:
+    """Rows of a log with the columns of all candidates.
+
+    Attributes
+    ----------
+    model : RobotModel
+    K : (N, n, p) float64
+        Of the unknowns that were identified, in deviations of the prior.
+    residual : (N, n) float64
+        At the prior's mean.
+    error : (N, n) float64
+        At the estimate.
+    candidates : tuple of Candidate
+    speed, force : (N, n) float64
+        Mean speed of each joint, and its measured force.
+    valid : (N, n) bool
+    group : (N,) int
+        Group of blocks of each row.
+    """
+
+    model: RobotModel
+    K: FloatArray
+    residual: FloatArray
+    error: FloatArray
+    candidates: tuple[Candidate, ...]
+    speed: FloatArray
+    force: FloatArray
+    valid: BoolArray
+    group: IntArray
+
+    @classmethod
+    def of(cls, loaded: LoadedProblem, found: Identification) -> "CandidateRows | None":
+        """Build the rows over the longest windows; None if the log is too short."""
+        solver = loaded.solver
+        problem = solver.problem
+        segments = loaded.dataset.segments
+        first = next(iter(segments), None)
+        if first is None:
+            return None
+        build = _Builder.of(problem.row_builder, found, problem.parameters, first)
+        window = problem.observations[-1].window
+        slips = problem.choice is not None and problem.choice.slips
+        parts = []
+        for index, segment in _some_blocks(segments):
+            for (block,) in windowed_rows(segment, build, (window,), ()):
+                one = block.slipping() if slips else block
+                group = np.full(len(one.stamp), index % GROUPS)
+                parts.append((one.mean.K, one.mean.y, one.valid, group))
+        if len({int(part[3][0]) for part in parts if len(part[3])}) < GROUPS:
+            return None
+        K, y, valid, group = (np.concatenate(each) for each in zip(*parts, strict=True))
+        prior = solver.posterior.prior
+        count = len(prior.mean)
+        return cls(
+            problem.parameters.model,
+            K[:, :, :count] @ prior.covariance_factor(),
+            y - K[:, :, :count] @ prior.mean,
+            y - K[:, :, :count] @ found.unknowns,
+            tuple(build.candidates(K)),
+            K[:, :, -1],
+            y,
+            valid,
+            group,
+        )
+
+    def best_cause(self, coordinate: str) -> Cause | None:
+        """Return the cause that best explains all coordinates and one in particular."""
+        worst = self.model.coordinates.index(coordinate)
+        tests = _LeftOutBlocks(self)
+        before = tests.errors(None)
+        best, cause = None, None
+        for one in self.candidates:
+            after = tests.errors(one)
+            remains = after / np.where(before > 0, before, 1.0)
+            gain = 1 - float(np.mean([remains[worst], tests.total(after) / tests.total(before)]))
+            if gain > (LEAST_GAIN if cause is None else cause.gain):
+                best, cause = one, Cause(one.kind, gain, float(np.sqrt(remains[worst])), "")
+        if best is None or cause is None:
+            return None
+        return replace(cause, detail=_detail(best, tests.coefficients(best)))
+
+    def when(self, coordinate: str) -> str:
+        """Return when a joint's error is largest; empty if it is spread or belongs to a base."""
+        index = self.model.coordinates.index(coordinate)
+        if index < 6 * self.model.floating:
+            return ""
+        used = self.valid[:, index]
+        square = self.error[used, index] ** 2
+        speed, force = self.speed[used, index], np.abs(self.force[used, index])
+        share = {
+            "at reversals": _share_of_largest(square, -speed),
+            "at high speed": _share_of_largest(square, speed),
+            "under large load": _share_of_largest(square, force),
+        }
+        most = max(share, key=lambda name: share[name])
+        return most if share[most] > MOSTLY else ""
+
+
+def _share_of_largest(square: FloatArray, quantity: FloatArray) -> float:
+    """Return the share of the squares in the quarter of rows with the largest quantity."""
+    total = float(square.sum())
+    if total == 0:
+        return 0.0
+    some = np.argsort(-quantity)[: max(1, round(QUARTER * len(quantity)))]
+    return float(square[some].sum()) / total
+
+
+def _detail(cause: Candidate, values: FloatArray) -> str:
+    """Return where a cause is largest and how large, in the words of the alarm."""
+    if cause.kind == "delay":
+        late = "efforts" if values[0] < 0 else "positions"
+        return f" of the {late} by {1e3 * abs(values[0]):.2g} ms"
+    size = np.abs(values) * np.sqrt(np.mean(cause.columns**2, axis=(0, 1)))
+    largest = int(np.argmax(size))
+    owner, value = cause.owners[largest], float(values[largest])
+    if cause.kind == "torque_gain":
+        return f", {100 * value:+.2g} % at {owner}"
+    if cause.kind == "encoder_offset":
+        return f", {np.degrees(value):+.2g}° at {owner}"
+    return f", mostly of {owner}"
+
+
+class _LeftOutBlocks:
+    """Square errors of blocks that are predicted from other blocks.
+
+    The moments of all columns are formed once, group by group and coordinate by coordinate.
+    """
+
+    def __init__(self, rows: CandidateRows) -> None:
+        n, p = rows.K.shape[1:]
+        parts, self._places, width = [rows.K], {}, p
+        for one in rows.candidates:
+            parts.append(one.columns)
+            self._places[one.kind] = np.arange(width, width + one.columns.shape[2])
+            width += one.columns.shape[2]
+        flat = np.concatenate([*parts, rows.residual[:, :, None]], axis=2)
+        square = np.sum(rows.error**2, axis=0) / np.maximum(rows.valid.sum(axis=0), 1)
+        self._weight = np.divide(1.0, square, out=np.zeros(n), where=square > 0)
+        self._moments = np.empty((GROUPS, n, width + 1, width + 1))
+        for group, coordinate in np.ndindex(GROUPS, n):
+            some = flat[rows.group == group, coordinate]
+            self._moments[group, coordinate] = some.T @ some
+        self._known = np.arange(p)
+        total = np.einsum("n,gnii->i", self._weight, self._moments)
+        # One row of the prior for each known column.
+        self._ridge = np.where(np.arange(width) < p, 1.0, RIDGE * total[:-1])
+        for one in rows.candidates:
+            if one.std is not None:
+                self._ridge[self._places[one.kind]] = 1 / (WIDEST * one.std) ** 2
+
+    def _columns(self, cause: Candidate | None) -> IntArray:
+        return self._known if cause is None else np.append(self._known, self._places[cause.kind])
+
+    def _solve(self, moments: FloatArray, used: IntArray) -> FloatArray:
+        H = np.einsum("n,nij->ij", self._weight, moments[:, used][:, :, np.append(used, -1)])
+        # A column that is zero keeps a coefficient of zero.
+        ridge = np.where(self._ridge[used] > 0, self._ridge[used], 1.0)
+        return np.asarray(np.linalg.solve(H[:, :-1] + np.diag(ridge), H[:, -1]))
+
+    def errors(self, cause: Candidate | None) -> FloatArray:
+        """Return the sum of squares of each coordinate (n,), with a candidate's columns."""
+        used = self._columns(cause)
+        everything = self._moments.sum(axis=0)
+        total = np.zeros(len(self._weight))
+        for moments in self._moments:
+            x = np.append(-self._solve(everything - moments, used), 1.0)
+            some = np.append(used, -1)
+            total += np.einsum("i,nij,j->n", x, moments[:, some][:, :, some], x)
+        return total
+
+    def total(self, errors: FloatArray) -> float:
+        """Return the weighted sum of squares of all coordinates."""
+        return float((self._weight * errors).sum())
+
+    def coefficients(self, cause: Candidate) -> FloatArray:
+        """Return the coefficients (m,) of a candidate from all blocks."""
+        found = self._solve(self._moments.sum(axis=0), self._columns(cause))
+        return found[len(self._known) :]
+
+
+@dataclass(frozen=True)
+class _Builder:
+    """Builds rows with the columns of all candidates, a ``RowBuilder``.
+
+    Columns that need the effort use the one that the estimate predicts: the measured effort
+    contains the residual, and would explain itself.
+
+    Attributes
+    ----------
+    build : RowBuilder
+        Of the identified unknowns, and of the sensor errors unless they are among those.
+    parameters : ParameterSet
+    unknowns : (k,) float64
+        The identified unknowns.
+    errors : SensorErrors or None
+        The sensor errors that follow them.
+    terms : tuple of str
+        Joint terms that were not identified.
+    """
+
+    build: RowBuilder
+    parameters: ParameterSet
+    unknowns: FloatArray
+    errors: SensorErrors | None
+    terms: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, build: RowBuilder, found: Identification, parameters: ParameterSet, segment: Segment
+    ) -> "_Builder":
+        """Return the builder for candidates beside what was identified."""
+        # Terms that the data rejected need not be tried again.
+        terms = () if found.estimate.joint_terms is not None else TERMS
+        missing = tuple(term for term in terms if term not in parameters.terms)
+        errors = None
+        if not isinstance(build, CalibratingRows):
+            kinds = [kind for kind in SENSOR_ERROR_KINDS if kind != "torque_gain"]
+            errors = SensorErrors.of(
+                kinds, parameters.model, segment.wrench_frames, segment.imu_frames
+            )
+            point = LinearizationPoint(found.unknowns, np.zeros(len(errors)))
+            build = CalibratingRows(parameters, errors, point)
+        return cls(build, parameters, found.unknowns, errors, missing)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Kinds with one column for each joint."""
+        gain = () if self.errors is None else ("torque_gain",)
+        return (*self.terms, "quadratic", "load", "delay", *gain)
+
+    def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
+        """Yield the rows of sensor samples."""
+        parts = list(self.build(readings))
+        if not parts:
+            return
+        first, known = 6 * self.parameters.model.floating, len(self.unknowns)
+        residual = [part.rows.y - part.rows.K[:, :, :known] @ self.unknowns for part in parts]
+        effort = np.nan_to_num(readings.effort) - np.concatenate(residual)[:, first:]
+        own = self._own_columns(readings, effort)
+        start = 0
+        for part in parts:
+            count, n, _ = part.rows.K.shape
+            here = slice(start, start + count)
+            columns = np.zeros((count, n, own.shape[2]))
+            columns[:, first:] = own[here]
+            more = [part.rows.K]
+            if self.errors is not None:
+                place = self.errors.places["encoder_offset"]
+                offset = part.rows.K[:, :, known + place.start : known + place.stop]
+                more.append(offset * effort[here, None])
+            yield replace(part, rows=Rows(np.concatenate([*more, columns], axis=2), part.rows.y))
+            start += count
+
+    def _own_columns(self, readings: SensorSamples, effort: FloatArray) -> FloatArray:
+        """Return (N, J, k) the columns of ``effects``, and the speed."""
+        velocity, joints = readings.velocity, self.parameters.model.joints
+        slips = coulomb_column(velocity)
+        rate = np.zeros_like(effort)
+        if len(readings) > 1:
+            rate = np.gradient(effort, float(np.diff(readings.stamp).mean()) * 1e-9, axis=0)
+        columns = {
+            "viscous": velocity,
+            "coulomb": slips,
+            "armature": readings.acceleration,
+            "offset": np.ones_like(velocity),
+            "stribeck": stribeck_column(velocity, joints),
+            "quadratic": velocity * np.abs(velocity),
+            "load": slips * np.abs(effort),
+            "delay": rate,
+            "torque_gain": effort,
+        }
+        return np.stack([*(columns[kind] for kind in self.effects), np.abs(velocity)], axis=2)
+
+    def candidates(self, K: FloatArray) -> list["Candidate"]:
+        """Return the candidates whose columns in rows K are not zero."""
+        model, known = self.parameters.model, len(self.unknowns)
+        first, joints = 6 * model.floating, model.joint_names
+        found = []
+        own = K.shape[2] - len(self.effects) - 1
+        for index, kind in enumerate(self.effects):
+            column = K[:, :, own + index, None]
+            if kind == "delay":
+                found.append(Candidate(kind, ("efforts",), column))
+            else:
+                diagonal = np.eye(len(joints), model.dof, first).T
+                found.append(Candidate(kind, joints, column * diagonal))
+        if self.errors is not None:
+            for kind, place in self.errors.places.items():
+                owners = tuple(name.rpartition("/")[0] for name in self.errors.names[place])
+                columns = K[:, :, known + place.start : known + place.stop]
+                found.append(Candidate(kind, owners, columns, self.errors.std[place]))
+            start = known + len(self.errors)
+            columns = K[:, :, start : start + len(joints)]
+            found.append(Candidate("elasticity", joints, columns))
+        return [one for one in found if np.any(one.columns)]
+
+
+def _some_blocks(segments: Iterable[Segment]) -> Iterator[tuple[int, Segment]]:
+    """Yield blocks of segments, evenly spread, with their numbers."""
+    blocks = []
+    for segment in segments:
+        numbers = segment.stamp // block_length(segment.rate)
+        edges = np.searchsorted(numbers, np.arange(numbers[0], numbers[-1] + 2)).tolist()
+        blocks += [(segment, start, stop) for start, stop in pairwise(edges) if stop > start]
+    stride = max(1, -(-len(blocks) // MOST_BLOCKS))
+    for index, (segment, start, stop) in enumerate(blocks[::stride]):
+        yield index, segment.cut(start, stop)

@@ -1,0 +1,105 @@
+"""The likely cause of correlated residuals, against the fault that was put into the log."""
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from drive_logs import arm, drives, log_of
+
+import symbid_ros as sy
+from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
+
+GAIN, DELAY, OFFSET = 1.1, 0.02, 4.0  # s, degrees
+JOINT = 2
+
+
+@dataclass
+class Fault:
+    """A fault of a log, and what the alarm says about it."""
+
+    said: str
+    size: float | None = None
+    change: object = None
+    extra: object = None
+    options: object = None
+
+
+def late(time, position, effort):
+    return position, np.stack([np.interp(time - DELAY, time, one) for one in effort.T], axis=1)
+
+
+def with_gain(_, position, effort):
+    effort = effort.copy()
+    effort[:, JOINT] *= GAIN
+    return position, effort
+
+
+def with_offset(_, position, effort):
+    position = position.copy()
+    # An offset of the last joint would only turn its link.
+    position[:, 0] += np.radians(OFFSET)
+    return position, effort
+
+
+def ripple(velocity, acceleration):
+    """Return torques that no candidate contains."""
+    return 2.0 * np.sin(15 * np.cumsum(velocity, axis=0) / 200.0)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return arm(seed=2)
+
+
+def identify(robot, fault):
+    truth = drives(robot, viscous=0.4, coulomb=0.8)
+    log = log_of(robot, truth, extra=fault.extra)
+    if fault.change is not None:
+        joints = log.streams().joints
+        time = (joints.stamp - joints.stamp[0]) * 1e-9
+        position, effort = fault.change(time, joints.position, joints.effort)
+        log = sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+    options = {"no_holdout": True, "unchecked": True, **(fault.options or {})}
+    return sy.identify(robot, log, **options)
+
+
+FAULTS = {
+    "delay": Fault(r"a delay of the efforts by (\S+) ms", 1e3 * DELAY, late),
+    "gain": Fault(
+        r"gains of the efforts, (\S+) % at joint_2",
+        100 * (GAIN - 1),
+        with_gain,
+        options={"prior_percent": 5.0},
+    ),
+    "offset": Fault(
+        r"encoder offsets, (\S+)° at joint_0", OFFSET, with_offset, options={"prior_percent": 5.0}
+    ),
+    "friction": Fault("Coulomb friction", options={"joint_terms": ("viscous",)}),
+    "ripple": Fault("none of these explains it", extra=ripple),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_an_alarm_names_the_cause_and_what_would_remain(robot, name):
+    fault = FAULTS[name]
+    found = identify(robot, fault)
+    (alarm,) = [one for one in found.alarms if "white noise" in one]
+    worst = found.estimate.verdict.unexplained[0]
+    assert alarm.startswith(str(worst))
+    said = re.search(fault.said, alarm)
+    assert said, alarm
+    if fault.size is not None:
+        assert float(said[1]) == pytest.approx(fault.size, rel=0.1)
+    assert ("which would leave" in alarm) == (name != "ripple")
+    assert "\n" not in alarm
+
+
+def test_a_small_unexplained_force_is_a_detail(robot):
+    def weak(velocity, acceleration):
+        return 0.005 * ripple(velocity, acceleration)
+
+    found = identify(robot, Fault("", extra=weak))
+    verdict = found.estimate.verdict
+    assert verdict.whiteness > SUSPICIOUS_WHITENESS
+    assert not found.alarms
