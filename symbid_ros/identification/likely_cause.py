@@ -376,7 +376,7 @@ class _Builder:
     def effects(self) -> tuple[str, ...]:
         """Kinds with one column for each joint."""
         gain = () if self.errors is None else ("torque_gain",)
-        return (*self.terms, "quadratic", "load", "delay", *gain)
+        return (*self.terms, "quadratic", "delay", *gain)
 
     def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
         """Yield the rows of sensor samples."""
