@@ -175,7 +175,9 @@ def with_friction(
             friction_loss=0.10 * one * rng.uniform(0.5, 1.5),
             armature=0.01 * one * rng.uniform(0.5, 1.5),
         )
-        for joint, one in zip(robot.joints, size, strict=True)
+        if joint.mimic is None
+        else joint
+        for joint, one in zip(plain(robot).joints, size, strict=True)
     )
     return replace(robot, joints=joints)
 

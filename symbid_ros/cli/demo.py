@@ -167,8 +167,13 @@ def _identify_offline(
     from symbid_ros.identification.result_files import write_identification
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
-    from symbid_ros.offline.bags import BagRequest, read_realistic_motion, read_true_motion
-    from symbid_ros.report.compose import METHOD_TITLES, OWN_Z, GroundTruth, compose, describe_bags
+    from symbid_ros.offline.bags import (
+        BagRequest,
+        load_bag,
+        read_realistic_motion,
+        read_true_motion,
+    )
+    from symbid_ros.report.compose import METHOD_TITLES, OWN_Z, GroundTruth, compose, describe_log
     from symbid_ros.report.page import write_report
 
     task = progress.add_task("identifying and reporting", total=6)
@@ -206,7 +211,7 @@ def _identify_offline(
         read_realistic_motion([out / "bag"], robot),
     )
     progress.advance(task)
-    described = describe_bags([out / "bag"]) | facts
+    described = describe_log(load_bag(out / "bag")) | facts
     described |= {
         "Prior": f"{by_windows.prior.kind}, seed {by_windows.prior.seed}",
         "MAP, MAP-LMI": f"{Processing.of(options)}, no validation data",
@@ -323,13 +328,13 @@ def _report(
     from symbid_ros.errors import EstimateError
     from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model
-    from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
+    from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import (
         METHOD_TITLES,
         GroundTruth,
         compose,
-        describe_bags,
         describe_estimate,
+        describe_log,
     )
     from symbid_ros.report.page import write_report
 
@@ -346,7 +351,7 @@ def _report(
     )
     progress.advance(task)
     title = f"{METHOD_TITLES[estimate.method]}, online"
-    described = describe_bags([out / "bag"]) | facts | describe_estimate(estimate)
+    described = describe_log(load_bag(out / "bag")) | facts | describe_estimate(estimate)
     content = compose(
         {title: estimate},
         subject.parameters,

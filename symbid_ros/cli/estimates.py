@@ -158,11 +158,14 @@ def evaluate(
         write_text(json_file, json.dumps(errors, indent=1) + "\n")
 
 
+@with_flags
 def report(
+    *,
     folders: Annotated[
         list[Path], typer.Argument(help="Folders of identifications; the last is shown in full.")
     ],
-    model: Model,
+    model: ModelOrRobot = None,
+    robot: Robot = None,
     bag: Annotated[
         list[Path],
         typer.Option(help="Bag to describe; with --truth, bag with ground truth to predict."),
@@ -179,29 +182,30 @@ def report(
         ),
     ] = None,
     base: BaseKind = "auto",
+    log: LogOptions,
 ) -> None:
     """Write a report on one or several identifications as a self-contained page."""
     from symbid_ros.atomic_write import check_output_file
     from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model
     from symbid_ros.model.parameters import ParameterSet
-    from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
+    from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import (
         METHOD_TITLES,
         GroundTruth,
         compose,
-        describe_bags,
         describe_estimate,
+        describe_log,
     )
     from symbid_ros.report.page import write_report
 
     if realistic and truth is None:
         raise EstimateError("--realistic needs the true model to compare with; add --truth", "E556")
     check_output_file(out)
-    robot = load_model(model, base)
+    loaded = load_model(require_model(model), base)
     estimates = {}
     for folder in dict.fromkeys(folders):
-        shown = load_estimated_model(folder, robot)
+        shown = load_estimated_model(folder, loaded)
         if shown.estimate is None:
             raise EstimateError(
                 f"{folder}: holds a prior; give the folder of an identification", "E556"
@@ -219,7 +223,7 @@ def report(
         estimates,
         shown.parameters,
         chosen=label,
-        metadata=describe_bags(bag) | describe_estimate(estimates[label]),
+        metadata=describe_log(load_bag(bag, loaded, log)) | describe_estimate(estimates[label]),
         ground_truth=ground_truth,
         deviation_factor=shown.deviation_factor,
     )

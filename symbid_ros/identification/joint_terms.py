@@ -309,11 +309,13 @@ class _Selection:
         inseparable = elimination.inseparable()
         kept = set(terms[stated[terms] | elimination.unresolved()].tolist())
         before = set() if previous is None else set(np.flatnonzero(previous.free).tolist())
-        elimination.run(kept, before)
+        mixed = set(terms[elimination.mixed()].tolist())
+        elimination.run(kept, before, mixed)
         free = ~is_term
         free[elimination.left] = True
         if chosen.groups is not None:
-            free = cross_validated(free, kept, found, chosen, parameters)
+            # In its own rows the links can replace a mixed armature, so these cannot judge it.
+            free = cross_validated(free, kept | mixed, found, chosen, parameters)
         return cls(free, inseparable)
 
 

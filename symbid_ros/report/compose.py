@@ -1,11 +1,9 @@
 """Composes the content of a report from estimates and, optionally, the ground truth."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.bags import read_streams
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.evaluation import (
@@ -27,6 +25,7 @@ from symbid_ros.report.content import (
     ReportContent,
     TruncationChoice,
 )
+from symbid_ros.signals.log import Log
 
 METHOD_TITLES = {
     "ols": "OLS",
@@ -193,15 +192,15 @@ def prediction_series(
     )
 
 
-def describe_bags(bags: Sequence[Path]) -> dict[str, str]:
-    """Describe the duration and the sensors of bags."""
-    streams = read_streams(bags)
+def describe_log(log: Log) -> dict[str, str]:
+    """Describe the duration and the sensors of a log."""
+    streams = log.streams()
     stamp = streams.joints.stamp
     seconds = (stamp[-1] - stamp[0]) * 1e-9
     sensors = [streams.joints.topic]
     sensors += [imu.topic for imu in streams.imus] + [w.topic for w in streams.wrenches]
     return {
-        "Bag": ", ".join(str(bag) for bag in bags),
+        "Bag": log.source,
         "Duration": f"{seconds:.1f} s, {len(stamp)} joint states",
         "Sensors": ", ".join(sensors),
     }

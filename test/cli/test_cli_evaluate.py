@@ -49,8 +49,8 @@ def test_an_estimate_with_covariance_has_intervals(
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "90 % intervals" in ended.stdout
     intervals = json.loads(file.read_text())["intervals"]
-    parameters = ParameterSet(load_model(model))
     estimate = json.loads((found / "map_lmi" / "estimate.json").read_text())["parameters"]
+    parameters = ParameterSet.of_names(load_model(model), tuple(estimate))
     expected = summarise_intervals(
         parameters,
         np.array([estimate[name]["value"] for name in parameters.names]),
