@@ -15,7 +15,7 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.simulation.body_inertia import Payload
 
 MODEL = config_file("symbitron.xml")
-BEGUN, MASS = 15.5, 2.0
+BEGUN, MASS = 11.0, 2.0
 PLACE = (0.2, 0.0, 0.05)
 
 
@@ -24,13 +24,15 @@ def estimates(simulated):
     """Return time and estimate for each second, with a change at 15.5 s."""
     bag = simulated(
         "smooth",
-        moves=14,
+        moves=12,
         motion_seed=3,
         payload=Payload("L_thigh", MASS, PLACE),
         payload_time=BEGUN,
     )
     feed = feed_of(bag)
-    state = InitialState.of(load_model(MODEL), IdentifyOptions(prior_percent=25.0))
+    state = InitialState.of(
+        load_model(MODEL), IdentifyOptions(prior_percent=25.0, joint_terms=("none",))
+    )
     live = OnlineIdentification(state, feed.selected, Pace(memory=5.0, share=1.0))
     results = feed.into(live, solving=1.0)
     live.close()

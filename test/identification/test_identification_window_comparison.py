@@ -10,7 +10,7 @@ from symbid_ros.package_paths import config_file
 
 @pytest.fixture(scope="module")
 def problem(simulated):
-    bag = simulated(scenario="smooth", moves=3, motion_seed=51, noise_seed=52)
+    bag = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
     options = IdentifyOptions(prior_percent=25.0, method="map")
     return BagRequest((bag,), config_file("symbitron.xml"), options).load().solver.problem
 

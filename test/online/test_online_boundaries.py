@@ -32,7 +32,7 @@ def bag(simulated, tmp_path_factory) -> Path:
         messages.order = messages.order[::10]
         messages.log_time = messages.log_time[::10] + 370_000
 
-    fast = simulated("smooth", moves=3, motion_seed=51, noise_seed=52)
+    fast = simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
     return edit_bag(fast, tmp_path_factory.mktemp("slow") / "bag", {SLOW: slowed})
 
 

@@ -33,7 +33,7 @@ def learnt(domain: int, simulated, tmp_path: Path) -> Iterator[OnlineIdentifier]
     overrides = [Parameter(name, value=value) for name, value in given.items()]
     node = Node("identifier", context=context, parameter_overrides=overrides)
     identifier = OnlineIdentifier(node, declare(node, PARAMETERS))
-    feed = feed_of(simulated("smooth", moves=3, motion_seed=51, noise_seed=52)).between(0.0, 2.0)
+    feed = feed_of(simulated("smooth", moves=2, motion_seed=7, noise_seed=3)).between(0.0, 2.0)
     live = OnlineIdentification(identifier._initial_state, feed.selected, identifier._pace)
     identifier._identification, identifier._selected = live, feed.selected
     feed.into(live)
