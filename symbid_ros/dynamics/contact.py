@@ -6,7 +6,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.dynamics.kinematics import LinkPoses, joint_axes
-from symbid_ros.dynamics.regressor import wrenches_at_base
+from symbid_ros.dynamics.wrenches import wrenches_at_base
 from symbid_ros.model.tree import RobotModel
 
 # Singular values of a contact Jacobian below this share of its largest count as zero.

@@ -21,6 +21,8 @@ from symbid_ros.dynamics.kinematics import (
     link_velocity,
     sample_first,
 )
+from symbid_ros.dynamics.unmeasured_contacts import without_contacts
+from symbid_ros.dynamics.wrenches import wrenches_at_base
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
@@ -204,7 +206,8 @@ class Rows:
 def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     """Return the rows of K φ = y for a block of samples.
 
-    Known joint terms (:attr:`ParameterSet.known_terms`) are subtracted from y.
+    Known joint terms (:attr:`ParameterSet.known_terms`) are subtracted from y. Unmeasured contact
+    wrenches (:attr:`RobotModel.contacts`) are eliminated.
     """
     model = parameters.model
     first_joint = 6 * model.floating
@@ -234,6 +237,9 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
         K[:, first_joint + parameters.joints, range(columns.start, columns.stop)] = factor
     if parameters.known_terms:
         y -= known_force(parameters, samples)
+    if model.contacts is not None:
+        K, y = without_contacts(model, samples.position, K, y[..., None])
+        y = y[..., 0]
     return Rows(K, y)
 
 
@@ -360,23 +366,6 @@ def generalised_force(
     y[:, first_joint:] = samples.effort + joint_forces.sum(axis=0).T
     model.fold_followers(y)
     return y
-
-
-def wrenches_at_base(
-    model: RobotModel, wrenches: FloatArray, frames: Sequence[str], poses: LinkPoses
-) -> FloatArray:
-    """Return wrenches (N, F, 6) of sensor frames in base axes about the base's origin."""
-    mounts = [model.frame(name) for name in frames]
-    links = [mount.link for mount in mounts]
-    mount_rotation = np.array([mount.rotation for mount in mounts]).reshape(-1, 3, 3)
-    lever = np.array([mount.translation for mount in mounts]).reshape(-1, 3).T
-    in_sensor = component_first(wrenches).reshape(2, 3, len(frames), len(wrenches))
-    in_link = np.einsum("fij,kjfn->kifn", mount_rotation, in_sensor)
-    in_link[0] += cross(lever[:, :, None], in_link[1])
-    rotation = component_first(poses.rotation[:, links])
-    at_base = np.einsum("ijfn,kjfn->kifn", rotation, in_link)
-    at_base[0] += cross(component_first(poses.position[:, links]), at_base[1])
-    return sample_first(at_base.reshape(6, len(frames), len(wrenches)))
 
 
 def com_position(parameters: ParameterSet, values: FloatArray, poses: LinkPoses) -> FloatArray:

@@ -136,6 +136,8 @@ class Estimate:
         before it marks a sensor that reads the wrench of the robot on the payload.
     load_reference : dict of str to float
         Parameters of links from which the load of joints follows, if their friction depends on it.
+    contacts : tuple of str
+        ``FRAME`` or ``FRAME:point`` of each contact whose wrench was not measured.
     """
 
     method: str
@@ -164,6 +166,7 @@ class Estimate:
     remarks: tuple[str, ...] = ()
     wrist_sensors: tuple[str, ...] = ()
     load_reference: dict[str, float] = field(default_factory=dict)
+    contacts: tuple[str, ...] = ()
 
     def parameters_of(self, model: RobotModel) -> ParameterSet:
         """Return the columns of a robot with the joint terms of this estimate."""
@@ -271,6 +274,7 @@ class Estimate:
             "remarks": list(self.remarks),
             "wrist_sensors": list(self.wrist_sensors),
             "load_reference": self.load_reference,
+            "contacts": list(self.contacts),
         }
 
     def write(self, path: Path) -> None:
@@ -327,6 +331,7 @@ def load_estimate(path: Path) -> Estimate:
             remarks=tuple(document.get("remarks", ())),
             wrist_sensors=tuple(map(str, document.get("wrist_sensors", ()))),
             load_reference=_numbers(document, "load_reference"),
+            contacts=tuple(map(str, document.get("contacts", ()))),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(

@@ -240,6 +240,7 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
         parameters,
         last.free,
         (
+            *joints_without_rows(problem.observations[0], parameters),
             *_resting(problem.observations, parameters),
             *_replaceable(parameters, last.free),
             *_inseparable(selections[0].inseparable, parameters, last.free),
@@ -341,10 +342,13 @@ def _resting(observations: Sequence[Observations], parameters: ParameterSet) -> 
         return ()
     first = 6 * parameters.model.floating
     rows = slipping.counts.diagonal()[first:]
+    measured = observations[0].counts.diagonal()[first:] > 0
     own = [
         parameters.model.joint_names[index]
         for index in parameters.joints
-        if rows[index] < FEWEST_SLIPPING and index not in parameters.model.followers
+        if measured[index]
+        and rows[index] < FEWEST_SLIPPING
+        and index not in parameters.model.followers
     ]
     if not own:
         return ()
@@ -352,6 +356,24 @@ def _resting(observations: Sequence[Observations], parameters: ParameterSet) -> 
     return (
         f"{', '.join(own)}: moved faster than {COULOMB_SPEED:g} rad/s for less than "
         f"{seconds:.2g} s, too little to judge friction",
+    )
+
+
+def joints_without_rows(observations: Observations, parameters: ParameterSet) -> tuple[str, ...]:
+    """Return a sentence about driven joints that have no row, because no effort was measured."""
+    model = parameters.model
+    rows = observations.counts.diagonal()[6 * model.floating :]
+    own = [
+        model.joint_names[index]
+        for index in parameters.joints.tolist()
+        if rows[index] == 0 and index not in model.followers
+    ]
+    if not own or not parameters.terms or model.contacts is not None:
+        return ()
+    their = "its" if len(own) == 1 else "their"
+    return (
+        f"{', '.join(own)}: no usable effort, so {their} friction, armature and offset remain "
+        "unknown",
     )
 
 

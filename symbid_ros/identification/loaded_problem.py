@@ -13,6 +13,7 @@ from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
 from symbid_ros.dynamics.regressor import Samples
+from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.constraints import mirror_rows, total_mass_row
@@ -155,6 +156,7 @@ def load_problem(
     if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
         return load_problem(robot, log, _with_reversed(options, wrong, log.source), out)
     _diagnose(dataset, checks, parameters, prior)
+    _require_rows(dataset, parameters.model)
     _report_unnamed_sensors(parameters.model, dataset)
     validation = None
     if other is not None:
@@ -187,6 +189,23 @@ def _with_reversed(options: IdentifyOptions, wrong: Sequence[str], source: str) 
     return replace(options, wrist_sensor=tuple(named))
 
 
+def _require_rows(dataset: Dataset, model: RobotModel) -> None:
+    """Raise an error if no row is usable, so that the data say nothing."""
+    if any(np.any(one.counts) for one in dataset.observations):
+        return
+    why = "each needs an effort"
+    if model.contacts is not None:
+        why = (
+            "with contacts of unknown wrench each needs the efforts of all joints that feel them; "
+            "with neither efforts nor wrenches not even the robot's mass can be known"
+        )
+    raise DataError(
+        f"{dataset.source}: no row of the equation of motion is usable: {why}; let the driver fill "
+        "JointState.effort, or record the wrenches of all contacts",
+        "E326",
+    )
+
+
 def _report_unnamed_sensors(model: RobotModel, dataset: Dataset) -> None:
     """Log a warning about wrench sensors that carry a rigid body, which are no contacts."""
     for sensor, mass, share in unnamed_sensors(model, dataset.samples):
@@ -212,7 +231,7 @@ def load_information(
         When the information is of another robot or other parameters, or an option is invalid or
         needs a log.
     """
-    robot = with_wrist_sensors(robot, options.wrist_sensors)
+    robot = with_contacts(with_wrist_sensors(robot, options.wrist_sensors), options.contacts)
     parameters = load_parameters(robot, options)
     if options.chooses_terms:
         columns = _columns_of(robot, observations)
@@ -238,7 +257,7 @@ def load_information(
 
 def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet:
     """Return the columns of the data, and warn about known joint terms of the model file."""
-    robot = with_wrist_sensors(robot, options.wrist_sensors)
+    robot = with_contacts(with_wrist_sensors(robot, options.wrist_sensors), options.contacts)
     if options.chooses_terms and options.information is not None:
         parameters = _columns_of(robot, load_archive(options.information))
     else:
@@ -471,20 +490,22 @@ def _diagnose(
     source = dataset.source
     of_streams = checks.findings(source)
     _refuse_unusable(source, of_streams)
+    # Without the wrenches of contacts there is no force to compare with.
+    segments = dataset.segments if parameters.model.contacts is None else ()
     statistics: ModelStatistics | None = None
-    for segment in dataset.segments:
+    for segment in segments:
         if statistics is None:
             robot = parameters.apply(prior.mean)
             statistics = ModelStatistics(robot, segment.wrench_frames, segment.imu_frames)
         statistics.add(segment)
-    if statistics is None:
-        return
-    found = check_model(
-        statistics,
-        checks.joint_topic,
-        checks.imu_topics,
-        dict(zip(statistics.gains.wrench_frames, checks.wrench_topics, strict=True)),
-    ).findings
+    found: list[Finding] = []
+    if statistics is not None:
+        found = check_model(
+            statistics,
+            checks.joint_topic,
+            checks.imu_topics,
+            dict(zip(statistics.gains.wrench_frames, checks.wrench_topics, strict=True)),
+        ).findings
     _refuse_unusable(source, found)
     for finding in merged(of_streams, found):
         left_out = finding.kind in (Kind.FROZEN, Kind.SATURATED)

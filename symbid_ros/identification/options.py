@@ -114,8 +114,8 @@ class IdentifyOptions:
         f"Joint terms to identify: auto (for each joint those that the data ask for), none, or a "
         f"comma-separated list of {', '.join(TERMS)} for all joints.",
         group=JOINTS,
-        unset="auto; none with `filter` butterworth or savitzky_golay and with ols, wls_r, wls_c "
-        "and wls_rc",
+        unset="auto; none with `contact`, with `filter` butterworth or savitzky_golay and with "
+        "ols, wls_r, wls_c and wls_rc",
     )
     friction: bool = option(
         False,
@@ -157,6 +157,12 @@ class IdentifyOptions:
         "What lies beyond it is identified as a link of its own, together with the sensor's "
         "offset.",
         group=JOINTS,
+    )
+    contact: tuple[str, ...] = option(
+        (),
+        "Frames at which something touches the robot without a wrench sensor, as FRAME or, without "
+        "moments, FRAME:point, comma-separated. Their wrenches are eliminated at all times.",
+        group=ROWS,
     )
     filter: Filter | None = option(
         None,
@@ -225,6 +231,7 @@ class IdentifyOptions:
         self._check_rows()
         self._check_joint_terms()
         self._check_sensor_errors()
+        self._check_contacts()
         sources = self.prior, self.prior_percent, self.prior_absolute
         if sum(source is not None for source in sources) > 1:
             raise OptionError(
@@ -286,6 +293,8 @@ class IdentifyOptions:
         """Whether the data choose the terms of each joint."""
         if self._named_terms or any(getattr(self, flag) for flag in FLAGS):
             return self._named_terms == ["auto"]
+        if self.contacts:
+            return False
         # Only rows averaged over windows and weighed against a prior can be compared.
         return self.method in GAUSSIAN and self.row_filter == "weak"
 
@@ -364,6 +373,34 @@ class IdentifyOptions:
         """The wrist sensors, as FRAME or FRAME:LINK."""
         parts = ",".join(self.wrist_sensor).split(",")
         return tuple(name for part in parts if (name := part.strip()))
+
+    @cached_property
+    def contacts(self) -> tuple[str, ...]:
+        """The frames of contacts without a sensor, as FRAME or FRAME:point."""
+        parts = ",".join(self.contact).split(",")
+        return tuple(name for part in parts if (name := part.strip()))
+
+    def _check_contacts(self) -> None:
+        for name in self.contacts:
+            if name.partition(":")[2] not in ("", "point", "surface"):
+                raise OptionError(
+                    f"`contact`: {name!r} is no contact; give FRAME or FRAME:point", "E501"
+                )
+        if self.contacts and self.sensor_error_kinds:
+            raise OptionError(
+                "`contact` leaves no reading to calibrate; leave `sensor_errors` and `tare` out",
+                "E503",
+            )
+        for term, needed in (
+            ("auto", "a row for each joint"),
+            ("load", "the wrenches of contacts"),
+        ):
+            if self.contacts and term in self._named_terms:
+                raise OptionError(
+                    f"`joint_terms` {term} needs {needed}, which `contact` does not leave; name "
+                    "other terms",
+                    "E503",
+                )
 
     @cached_property
     def sensor_error_kinds(self) -> tuple[SensorErrorKind, ...]:

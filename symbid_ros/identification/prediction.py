@@ -9,6 +9,7 @@ import numpy as np
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS, Base
 from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
+from symbid_ros.dynamics.unmeasured_contacts import with_contacts, without_contacts
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, RowSettings, load_estimate
@@ -127,6 +128,8 @@ class ForcePredictor:
         """
         saved = load_estimate(folder / "estimate.json")
         found = load_estimated_model(folder, _load_robot(folder, saved))
+        model = with_contacts(found.parameters.model, saved.contacts)
+        found = replace(found, parameters=replace(found.parameters, model=model))
         estimate = found.estimate
         if estimate is None:
             raise EstimateError(f"{folder}: holds a prior; give the folder of a result", "E527")
@@ -285,6 +288,8 @@ class ForcePredictor:
         pair = np.zeros((len(samples), model.dof, 2))
         pair[:, 6 * model.floating :, 0] = np.nan_to_num(samples.effort)
         model.fold_followers(pair)
+        if model.contacts is not None:
+            (pair,) = without_contacts(model, samples.position, pair)
         pair[..., 1] = K @ self.unknowns[inertial]
         return pair
 

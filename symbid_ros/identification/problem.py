@@ -105,7 +105,7 @@ def check_weight(rows: Information, parameters: ParameterSet, prior: Prior) -> N
     DataError
         When the error is as large as one that the doctor calls unusable.
     """
-    if not parameters.model.floating:
+    if not parameters.model.floating or parameters.model.contacts is not None:
         return
     missing = _missing_weight(rows, parameters, prior)
     if missing > MAX_UNEXPLAINED:

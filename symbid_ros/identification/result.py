@@ -1,7 +1,7 @@
 """The result of an identification, as a user of the library sees it."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
 from pathlib import Path
@@ -245,7 +245,8 @@ class Result:
     @cached_property
     def robot(self) -> RobotModel:
         """The robot with the identified parameters."""
-        return without_wrist_sensors(self._parameters.apply(self.estimate.value))
+        found = without_wrist_sensors(self._parameters.apply(self.estimate.value))
+        return replace(found, contacts=None)
 
     @property
     def information(self) -> LogInformation:

@@ -19,6 +19,7 @@ from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, 
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.unexplained import UnexplainedForce, unexplained_forces
 from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
+from symbid_ros.identification.joint_terms import joints_without_rows
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
 from symbid_ros.model.inertia import is_consistent
@@ -279,6 +280,7 @@ class Solver:
     ) -> Estimate:
         parameters, prior = self.problem.parameters, self.posterior.prior
         p, choice = len(parameters), self.problem.choice
+        contacts = parameters.model.contacts
         determined = np.asarray(std < DETERMINED * prior.std[:p])
         if choice is not None:
             # Fixed terms are exactly at their value; the solution is so to rounding.
@@ -309,9 +311,12 @@ class Solver:
             software=SOFTWARE,
             known=parameters.known_values,
             joint_terms=None if choice is None else dict(choice.by_joint),
-            remarks=() if choice is None else choice.remarks,
+            remarks=joints_without_rows(self.chosen, parameters)
+            if choice is None
+            else choice.remarks,
             wrist_sensors=sensor_names(parameters.model),
             load_reference=_load_reference(parameters),
+            contacts=() if contacts is None else contacts.names,
         )
 
 

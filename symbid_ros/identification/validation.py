@@ -332,6 +332,7 @@ def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validati
         slow = rows.selected(is_slow).error(joints, SLOW_STRETCHES)
         slow_seconds = rows.duration * float(np.mean(is_slow))
     calibration = rows.calibration()
+    has_weight = model.floating and model.contacts is None
     found = Validation(
         result=predictor.name,
         model=model.name,
@@ -347,7 +348,7 @@ def _assess(predictor: ForcePredictor, rows: ForceRows, source: str) -> Validati
         base_force=errors.get(BASE_FORCE),
         slow=slow,
         slow_seconds=slow_seconds,
-        mass=rows.total_mass(predictor) if model.floating else None,
+        mass=rows.total_mass(predictor) if has_weight else None,
         coverage=None if calibration is None else calibration[0],
         normalized_square=None if calibration is None else calibration[1],
         advice=_advice(changes),

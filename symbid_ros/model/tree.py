@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.errors import ModelError
 
 if TYPE_CHECKING:
@@ -122,6 +122,33 @@ class Frame:
 
 
 @dataclass(frozen=True)
+class Contacts:
+    """Frames at which unmeasured wrenches act, and the rows without these wrenches.
+
+    See :mod:`symbid_ros.dynamics.unmeasured_contacts`.
+
+    Attributes
+    ----------
+    names : tuple of str
+        ``FRAME``, or ``FRAME:point`` for a contact without moments.
+    frames : tuple of str
+        The F frames.
+    components : (r,) int64
+        Independent ones of the wrenches' 6 F components, angular first.
+    damping : float
+        ε, in units of the contact Jacobian.
+    coordinates : (n - r,) int64
+        Coordinates whose rows remain.
+    """
+
+    names: tuple[str, ...]
+    frames: tuple[str, ...]
+    components: IntArray
+    damping: float
+    coordinates: IntArray
+
+
+@dataclass(frozen=True)
 class RobotModel:
     """Kinematics and inertias of any robot that is a tree of links.
 
@@ -143,6 +170,8 @@ class RobotModel:
         Path of the model file, for messages.
     bodies : tuple of Body
         Bodies of the model file, of which the links are made; empty for a robot without a file.
+    contacts : Contacts or None
+        Contacts whose wrenches are not measured; None if there is none.
     """
 
     name: str
@@ -153,6 +182,7 @@ class RobotModel:
     gravity: FloatArray
     source: str
     bodies: "tuple[Body, ...]" = field(default=(), repr=False, compare=False)
+    contacts: Contacts | None = None
 
     def __post_init__(self) -> None:
         """Reject duplicate names of links and joints."""

@@ -225,7 +225,10 @@ def _segment(
     readings = np.stack(imus, axis=1) if imus else np.zeros((count, 0, 6))
     effort = efforts.masked(grid, position_and_effort[:, joints:])
     contacts: dict[str, FloatArray] = {}
+    unmeasured = () if model.contacts is None else model.contacts.frames
     for sensor, reading in zip(streams.wrenches, wrenches, strict=True):
+        if sensor.frame_id in unmeasured:
+            continue
         if (place := model.wrist_sensors.get(sensor.frame_id)) is None:
             contacts[sensor.topic] = reading
         else:

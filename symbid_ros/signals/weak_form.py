@@ -23,6 +23,7 @@ from symbid_ros.choices import SLIDING_TERMS
 from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion, slipping
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base, smoothed
@@ -192,7 +193,26 @@ def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
             has_friction |= parameters.known_terms["coulomb"] != 0
         valid[:, 6 * model.floating :] = slipping(parameters, velocity) | ~has_friction
     valid[:, [6 * model.floating + joint for joint in model.followers]] = False
+    if model.contacts is not None:
+        valid = _valid_combinations(model, valid)
     return valid
+
+
+def _valid_combinations(model: RobotModel, valid: BoolArray) -> BoolArray:
+    """Return which rows without unmeasured contacts are valid if single coordinates are (N, n)."""
+    contacts, first = model.contacts, 6 * model.floating
+    assert contacts is not None
+    links = [model.frame(name).link for name in contacts.frames]
+    loaded = np.ones(model.dof, dtype=bool)
+    loaded[first:] = model.ancestors[:, links].any(axis=1)
+    loaded[[first + joint for joint in model.followers]] = False
+    # Combinations contain all coordinates that feel a contact; other rows stay as they are.
+    together: BoolArray = np.asarray(valid[:, loaded].all(axis=1))
+    combined = np.zeros_like(valid)
+    kept = contacts.coordinates
+    combined[:, kept] = valid[:, kept]
+    combined[:, kept[loaded[kept]]] = together[:, None]
+    return combined
 
 
 def slipping_joints(parameters: ParameterSet, velocity: FloatArray) -> BoolArray | None:

@@ -16,6 +16,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.contact import RANK_TOLERANCE, contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
+from symbid_ros.dynamics.unmeasured_contacts import DAMPING, annihilator
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.information import RowLayout, random_motions
 from symbid_ros.estimation.observations import Observations
@@ -27,10 +28,6 @@ from symbid_ros.signals.weak_form import CHUNK, SampledRows, valid_coordinates
 
 SensorSubset = Literal["all", "base_rows", "joint_rows", "no_plates"]
 
-# ε over the largest singular value of J_g. Directions of J_g below this share are damped: the
-# weaker they are, the faster the directions without contact wrenches rotate, so that encoder noise
-# would dominate. Opposite moments on feet with legs in parallel planes have a share below 1e-3.
-DAMPING = 3e-4
 # Number of postures from which the directions without contact wrenches are chosen.
 PROBES = 1000
 
@@ -104,14 +101,7 @@ class Annihilator:
     def at(self, position: FloatArray) -> FloatArray:
         """Return N (N, n - r, n) at joint positions (N, J)."""
         J = _contact_jacobian(self.model, self.frames, position)[:, self.components]
-        Q, R = np.linalg.qr(J.transpose(0, 2, 1), mode="complete")
-        determinant = np.prod(np.diagonal(R, axis1=1, axis2=2) ** 2, axis=1)
-        rank = len(self.components)
-        damped = np.linalg.det(J @ J.transpose(0, 2, 1) + self.damping**2 * np.eye(rank))
-        free = Q[:, :, rank:]
-        N: FloatArray = (self.basis.T @ free) @ free.transpose(0, 2, 1)
-        N *= (determinant / damped)[:, None, None]
-        return N
+        return annihilator(J, self.damping, self.basis.T)
 
 
 def _contact_jacobian(

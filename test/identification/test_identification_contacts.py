@@ -1,0 +1,126 @@
+"""A quadruped without force sensors in its feet, and robots whose drives measure nothing."""
+
+import numpy as np
+import pytest
+from live_feed import feed_of
+from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
+
+from symbid_ros.dynamics.unmeasured_contacts import with_contacts
+from symbid_ros.errors import DataError, OptionError
+from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.api import identify
+from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.loaded_problem import load_problem
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.validation import validate
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.offline.bags import load_bag
+from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.online.initial_state import InitialState
+from symbid_ros.signals.log import Log
+
+POINTS = tuple(f"{foot}:point" for foot in FEET)
+
+
+@pytest.fixture(scope="module")
+def true_robot(tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "quadruped.urdf"
+    path.write_text(quadruped_urdf())
+    return load_model(path)
+
+
+@pytest.fixture(scope="module")
+def robot(true_robot):
+    parameters = ParameterSet(true_robot)
+    return parameters.apply(draw_prior(parameters, "consistent", 25, 1).mean)
+
+
+@pytest.fixture(scope="module")
+def readings(true_robot):
+    return standing_log(true_robot, 16.0, 3, friction=0.0)
+
+
+def log_of(robot, readings, *, feet=(), effort=None):
+    joints, imu = readings["/joint_states"], readings["/imu"]
+    return Log.from_arrays(
+        robot,
+        time=joints["time"],
+        position=joints["position"],
+        effort=joints["effort"] if effort is None else effort,
+        imus={"imu_link": np.hstack([imu["angular_velocity"] - 0.01, imu["linear_acceleration"]])},
+        wrenches={foot: readings[f"/{foot}/wrench"]["wrench"] for foot in feet},
+    )
+
+
+def test_efforts_alone_weigh_a_robot_on_its_feet(robot, true_robot, readings, tmp_path):
+    log = log_of(robot, readings)
+    found = identify(robot, log, contact=POINTS, window=0.321)
+    before, after, true = (one.phi[:, 0].sum() for one in (robot, found.robot, true_robot))
+    assert abs(after - true) < 0.1 * abs(before - true)
+    assert after == pytest.approx(true, rel=0.01)
+    assert not found.alarms
+    assert found.estimate.contacts == POINTS
+    assert found.estimate.holdout.percent_after < 0.2 * found.estimate.holdout.percent_before
+    # A saved result says which contacts were eliminated.
+    found.save(tmp_path)
+    again = validate(tmp_path, log)
+    assert again.is_better
+    assert again.mass is None
+
+
+def test_live_messages_give_the_same(robot, true_robot, readings, tmp_path):
+    feet = {f"/{foot}/wrench" for foot in FEET}
+    short = {topic: values for topic, values in readings.items() if topic not in feet}
+    bag = record_log(short, robot, tmp_path / "bag")
+    options = IdentifyOptions(contact=POINTS, window=0.321, no_holdout=True)
+    offline = load_problem(robot, load_bag(bag, robot), options).solve().estimate
+    feed = feed_of(bag)
+    live = OnlineIdentification(InitialState.of(robot, options), feed.selected, Pace(share=1.0))
+    try:
+        feed.into(live, solving=6.0)
+        found = live.solve(exactly=True).found.estimate
+    finally:
+        live.close()
+    np.testing.assert_allclose(found.value, offline.value, atol=1e-3 * offline.std.max())
+    assert found.value[:130:10].sum() == pytest.approx(true_robot.phi[:, 0].sum(), rel=0.02)
+
+
+def test_readings_at_a_contact_that_is_named_are_left_out(robot, readings):
+    model = with_contacts(robot, POINTS[:3])
+    segment = next(iter(AlignedLog(log_of(robot, readings, feet=FEET), model)))
+    assert segment.wrench_frames == FEET[3:]
+
+
+def test_with_neither_efforts_nor_wrenches_the_mass_is_said_to_be_unknown(robot, readings):
+    silent = np.full_like(readings["/joint_states"]["effort"], np.nan)
+    with pytest.raises(DataError, match="not even the robot's mass"):
+        identify(robot, log_of(robot, readings, effort=silent), contact=POINTS, unchecked=True)
+
+
+def test_wrenches_alone_identify_a_robot_whose_drives_measure_nothing(robot, true_robot, readings):
+    silent = np.full_like(readings["/joint_states"]["effort"], np.nan)
+    log = log_of(robot, readings, feet=FEET, effort=silent)
+    found = identify(robot, log, no_holdout=True, unchecked=True, window=0.321)
+    assert found.robot.phi[:, 0].sum() == pytest.approx(true_robot.phi[:, 0].sum(), rel=2e-3)
+    (remark,) = found.estimate.remarks
+    assert remark.endswith(
+        "no usable effort, so their friction, armature and offset remain unknown"
+    )
+    assert not any(terms for terms in found.estimate.joint_terms.values())
+    named = identify(robot, log, friction=True, no_holdout=True, unchecked=True, window=0.321)
+    assert named.estimate.remarks == found.estimate.remarks
+    assert not any(one.is_determined for name, one in named.parameters.items() if "viscous" in name)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"contact": ("foot:heel",)}, "no contact"),
+        ({"contact": ("foot",), "joint_terms": ("auto",)}, "name other terms"),
+        ({"contact": ("foot",), "sensor_errors": ("typical",)}, "nothing|no reading"),
+    ],
+)
+def test_options_that_contradict_contacts_are_refused(fields, message):
+    with pytest.raises(OptionError, match=message):
+        IdentifyOptions(**fields)
