@@ -206,8 +206,8 @@ class Rows:
 def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     """Return the rows of K φ = y for a block of samples.
 
-    Known joint terms (:attr:`ParameterSet.known_terms`) are subtracted from y. Unmeasured contact
-    wrenches (:attr:`RobotModel.contacts`) are eliminated.
+    Known joint terms (:attr:`ParameterSet.known_terms`) and payloads are subtracted from y.
+    Unmeasured contact wrenches (:attr:`RobotModel.contacts`) are eliminated.
     """
     model = parameters.model
     first_joint = 6 * model.floating
@@ -231,7 +231,11 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     if len(parameters) > parameters.inertial:
         _fill_joint_terms(K, parameters, samples)
     model.fold_followers(K)
-    if "load" in parameters.terms:
+    for payload in parameters.payloads:
+        carried = (samples.stamp >= payload.start) & (samples.stamp < payload.stop)
+        column = 10 * int(np.searchsorted(parameters.links, payload.link))
+        y -= carried[:, None] * (K[:, :, column : column + 10] @ payload.phi)
+    if "load" in parameters.terms and model.contacts is None:  # else the load is unknown
         columns = parameters.term_columns["load"]
         factor = load_column(parameters, samples, K, y)[:, parameters.joints]
         K[:, first_joint + parameters.joints, range(columns.start, columns.stop)] = factor

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -123,6 +124,44 @@ class AlignedLog:
                     coverage.take(segment)
                     yield segment
         coverage.check(warn=warn)
+
+
+class ChainedSegments:
+    """Segments of several logs with different stamps, in the order of time.
+
+    Parameters
+    ----------
+    logs : sequence of iterables of Segment
+
+    Attributes
+    ----------
+    spans : list of (int, int)
+        First and last stamp of each log, in the order given, ns.
+
+    Raises
+    ------
+    DataError
+        When stamps of two logs overlap.
+    """
+
+    def __init__(self, logs: Sequence[Iterable[Segment]]) -> None:
+        self.spans = spans = list[tuple[int, int]]()
+        for log in logs:
+            ends = [(int(one.stamp[0]), int(one.stamp[-1])) for one in log]
+            spans.append((ends[0][0], ends[-1][1]))
+        order = sorted(range(len(logs)), key=lambda index: spans[index])
+        for one, two in pairwise(order):
+            if spans[one][1] >= spans[two][0]:
+                raise DataError(
+                    "the stamps of two logs overlap, so that their payloads cannot be told apart; "
+                    "identify one of them, save it, and give its `information` with the other",
+                    "E530",
+                )
+        self._logs = [logs[index] for index in order]
+
+    def __iter__(self) -> Iterator[Segment]:
+        for log in self._logs:
+            yield from log
 
 
 def joined_segments(segments: Iterable[Segment]) -> tuple[Segment, ...]:

@@ -25,7 +25,14 @@ from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior,
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.calibration import SensorErrorRequest, Tare, calibrate, read_tare
 from symbid_ros.identification.couplings import find_couplings
-from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset, read_dataset
+from symbid_ros.identification.dataset import (
+    AlignedLog,
+    ChainedSegments,
+    Dataset,
+    Processing,
+    fold_dataset,
+    read_dataset,
+)
 from symbid_ros.identification.joint_terms import candidate_prior, choose_terms, rows_of
 from symbid_ros.identification.options import IdentifyOptions, Source
 from symbid_ros.identification.problem import Problem, Truncation
@@ -34,6 +41,7 @@ from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.wrist_evidence import reversed_sensors, unnamed_sensors
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import reversed_sensor, with_wrist_sensors
 from symbid_ros.signals.log import Log
@@ -145,6 +153,7 @@ def load_problem(
     options = options or IdentifyOptions()
     parameters = load_parameters(robot, options)
     prior = choose_prior(options, parameters)
+    parameters = with_load_reference(parameters, prior, options)
     build_pseudo_measurements(options, parameters, prior)
     if out is not None:
         check_output(parameters, out)
@@ -152,12 +161,15 @@ def load_problem(
     tare = _open_logs(options.tare, log)
     chosen_on = () if options.choose_truncation is None else (options.choose_truncation,)
     other = next(iter(_open_logs(chosen_on, log)), None)
+    for _, text in options.loaded_logs:
+        Payload.parse(text, robot)
     dataset, checks = _read(log, options, parameters)
     if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
         return load_problem(robot, log, _with_reversed(options, wrong, log.source), out)
     _diagnose(dataset, checks, parameters, prior)
     _require_rows(dataset, parameters.model)
     _report_unnamed_sensors(parameters.model, dataset)
+    dataset, parameters = _with_loaded_logs(options, log, dataset, parameters)
     validation = None
     if other is not None:
         validation, checks = _read(other, options, parameters)
@@ -171,6 +183,28 @@ def load_problem(
         dataset = fold_dataset(dataset.segments, dataset.source, parameters, processing)
         solver = _build_solver(options, inputs, parameters, prior, dataset=dataset, tares=tares)
     return LoadedProblem(options, inputs, parameters, prior, dataset, solver, validation, tares)
+
+
+def _with_loaded_logs(
+    options: IdentifyOptions, log: Log, dataset: Dataset, parameters: ParameterSet
+) -> tuple[Dataset, ParameterSet]:
+    """Return the log together with those of known payloads, and the parameters of all."""
+    if not options.loaded_logs:
+        return dataset, parameters
+    model, logs = parameters.model, [dataset.segments]
+    carried = [parameters.payloads]
+    for source, text in options.loaded_logs:
+        (further,) = _open_logs((source,), log)
+        logs.append(AlignedLog(further, model))
+        carried.append((Payload.parse(text, model),))
+    segments = ChainedSegments(logs)
+    payloads = tuple(
+        replace(payload, start=start, stop=stop + 1)
+        for some, (start, stop) in zip(carried, segments.spans, strict=True)
+        for payload in some
+    )
+    parameters = replace(parameters, payloads=payloads)
+    return fold_dataset(segments, dataset.source, parameters, Processing.of(options)), parameters
 
 
 def _with_reversed(options: IdentifyOptions, wrong: Sequence[str], source: str) -> IdentifyOptions:
@@ -245,10 +279,11 @@ def load_information(
             "without `sensor_errors` and `tare`",
             "E505",
         )
-    for name in ("tare", "choose_truncation", "sensor_std", "sensor_errors"):
+    for name in ("tare", "payload", "choose_truncation", "sensor_std", "sensor_errors"):
         if getattr(options, name):
             raise OptionError(f"`{name}` needs a log, not information; leave it out", "E503")
     prior = choose_prior(options, parameters)
+    parameters = with_load_reference(parameters, prior, options)
     nothing = Dataset("information", (), Samples.none(robot.joint_names), observations)
     inputs = (robot.source, *map(str, options.files))
     solver = _build_solver(options, inputs, parameters, prior, dataset=nothing, tares={})
@@ -267,7 +302,11 @@ def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet
             candidates=options.chooses_terms,
             couplings=tuple(Coupling.parse(one, robot) for one in options.couplings),
         )
-    parameters = replace(parameters, link_side=_link_side(robot, options.effort_sides))
+    parameters = replace(
+        parameters,
+        link_side=_link_side(robot, options.effort_sides),
+        payloads=tuple(Payload.parse(one, robot) for one in options.payloads),
+    )
     for term, values in parameters.known_terms.items():
         stated = [
             name for name, value in zip(robot.joint_names, values, strict=True) if value != 0.0
@@ -333,6 +372,15 @@ def choose_prior(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
     if options.prior_percent is not None:
         return model_prior(parameters, options.prior_percent)
     return model_prior(parameters)
+
+
+def with_load_reference(
+    parameters: ParameterSet, prior: Prior, options: IdentifyOptions
+) -> ParameterSet:
+    """Return the parameters with the joints' load from a prior file, if there is one."""
+    if options.prior is None:
+        return parameters
+    return replace(parameters, reference=prior.mean[: parameters.inertial])
 
 
 def build_pseudo_measurements(
@@ -495,7 +543,7 @@ def _diagnose(
     statistics: ModelStatistics | None = None
     for segment in segments:
         if statistics is None:
-            robot = parameters.apply(prior.mean)
+            robot = with_payloads(parameters.apply(prior.mean), parameters.payloads)
             statistics = ModelStatistics(robot, segment.wrench_frames, segment.imu_frames)
         statistics.add(segment)
     found: list[Finding] = []

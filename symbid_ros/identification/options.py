@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 
     # Path of a bag, or a log.
     Source = Path | Log
+    # Payload of the whole log, or of a further log: "BAG:LINK,MASS,X,Y,Z" or (Log, "LINK,...").
+    PayloadSource = str | tuple[Log, str]
 else:
-    Source = Path  # the help of a command does not load NumPy
+    Source, PayloadSource = Path, str  # the help of a command does not load NumPy
 
 logger = logging.getLogger(__name__)
 
@@ -105,6 +107,14 @@ class IdentifyOptions:
         (),
         "Bag recorded with unloaded wrench sensors; sensor errors are then identified as well.",
         group=KNOWN,
+    )
+    payload: tuple[PayloadSource, ...] = option(
+        (),
+        "Known payload LINK,MASS,X,Y,Z (kg; m in the link's axes) that the robot carries, such as "
+        "tool0,2.5,0,0,0.06; with BAG: before it, in a further bag that is identified together "
+        "with the others.",
+        group=KNOWN,
+        metavar="PAYLOAD",
     )
     information: Path | None = option(
         None, "information.npz of an earlier run, whose data are added.", group=KNOWN
@@ -317,6 +327,20 @@ class IdentifyOptions:
             sides[joint] = side
         return sides
 
+    @cached_property
+    def payloads(self) -> tuple[str, ...]:
+        """Payloads that the robot carries in the log itself."""
+        return tuple(one for one in self.payload if isinstance(one, str) and ":" not in one)
+
+    @cached_property
+    def loaded_logs(self) -> tuple[tuple[Source, str], ...]:
+        """Further logs, with the payload of each."""
+        return tuple(
+            (Path(one.rpartition(":")[0]), one.rpartition(":")[2]) if isinstance(one, str) else one
+            for one in self.payload
+            if not isinstance(one, str) or ":" in one
+        )
+
     @property
     def couplings(self) -> list[str]:
         """The named couplings, one sum of joints each."""
@@ -441,7 +465,13 @@ class IdentifyOptions:
     @property
     def files(self) -> tuple[Path, ...]:
         """Input files other than the log and the model."""
-        logs = [self.prior, *self.tare, self.information, self.choose_truncation]
+        logs = [
+            *(log for log, _ in self.loaded_logs),
+            self.prior,
+            *self.tare,
+            self.information,
+            self.choose_truncation,
+        ]
         named = [(one,) if isinstance(one, Path) else one.files for one in logs if one is not None]
         return tuple(path for paths in named for path in paths)
 

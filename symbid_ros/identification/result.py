@@ -240,6 +240,8 @@ class Result:
             raise EstimateError(
                 f"{self.estimate.method} gives no covariance; use `method` map or map_lmi", "E507"
             )
+        fixed = np.array([name in self.estimate.fixed for name in self.estimate.names])
+        factor = np.where(fixed[:, None], 0.0, factor)
         return factor @ factor.T
 
     @cached_property

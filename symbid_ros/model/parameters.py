@@ -11,6 +11,7 @@ from symbid_ros.choices import JOINT_TERMS, TERMS, Term
 from symbid_ros.errors import ModelError
 from symbid_ros.model.coupling import Coupling, coupled_terms, couplings_in
 from symbid_ros.model.inertia import PARAMETERS, UNITS
+from symbid_ros.model.payload import Payload
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import COMPONENTS
 
@@ -42,6 +43,8 @@ class ParameterSet:
         Drives that turn with several joints, with friction and armature of their own.
     link_side : tuple of int
         Joints whose effort is measured behind the gear. It does not contain the armature.
+    payloads : tuple of Payload
+        Known bodies that the robot carries. They do not belong to the parameters.
     reference : (inertial,) float64 or None
         Link parameters that give the joints' load τ; by default those of the model.
 
@@ -56,6 +59,7 @@ class ParameterSet:
     candidates: bool = False
     couplings: tuple[Coupling, ...] = ()
     link_side: tuple[int, ...] = ()
+    payloads: tuple[Payload, ...] = ()
     reference: FloatArray | None = None
 
     def __post_init__(self) -> None:

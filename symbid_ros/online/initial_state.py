@@ -12,6 +12,7 @@ from symbid_ros.identification.loaded_problem import (
     build_pseudo_measurements,
     choose_prior,
     load_parameters,
+    with_load_reference,
 )
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
@@ -50,6 +51,7 @@ class InitialState:
         _check_online(options)
         parameters = load_parameters(robot, options)
         prior = choose_prior(options, parameters)
+        parameters = with_load_reference(parameters, prior, options)
         problem = Problem(
             (),
             parameters,
@@ -93,6 +95,12 @@ def _check_online(options: IdentifyOptions) -> None:
         raise OptionError(
             "`tare` and `sensor_errors` need several passes over a log; remove them, or record a "
             "bag and run `symbid identify`",
+            "E503",
+        )
+    if options.loaded_logs:
+        raise OptionError(
+            "`payload` with a bag needs `symbid identify`; give the payload that the robot carries "
+            "now, without a bag",
             "E503",
         )
     if options.choose_truncation is not None or options.sensor_std is not None:

@@ -57,12 +57,22 @@ def samples_of(robot, time, position, velocity, acceleration):
 
 
 def log_of(
-    robot, truth, seed=0, offset=0.0, moving=None, seconds=SECONDS, extra=None, load=0.0, gain=1.0
+    robot,
+    truth,
+    seed=0,
+    offset=0.0,
+    moving=None,
+    seconds=SECONDS,
+    extra=None,
+    load=0.0,
+    gain=1.0,
+    start=0.0,
 ):
     """Return a noisy log of a robot whose drives are those of the parameters ``truth``.
 
     ``extra`` computes further torques from velocity and acceleration, ``load`` is Coulomb friction
     per torque of the links, and ``gain`` divides efforts.
+    The log begins at ``start``.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(0.0, seconds, 1 / RATE)
@@ -78,4 +88,4 @@ def log_of(
     effort /= gain
     effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)
     position = motion[0] + 1e-6 * rng.normal(size=effort.shape)
-    return sy.Log.from_arrays(robot, time=time, position=position, effort=effort)
+    return sy.Log.from_arrays(robot, time=start + time, position=position, effort=effort)

@@ -1,0 +1,92 @@
+"""Known payloads, in the whole log or in a further one."""
+
+import numpy as np
+import pytest
+from drive_logs import arm, drives, log_of
+
+import symbid_ros as sy
+from symbid_ros.errors import DataError, ModelError, OptionError
+from symbid_ros.model.inertia import phi_from_com
+from symbid_ros.model.payload import Payload
+from symbid_ros.online.initial_state import InitialState
+
+MASS, PLACE = 1.5, (0.02, -0.1, 0.2)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return arm(seed=2)
+
+
+@pytest.fixture(scope="module")
+def text(robot):
+    return ",".join([robot.link_names[-1], str(MASS), *map(str, PLACE)])
+
+
+@pytest.fixture(scope="module")
+def loaded(robot):
+    """The robot with its payload."""
+    phi = robot.phi.copy()
+    phi[-1] += phi_from_com(MASS, np.array(PLACE), np.zeros((3, 3)))
+    return robot.with_phi(phi)
+
+
+def log_with(robot, start=0.0, **fields):
+    return log_of(robot, drives(robot), start=start, **fields)
+
+
+def assert_equal(result, other):
+    difference = (result.estimate.value - other.estimate.value) / result.estimate.std
+    links = 10 * len(result.links)
+    np.testing.assert_allclose(difference[:links], 0, atol=1e-3)
+
+
+def test_the_payload_of_the_log_is_not_identified(robot, loaded, text):
+    fields = {"unchecked": True, "no_holdout": True, "joint_terms": "none"}
+    result = sy.identify(robot, log_with(loaded), payload=text, **fields)
+    motion = np.random.default_rng(2).normal(size=(3, 50, 3))
+    torque = sy.regressor(robot, *motion)
+    true = torque @ robot.phi.ravel()
+    error = torque @ result.estimate.value - true
+    assert np.linalg.norm(error) < 0.01 * np.linalg.norm(true)
+
+
+def test_logs_with_and_without_payload_are_identified_together(robot, loaded, text):
+    fields = {"unchecked": True, "no_holdout": True, "joint_terms": "none"}
+    without, log = log_with(robot), log_with(loaded, start=100.0, seed=1)
+    together = sy.identify(robot, without, payload=[(log, text)], **fields)
+    one = sy.identify(robot, without, **fields)
+    other = sy.identify(robot, log, payload=text, **fields)
+    merged = sy.identify(robot, sy.merge([one.information, other.information]), joint_terms="none")
+    assert_equal(together, merged)
+    assert np.all(together.estimate.std[:30] <= one.estimate.std[:30] * (1 + 1e-3))
+
+
+def test_the_holdout_knows_the_payload(robot, loaded, text):
+    result = sy.identify(robot, log_with(loaded), payload=text, unchecked=True)
+    assert result.estimate.holdout.percent_after < 1.0
+
+
+def test_overlapping_stamps_are_refused(robot, text):
+    log = log_with(robot)
+    with pytest.raises(DataError, match="overlap") as refusal:
+        sy.identify(robot, log, payload=[(log, text)], unchecked=True)
+    assert refusal.value.code == "E530"
+
+
+def test_the_doctor_knows_the_payload(robot, loaded, text, caplog):
+    sy.identify(robot, log_with(loaded), payload=text, no_holdout=True)
+    assert "times what the motion implies" not in caplog.text
+
+
+@pytest.mark.parametrize("text", ["tool", "{0},1,0,0", "{0},-1,0,0,0", "{0},a,0,0,0", "b,1,0,0,0"])
+def test_invalid_payloads_are_refused(robot, text):
+    with pytest.raises(ModelError) as refusal:
+        Payload.parse(text.format(robot.link_names[-1]), robot)
+    assert refusal.value.code in ("E122", "E116")
+
+
+def test_a_live_run_has_one_payload(robot, text):
+    assert InitialState.of(robot, sy.IdentifyOptions(payload=text)).problem.parameters.payloads
+    with pytest.raises(OptionError, match="payload"):
+        InitialState.of(robot, sy.IdentifyOptions(payload=f"bag:{text}"))
