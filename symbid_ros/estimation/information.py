@@ -111,9 +111,11 @@ class RowLayout:
         n, p = len(self.columns), len(self.parameters)
         coordinate = np.repeat(np.arange(n), [len(each) + 1 for each in self.columns])
         column = np.concatenate([np.append(each, p) for each in self.columns])
-        rows = (column[:, None] * (p + 1) + column).ravel()
-        pairs = (coordinate[:, None] * n + coordinate).ravel()
-        return csr_array((np.arange(self.width**2), (rows, pairs)), shape=((p + 1) ** 2, n**2))
+        one, other = np.triu_indices(self.width)
+        rows = column[one] * (p + 1) + column[other]
+        pairs = coordinate[one] * n + coordinate[other]
+        places = one + self.width * other  # in Fortran order, as BLAS returns the moment
+        return csr_array((places, (rows, pairs)), shape=((p + 1) ** 2, n**2))
 
     def moments_by_pair(self, gram: FloatArray) -> csr_array:
         """Return the moments of [K y] by pairs of coordinates, from those of the flat rows.
@@ -121,15 +123,16 @@ class RowLayout:
         Parameters
         ----------
         gram : (w, w) float64
-            Σ rowᵀ row of flat rows.
+            Upper triangle of Σ rowᵀ row of flat rows, in Fortran order, with half its diagonal.
 
         Returns
         -------
         ((p + 1) (p + 1), n n) csr_array
-            Multiplied by a flat precision across coordinates (n, n): the moment Σ [K y]ᵀ P [K y].
+            X with X + Xᵀ the moment Σ [K y]ᵀ P [K y], where X is the product with a flat symmetric
+            precision P (n, n) across coordinates.
         """
         pattern = self._moment_pattern  # sorted once for each layout
-        data = gram.ravel()[pattern.data]
+        data = gram.ravel(order="F")[pattern.data]
         return csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
 
     def flatten(self, rows: Rows) -> FloatArray:
@@ -304,19 +307,27 @@ class Information:
         quantities that are only estimated, and intermediate iterations.
         """
         width = len(self.layout.parameters) + 1
-        moment: FloatArray = self._products @ precision.ravel()
-        return moment.reshape(width, width)
+        half: FloatArray = (self._products @ precision.ravel()).reshape(width, width)
+        return half + half.T
+
+    @cached_property
+    def _is_filled(self) -> BoolArray:
+        """(w,) rows of the factor that are not zero; few samples fill few rows of a wide factor."""
+        size = np.abs(self.factor).max(axis=1, initial=0.0)
+        return np.asarray(size > 1e-15 * size.max(initial=0.0))
+
+    @cached_property
+    def _filled(self) -> FloatArray:
+        """The factor without its zero rows."""
+        if self._is_filled.all():
+            return self.factor
+        return np.asfortranarray(self.factor[self._is_filled])
 
     @cached_property
     def _parts(self) -> tuple[FloatArray, ...]:
-        """Each coordinate's slice of the factor, transposed, without its zero rows.
-
-        Few samples fill only a few rows of a wide factor.
-        """
-        size = np.abs(self.factor).max(axis=1, initial=0.0)
-        filled = size > 1e-15 * size.max(initial=0.0)
+        """Each coordinate's slice of the factor, transposed, without its zero rows."""
         return tuple(
-            np.ascontiguousarray(self.factor[: place.stop, place][filled[: place.stop]].T)
+            np.ascontiguousarray(self.factor[: place.stop, place][self._is_filled[: place.stop]].T)
             for place in self.layout.slices
         )
 
@@ -327,10 +338,10 @@ class Information:
 
     @cached_property
     def _products(self) -> csr_array:
-        """((p+1)(p+1), n n) the moments of [K y], by pairs of coordinates."""
-        # The products are symmetric, so half of each is enough.
-        half = blas.dsyrk(1.0, self.factor, trans=True)
-        return self.layout.moments_by_pair(half + np.triu(half, 1).T)
+        """((p+1)(p+1), n n) half the moments of [K y], by pairs of coordinates."""
+        gram = blas.dsyrk(1.0, self._filled, trans=True)
+        gram[np.diag_indices(len(gram))] /= 2
+        return self.layout.moments_by_pair(gram)
 
     @cached_property
     def target_squares(self) -> FloatArray:
@@ -340,7 +351,7 @@ class Information:
 
     def residual_moment(self, phi: FloatArray) -> FloatArray:
         """Return Σ e eᵀ (n, n) over all samples, e = y - K φ, for φ (p,)."""
-        residual = self.factor @ self.layout.residual_map(phi)
+        residual = self._filled @ self.layout.residual_map(phi)
         moment: FloatArray = residual.T @ residual
         return moment
 
@@ -349,8 +360,8 @@ class Information:
         n = len(self.layout.coordinates)
         residual = np.append(-phi, 1.0)
         squares = np.outer(residual, residual).ravel()
-        moment: FloatArray = self._products.T @ squares
-        return moment.reshape(n, n)
+        half: FloatArray = (self._products.T @ squares).reshape(n, n)
+        return half + half.T
 
     def residual_rmse(self, phi: FloatArray) -> dict[str, float]:
         """Return the root mean square of y - K φ per coordinate."""

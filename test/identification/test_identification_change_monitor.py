@@ -31,7 +31,7 @@ def estimates(simulated):
     )
     feed = feed_of(bag)
     state = InitialState.of(
-        load_model(MODEL), IdentifyOptions(prior_percent=25.0, joint_terms=("none",))
+        load_model(MODEL), IdentifyOptions(prior_percent=25.0)
     )
     live = OnlineIdentification(state, feed.selected, Pace(memory=5.0, share=1.0))
     results = feed.into(live, solving=1.0)

@@ -207,7 +207,7 @@ def test_a_late_wrench_topic_restarts_identification(graph, simulated) -> None:
 
 def test_a_change_caused_by_a_payload_names_its_link(graph) -> None:
     probe = EstimateProbe(graph)
-    identifier(graph, memory=5.0)
+    identifier(graph, memory=5.0, **LINKS)
     bridge(graph, moves=60, motion_seed=3)
     graph.wait_until(lambda: "change" in probe.statuses)
     graph.wait_until(
