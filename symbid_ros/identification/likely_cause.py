@@ -15,7 +15,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
 from symbid_ros.dynamics.regressor import Rows, coulomb_column, stribeck_column
 from symbid_ros.errors import SymbidError
-from symbid_ros.estimation.unexplained import force_text
+from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
 from symbid_ros.estimation.verdict import coloured_alarm
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.solver import Identification
@@ -26,8 +26,10 @@ from symbid_ros.signals.sensor_errors import CalibratingRows, LinearizationPoint
 from symbid_ros.signals.sensor_samples import SensorSamples
 from symbid_ros.signals.weak_form import RowBuilder, SampledRows, block_length, windowed_rows
 
-# Blocks of a log are dealt to this many groups, each predicted from the others.
+# Stretches of a log are dealt to this many groups, each predicted from the others. They last a
+# second, or twice the window if that is longer.
 GROUPS = 4
+SHORTEST, WINDOWS_EACH = 1.0, 2
 # Most blocks that are used, evenly spread over the log; the motion varies little beyond.
 MOST_BLOCKS = 40
 # Share by which a cause must reduce the square error of left-out blocks to be named.
@@ -58,7 +60,9 @@ EFFECTS = {
     "plate_offset": "offsets of the wrench sensors",
     "plate_gain": "gains of the wrench sensors",
     "plate_pose": "positions of the wrench sensors",
+    "typical": "several sensor errors together",
 }
+SEVERAL = "typical"
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ class Cause:
             return f"leave `joint_terms` out, or add {self.kind} to it"
         if self.kind == "plate_offset":
             return "give a `tare`, or `sensor_errors` plate_offset"
-        if self.kind in SENSOR_ERROR_KINDS:
+        if self.kind in SENSOR_ERROR_KINDS or self.kind == SEVERAL:
             return f"give `sensor_errors` {self.kind}"
         if self.kind == "delay":
             return "correct the stamps of one of them"
@@ -101,27 +105,17 @@ def explained(problem: LoadedProblem, found: Identification) -> Identification:
     verdict = found.estimate.verdict
     if verdict is None or not verdict.is_coloured or not verdict.unexplained:
         return found
+    worst = verdict.unexplained[0]
     try:
         rows = CandidateRows.of(problem, found)
-        cause = None if rows is None else rows.best_cause(verdict.unexplained[0].coordinate)
     except SymbidError:
-        return found
+        rows = None
     if rows is None:
-        return found
-    worst = verdict.unexplained[0]
-    tried = ", ".join(EFFECTS[one.kind] for one in rows.candidates)
-    sentence = f"none of these explains it: {tried}; check link lengths and frames of the model"
-    if cause is not None:
-        left = worst.size * cause.remains
-        likely = "likely cause" if cause.gain > MOSTLY else "a part of it"
-        sentence = (
-            f"{likely}: {EFFECTS[cause.kind]}{cause.detail}, which would leave "
-            f"{force_text(left, worst.unit)}; {cause.advice}"
-        )
+        when, sentence = "", "the log is too short to try likely causes; record longer"
+    else:
+        when, sentence = rows.when(worst.coordinate), rows.explanation(worst)
     before = coloured_alarm(verdict.whiteness, verdict.unexplained)
-    after = coloured_alarm(
-        verdict.whiteness, verdict.unexplained, when=rows.when(worst.coordinate), cause=sentence
-    )
+    after = coloured_alarm(verdict.whiteness, verdict.unexplained, when=when, cause=sentence)
     alarms = tuple(after if alarm == before else alarm for alarm in verdict.alarms)
     return replace(found, estimate=replace(found.estimate, verdict=replace(verdict, alarms=alarms)))
 
@@ -165,7 +159,7 @@ class CandidateRows:
         Mean speed of each joint, and its measured force.
     valid : (N, n) bool
     group : (N,) int
-        Group of blocks of each row.
+        Group of each row.
     """
 
     model: RobotModel
@@ -191,14 +185,16 @@ class CandidateRows:
         window = problem.observations[-1].window
         slips = problem.choice is not None and problem.choice.slips
         parts = []
-        for index, segment in _some_blocks(segments):
+        period = round(1e9 * max(SHORTEST, WINDOWS_EACH * window))
+        for segment in _some_blocks(segments):
             for (block,) in windowed_rows(segment, build, (window,), ()):
                 one = block.slipping() if slips else block
-                group = np.full(len(one.stamp), index % GROUPS)
-                parts.append((one.mean.K, one.mean.y, one.valid, group))
-        if len({int(part[3][0]) for part in parts if len(part[3])}) < GROUPS:
+                parts.append((one.mean.K, one.mean.y, one.valid, one.stamp // period % GROUPS))
+        if not parts:
             return None
         K, y, valid, group = (np.concatenate(each) for each in zip(*parts, strict=True))
+        if len(np.unique(group)) < GROUPS:
+            return None
         prior = solver.posterior.prior
         count = len(prior.mean)
         return cls(
@@ -213,21 +209,47 @@ class CandidateRows:
             group,
         )
 
+    def explanation(self, worst: UnexplainedForce) -> str:
+        """Return the likely cause of an unexplained force as the end of a sentence."""
+        cause = self.best_cause(worst.coordinate)
+        if cause is None:
+            tried = ", ".join(EFFECTS[one.kind] for one in self.candidates)
+            return f"none of these explains it: {tried}; check link lengths and frames of the model"
+        likely = "likely cause" if cause.gain > MOSTLY else "a part of it"
+        left = force_text(worst.size * cause.remains, worst.unit)
+        return (
+            f"{likely}: {EFFECTS[cause.kind]}{cause.detail}, which would leave {left}; "
+            f"{cause.advice}"
+        )
+
     def best_cause(self, coordinate: str) -> Cause | None:
         """Return the cause that best explains all coordinates and one in particular."""
         worst = self.model.coordinates.index(coordinate)
         tests = _LeftOutBlocks(self)
-        before = tests.errors(None)
-        best, cause = None, None
-        for one in self.candidates:
-            after = tests.errors(one)
-            remains = after / np.where(before > 0, before, 1.0)
-            gain = 1 - float(np.mean([remains[worst], tests.total(after) / tests.total(before)]))
-            if gain > (LEAST_GAIN if cause is None else cause.gain):
-                best, cause = one, Cause(one.kind, gain, float(np.sqrt(remains[worst])), "")
-        if best is None or cause is None:
+        before = tests.errors()
+
+        def tried(kind: str, *candidates: Candidate) -> Cause:
+            after = tests.errors(*candidates)
+            remains = after[worst] / before[worst] if before[worst] > 0 else 1.0
+            gain = 1 - (remains + tests.total(after) / tests.total(before)) / 2
+            return Cause(kind, float(gain), float(np.sqrt(remains)), "")
+
+        singles = {one.kind: tried(one.kind, one) for one in self.candidates}
+        if not singles:
             return None
-        return replace(cause, detail=_detail(best, tests.coefficients(best)))
+        best = max(singles.values(), key=lambda cause: cause.gain)
+        of_sensors = [one for one in self.candidates if one.kind in SENSOR_ERROR_KINDS]
+        if len(of_sensors) > 1:
+            together = tried(SEVERAL, *of_sensors)
+            if 1 - together.gain < MOSTLY * (1 - best.gain):
+                best = together
+        if best.gain < LEAST_GAIN:
+            return None
+        if best.kind == SEVERAL:
+            largest = max(of_sensors, key=lambda one: singles[one.kind].gain)
+            return replace(best, detail=f", above all {EFFECTS[largest.kind]}")
+        (one,) = (one for one in self.candidates if one.kind == best.kind)
+        return replace(best, detail=_detail(one, tests.coefficients(one)))
 
     def when(self, coordinate: str) -> str:
         """Return when a joint's error is largest; empty if it is spread or belongs to a base."""
@@ -298,8 +320,8 @@ class _LeftOutBlocks:
             if one.std is not None:
                 self._ridge[self._places[one.kind]] = 1 / (WIDEST * one.std) ** 2
 
-    def _columns(self, cause: Candidate | None) -> IntArray:
-        return self._known if cause is None else np.append(self._known, self._places[cause.kind])
+    def _columns(self, *causes: Candidate) -> IntArray:
+        return np.concatenate([self._known, *(self._places[one.kind] for one in causes)])
 
     def _solve(self, moments: FloatArray, used: IntArray) -> FloatArray:
         H = np.einsum("n,nij->ij", self._weight, moments[:, used][:, :, np.append(used, -1)])
@@ -307,9 +329,9 @@ class _LeftOutBlocks:
         ridge = np.where(self._ridge[used] > 0, self._ridge[used], 1.0)
         return np.asarray(np.linalg.solve(H[:, :-1] + np.diag(ridge), H[:, -1]))
 
-    def errors(self, cause: Candidate | None) -> FloatArray:
-        """Return the sum of squares of each coordinate (n,), with a candidate's columns."""
-        used = self._columns(cause)
+    def errors(self, *causes: Candidate) -> FloatArray:
+        """Return the sum of squares of each coordinate (n,), with the columns of candidates."""
+        used = self._columns(*causes)
         everything = self._moments.sum(axis=0)
         total = np.zeros(len(self._weight))
         for moments in self._moments:
@@ -445,13 +467,13 @@ class _Builder:
         return [one for one in found if np.any(one.columns)]
 
 
-def _some_blocks(segments: Iterable[Segment]) -> Iterator[tuple[int, Segment]]:
-    """Yield blocks of segments, evenly spread, with their numbers."""
+def _some_blocks(segments: Iterable[Segment]) -> Iterator[Segment]:
+    """Yield blocks of segments, evenly spread."""
     blocks = []
     for segment in segments:
         numbers = segment.stamp // block_length(segment.rate)
         edges = np.searchsorted(numbers, np.arange(numbers[0], numbers[-1] + 2)).tolist()
         blocks += [(segment, start, stop) for start, stop in pairwise(edges) if stop > start]
     stride = max(1, -(-len(blocks) // MOST_BLOCKS))
-    for index, (segment, start, stop) in enumerate(blocks[::stride]):
-        yield index, segment.cut(start, stop)
+    for segment, start, stop in blocks[::stride]:
+        yield segment.cut(start, stop)

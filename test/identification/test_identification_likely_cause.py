@@ -42,6 +42,10 @@ def with_offset(_, position, effort):
     return position, effort
 
 
+def with_both(time, position, effort):
+    return with_gain(time, *with_offset(time, position, effort))
+
+
 def ripple(velocity, acceleration):
     """Return torques that no candidate contains."""
     return 2.0 * np.sin(15 * np.cumsum(velocity, axis=0) / 200.0)
@@ -74,6 +78,9 @@ FAULTS = {
     ),
     "offset": Fault(
         r"encoder offsets, (\S+)° at joint_0", OFFSET, with_offset, options={"prior_percent": 5.0}
+    ),
+    "several": Fault(
+        "several sensor errors together", change=with_both, options={"prior_percent": 5.0}
     ),
     "friction": Fault("Coulomb friction", options={"joint_terms": ("viscous",)}),
     "ripple": Fault("none of these explains it", extra=ripple),
