@@ -8,6 +8,7 @@ import pytest
 from expected_errors import raises_code
 
 from symbid_ros.estimation.estimate import Estimate, load_estimate
+from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 
 VERDICT = Verdict(
@@ -22,6 +23,7 @@ VERDICT = Verdict(
     directions=("base/m", "leg/m"),
     base=(EstimatedQuantity("base/m + leg/m", "kg", 3.0, 0.1, True),),
     sensors=(EstimatedQuantity("sole/plate_offset", "N", -1.0, 2.0, False),),
+    unexplained=(UnexplainedForce("knee", "Nm", 3.0, 80.0, 0.0375),),
 )
 ESTIMATE = Estimate(
     method="map_lmi",
@@ -53,6 +55,16 @@ def test_an_estimate_is_read_as_it_was_written(estimate, tmp_path):
         value, expected = getattr(found, field.name), getattr(estimate, field.name)
         np.testing.assert_array_equal(value, expected)
         assert type(value) is type(expected)
+
+
+def test_files_without_unexplained_forces_are_read(tmp_path):
+    """Earlier versions did not write them."""
+    path = tmp_path / "estimate.json"
+    ESTIMATE.write(path)
+    document = json.loads(path.read_text())
+    del document["verdict"]["unexplained"]
+    path.write_text(json.dumps(document))
+    assert load_estimate(path).verdict == replace(VERDICT, unexplained=())
 
 
 def test_the_file_has_one_entry_for_each_parameter(tmp_path):

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_pages import LINK_GAIN, SENSORS, VERDICT, Page, content
 
+from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.estimation.verdict import (
     SUSPICIOUS_NOISE,
     SUSPICIOUS_SCALE,
@@ -39,6 +40,9 @@ def content_with_verdict(*, truth: bool = False, **fields: object) -> ReportCont
 
 def text_of(page: Page) -> str:
     return " ".join("".join(page.text).split())
+
+
+LARGE, SMALL = (UnexplainedForce("knee", "Nm", 80 * share, 80.0, share) for share in (0.04, 0.004))
 
 
 class TestAlarms:
@@ -81,6 +85,8 @@ class TestAlarms:
             ({"prior_scale": 0.01}, set()),
             ({"whiteness": 1.01 * SUSPICIOUS_WHITENESS}, {"Whiteness"}),
             ({"noise_share": 1.01 * SUSPICIOUS_NOISE}, {"Noise in the motion"}),
+            ({"whiteness": 2.0, "unexplained": (LARGE,)}, {"Whiteness", "Unexplained force"}),
+            ({"whiteness": 2.0, "unexplained": (SMALL,)}, set()),
         ],
     )
     def test_the_number_behind_an_alarm_is_marked(
