@@ -24,6 +24,12 @@ ITERATIONS = 3
 # Prior standard deviations of g and of the elements of A and M, and of delays, s.
 GAIN_STD, DELAY_STD = 2.0, 0.1
 PINNED = 1e-6  # standard deviation of unknowns that are held at their prior
+# Residuals up to this multiple of the smallest ones, at the same scale, count as explained.
+EXPLAINED = 2.0
+# Residuals above this share of the load are not explained.
+LARGEST_SHARE = 0.25
+# Relative deviation of the total mass.
+MASS_STD = 2e-3
 # Standard deviation of the gains when only delays are estimated.
 NEARLY_PINNED = 1e-2
 # Residuals below this share of the load are rounding errors.
@@ -97,7 +103,9 @@ class GainProblem:
         """(p + r,) prior mean: the model's parameters and gains of one."""
         return np.append(self.mean, np.zeros(len(self.gains)))
 
-    def solve(self, std: FloatArray, left: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def solve(
+        self, std: FloatArray, left: FloatArray, mass_std: float = np.inf
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the most probable unknowns (p + r,) and L of their covariance L Lᵀ.
 
         Parameters
@@ -106,17 +114,37 @@ class GainProblem:
             Prior deviations of the gains and delays.
         left : (n,) float64
             Mean square residual of each coordinate.
+        mass_std : float
+            Relative deviation of the total mass; infinite: that of independent links.
         """
         scale = np.append(self.std, std)
         mean, q = self.expected, len(scale)
         rows = self.rows.whitened(np.sqrt(INFLATION * left))
         square = stacked_factor(
             np.column_stack([rows[:, :-1] * scale, rows[:, -1] - rows[:, :-1] @ mean]),
-            np.eye(q, q + 1),
+            np.vstack([np.eye(q, q + 1), self._total_mass(q + 1) / mass_std]),
         )
         R = square[:q, :q]
         deviation: FloatArray = scale[:, None] * solve_triangular(R, np.eye(q))
         return mean + scale * solve_triangular(R, square[:q, q]), deviation
+
+    @property
+    def _masses(self) -> slice:
+        return slice(0, len(self.mean) if self.links is None else self.links, 10)
+
+    def _total_mass(self, width: int) -> FloatArray:
+        """Return the row of the relative error of the total mass, for scaled unknowns."""
+        row = np.zeros(width)
+        row[self._masses] = self.std[self._masses] / self._model_mass
+        return row
+
+    def mass_ratio(self, unknowns: FloatArray) -> float:
+        """Return the total mass that the unknowns (p + r,) imply over the model's."""
+        return max(abs(float(np.sum(unknowns[self._masses]))) / self._model_mass, LEAST)
+
+    @property
+    def _model_mass(self) -> float:
+        return max(float(np.sum(self.mean[self._masses])), LEAST)
 
 
 @dataclass(frozen=True)
@@ -172,9 +200,21 @@ def estimate_gains(problem: GainProblem) -> GainEstimate:
     at, _ = problem.solve(pinned, (LOAD_ERROR * scale) ** 2)
     left = rows.residual_squares(at)
     free = np.where(gains.is_imu | gains.is_encoder, PINNED, _prior_std(gains))
-    for _ in range(ITERATIONS):
-        at, deviation = problem.solve(free, left + (FLOOR * scale) ** 2)
-        left = rows.residual_squares(at)
+    floor = (FLOOR * scale) ** 2
+    solutions = []
+    for mass_std in (np.inf, MASS_STD):
+        residual = left
+        for _ in range(ITERATIONS):
+            at, deviation = problem.solve(free, residual + floor, mass_std)
+            residual = rows.residual_squares(at)
+        solutions.append((at, deviation, residual))
+    # Gains and inertias that shrink together shrink the readings' noise too, so residuals do not
+    # tell their common scale. The model does, if its total mass explains the log as well.
+    shrunk = problem.mass_ratio(solutions[0][0])
+    anchored = solutions[1][2]
+    is_explained = anchored <= EXPLAINED**2 * solutions[0][2] / shrunk**2
+    is_explained &= anchored <= (LARGEST_SHARE * scale) ** 2
+    at, deviation, left = solutions[int(np.all(is_explained))]
     found = estimate_of(problem, at, deviation, left)
     for index in range(len(gains.driven)):
         ratio, std = effort_scale(problem, found, index)

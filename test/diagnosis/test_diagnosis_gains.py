@@ -46,6 +46,10 @@ def test_the_solution_is_that_of_stacked_rows_and_priors():
     np.testing.assert_allclose(found, np.linalg.solve(precision, moment), rtol=1e-9)
     np.testing.assert_allclose(root @ root.T, np.linalg.inv(precision), rtol=1e-8, atol=1e-12)
     np.testing.assert_array_equal(given.expected, np.append(given.mean, np.zeros(len(LAYOUT))))
+    # The first parameter is the mass of the only link.
+    anchored, _ = given.solve(std, left, mass_std=1e-9)
+    assert given.mass_ratio(found) == pytest.approx(found[0] / given.mean[0])
+    assert given.mass_ratio(anchored) == pytest.approx(1.0)
 
 
 def test_gains_are_found_and_imus_are_trusted():
