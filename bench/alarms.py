@@ -1,12 +1,21 @@
-"""Which faults of a log does the doctor name, and of which correct logs does it complain?
+"""Which faults of a log are named, and of which correct logs does anybody complain?
 
 Every row is a fault, put into the logs of several robots: the Symbitron in MuJoCo, a quadruped on
 point feet, and arms of example-robot-data with and without friction. The model is off by ±25 %.
 
     .venv/bin/python bench/alarms.py [--only FAULT ...] [--robots NAME ...] [--seeds 2]
+
+prints the doctor's findings. The table of docs/diagnosis.md is printed by
+
+    .venv/bin/python bench/alarms.py --table
+
+which identifies each log as well: what the doctor, the alarms and the remarks say, and the errors
+of the determined inertial parameters in their standard deviations, the largest and the root mean
+square. It takes some minutes.
 """
 
 import argparse
+import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -27,9 +36,15 @@ from quadruped_log import quadruped_urdf, standing_log
 from symbid_ros.bags import read_streams
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.prior import draw_prior
+from symbid_ros.identification.loaded_problem import load_problem
+from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
 from symbid_ros.package_paths import config_file
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
@@ -43,7 +58,7 @@ ARMS = {
     "panda": "panda_description/urdf/panda.urdf",
     "xarm7": "xarm_description/urdf/xarm7.urdf",
 }
-Case = tuple[Streams, object]
+Case = tuple[Streams, RobotModel]
 
 
 def believed(model, seed):
@@ -119,9 +134,14 @@ def quadruped(seed: int, friction: float) -> Case:
 
 
 @cache
-def arm(name: str, seed: int, friction: float, rate: float = 200.0, resting=()) -> Case:
+def arm_model(name: str) -> RobotModel:
     (path,) = (one for one in files("example-robot-data") or () if str(one).endswith(ARMS[name]))
-    model = load_model(Path(str(path.locate())), "fixed")
+    return load_model(Path(str(path.locate())), "fixed")
+
+
+@cache
+def arm(name: str, seed: int, friction: float, rate: float = 200.0, resting=()) -> Case:
+    model = arm_model(name)
     rests = tuple(model.joint_names[i] for i in resting)
     return arm_streams(model, 40.0, seed, rate=rate, friction=friction, resting=rests), believed(
         model, seed
@@ -279,6 +299,71 @@ def effort(joint, factor):
     return fault
 
 
+def effort_offset(joint, offset):
+    def fault(streams, model, rng):
+        joints = streams.joints
+        index = min(joint, len(joints.names) - 1)
+        values = joints.effort.copy()
+        values[:, index] += offset
+        return replace(streams, joints=replace(joints, effort=values))
+
+    return fault
+
+
+def scaled(factor):
+    """Return forces and efforts with a gain in common."""
+
+    def fault(streams, model, rng):
+        joints = replace(streams.joints, effort=factor * streams.joints.effort)
+        wrenches = tuple(
+            replace(one, force=factor * one.force, torque=factor * one.torque)
+            for one in streams.wrenches
+        )
+        return replace(streams, joints=joints, wrenches=wrenches)
+
+    return fault
+
+
+def supported(newton):
+    """Return what sensors read while a cord at the base's origin carries this much."""
+
+    def fault(streams, model, rng):
+        if not streams.wrenches or not streams.imus or streams.imus[0].orientation is None:
+            return None
+        joints, imu = streams.joints, streams.imus[0]
+        order = [joints.names.index(name) for name in model.joint_names]
+        poses = link_poses(model, joints.position[:, order])
+        mount = model.frame(imu.frame_id)
+        at = poses.rotation[:, mount.link] @ mount.rotation
+        # The world's vertical in base axes, at the stamps of the joint states.
+        near = np.clip(np.searchsorted(imu.stamp, joints.stamp), 0, len(imu.stamp) - 1)
+        up = Rotation.from_quat(imu.orientation[near]).inv().apply([0.0, 0.0, 1.0])
+        force = newton * np.einsum("tij,tj->ti", at, up)
+        effort, wrenches = joints.effort.copy(), []
+        share = 1 / len(streams.wrenches)
+        for one in streams.wrenches:
+            frame = model.frame(one.frame_id)
+            rotation = poses.rotation[:, frame.link] @ frame.rotation
+            origin = poses.position[:, frame.link] + np.einsum(
+                "tij,j->ti", poses.rotation[:, frame.link], frame.position
+            )
+            # The plate carries the share of the cord less.
+            moment = np.cross(-origin, force)
+            less = share * np.concatenate([moment, force], axis=1).reshape(-1, 2, 3)
+            less = np.einsum("tji,tcj->tci", rotation, less)
+            felt = contact_jacobian(model, (one.frame_id,), poses)
+            first = 6 * model.floating
+            change = np.einsum("tcn,tc->tn", felt[:, :, first:], less.reshape(-1, 6))
+            effort[:, order] += change
+            place = np.clip(np.searchsorted(joints.stamp, one.stamp), 0, len(joints.stamp) - 1)
+            wrenches.append(
+                replace(one, torque=one.torque - less[place, 0], force=one.force - less[place, 1])
+            )
+        return replace(streams, joints=replace(joints, effort=effort), wrenches=tuple(wrenches))
+
+    return fault
+
+
 def correct(streams, model, rng):
     return streams
 
@@ -303,6 +388,10 @@ FAULTS = {
     "wander ±5 ms of the joints": jitter("slow", "joints"),
     "jitter ±5 ms of sorted stamps": jitter("sorted"),
     "jitter ±5 ms of stamps at 50 Hz": jitter("sorted", rate=50),
+    "effort 1 +0.2 Nm": effort_offset(1, 0.2),
+    "effort 1 +0.5 Nm": effort_offset(1, 0.5),
+    "forces and efforts x 1.05": scaled(1.05),
+    "support of 8 N": supported(8.0),
     "encoder 1 +10°": encoder(1, 10),
     "encoder 2 +10°": encoder(2, 10),
     "encoder 3 -10°": encoder(3, -10),
@@ -312,6 +401,99 @@ FAULTS = {
     "effort 2 x 10": effort(2, 10),
     "effort 1 x -1": effort(1, -1),
 }
+
+
+# Faults of the table, each with its robot and the options of the identification.
+WEIGHED = {"total_mass_std": 0.02}
+TABLE = (
+    ("correct", "symbitron", {}),
+    ("correct", "symbitron/typical", {"tare": True} | WEIGHED),
+    ("accelerometer +1 %", "symbitron", {}),
+    ("accelerometer +2 %", "symbitron", {}),
+    ("accelerometer +5 %", "symbitron", {}),
+    ("gyroscope +10 %", "symbitron", {}),
+    ("IMU turned 5° about y", "symbitron", {}),
+    ("IMU turned 5° about y", "symbitron", {"sensor_errors": ("imu_mounting",)}),
+    ("jitter ±5 ms of the samples", "symbitron", {}),
+    ("effort 1 +0.2 Nm", "symbitron", {}),
+    ("effort 1 +0.5 Nm", "symbitron", {}),
+    ("support of 8 N", "symbitron", {}),
+    ("support of 8 N", "symbitron", WEIGHED),
+    ("support of 8 N", "symbitron/typical", {"tare": True} | WEIGHED),
+    ("forces and efforts x 1.05", "symbitron", {}),
+    ("forces and efforts x 1.05", "symbitron", {"force_scale_std": 5.0}),
+    ("forces and efforts x 1.05", "symbitron", WEIGHED),
+    ("correct", "symbitron", WEIGHED | {"off": 1.0}),
+    ("correct", "quadruped", {}),
+    ("accelerometer +2 %", "quadruped", {}),
+    ("gyroscope +10 %", "quadruped", {}),
+    ("effort 1 +0.5 Nm", "quadruped", {}),
+    ("correct", "ur5", {}),
+    ("effort 1 +0.5 Nm", "ur5", {}),
+    ("encoder 1 +10°", "ur5", {}),
+    ("encoder 2 +10°", "panda", {}),
+    ("effort 1 always zero", "ur5", {}),
+    ("effort 1 x 0.1", "ur5", {}),
+    ("efforts x 0.1", "ur5", {}),
+)
+
+
+def identified(
+    streams: Streams, model: RobotModel, truth: RobotModel, seed: int, known: dict
+) -> tuple[list[str], str]:
+    """Return what an identification says, and the errors in standard deviations."""
+    options = dict(known)
+    off = options.pop("off", 0.0)
+    if "total_mass_std" in options:
+        options["total_mass"] = truth.phi[:, 0].sum() + off
+    if options.pop("tare", False):
+        options["tare"] = (tare(seed),)
+    options = IdentifyOptions(no_holdout=True, **options)
+    try:
+        result = load_problem(model, Log.from_streams(streams), options).solve()
+    except SymbidError as error:
+        return [f"refused: {error}"], "–"
+    estimate = result.estimate
+    true = ParameterSet(truth).values
+    some = np.flatnonzero(estimate.determined[: len(true)])
+    error = (estimate.value[some] - true[some]) / estimate.std[some]
+    said = list(estimate.verdict.alarms)
+    if scale := estimate.verdict.describe_mass_scale():
+        said.append(scale)
+    return said, f"{np.abs(error).max():.1f} | {np.sqrt(np.mean(error**2)):.1f}"
+
+
+@cache
+def tare(seed: int) -> Log:
+    """Return readings of the same unloaded sensors."""
+    bag = CACHE / f"tare_{seed}"
+    if not bag.exists():
+        options = SimulateOptions(
+            "tare", noise_seed=seed, error_seed=seed, errors="typical,quantisation", friction=True
+        )
+        record(Simulator(options), bag)
+    return Log.from_streams(read_streams([bag]))
+
+
+def print_table(seed: int) -> None:
+    """Print the rows of docs/diagnosis.md."""
+    print("| fault | robot | what is said | error, σ: largest | RMS |")
+    print("|---|---|---|---|---|")
+    for name, robot, known in TABLE:
+        streams, model = ROBOTS[robot](seed)
+        spoilt = FAULTS[name](streams, model, np.random.default_rng(seed))
+        said, error = identified(spoilt, model, TRUTH[robot.split("/")[0]](), seed, known)
+        given = ", ".join(f"{key} {value}" for key, value in known.items())
+        if "off" in known:
+            given = "weighing 1 kg too heavy"
+        what = f"{name} ({given})" if given else name
+        print(f"| {what} | {robot} | {' / '.join(said) or '–'} | {error} |", flush=True)
+
+
+TRUTH: dict[str, Callable[[], RobotModel]] = {
+    "symbitron": lambda: load_model(config_file("symbitron.xml")),
+    "quadruped": lambda: load_model(CACHE / "quadruped.urdf"),
+} | {name: (lambda name=name: arm_model(name)) for name in ARMS}
 
 
 @dataclass(frozen=True)
@@ -344,8 +526,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--figures", action="store_true")
     parser.add_argument("--streams", action="store_true", help="check the streams alone")
+    parser.add_argument("--table", action="store_true", help="identify, and print the table")
+    parser.add_argument("--seed", type=int, default=1, help="of the table")
     chosen = parser.parse_args()
     CACHE.mkdir(exist_ok=True)
+    if chosen.table:
+        logging.disable(logging.WARNING)
+        print_table(chosen.seed)
+        return
     for row in rows(chosen.robots, chosen.only, chosen.seeds, not chosen.streams):
         found = [f"[{one.kind.value}] {one.message}" for one in row.diagnosis.findings]
         print(f"{row.robot:20s} {row.seed} {row.fault:38s} {row.seconds:5.1f} s", flush=True)

@@ -247,6 +247,8 @@ def _verdict_lines(verdict: Verdict, parameters: int) -> list[RenderableType]:
         lines.append(f"{known} of {len(verdict.sensors)} sensor errors determined")
     if verdict.unexplained:
         lines.append(Text(f"at most {verdict.unexplained[0]}, apart from noise"))
+    if scale := verdict.describe_mass_scale():
+        lines.append(Text(scale))
     if not verdict.alarms:
         return [*lines, Text("no alarm", style="green")]
     count = len(verdict.alarms)

@@ -173,4 +173,4 @@ def discounted_pseudo_measurements(
     if measurements is None:
         return None
     root = np.sqrt(prior_weight(kept))
-    return PseudoMeasurements(root * measurements.rows, root * measurements.targets)
+    return replace(measurements, rows=root * measurements.rows, targets=root * measurements.targets)

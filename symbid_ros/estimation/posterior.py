@@ -44,10 +44,13 @@ class PseudoMeasurements:
     ----------
     rows : (k, p) float64
     targets : (k,) float64
+    has_weighing : bool
+        Whether the first row is the weighed mass of the robot, in units of its deviation.
     """
 
     rows: FloatArray
     targets: FloatArray
+    has_weighing: bool = False
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,10 @@ class Posterior:
     prior_scale : float
         Factor on the deviations of ``prior`` that makes the data most probable; 1 if the evidence
         has chosen them.
+    chosen_scale : float
+        Factor that the evidence has put on the deviations already; 1 if they are as stated.
+    is_scaled : bool
+        Whether the evidence chose that factor.
     noise_share : float
         Largest share of a direction's apparent information that is noise in the regressor.
     excess_score : (p, k) float64 or None
@@ -81,15 +88,23 @@ class Posterior:
     covariance: FloatArray
     prior_scale: float
     noise_share: float
+    chosen_scale: float = 1.0
+    is_scaled: bool = False
     excess_score: FloatArray | None = None
+
+    @cached_property
+    def independent_factor(self) -> FloatArray:
+        """(p, p) R⁻¹, L of the covariance if residuals are independent in time."""
+        scale = self.prior.std
+        factor: FloatArray = scale[:, None] * np.linalg.solve(
+            self.factor * scale, np.eye(len(scale))
+        )
+        return factor
 
     @cached_property
     def deviation_factor(self) -> FloatArray:
         """L (p, p) with covariance L Lᵀ."""
-        scale = self.prior.std
-        scaled = self.factor * scale
-        inverse = np.linalg.solve(scaled, np.eye(len(scale)))
-        factor: FloatArray = scale[:, None] * inverse
+        factor = self.independent_factor
         if self.excess_score is None:
             return factor
         wide = np.concatenate([factor, factor @ (factor.T @ self.excess_score)], axis=1)
@@ -320,4 +335,6 @@ def posterior(
         covariance=square.covariance,
         prior_scale=square.evidence_scale(count) / float(scale[0]),
         noise_share=share,
+        chosen_scale=float(scale[0]),
+        is_scaled=empirical,
     )

@@ -8,7 +8,8 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.base_parameters import base_parameters
 from symbid_ros.estimation.directions import determined_directions
-from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.estimation.mass_scale import weighing_residual
+from symbid_ros.estimation.posterior import Posterior, PseudoMeasurements
 from symbid_ros.estimation.unexplained import SMALL, UnexplainedForce
 from symbid_ros.model.parameters import ParameterSet
 
@@ -19,6 +20,9 @@ DETERMINED = 1 / np.sqrt(2)
 # Largest factor on the prior's deviations by evidence. Above it, prior, kinematics or sensors are
 # wrong. A factor below 1 is harmless, as the prior is then only too wide.
 SUSPICIOUS_SCALE = 2.0
+# The same for a model file's values, whose ±25 % are a guess. A zero that is a centre of mass on an
+# axis gets a small deviation, so a correct log of a body with one widens it up to ten times.
+SUSPICIOUS_MODEL_SCALE = 20.0
 # Largest whiteness of residuals that count as white noise.
 SUSPICIOUS_WHITENESS = 1.4
 # Largest share of a direction's apparent information that may be noise in the regressor.
@@ -53,7 +57,8 @@ class Verdict:
     window : float
         Length of the rows' windows, s; 0 for filtered rows.
     prior_scale : float
-        Factor on the prior's deviations that makes the data most probable.
+        Factor on the stated deviations of the prior that makes the data most probable; on ±25 % if
+        none are stated.
     whiteness : float
         Variance of the residual in long windows relative to white noise, see
         :func:`symbid_ros.estimation.observations.whiteness`; 0 if there was one window only.
@@ -75,6 +80,11 @@ class Verdict:
         Sensor errors that were identified together with the robot.
     unexplained : tuple of UnexplainedForce
         Of each coordinate, the largest share first; empty if there was one window only.
+    is_prior_scaled : bool
+        Whether that factor has been applied, because no deviations are stated.
+    mass_scale : float
+        Relative standard deviation of a scale that all masses share and the data cannot check; 0
+        with a weighing.
     """
 
     window: float
@@ -89,11 +99,28 @@ class Verdict:
     base: tuple[EstimatedQuantity, ...]
     sensors: tuple[EstimatedQuantity, ...]
     unexplained: tuple[UnexplainedForce, ...] = ()
+    is_prior_scaled: bool = False
+    mass_scale: float = 0.0
 
     @property
     def is_coloured(self) -> bool:
         """Whether residuals raise an alarm: correlated in time, and not small."""
         return is_coloured(self.whiteness, self.unexplained)
+
+    @property
+    def largest_prior_scale(self) -> float:
+        """Largest factor on the prior's deviations that raises no alarm."""
+        return SUSPICIOUS_MODEL_SCALE if self.is_prior_scaled else SUSPICIOUS_SCALE
+
+    def describe_mass_scale(self) -> str:
+        """Return what the data cannot check about the masses; empty with a weighing."""
+        if self.mass_scale == 0:
+            return ""
+        return (
+            f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable without a weighing: a gain "
+            "that all forces and efforts have in common leaves no residual; give total_mass, or "
+            "the gain's deviation as force_scale_std"
+        )
 
 
 def is_coloured(whiteness: float, unexplained: Sequence[UnexplainedForce]) -> bool:
@@ -114,6 +141,8 @@ def assess(
     whiteness: float,
     sensors: tuple[Sequence[str], Sequence[str]] = ((), ()),
     unexplained: tuple[UnexplainedForce, ...] = (),
+    measurements: PseudoMeasurements | None = None,
+    mass_scale: float = 0.0,
 ) -> Verdict:
     """Return the verdict on an estimate.
 
@@ -129,6 +158,10 @@ def assess(
         See :class:`Verdict`.
     sensors : pair of sequences of str
         Names and units of the sensor errors.
+    measurements : PseudoMeasurements or None
+        Those of the posterior.
+    mass_scale : float
+        See :class:`Verdict`.
     """
     p = len(parameters)
     prior, factor = posterior.prior.covariance_factor(), posterior.deviation_factor
@@ -161,10 +194,10 @@ def assess(
     count = int(known.determined.sum())
     return Verdict(
         window=window,
-        prior_scale=posterior.prior_scale,
+        prior_scale=posterior.prior_scale * posterior.chosen_scale,
         whiteness=whiteness,
         noise_share=posterior.noise_share,
-        alarms=alarms(posterior, whiteness, unexplained),
+        alarms=alarms(posterior, whiteness, unexplained, measurements),
         effective=known.effective,
         gain=known.gain,
         link_gain=known.link_gain,
@@ -172,6 +205,8 @@ def assess(
         base=base,
         sensors=errors,
         unexplained=unexplained,
+        is_prior_scaled=posterior.is_scaled,
+        mass_scale=mass_scale,
     )
 
 
@@ -184,10 +219,19 @@ def _square(factor: FloatArray) -> FloatArray:
 
 
 def alarms(
-    posterior: Posterior, whiteness: float, unexplained: Sequence[UnexplainedForce] = ()
+    posterior: Posterior,
+    whiteness: float,
+    unexplained: Sequence[UnexplainedForce] = (),
+    measurements: PseudoMeasurements | None = None,
 ) -> tuple[str, ...]:
     """Return the alarms of an estimate, one line each; arguments as in :func:`assess`."""
     found = []
+    if posterior.chosen_scale > SUSPICIOUS_MODEL_SCALE:
+        found.append(
+            f"the data widened the prior of the inertias {posterior.chosen_scale:.1f} times, from "
+            f"±25 % to ±{25 * posterior.chosen_scale:.0f} % of the model's values: the model's "
+            "inertias, its kinematics, a sensor's gain or its calibration is wrong"
+        )
     if posterior.prior_scale > SUSPICIOUS_SCALE:
         found.append(
             f"the data contradict the prior, which would have to be {posterior.prior_scale:.1f} "
@@ -199,6 +243,14 @@ def alarms(
         found.append(
             f"{100 * posterior.noise_share:.0f} % of the information about one direction is noise "
             "in the motion: move more, or use longer windows"
+        )
+    weighing = weighing_residual(posterior, measurements)
+    if weighing is not None and weighing.is_contradiction:
+        found.append(
+            f"the weighing of {weighing.weighed:.2f} ± {weighing.weighed_std:.2g} kg contradicts "
+            f"the data, which say {weighing.implied:.2f} ± {weighing.implied_std:.2g} kg "
+            f"({abs(weighing.deviations):.0f} standard deviations): the weighing or a gain of the "
+            "forces is wrong, or a support without a sensor carries weight"
         )
     return tuple(found)
 

@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -81,6 +81,22 @@ def read_tare(log: Log) -> dict[str, Tare]:
 
 
 @dataclass(frozen=True)
+class Mounting:
+    """Rotation of an IMU that the checks of the log found.
+
+    Attributes
+    ----------
+    rotation : (3,) float64
+        Rotation vector from the IMU's axes to those of its frame, rad.
+    std : float
+        Standard deviation of each component, rad.
+    """
+
+    rotation: FloatArray
+    std: float
+
+
+@dataclass(frozen=True)
 class SensorErrorRequest:
     """Which sensor errors to identify.
 
@@ -90,10 +106,13 @@ class SensorErrorRequest:
         Of :data:`symbid_ros.signals.sensor_errors.KINDS`.
     tares : mapping of str to Tare
         By frame of the wrench sensor.
+    mountings : mapping of str to Mounting
+        By frame of the IMU.
     """
 
     kinds: tuple[str, ...]
     tares: Mapping[str, Tare]
+    mountings: Mapping[str, Mounting] = field(default_factory=dict)
 
 
 def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -> Problem:
@@ -119,6 +138,14 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
             if frame in request.tares:
                 part = slice(place.start + 6 * index, place.start + 6 * index + 6)
                 mean[part], std[part] = request.tares[frame].mean, request.tares[frame].std
+    if "imu_mounting" in errors.kinds:
+        place = errors.places["imu_mounting"]
+        for index, frame in enumerate(errors.imu_frames):
+            if frame in request.mountings:
+                part = slice(place.start + 3 * index, place.start + 3 * index + 3)
+                found_by_checks = request.mountings[frame]
+                mean[part] = found_by_checks.rotation
+                std[part] = np.maximum(std[part], found_by_checks.std)
     prior = problem.prior.extended(errors.names, mean, std)
     layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
     p = len(parameters)
@@ -162,4 +189,4 @@ def _padded(rows: PseudoMeasurements | None, count: int) -> PseudoMeasurements |
     """Return pseudo-measurements with zero columns for ``count`` further unknowns."""
     if rows is None or count == 0:
         return rows
-    return PseudoMeasurements(np.pad(rows.rows, ((0, 0), (0, count))), rows.targets)
+    return replace(rows, rows=np.pad(rows.rows, ((0, 0), (0, count))))

@@ -8,10 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.choices import SLIDING_TERMS, Method
-from symbid_ros.diagnosis.findings import Finding, Kind, merged
-from symbid_ros.diagnosis.model_checks import check_model
-from symbid_ros.diagnosis.model_statistics import ModelStatistics
-from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
+from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.dynamics.regressor import Samples
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import DataError, EstimateError, OptionError
@@ -34,6 +31,7 @@ from symbid_ros.identification.dataset import (
     read_dataset,
 )
 from symbid_ros.identification.joint_terms import candidate_prior, choose_terms, rows_of
+from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks, check_dataset
 from symbid_ros.identification.options import IdentifyOptions, Source
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.result_files import check_output
@@ -74,6 +72,8 @@ class LoadedProblem:
         Log on which the number of singular values is chosen.
     tares : mapping of str to Tare
         By frame of the wrench sensor.
+    checks : LogChecks
+        What the checks of the log found.
     """
 
     options: IdentifyOptions
@@ -84,6 +84,7 @@ class LoadedProblem:
     solver: Solver
     validation: Dataset | None
     tares: Mapping[str, Tare]
+    checks: LogChecks = NO_CHECKS
 
     @property
     def parameters(self) -> ParameterSet:
@@ -100,14 +101,26 @@ class LoadedProblem:
         options = options or self.options
         tares = self.tares if tares is None else tares
         solver = _build_solver(
-            options, self.inputs, self.columns, prior, dataset=self.dataset, tares=tares
+            options,
+            self.inputs,
+            self.columns,
+            prior,
+            dataset=self.dataset,
+            tares=tares,
+            checks=self.checks,
         )
         return replace(self, options=options, prior=prior, solver=solver, tares=tares)
 
     def on_dataset(self, dataset: Dataset) -> "LoadedProblem":
         """Return the same problem with another log of the same columns."""
         solver = _build_solver(
-            self.options, self.inputs, self.columns, self.prior, dataset=dataset, tares=self.tares
+            self.options,
+            self.inputs,
+            self.columns,
+            self.prior,
+            dataset=dataset,
+            tares=self.tares,
+            checks=self.checks,
         )
         return replace(self, dataset=dataset, solver=solver)
 
@@ -118,7 +131,12 @@ class LoadedProblem:
         settings = RowSettings(
             options.row_filter, found.window or options.window, options.cutoff, options.channels
         )
-        return replace(found, estimate=replace(found.estimate, rows=settings))
+        estimate = replace(found.estimate, rows=settings)
+        if estimate.verdict is not None and (alarms := self.checks.alarms):
+            verdict = estimate.verdict
+            verdict = replace(verdict, alarms=(*alarms, *verdict.alarms))
+            estimate = replace(estimate, verdict=verdict)
+        return replace(found, estimate=estimate)
 
     def _solve(self, method: Method) -> Identification:
         if method == "map_lmi":
@@ -163,26 +181,32 @@ def load_problem(
     other = next(iter(_open_logs(chosen_on, log)), None)
     for _, text in options.loaded_logs:
         Payload.parse(text, robot)
-    dataset, checks = _read(log, options, parameters)
+    dataset, streams = _read(log, options, parameters)
     if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
         return load_problem(robot, log, _with_reversed(options, wrong, log.source), out)
-    _diagnose(dataset, checks, parameters, prior)
+    checks = _check(dataset, streams, options, parameters, prior)
     _require_rows(dataset, parameters.model)
     _report_unnamed_sensors(parameters.model, dataset)
     dataset, parameters = _with_loaded_logs(options, log, dataset, parameters)
     validation = None
     if other is not None:
-        validation, checks = _read(other, options, parameters)
-        _diagnose(validation, checks, parameters, prior)
+        validation, streams = _read(other, options, parameters)
+        _check(validation, streams, options, parameters, prior)
     tares = {frame: one for each in tare for frame, one in read_tare(each).items()}
     inputs = tuple(map(str, (*log.files, robot.source, *options.files)))
-    solver = _build_solver(options, inputs, parameters, prior, dataset=dataset, tares=tares)
+    solver = _build_solver(
+        options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
+    )
     if options.finds_couplings and (couplings := find_couplings(solver, dataset)):
         parameters = replace(parameters, couplings=couplings)
         processing = Processing.of(options)
         dataset = fold_dataset(dataset.segments, dataset.source, parameters, processing)
-        solver = _build_solver(options, inputs, parameters, prior, dataset=dataset, tares=tares)
-    return LoadedProblem(options, inputs, parameters, prior, dataset, solver, validation, tares)
+        solver = _build_solver(
+            options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
+        )
+    return LoadedProblem(
+        options, inputs, parameters, prior, dataset, solver, validation, tares, checks
+    )
 
 
 def _with_loaded_logs(
@@ -411,7 +435,10 @@ def build_pseudo_measurements(
         tied, zero = mirror_rows(parameters, prior.std, options.mirror)
         rows.append(tied)
         targets.append(zero)
-    return PseudoMeasurements(np.concatenate(rows), np.concatenate(targets)) if rows else None
+    if not rows:
+        return None
+    is_weighed = options.weighing is not None
+    return PseudoMeasurements(np.concatenate(rows), np.concatenate(targets), is_weighed)
 
 
 def merged_observations(
@@ -484,6 +511,7 @@ def _build_solver(
     *,
     dataset: Dataset,
     tares: Mapping[str, Tare],
+    checks: LogChecks = NO_CHECKS,
 ) -> Solver:
     prior = prior.for_columns(parameters)
     problem = Problem(
@@ -493,12 +521,13 @@ def _build_solver(
         pseudo_measurements=build_pseudo_measurements(options, parameters, prior),
         is_empirical=options.is_empirical,
         inputs=inputs,
+        force_scale_std=options.force_scale,
     )
     if parameters.candidates:
         prior = candidate_prior(prior, parameters, dataset.observations[0])
         problem = replace(problem, prior=prior)
     if options.sensor_error_kinds:
-        request = SensorErrorRequest(options.sensor_error_kinds, tares)
+        request = SensorErrorRequest(options.sensor_error_kinds, tares, checks.mountings)
         problem = calibrate(problem, dataset, request)
     if options.information is not None:
         earlier = _with_columns(load_archive(options.information), parameters)
@@ -518,55 +547,16 @@ def _read(
     return read_dataset(log, parameters, Processing.of(options), checks), checks
 
 
-def _diagnose(
-    dataset: Dataset, checks: StreamChecks | None, parameters: ParameterSet, prior: Prior
-) -> None:
-    """Log warnings about a log's streams, by themselves and against the model.
-
-    This is what `symbid bag doctor` does. Nothing happens without checks.
-
-    The prior's mean serves as the robot, within ±25 %. A log too long to be kept is read again.
-
-    Raises
-    ------
-    DataError
-        When the log is unusable: a unit, sign, frame or mounting is wrong, a contact is missing, or
-        a topic carries almost no information.
-    """
-    if checks is None:
-        return
-    source = dataset.source
-    of_streams = checks.findings(source)
-    _refuse_unusable(source, of_streams)
-    # Without the wrenches of contacts there is no force to compare with.
-    segments = dataset.segments if parameters.model.contacts is None else ()
-    statistics: ModelStatistics | None = None
-    for segment in segments:
-        if statistics is None:
-            robot = with_payloads(parameters.apply(prior.mean), parameters.payloads)
-            statistics = ModelStatistics(robot, segment.wrench_frames, segment.imu_frames)
-        statistics.add(segment)
-    found: list[Finding] = []
-    if statistics is not None:
-        found = check_model(
-            statistics,
-            checks.joint_topic,
-            checks.imu_topics,
-            dict(zip(statistics.gains.wrench_frames, checks.wrench_topics, strict=True)),
-        ).findings
-    _refuse_unusable(source, found)
-    for finding in merged(of_streams, found):
-        left_out = finding.kind in (Kind.FROZEN, Kind.SATURATED)
-        also = "; those messages are left out" if left_out else ""
-        logger.warning("%s: %s%s", source, finding.message, also)
-
-
-def _refuse_unusable(source: str, findings: Sequence[Finding]) -> None:
-    wrong = unusable(findings)
-    if not wrong:
-        return
-    others = ", ".join(f"{one.kind.value} of {one.stream or 'all'}" for one in wrong[1:])
-    also = f"; also {others}" if others else ""
-    raise DataError(
-        f"{source}: {wrong[0].message}{also}; give `unchecked` to use the log anyway", "E517"
-    )
+def _check(
+    dataset: Dataset,
+    streams: StreamChecks | None,
+    options: IdentifyOptions,
+    parameters: ParameterSet,
+    prior: Prior,
+) -> LogChecks:
+    """Check a log as `symbid bag doctor` does; nothing happens without checks of its streams."""
+    if streams is None:
+        return NO_CHECKS
+    robot = with_payloads(parameters.apply(prior.mean), parameters.payloads)
+    turns = "imu_mounting" in options.sensor_error_kinds
+    return check_dataset(dataset, streams, robot, estimates_mounting=turns)

@@ -95,6 +95,16 @@ class IdentifyOptions:
         group=KNOWN,
         unset="0.05",
     )
+    force_scale_std: float | None = option(
+        None,
+        "Standard deviation of the gain error that all forces and efforts have in common, which "
+        "no residual shows; it enters the deviations of all parameters. 0: none.",
+        unit="%",
+        minimum=0.0,
+        maximum=100.0,
+        group=KNOWN,
+        unset="1, in the deviations of the masses only",
+    )
     mirror: float | None = option(
         None,
         "How far left and right links may differ, in standard deviations of the prior, such as "
@@ -456,6 +466,11 @@ class IdentifyOptions:
         if self.total_mass is None:
             return None
         return self.total_mass, WEIGHING_STD if self.total_mass_std is None else self.total_mass_std
+
+    @property
+    def force_scale(self) -> float | None:
+        """Relative deviation of the common gain; None if it is not given."""
+        return None if self.force_scale_std is None else self.force_scale_std / 100
 
     @property
     def is_empirical(self) -> bool:

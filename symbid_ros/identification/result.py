@@ -236,13 +236,17 @@ class Result:
             When the method gives no covariance.
         """
         factor = self._identification.deviation_factor
-        if factor is None:
+        if factor is None or self.estimate.std is None:
             raise EstimateError(
                 f"{self.estimate.method} gives no covariance; use `method` map or map_lmi", "E507"
             )
         fixed = np.array([name in self.estimate.fixed for name in self.estimate.names])
         factor = np.where(fixed[:, None], 0.0, factor)
-        return factor @ factor.T
+        covariance: FloatArray = factor @ factor.T
+        if (change := self._identification.scale_change) is not None:
+            change = np.where(fixed, 0.0, change)
+            covariance += np.outer(change, change)
+        return covariance
 
     @cached_property
     def robot(self) -> RobotModel:

@@ -5,15 +5,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Method
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import SensorCalibration
+from symbid_ros.estimation.change import discounted_pseudo_measurements
 from symbid_ros.estimation.constraints import Bounds
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.mass_scale import (
+    FORCE_SCALE_STD,
+    UNCHECKED,
+    CommonGain,
+    common_gain,
+)
 from symbid_ros.estimation.observations import Observations, whiteness
 from symbid_ros.estimation.physical_consistency import consistent_minimum
-from symbid_ros.estimation.posterior import CONVERGED, Posterior
+from symbid_ros.estimation.posterior import CONVERGED, Posterior, PseudoMeasurements
 from symbid_ros.estimation.sandwich import with_correlated_residuals
 from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, select_rank
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
@@ -49,6 +56,9 @@ class Identification:
         The parameters, then the sensor errors.
     rows : RowBuilder
         Builds the rows of these unknowns.
+    scale_change : (p,) float64 or None
+        Change of the parameters with one deviation of the gain that no residual shows, as far as
+        their deviations contain it.
     """
 
     estimate: Estimate
@@ -57,6 +67,7 @@ class Identification:
     window: float
     unknowns: FloatArray
     rows: RowBuilder
+    scale_change: FloatArray | None = None
 
     @property
     def deviation_factor(self) -> FloatArray | None:
@@ -126,7 +137,34 @@ class Solver:
     @property
     def alarms(self) -> tuple[str, ...]:
         """Reasons not to trust the estimate, one line each."""
-        return alarms(self.posterior, self.whiteness, self.unexplained)
+        return alarms(self.posterior, self.whiteness, self.unexplained, self._measurements)
+
+    @property
+    def _measurements(self) -> PseudoMeasurements | None:
+        """The pseudo-measurements of the posterior."""
+        return discounted_pseudo_measurements(self.problem.pseudo_measurements, self.chosen.kept)
+
+    @property
+    def _scaled_parameters(self) -> BoolArray:
+        """(p,) which parameters' deviations contain that of the common gain."""
+        parameters = self.problem.parameters
+        is_scaled = np.ones(len(parameters), dtype=bool)
+        if self.problem.force_scale_std is None:
+            is_scaled[:] = False
+            is_scaled[: parameters.inertial : 10] = True
+        return is_scaled
+
+    def _common_gain(self) -> CommonGain | None:
+        """Return the gain that no residual shows; None if a weighing or the user excludes it."""
+        stated = self.problem.force_scale_std
+        std = FORCE_SCALE_STD if stated is None else stated
+        if std == 0:
+            return None
+        value = self.posterior.mean
+        is_anchor = np.ones(len(value), dtype=bool)
+        is_anchor[self.problem.parameters.inertial : len(self.problem.parameters)] = False
+        found = common_gain(self.posterior, value, self._measurements, std, is_anchor)
+        return found if found.std > UNCHECKED * std else None
 
     def map(self, *, with_verdict: bool = True) -> Identification:
         """Return the most probable parameters."""
@@ -151,6 +189,10 @@ class Solver:
         found, problem = self.posterior, self.problem
         p = len(problem.parameters)
         singular = np.linalg.svd(found.factor * found.prior.std, compute_uv=False)
+        std, gain, change = found.std[:p], self._common_gain(), None
+        if gain is not None:
+            change = np.where(self._scaled_parameters, gain.std * gain.direction[:p], 0.0)
+            std = np.hypot(std, change)
         verdict = None
         if with_verdict:
             verdict = assess(
@@ -161,11 +203,13 @@ class Solver:
                 whiteness=self.whiteness,
                 sensors=(problem.sensor_names, problem.sensor_units),
                 unexplained=self.unexplained,
+                measurements=self._measurements,
+                mass_scale=0.0 if gain is None else gain.std,
             )
         estimate = self._estimate(
             method,
             value[:p],
-            found.std[:p],
+            std,
             condition=float(singular[0] / singular[-1]),
             residuals=self._residuals(value),
         )
@@ -177,6 +221,7 @@ class Solver:
             self.chosen.window,
             value,
             problem.row_builder,
+            change,
         )
 
     def truncated(

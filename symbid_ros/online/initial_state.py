@@ -59,6 +59,7 @@ class InitialState:
             pseudo_measurements=build_pseudo_measurements(options, parameters, prior),
             is_empirical=options.is_empirical,
             inputs=tuple(map(str, (robot.source, *options.files))),
+            force_scale_std=options.force_scale,
         )
         layout = RowLayout.of(parameters)
         windows = Processing.of(options).windows

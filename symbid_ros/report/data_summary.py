@@ -8,7 +8,6 @@ from symbid_ros.estimation.estimate import Estimate, HoldOut
 from symbid_ros.estimation.unexplained import SMALL
 from symbid_ros.estimation.verdict import (
     SUSPICIOUS_NOISE,
-    SUSPICIOUS_SCALE,
     SUSPICIOUS_WHITENESS,
     Verdict,
 )
@@ -46,9 +45,10 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
             "Prior scale",
             significant(scale),
             "factor on the prior’s standard deviations that fits the data best; alarm above "
-            f"{SUSPICIOUS_SCALE:g}",
-            is_alarm=scale > SUSPICIOUS_SCALE,
+            f"{verdict.largest_prior_scale:g}",
+            is_alarm=scale > verdict.largest_prior_scale,
         ),
+        *_mass_scale_entries(verdict),
         SummaryEntry(
             "Whiteness",
             significant(white) if white > 0 else ABSENT,
@@ -77,6 +77,19 @@ def _unexplained_entries(verdict: Verdict) -> tuple[SummaryEntry, ...]:
             f"{significant(100 * worst.share)} %",
             f"at most, apart from noise: {worst}; small below {100 * SMALL:g} %",
             is_alarm=verdict.is_coloured,
+        ),
+    )
+
+
+def _mass_scale_entries(verdict: Verdict) -> tuple[SummaryEntry, ...]:
+    if verdict.mass_scale == 0:
+        return ()
+    return (
+        SummaryEntry(
+            "Mass scale",
+            f"± {significant(100 * verdict.mass_scale)} %",
+            "not checkable without a weighing: a gain that all forces and efforts have in common "
+            "leaves no residual",
         ),
     )
 

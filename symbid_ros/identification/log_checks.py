@@ -1,0 +1,148 @@
+"""Checks of a log before its identification: refusals, warnings, alarms and starting points."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from symbid_ros.diagnosis.findings import Finding, Kind, merged
+from symbid_ros.diagnosis.model_checks import check_model
+from symbid_ros.diagnosis.model_statistics import ModelStatistics
+from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
+from symbid_ros.errors import DataError
+from symbid_ros.identification.calibration import Mounting
+from symbid_ros.identification.dataset import Dataset
+from symbid_ros.model.tree import RobotModel
+
+logger = logging.getLogger(__name__)
+
+# Faults that bias an estimate although the log is usable.
+BIASING = frozenset(
+    {
+        Kind.ACCELEROMETER_GAIN,
+        Kind.GYROSCOPE_GAIN,
+        Kind.JITTER,
+        Kind.IMU_MOUNTING,
+        Kind.ENCODER_OFFSET,
+        Kind.DELAY,
+        Kind.TORQUE_GAIN,
+        Kind.WRENCH_GAIN,
+    }
+)
+# Rotations of an IMU up to this angle, degrees, can be estimated with the robot.
+LARGEST_MOUNTING = 30.0
+# Least standard deviation of a rotation that the checks found, degrees: soles and joints give.
+LEAST_MOUNTING_STD = 0.5
+
+
+@dataclass(frozen=True)
+class LogChecks:
+    """What the checks of a log found.
+
+    Attributes
+    ----------
+    findings : tuple of Finding
+        Worst first.
+    mountings : mapping of str to Mounting
+        Rotations of IMUs to estimate from, by frame.
+    """
+
+    findings: tuple[Finding, ...] = ()
+    mountings: Mapping[str, Mounting] = field(default_factory=dict)
+
+    @property
+    def alarms(self) -> tuple[str, ...]:
+        """Findings that bias an estimate, one line each."""
+        return tuple(one.message for one in self.findings if one.kind in BIASING)
+
+
+NO_CHECKS = LogChecks()
+
+
+def check_dataset(
+    dataset: Dataset, checks: StreamChecks, robot: RobotModel, *, estimates_mounting: bool
+) -> LogChecks:
+    """Check a log by itself and against the model, and log a warning for each finding.
+
+    A log too long to be kept is read again.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    checks : StreamChecks
+        Of the same log.
+    robot : RobotModel
+        With the prior's inertias, which are trusted within ±25 %.
+    estimates_mounting : bool
+        Whether rotations of IMUs are estimated with the robot.
+
+    Raises
+    ------
+    DataError
+        When the log is unusable: a unit, sign, frame or mounting is wrong, a contact is missing, or
+        a topic carries almost no information.
+    """
+    source = dataset.source
+    of_streams = checks.findings(source)
+    _refuse_unusable(source, of_streams)
+    # Without the wrenches of contacts there is no force to compare with.
+    segments = dataset.segments if robot.contacts is None else ()
+    statistics: ModelStatistics | None = None
+    for segment in segments:
+        if statistics is None:
+            statistics = ModelStatistics(robot, segment.wrench_frames, segment.imu_frames)
+        statistics.add(segment)
+    found: list[Finding] = []
+    if statistics is not None:
+        found = check_model(
+            statistics,
+            checks.joint_topic,
+            checks.imu_topics,
+            dict(zip(statistics.gains.wrench_frames, checks.wrench_topics, strict=True)),
+        ).findings
+    mountings = {}
+    if estimates_mounting and statistics is not None:
+        frames = dict(zip(checks.imu_topics, statistics.gains.imu_frames, strict=False))
+        turned = {one.stream: mounting for one in found if (mounting := _mounting(one)) is not None}
+        mountings = {frames[topic]: one for topic, one in turned.items() if topic in frames}
+        found = [one for one in found if one.stream not in turned or _mounting(one) is None]
+        for topic, one in turned.items():
+            logger.info(
+                "%s: %s: its rotation by %.1f degrees is estimated with the robot",
+                source,
+                topic,
+                np.degrees(np.linalg.norm(one.rotation)),
+            )
+    _refuse_unusable(source, found)
+    findings = merged(of_streams, found)
+    for finding in findings:
+        left_out = finding.kind in (Kind.FROZEN, Kind.SATURATED)
+        also = "; those messages are left out" if left_out else ""
+        logger.warning("%s: %s%s", source, finding.message, also)
+    return LogChecks(tuple(findings), mountings)
+
+
+def _mounting(finding: Finding) -> Mounting | None:
+    """Return the rotation of an IMU's mounting that a finding gives; None if it is none."""
+    figures = finding.figures
+    if finding.kind is not Kind.IMU_MOUNTING or "roll_deg" not in figures:
+        return None
+    if figures["angle_deg"] > LARGEST_MOUNTING:
+        return None
+    angles = [figures[f"{name}_deg"] for name in ("roll", "pitch", "yaw")]
+    rotation = -Rotation.from_euler("xyz", angles, degrees=True).as_rotvec()
+    std = max(figures["angle_std_deg"], LEAST_MOUNTING_STD)
+    return Mounting(rotation, float(np.radians(std)))
+
+
+def _refuse_unusable(source: str, findings: Sequence[Finding]) -> None:
+    wrong = unusable(findings)
+    if not wrong:
+        return
+    others = ", ".join(f"{one.kind.value} of {one.stream or 'all'}" for one in wrong[1:])
+    also = f"; also {others}" if others else ""
+    raise DataError(
+        f"{source}: {wrong[0].message}{also}; give `unchecked` to use the log anyway", "E517"
+    )
