@@ -92,7 +92,8 @@ def check_forces(
         return ForceVerdict((reversed_imu_finding(imus),), figures, Kind.IMU_MOUNTING.value)
     if statistics.model.floating and gains.before > MAX_UNEXPLAINED * statistics.weight:
         is_unexplained = any(turn.cost > MAX_ROTATION_COST for turn in rotations.values())
-        if is_unexplained or not loaded or not EXPLAINED[0] < middle < EXPLAINED[1]:
+        vanishes = not _is_explained(middle) or _is_vanishing(rotations, known)
+        if is_unexplained or not loaded or vanishes:
             return ForceVerdict(
                 (_unexplained(statistics, gains, frames),), figures, Kind.WEIGHT.value
             )
@@ -119,6 +120,22 @@ def check_forces(
 def _is_known(gain: float, std: float) -> bool:
     """Return whether a gain is known well enough to judge its sign and size."""
     return DEVIATIONS * std < max(abs(gain), 0.5)
+
+
+def _is_explained(gain: float) -> bool:
+    return EXPLAINED[0] < gain < EXPLAINED[1]
+
+
+def _is_vanishing(
+    rotations: Mapping[int, RotationFit], known: Mapping[str, tuple[float, float]]
+) -> bool:
+    """Return whether the wrenches' gains explain nothing and most efforts contradict the motion.
+
+    Wrenches in a wrong unit have such gains too, but the efforts are right then.
+    """
+    wrench = float(np.median([turn.scale for turn in rotations.values()])) if rotations else 1.0
+    right = sum(_is_explained(gain) for gain, _ in known.values())
+    return not _is_explained(wrench) and 2 * right <= len(known)
 
 
 def _median_gain(

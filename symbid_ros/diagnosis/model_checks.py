@@ -121,7 +121,9 @@ def check_model(
     """
     checks = ModelChecks()
     _check_imus(checks, statistics, imus)
-    if any(one.severity is Severity.UNUSABLE for one in checks.findings):
+    # A few degrees turn gravity by as much as a wrong wrench would.
+    wrong = (one.kind is Kind.IMU_MOUNTING for one in checks.findings)
+    if any(wrong) or any(one.severity is Severity.UNUSABLE for one in checks.findings):
         checks.left_out.append(DEPEND_ON_IMU)
         return checks
     if statistics.rows.samples < 1:

@@ -82,6 +82,16 @@ class Elimination:
         is_armature &= self.left < self._parameters.first_coupled
         return np.asarray(is_armature & (self._without_links < (1 - MIXED) * variance))
 
+    def hidden_offsets(self) -> BoolArray:
+        """Return which terms are offsets that would be known far better if the links were.
+
+        In the rows of their joint alone, inertias replace them; the other rows tell them apart.
+        """
+        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
+        is_offset = np.array([kind == "offset" for kind in kinds], dtype=bool)
+        variance = self._covariance.diagonal()
+        return np.asarray(is_offset & (self._without_links < (1 - MIXED) * variance))
+
     def unresolved(self) -> BoolArray:
         """Return which terms are armatures that the data cannot tell from the links' inertias."""
         std = np.sqrt(self._covariance.diagonal())

@@ -311,12 +311,14 @@ class _Selection:
         kept = set(terms[stated[terms] | elimination.unresolved()].tolist())
         before = set() if previous is None else set(np.flatnonzero(previous.free).tolist())
         mixed = set(terms[elimination.mixed()].tolist())
+        replaced = mixed | set(terms[elimination.hidden_offsets()].tolist())
         elimination.run(kept, before, mixed)
         free = ~is_term
         free[elimination.left] = True
         if chosen.groups is not None:
-            # In its own rows the links can replace a mixed armature, so these cannot judge it.
-            free = cross_validated(free, kept | mixed, found, chosen, parameters)
+            # In its own rows the links can replace a mixed armature or an offset, so these cannot
+            # judge it.
+            free = cross_validated(free, kept | replaced, found, chosen, parameters)
         return cls(free, inseparable)
 
 

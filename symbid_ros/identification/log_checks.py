@@ -132,7 +132,7 @@ def _mounting(finding: Finding) -> Mounting | None:
     if figures["angle_deg"] > LARGEST_MOUNTING:
         return None
     angles = [figures[f"{name}_deg"] for name in ("roll", "pitch", "yaw")]
-    rotation = -Rotation.from_euler("xyz", angles, degrees=True).as_rotvec()
+    rotation = Rotation.from_euler("xyz", angles, degrees=True).as_rotvec()
     std = max(figures["angle_std_deg"], LEAST_MOUNTING_STD)
     return Mounting(rotation, float(np.radians(std)))
 

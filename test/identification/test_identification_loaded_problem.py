@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from bag_editing import Messages, edit_bag
 from random_robots import CONFIG
+from scipy.spatial.transform import Rotation
 
 from symbid_ros.errors import DataError
 from symbid_ros.identification.loaded_problem import LoadedProblem
@@ -62,3 +63,41 @@ def test_a_doubtful_gain_gives_a_warning(log, tmp_path, caplog) -> None:
     load(bag)
     (message,) = caplog.messages
     assert "/joint_states: effort of R_hfe reads 0." in message
+
+
+def test_a_wrong_gain_of_an_imu_is_an_alarm_of_the_estimate(log, tmp_path) -> None:
+    def spoil(messages: Messages) -> None:
+        messages.records["linear_acceleration"] *= 1.02
+
+    problem = load(edit_bag(log, tmp_path / "gain", {"/imu/data": spoil}))
+    (finding,) = problem.checks.findings
+    assert problem.solve().estimate.verdict.alarms[0] == finding.message
+    assert "+2.0 %" in finding.message
+    assert problem.with_prior(problem.prior).checks == problem.checks
+
+
+@pytest.mark.parametrize("degrees", [9.0, 20.0])
+def test_an_imu_mounted_several_degrees_off_is_estimated(log, tmp_path, degrees) -> None:
+    """The log is refused unless the mounting is estimated."""
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, -0.64, 0.48]))
+
+    def spoil(messages: Messages) -> None:
+        for name in ("angular_velocity", "linear_acceleration"):
+            vectors = messages.records[name]
+            messages.records[name] = turn.apply(vectors, inverse=True)
+        messages.records["orientation"][:] = (
+            Rotation.from_quat(messages.records["orientation"]) * turn
+        ).as_quat()
+
+    bag = edit_bag(log, tmp_path / "turned", {"/imu/data": spoil})
+    with pytest.raises(DataError, match="roll"):
+        load(bag)
+    problem = BagRequest(
+        (bag,), CONFIG / "symbitron.urdf", IdentifyOptions(sensor_errors=("imu_mounting",))
+    ).load()
+    verdict = problem.solve().estimate.verdict
+    found = np.array([one.value for one in verdict.sensors])
+    std = np.array([one.std for one in verdict.sensors])
+    assert np.all(np.abs(found - turn.as_rotvec()) < 4 * std)
+    assert np.degrees(std.max()) < 0.3
+    assert not any("roll" in alarm for alarm in verdict.alarms)
