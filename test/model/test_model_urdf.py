@@ -7,7 +7,7 @@ from expected_errors import raises_code
 
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.load import load_model
-from symbid_ros.model.urdf import MAX_DEPTH, _expanded_name
+from symbid_ros.model.urdf import MAX_DEPTH, expanded_name
 
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
 
@@ -193,4 +193,4 @@ def test_chains_have_a_limited_length(tmp_path):
     ],
 )
 def test_expanded_files_have_another_name(tmp_path, name, expanded):
-    assert _expanded_name(tmp_path / name) == expanded
+    assert expanded_name(tmp_path / name) == expanded
