@@ -10,6 +10,7 @@ import numpy as np
 from symbid_ros.arrays import IntArray
 from symbid_ros.bags.container.blocks import MessageBlock
 from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
+from symbid_ros.errors import DataError
 from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.layout import ByteArray
 from symbid_ros.messages.sensor_streams import build_streams, group_joints, read_stamps
@@ -140,6 +141,8 @@ class _Slicer:
     def _slice(self, stop: int) -> Slice:
         start, self._processed_until = self._processed_until, stop
         margin = resampling_margin(buffer.stamps for buffer in self._buffers.values())
+        if self._chosen.poses:
+            margin = LONGEST_MARGIN  # in which their low-pass settles
         decoders, tallies = {}, {}
         for topic, buffer in self._buffers.items():
             decoders[topic] = buffer.between(start - margin, stop + margin)
@@ -159,7 +162,12 @@ class _Slicer:
                 "stamped by another clock; record it again or leave it out"
             )
         else:
-            streams = build_streams(self._source, self._chosen, decoders, tallies)
+            try:
+                streams = build_streams(self._source, self._chosen, decoders, tallies)
+            except DataError as error:
+                if error.code != "E327":
+                    raise
+                fault = str(error)
         return Slice(start, stop, streams, recorded, tuple(tallies.values()), fault)
 
     def _stamps(self, topic: Topic, decoder: TopicDecoder) -> IntArray:

@@ -129,7 +129,7 @@ class GainLayout:
         for index, frame in enumerate(self.wrench_frames):
             columns = slice(PER_SENSOR * index, PER_SENSOR * (index + 1))
             affects[:first, columns] = True
-            affects[first:, columns] = model.ancestors[:, model.frame(frame).link][:, None]
+            affects[first:, columns] = model.ancestors[:, model.loaded_link(frame)][:, None]
         affects[:, PER_SENSOR * len(self.wrench_frames) : self.efforts.start] = True
         rows, columns_ = self._efforts(model)
         affects[rows, columns_] = affects[rows, self.effort_delay] = True

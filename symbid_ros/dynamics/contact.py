@@ -38,7 +38,7 @@ def contact_jacobian(model: RobotModel, frames: Sequence[str], poses: LinkPoses)
     names = [name for name in frames for _ in range(6)]
     units = np.broadcast_to(np.tile(np.eye(6), (len(frames), 1)), (count, len(names), 6))
     at_base = wrenches_at_base(model, units, names, poses)
-    carries = model.ancestors[:, [model.frame(name).link for name in names]]
+    carries = model.ancestors[:, [model.loaded_link(name) for name in names]]
     jacobian = np.empty((count, len(names), model.dof))
     if model.floating:
         jacobian[:, :, :6] = at_base

@@ -362,7 +362,7 @@ def generalised_force(
     first_joint = 6 * model.floating
     frames = samples.wrench_frames
     at_base = wrenches_at_base(model, samples.wrenches, frames, poses)
-    carries = model.ancestors[:, [model.frame(name).link for name in frames]].astype(np.float64)
+    carries = model.ancestors[:, [model.loaded_link(name) for name in frames]].astype(np.float64)
     joint_forces = component_first(axes) * (carries @ component_first(at_base))
     y = np.empty((len(samples), model.dof))
     if model.floating:

@@ -41,6 +41,25 @@ class LogOptions:
     wrench_topic: tuple[str, ...] = option(
         (), "WrenchStamped topic.", group=GROUP, unset="all that are named wrench"
     )
+    pose_topic: tuple[str, ...] = option(
+        (),
+        "Odometry or PoseStamped topic with the pose of a floating robot in the world, as from "
+        "motion capture, in place of an IMU or beside it. For bags only.",
+        group=GROUP,
+    )
+    pose_frame: str = option(
+        "",
+        "Frame of the robot that `pose_topic` tracks.",
+        group=MAPPING,
+        unset="child_frame_id of an Odometry",
+    )
+    plate_link: tuple[str, ...] = option(
+        (),
+        "Topic of a wrench in axes of the world, and the link that it acts on, such as "
+        "/plate_1/wrench:=left_foot.",
+        group=MAPPING,
+        unset="the link that `pose_frame` is fixed to",
+    )
     frame_prefix: str = option(
         "",
         "Prefix of the sensors' frames that the model's frames lack, such as robot1/.",

@@ -37,6 +37,10 @@ class SensorMapping:
         Constant positions of joints that are not recorded, rad (m).
     rotations : mapping of str to (3, 3) float64
         Axes of an IMU in its frame of the model, by frame.
+    tracked : str
+        Frame of the robot whose pose is measured; empty for an Odometry's own.
+    plate_links : mapping of str to str
+        Links that wrenches in axes of the world act on, by topic.
     """
 
     frame_prefix: str = ""
@@ -46,6 +50,8 @@ class SensorMapping:
     effort_scale: Mapping[str, float] = field(default_factory=dict)
     held: Mapping[str, float] = field(default_factory=dict)
     rotations: Mapping[str, FloatArray] = field(default_factory=dict)
+    tracked: str = ""
+    plate_links: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, options: LogOptions) -> "SensorMapping":
@@ -64,6 +70,8 @@ class SensorMapping:
             _pairs("effort_scale", options.effort_scale, _factor),
             _pairs("hold_joint", options.hold_joint, _finite),
             _pairs("rotate_imu", options.rotate_imu, _rotation),
+            options.pose_frame,
+            _pairs("plate_link", options.plate_link, str),
         )
 
     def frame(self, frame_id: str) -> str:
@@ -191,6 +199,7 @@ EXAMPLES = {
     "rename_joint": "NAME_IN_LOG:=NAME_IN_MODEL, such as j1:=shoulder_pan_joint",
     "effort_scale": "JOINT:=FACTOR, such as elbow_joint:=-0.11",
     "hold_joint": "JOINT:=POSITION, such as wrist_joint:=0.5",
+    "plate_link": "TOPIC:=LINK, such as /plate_1/wrench:=left_foot",
     "rotate_imu": "FRAME:=ROLL,PITCH,YAW in degrees, such as imu_link:=180,0,90",
 }
 

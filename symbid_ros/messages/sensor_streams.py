@@ -10,14 +10,16 @@ from collections.abc import Mapping
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.errors import DataError
 from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.topics import SelectedTopics, Topic
-from symbid_ros.messages.types import read_stamp
+from symbid_ros.messages.types import ODOMETRY, read_stamp
+from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError, kept_in_order, seconds
 from symbid_ros.signals.joint_merging import merged_joints
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
-AXES = ("x", "y", "z")
+AXES = ("x", "y", "z", "w")
 
 # Without a model, a group of joints counts as the robot's if its number of messages is at least
 # this share of the largest group's.
@@ -111,16 +113,32 @@ def build_streams(
         for part in split_by_joints(decoders[topic], chosen.recorded_joints, tallies[topic])
     ]
     mapping = chosen.mapping
+    poses = [
+        build_pose_stream(decoders[topic], mapping.tracked, tallies[topic])
+        for topic in chosen.poses
+    ]
+    worlds = {pose.world: pose for pose in poses}
+
+    def converted_wrench(stream: WrenchStream) -> WrenchStream:
+        converted = mapping.converted_wrench(stream)
+        pose = worlds.get(converted.frame_id)
+        if pose is None:
+            return converted
+        return pose.on_robot(converted, mapping.plate_links.get(stream.topic, ""))
+
     merged = merged_joints(joints, source, chosen.recorded_joints)
     return Streams(
         source=source,
         joints=chosen.held_joints.added_to(mapping.converted_joints(merged), source),
-        imus=tuple(
-            mapping.converted_imu(build_imu_stream(decoders[topic], tallies[topic]))
-            for topic in chosen.imus
+        imus=(
+            *(
+                mapping.converted_imu(build_imu_stream(decoders[topic], tallies[topic]))
+                for topic in chosen.imus
+            ),
+            *(pose.imu() for pose in poses),
         ),
         wrenches=tuple(
-            mapping.converted_wrench(build_wrench_stream(decoders[topic], tallies[topic]))
+            converted_wrench(build_wrench_stream(decoders[topic], tallies[topic]))
             for topic in chosen.wrenches
         ),
     )
@@ -252,6 +270,40 @@ def build_wrench_stream(decoder: TopicDecoder, tally: DefectCounts) -> WrenchStr
     )
 
 
+def build_pose_stream(decoder: TopicDecoder, tracked: str, tally: DefectCounts) -> PoseStream:
+    """Return the poses of a tracked frame, by default an Odometry's ``child_frame_id``.
+
+    Raises
+    ------
+    DataError
+        When a PoseStamped does not say which frame it tracks.
+    """
+    is_odometry = decoder.topic.msgtype == ODOMETRY
+    frame = tracked or (_text(decoder, "child_frame_id") if is_odometry else "")
+    if not frame:
+        raise DataError(
+            f"{decoder.source}: {decoder.topic.name} does not say which frame of the robot it "
+            "tracks; give `pose_frame`",
+            "E328",
+        )
+    path = "pose.pose" if is_odometry else "pose"
+    stamp = read_stamps(decoder)
+    read = {name: read_field(decoder, f"{path}.{name}") for name in ("position", "orientation")}
+    kept = _in_order(_usable(tally, stamp, read), stamp, tally)
+    return PoseStream(
+        topic=decoder.topic.name,
+        frame_id=frame,
+        world=_frame_id(decoder),
+        stamp=stamp[kept],
+        position=read["position"][kept],
+        orientation=read["orientation"][kept],
+    )
+
+
+def _text(decoder: TopicDecoder, path: str) -> str:
+    return str(decoder.batches[0].layout.text[path][0])
+
+
 def _joint_names(decoder: TopicDecoder) -> tuple[str, ...]:
     first: dict[frozenset[str], tuple[str, ...]] = {}
     counts: Counter[frozenset[str]] = Counter()
@@ -284,11 +336,13 @@ def _frame_id(decoder: TopicDecoder) -> str:
 
 
 def _usable(tally: DefectCounts, stamp: IntArray, readings: dict[str, FloatArray]) -> IntArray:
-    """Return the positions of the messages whose vectors (N, 3) are all finite."""
+    """Return the positions of the messages whose vectors (N, 3 or 4) are all finite."""
     finite = np.hstack([np.isfinite(values) for values in readings.values()])
     if finite.all():
         return np.arange(len(stamp))
-    labels = [f"{name}.{axis}" for name in readings for axis in AXES]
+    labels = [
+        f"{name}.{axis}" for name, values in readings.items() for axis in AXES[: values.shape[1]]
+    ]
     wrong = np.logical_or.reduce(~finite, axis=1)
     if np.count_nonzero(wrong) >= MAX_INVALID_SHARE * len(stamp):
         row, bad = np.argwhere(~finite)[0]

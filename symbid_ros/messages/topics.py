@@ -8,10 +8,11 @@ from typing import Any
 from symbid_ros.errors import BagError
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.sensor_mapping import SAME, HeldJoints, SensorMapping
-from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
+from symbid_ros.messages.types import IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
 
 TRUTH = "ground_truth"
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
+POSES = ODOMETRY, POSE
 ENCODED = " encoded as "  # between a type's name and an encoding other than CDR
 
 
@@ -64,6 +65,8 @@ class TopicSelection:
         Names, units and signs of the log.
     joint_names : tuple of str
         Joints of the model, if known: messages that name none of them are ignored.
+    poses : tuple of str
+        Odometry and PoseStamped topics of tracked frames.
     """
 
     joints: tuple[str, ...] | None = None
@@ -71,6 +74,7 @@ class TopicSelection:
     wrenches: tuple[str, ...] | None = None
     mapping: SensorMapping = SAME
     joint_names: tuple[str, ...] = ()
+    poses: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, options: LogOptions) -> "TopicSelection":
@@ -80,10 +84,12 @@ class TopicSelection:
             imus=options.imu_topic or None,
             wrenches=options.wrench_topic or None,
             mapping=SensorMapping.of(options),
+            poses=options.pose_topic,
         )
 
     def __post_init__(self) -> None:
-        for name in (*(self.joints or ()), *(self.imus or ()), *(self.wrenches or ())):
+        named = self.joints or (), self.imus or (), self.wrenches or (), self.poses
+        for name in (each for names in named for each in names):
             if _is_truth(name):
                 raise BagError(
                     f"topic {name}: ground truth cannot be used for identification; name the topic "
@@ -98,7 +104,7 @@ class SelectedTopics:
 
     Attributes
     ----------
-    joints, imus, wrenches : tuple of Topic
+    joints, imus, wrenches, poses : tuple of Topic
         Topics by sensor type; at least one has joint states.
     mapping, joint_names
         As in `TopicSelection`.
@@ -112,6 +118,7 @@ class SelectedTopics:
     mapping: SensorMapping = SAME
     joint_names: tuple[str, ...] = ()
     is_live: bool = False
+    poses: tuple[Topic, ...] = ()
 
     @cached_property
     def recorded_joints(self) -> frozenset[str]:
@@ -126,7 +133,7 @@ class SelectedTopics:
     @property
     def all(self) -> tuple[Topic, ...]:
         """All topics, joint states first."""
-        return (*self.joints, *self.imus, *self.wrenches)
+        return (*self.joints, *self.imus, *self.wrenches, *self.poses)
 
     @property
     def clock(self) -> Topic:
@@ -157,6 +164,7 @@ class TopicSelector:
             self._matches(topic, JOINT_STATE, self.selection.joints, "joint_states")
             or self._matches(topic, IMU, self.selection.imus, None)
             or self._matches(topic, WRENCH, self.selection.wrenches, "wrench")
+            or any(self._matches(topic, kind, self.selection.poses, None) for kind in POSES)
         )
 
     def select(self) -> SelectedTopics:
@@ -187,6 +195,7 @@ class TopicSelector:
             self._find(WRENCH, self.selection.wrenches, "wrench"),
             self.selection.mapping,
             self.selection.joint_names,
+            poses=tuple(self._find_named(name, *POSES) for name in self.selection.poses),
         )
         for topic in chosen.all:
             if not self.counts[topic]:
@@ -213,7 +222,7 @@ class TopicSelector:
             return tuple(sorted(found, key=lambda topic: topic.name))
         return tuple(self._find_named(name, msgtype) for name in names)
 
-    def _find_named(self, name: str, msgtype: str) -> Topic:
+    def _find_named(self, name: str, *msgtypes: str) -> Topic:
         others = [topic for topic in self.counts if _bare(topic.name) == _bare(name)]
         if not others:
             raise BagError(
@@ -222,10 +231,11 @@ class TopicSelector:
                 "E210",
             )
         for topic in others:
-            if topic.msgtype == msgtype:
+            if topic.msgtype in msgtypes:
                 return topic
         raise BagError(
-            f"{self.source}: topic {name} is of type {others[0].msgtype}, not {msgtype}; "
+            f"{self.source}: topic {name} is of type {others[0].msgtype}, not "
+            f"{' or '.join(msgtypes)}; "
             "name another topic",
             "E211",
         )

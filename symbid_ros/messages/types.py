@@ -25,6 +25,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+POSE = "geometry_msgs/msg/PoseStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 ACCEL = "geometry_msgs/msg/AccelStamped"
 CLOCK = "rosgraph_msgs/msg/Clock"
@@ -70,6 +71,11 @@ def trajectory_layout(names: tuple[str, ...]) -> Layout:
 def odometry_layout(frame_id: str, child_frame_id: str) -> Layout:
     """Return the layout of an Odometry: pose in ``frame_id``, twist in the child frame."""
     return message_layout(ODOMETRY, header=_header(frame_id), child_frame_id=child_frame_id)
+
+
+def pose_layout(frame_id: str) -> Layout:
+    """Return the layout of a PoseStamped, a pose in ``frame_id``."""
+    return message_layout(POSE, header=_header(frame_id))
 
 
 def accel_layout(frame_id: str) -> Layout:

@@ -12,6 +12,8 @@ from symbid_ros.errors import ModelError
 if TYPE_CHECKING:
     from symbid_ros.model.bodies import Body
 
+# Between a frame and the link that a wrench given in it acts on, if that is another one.
+ON_LINK = "@"
 STANDARD_GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
@@ -287,11 +289,15 @@ class RobotModel:
     def frame(self, name: str) -> Frame:
         """Return a frame by its name. The name of a link means the link's own frame.
 
+        Of ``FRAME@LINK``, for a wrench in FRAME on LINK, it is FRAME.
+
         Raises
         ------
         ModelError
             When neither a frame nor a link has that name.
         """
+        if ON_LINK in name and name not in {frame.name for frame in self.frames}:
+            name = name.rpartition(ON_LINK)[0]
         for frame in self.frames:
             if frame.name == name:
                 return frame
@@ -303,6 +309,18 @@ class RobotModel:
             f"header.frame_id to one of: {known}",
             "E116",
         )
+
+    def loaded_link(self, name: str) -> int:
+        """Return the index of the link that a wrench given in a frame, or ``FRAME@LINK``, acts on.
+
+        Raises
+        ------
+        ModelError
+            When the robot has no frame or link of that name.
+        """
+        _, on, link = name.rpartition(ON_LINK)
+        is_frame = any(frame.name == name for frame in self.frames)
+        return self.frame(link if on and not is_frame else name).link
 
     def with_phi(self, phi: FloatArray) -> "RobotModel":
         """Return the same robot with the inertias (L, 10) of ``phi``."""

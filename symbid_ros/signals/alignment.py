@@ -97,7 +97,8 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     if model.floating and not streams.imus:
         raise DataError(
             f"{streams.source}: the base of {model.source} floats, but there is no topic of type "
-            "sensor_msgs/msg/Imu; record the IMU, or give `base` fixed if it is bolted down",
+            "sensor_msgs/msg/Imu; record the IMU, name the topic of a measured pose "
+            "(`pose_topic`), or give `base` fixed if it is bolted down",
             "E307",
         )
     sensors: list[ImuStream | WrenchStream] = [

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
-from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.tree import ON_LINK, RobotModel
 from symbid_ros.signals.alignment import resampling_margin
+from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.defects import Defect, DefectCounts, kept_in_order, seconds
 from symbid_ros.signals.streams import (
     WHOLE_LOG,
@@ -22,6 +23,7 @@ from symbid_ros.signals.streams import (
     WrenchStream,
 )
 
+WORLD = "world"
 SliceReader = Callable[[int | None, bool], Iterator[Slice]]
 
 
@@ -106,6 +108,7 @@ class Log:
         velocity: ArrayLike | None = None,
         imus: Mapping[str, ArrayLike] | None = None,
         wrenches: Mapping[str, ArrayLike] | None = None,
+        poses: Mapping[str, ArrayLike] | None = None,
         start: float = 0.0,
         stop: float = np.inf,
         name: str = "arrays",
@@ -128,7 +131,11 @@ class Log:
             gravity, m/s²), in the axes of the frame.
         wrenches : mapping of str to (N, 6) array_like, optional
             For each frame: force (N), then torque (Nm) about its origin, exerted by the environment
-            on the robot, in the axes of the frame.
+            on the robot, in the axes of the frame. With a pose, the key ``world`` means world axes
+            and the world's origin, as of a force plate; ``world@LINK`` names the link on it.
+        poses : mapping of str to (N, 7) array_like, optional
+            For a frame of a floating robot: its position in the world (m), z upwards, then its
+            orientation as quaternion xyzw. It takes the place of an IMU, or is used beside it.
         start, stop : float
             Part of the log to use, seconds after the first instant.
         name : str
@@ -163,9 +170,13 @@ class Log:
         ) -> Iterator[tuple[str, str, IntArray, FloatArray]]:
             """Yield topic, frame, stamps and rows; rows with NaN are counted, as for bags."""
             for frame, values in (given or {}).items():
-                robot.frame(frame)
+                place, _, link = frame.partition(ON_LINK)
+                if poses and place == WORLD:
+                    robot.frame(link or robot.link_names[0])
+                else:
+                    robot.frame(frame)
                 topic = f"{kind}[{frame!r}]"
-                read = rows(topic, values, 6)
+                read = rows(topic, values, 7 if kind == "poses" else 6)
                 usable = np.isfinite(read).all(axis=1)
                 tally = DefectCounts(name, topic)
                 tally.count_messages(stamp[kept])
@@ -196,6 +207,15 @@ class Log:
             WrenchStream(topic, frame, at, force=read[:, :3], torque=read[:, 3:])
             for topic, frame, at, read in sensors("wrenches", wrenches)
         )
+        for topic, frame, at, read in sensors("poses", poses):
+            pose = PoseStream(topic, frame, WORLD, at, read[:, :3], read[:, 3:])
+            imu_streams = (*imu_streams, pose.imu())
+            wrench_streams = tuple(
+                pose.on_robot(one, one.frame_id.partition(ON_LINK)[2])
+                if one.frame_id.partition(ON_LINK)[0] == WORLD
+                else one
+                for one in wrench_streams
+            )
         streams = Streams(name, joints, imu_streams, wrench_streams)
         return cls.from_streams(streams, TimeRange(start, stop), tuple(tallies))
 

@@ -150,7 +150,7 @@ class SensorErrors:
             for index, owner in enumerate(self._owners(kind)):
                 columns = slice(place.start + size * index, place.start + size * (index + 1))
                 if kind.startswith("plate"):
-                    carried = model.ancestors[:, model.frame(owner).link]
+                    carried = model.ancestors[:, model.loaded_link(owner)]
                     affects[first:, columns] = carried[:, None]
                 elif kind == "torque_gain":
                     affects[:, columns] = False

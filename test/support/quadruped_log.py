@@ -69,8 +69,12 @@ def quadruped_urdf() -> str:
     return f'<robot name="quadruped">{"".join(parts)}</robot>'
 
 
-def standing_log(model, seconds, seed, friction=0.1):
-    """Return what its sensors read by topic: stamps (N,), s, and named columns."""
+def standing_log(model, seconds, seed, friction=0.1, *, captured=False):
+    """Return what its sensors read by topic: stamps (N,), s, and named columns.
+
+    ``captured`` adds the base's pose and the wrench of each foot in world axes about the world's
+    origin, as motion capture and force plates give them.
+    """
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * RATE)) / RATE
     rotation = Rotation.from_rotvec(waves(rng, time, (3,), 0.3)[0]).as_matrix()
@@ -130,6 +134,18 @@ def standing_log(model, seconds, seed, friction=0.1):
         force = noise(wrenches[:, index, 3:], 0.3)
         moment = noise(wrenches[:, index, :3], 0.01)
         log[f"/{foot}/wrench"] = {"time": time, "wrench": np.hstack([force, moment])}
+    if captured:
+        quaternion = Rotation.from_matrix(rotation).as_quat()
+        pose = np.hstack([noise(place, 1e-4), noise(quaternion, 1e-4)])
+        log["/base/pose"] = {"time": time, "pose": pose}
+        poses = link_poses(model, position)
+        for index, foot in enumerate(FEET):
+            frame = model.frame(foot)
+            turn = rotation @ poses.rotation[:, frame.link] @ frame.rotation
+            force = np.einsum("nij,nj->ni", turn, wrenches[:, index, 3:])
+            at = _feet(model, position, rotation, place)[:, index]
+            world = np.hstack([noise(force, 0.3), noise(np.cross(at, force), 0.01)])
+            log[f"/{foot}/plate"] = {"time": time, "wrench": world}
     return log
 
 

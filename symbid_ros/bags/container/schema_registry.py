@@ -26,11 +26,11 @@ from symbid_ros.messages.limits import (
     check_limit,
 )
 from symbid_ros.messages.topics import ENCODED, OfferedQos, Topic
-from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, ODOMETRY, TRAJECTORY, WRENCH
+from symbid_ros.messages.types import ACCEL, IMU, JOINT_STATE, ODOMETRY, POSE, TRAJECTORY, WRENCH
 from symbid_ros.user_files import parse_yaml
 
 ROS2_TEXT = "ros2msg"
-DECODED_TYPES = frozenset({JOINT_STATE, IMU, WRENCH, TRAJECTORY, ODOMETRY, ACCEL})
+DECODED_TYPES = frozenset({JOINT_STATE, IMU, WRENCH, TRAJECTORY, ODOMETRY, POSE, ACCEL})
 
 R = TypeVar("R")
 
