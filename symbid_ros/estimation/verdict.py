@@ -117,9 +117,8 @@ class Verdict:
         if self.mass_scale == 0:
             return ""
         return (
-            f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable without a weighing: a gain "
-            "that all forces and efforts have in common leaves no residual; give total_mass, or "
-            "the gain's deviation as force_scale_std"
+            f"mass scale ± {100 * self.mass_scale:.2g} %, not checkable without a weighing: give "
+            "total_mass, or the deviation of the sensors' common gain as force_scale_std"
         )
 
 

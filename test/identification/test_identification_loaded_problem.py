@@ -101,3 +101,14 @@ def test_an_imu_mounted_several_degrees_off_is_estimated(log, tmp_path, degrees)
     assert np.all(np.abs(found - turn.as_rotvec()) < 4 * std)
     assert np.degrees(std.max()) < 0.3
     assert not any("roll" in alarm for alarm in verdict.alarms)
+
+
+def test_an_offset_of_one_joint_is_chosen_though_its_links_could_replace_it(log, tmp_path) -> None:
+    def spoil(messages: Messages) -> None:
+        messages.records["effort"][:, messages.joints.index("R_hfe")] += 1.0
+
+    estimate = load(edit_bag(log, tmp_path / "offset", {"/joint_states": spoil})).solve().estimate
+    assert [one for one, terms in estimate.joint_terms.items() if "offset" in terms] == ["R_hfe"]
+    place = estimate.names.index("R_hfe/offset")
+    # An effort that reads 1 Nm too much looks like a constant torque of the joint.
+    assert abs(abs(estimate.value[place]) - 1.0) < 4 * estimate.std[place]
