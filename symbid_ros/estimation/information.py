@@ -312,9 +312,14 @@ class Information:
 
     @cached_property
     def _is_filled(self) -> BoolArray:
-        """(w,) rows of the factor that are not zero; few samples fill few rows of a wide factor."""
+        """(w,) rows of the factor that are not zero; few samples fill few rows of a wide factor.
+
+        At least one row is kept, because BLAS refuses matrices without rows.
+        """
         size = np.abs(self.factor).max(axis=1, initial=0.0)
-        return np.asarray(size > 1e-15 * size.max(initial=0.0))
+        filled = size > 1e-15 * size.max(initial=0.0)
+        filled[:1] |= not filled.any()
+        return np.asarray(filled)
 
     @cached_property
     def _filled(self) -> FloatArray:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import eigh
 
 from symbid_ros.errors import DataError, EstimateError
+from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.observations import CHANCE, definite, whiteness
 
 
@@ -246,3 +247,11 @@ def test_few_rows_in_a_wide_factor_are_all_used():
     R = sparse.whitened(G)
     expected = sparse.whitened_moment(G.T @ G)
     np.testing.assert_allclose(R.T @ R, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_no_rows_have_no_moment(capfd):
+    """BLAS writes to stderr about matrices without rows."""
+    empty = Information.empty(gaussian_log(5, count=50).observations().rows.layout)
+    assert not empty.whitened_moment(np.eye(len(empty.layout.coordinates))).any()
+    assert not empty.whitened(np.eye(len(empty.layout.coordinates))).any()
+    assert capfd.readouterr().err == ""
