@@ -382,12 +382,16 @@ def joints_without_rows(observations: Observations, parameters: ParameterSet) ->
 def _inseparable(
     pairs: Sequence[tuple[int, int]], parameters: ParameterSet, free: BoolArray
 ) -> tuple[str, ...]:
-    """Return a sentence about each pair of which a term was chosen."""
-    names = [name.rpartition("/") for name in parameters.names]
+    """Return a sentence about each pair of terms of which one was chosen."""
+    joints: dict[tuple[str, str], list[str]] = {}
+    for one, two in pairs:
+        if free[one] or free[two]:
+            joint, _, first = parameters.names[one].rpartition("/")
+            second = parameters.names[two].rpartition("/")[2]
+            joints.setdefault((first, second), []).append(joint)
     return tuple(
-        f"{names[one][0]}: this log does not tell {names[one][2]} from {names[two][2]}"
-        for one, two in pairs
-        if free[one] or free[two]
+        f"{', '.join(names)}: this log does not tell {first} from {second}"
+        for (first, second), names in joints.items()
     )
 
 

@@ -34,7 +34,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
     terms = estimate.describe_terms()
     return (
         SummaryEntry("Rows", describe_window(verdict, estimate.samples), ""),
-        *([SummaryEntry("Joint terms", terms, " ".join(estimate.remarks))] if terms else []),
+        *([SummaryEntry("Joint terms", terms, "; ".join(estimate.remarks))] if terms else []),
         *_holdout_entries(estimate.holdout),
         SummaryEntry(
             "Effective parameters",
