@@ -6,14 +6,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
+from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
+from symbid_ros.estimation.prior import DEFAULT_PERCENT
 from symbid_ros.identification.dataset import Dataset, observe
+from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
 from symbid_ros.identification.problem import Problem
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.sensor_errors import CalibratingRows, LinearizationPoint, SensorErrors
+from symbid_ros.signals.sensor_errors import (
+    DRIVE_GAIN,
+    CalibratingRows,
+    LinearizationPoint,
+    SensorErrors,
+)
 from symbid_ros.signals.weak_form import ALL_WINDOWS, FORCES, MOTION, suitable_windows
 
 logger = logging.getLogger(__name__)
@@ -23,6 +31,12 @@ UNLOADED = 20.0  # N
 
 # The first pass is linearised about the prior; then Gauss-Newton.
 PASSES = 3
+# Relative deviation of the common scale of all masses of the model, on which the first guesses of
+# factors rest. Deviations of single parameters would either nearly fix the scale or, widened by the
+# evidence, let factors and masses vanish together.
+MODEL_SCALE = DEFAULT_PERCENT / 100 / 3**0.5
+# Deviation of a fixed gain, as a share of its prior deviation.
+FIXED = 1e-6
 # The linearisation point need not be exact.
 POINT_CONVERGED = 1e-2
 
@@ -108,11 +122,14 @@ class SensorErrorRequest:
         By frame of the wrench sensor.
     mountings : mapping of str to Mounting
         By frame of the IMU.
+    factors : InitialFactors or None
+        First guesses of the drives' factors, if they are unknown.
     """
 
     kinds: tuple[str, ...]
     tares: Mapping[str, Tare]
     mountings: Mapping[str, Mounting] = field(default_factory=dict)
+    factors: InitialFactors | None = None
 
 
 def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -> Problem:
@@ -129,9 +146,17 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     parameters = problem.parameters
     segment = next(iter(dataset.segments))
     errors = SensorErrors.of(
-        request.kinds, parameters.model, segment.wrench_frames, segment.imu_frames
+        request.kinds,
+        parameters.model,
+        segment.wrench_frames,
+        segment.imu_frames,
+        () if request.factors is None else request.factors.joints,
     )
     mean, std = np.zeros(len(errors)), errors.std.copy()
+    if request.factors is not None:
+        place = errors.places[DRIVE_GAIN]
+        mean[place] = request.factors.values[errors.gained_joints]
+        std[place] = SPREAD * np.abs(mean[place])
     if "plate_offset" in errors.kinds:
         place = errors.places["plate_offset"]
         for index, frame in enumerate(errors.wrench_frames):
@@ -151,6 +176,11 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     p = len(parameters)
     point = LinearizationPoint(problem.prior.mean, mean)
     pseudo_measurements = _padded(problem.pseudo_measurements, len(errors))
+    if request.factors is not None:
+        row = np.zeros(p + len(errors))
+        place = errors.places[DRIVE_GAIN]
+        row[p + place.start : p + place.stop] = 1 / mean[place] / len(errors.gained) / MODEL_SCALE
+        pseudo_measurements = _with_row(pseudo_measurements, row, 1 / MODEL_SCALE)
     # Only long windows separate sensor errors from slow motion.
     suited = suitable_windows(ALL_WINDOWS, segment.rate)
     shortest, longest = suited[0], suited[-1]
@@ -166,23 +196,78 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         )
         point = LinearizationPoint(found.mean[:p], found.mean[p:])
     build = CalibratingRows(parameters, errors, point)
-    final = observe(
-        dataset.segments,
-        build,
-        layout,
-        (shortest, longest),
-        MOTION + FORCES,
-        candidates=parameters.candidates,
-    )
     return replace(
         problem,
-        observations=final,
+        observations=_final_rows(build, dataset, layout, (shortest, longest)),
         prior=prior,
         sensor_units=errors.units,
         pseudo_measurements=pseudo_measurements,
         needs_longest_window=True,
         calibrated_rows=build,
     )
+
+
+def with_fixed_gains(problem: Problem) -> Problem:
+    """Return the problem with drive gains fixed at the linearisation point, to choose terms.
+
+    A gain of zero explains any torque without any term, so the evidence for terms is meaningful at
+    given gains only.
+    """
+    build, prior = problem.calibrated_rows, problem.prior
+    assert build is not None
+    p = len(problem.parameters)
+    place = build.errors.places[DRIVE_GAIN]
+    gains = slice(p + place.start, p + place.stop)
+    scale, mean = np.ones(len(prior.mean)), prior.mean.copy()
+    scale[gains], mean[gains] = FIXED, build.linearization.theta[place]
+    # Gains are independent of all others, so columns of the factor are theirs alone.
+    return replace(problem, prior=replace(prior.widened(scale), mean=mean))
+
+
+def without_terms(problem: Problem, dataset: Dataset, free: BoolArray) -> Problem:
+    """Return the problem linearised about a point without the terms that were not chosen.
+
+    The columns of drive gains contain the predicted torque. With the torque of terms that are no
+    unknowns they would seem to know the scale of the efforts.
+
+    Parameters
+    ----------
+    problem : Problem
+        With sensor errors.
+    dataset : Dataset
+        The log.
+    free : (p,) bool
+        Parameters that are identified.
+    """
+    build = problem.calibrated_rows
+    assert build is not None
+    phi = np.where(free, build.linearization.phi, problem.prior.mean[: len(free)])
+    build = replace(build, linearization=replace(build.linearization, phi=phi))
+    windows = tuple(one.window for one in problem.observations)
+    rows = _final_rows(build, dataset, problem.observations[0].layout, windows)
+    return replace(problem, observations=rows, calibrated_rows=build)
+
+
+def _final_rows(
+    build: CalibratingRows, dataset: Dataset, layout: RowLayout, windows: tuple[float, ...]
+) -> tuple[Observations, ...]:
+    return observe(
+        dataset.segments,
+        build,
+        layout,
+        windows,
+        MOTION + FORCES,
+        candidates=build.parameters.candidates,
+    )
+
+
+def _with_row(
+    rows: PseudoMeasurements | None, row: FloatArray, target: float
+) -> PseudoMeasurements:
+    """Return pseudo-measurements with one more row."""
+    if rows is None:
+        return PseudoMeasurements(row[None], np.array([target]))
+    return PseudoMeasurements(np.vstack([rows.rows, row]), np.append(rows.targets, target))
 
 
 def _padded(rows: PseudoMeasurements | None, count: int) -> PseudoMeasurements | None:

@@ -156,18 +156,26 @@ def fixed_prior(prior: Prior, free: BoolArray) -> Prior:
     return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor)
 
 
-def candidate_prior(prior: Prior, parameters: ParameterSet, observations: Observations) -> Prior:
+def candidate_prior(
+    prior: Prior,
+    parameters: ParameterSet,
+    observations: Observations,
+    factors: FloatArray | None = None,
+) -> Prior:
     """Return the prior in which each term's deviation suits the efforts that the joint needs.
 
     With that deviation alone a term may explain the joint's whole root mean square effort. An
     armature is rather of the size of the inertia that the joint moves. These replace default
     deviations, which do not know the robot's size; those of the user remain. A value of the model
-    file is the mean, and may be wrong by itself.
+    file is the mean, and may be wrong by itself. ``factors`` (J,) convert efforts of unknown units.
     """
     std = prior.std.copy()
     inertia = _joint_inertia(parameters, prior.mean)
     rows = observations.rows
     first = 6 * parameters.model.floating
+    efforts = rows.target_squares.copy()
+    if factors is not None:
+        efforts[first:] *= factors**2
     assumed = set(prior.assumed)
     joints = parameters.joints.tolist()
     for term, columns in parameters.term_columns.items():
@@ -175,7 +183,7 @@ def candidate_prior(prior: Prior, parameters: ParameterSet, observations: Observ
             if parameters.names[column] not in assumed:
                 continue
             square = rows.column_squares(first + joint, column)
-            effort = rows.target_squares[first + joint]
+            effort = efforts[first + joint]
             if square > 0 and effort > 0:
                 std[column] = np.sqrt(effort / square)
                 if term == "armature":
@@ -186,7 +194,7 @@ def candidate_prior(prior: Prior, parameters: ParameterSet, observations: Observ
         for column in coupled.values():
             squares = np.array([rows.column_squares(one, column) for one in coordinates])
             if parameters.names[column] in assumed and np.all(squares > 0):
-                std[column] = np.sqrt(np.max(rows.target_squares[coordinates] / squares))
+                std[column] = np.sqrt(np.max(efforts[coordinates] / squares))
     return prior.widened(std / prior.std)
 
 

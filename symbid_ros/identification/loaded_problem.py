@@ -18,9 +18,21 @@ from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.information import INCOMPATIBLE
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements
-from symbid_ros.estimation.prior import Prior, absolute_model_prior, load_prior, model_prior
+from symbid_ros.estimation.prior import (
+    Prior,
+    absolute_model_prior,
+    load_prior,
+    model_prior,
+)
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
-from symbid_ros.identification.calibration import SensorErrorRequest, Tare, calibrate, read_tare
+from symbid_ros.identification.calibration import (
+    SensorErrorRequest,
+    Tare,
+    calibrate,
+    read_tare,
+    with_fixed_gains,
+    without_terms,
+)
 from symbid_ros.identification.couplings import find_couplings
 from symbid_ros.identification.dataset import (
     AlignedLog,
@@ -29,6 +41,12 @@ from symbid_ros.identification.dataset import (
     Processing,
     fold_dataset,
     read_dataset,
+)
+from symbid_ros.identification.drive_gains import (
+    ConvertedSegments,
+    InitialFactors,
+    initial_factors,
+    named_joints,
 )
 from symbid_ros.identification.joint_terms import candidate_prior, choose_terms, rows_of
 from symbid_ros.identification.log_checks import NO_CHECKS, LogChecks, check_dataset
@@ -43,6 +61,7 @@ from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import reversed_sensor, with_wrist_sensors
 from symbid_ros.signals.log import Log
+from symbid_ros.signals.sensor_errors import DRIVE_GAIN
 
 logger = logging.getLogger(__name__)
 
@@ -303,7 +322,14 @@ def load_information(
             "without `sensor_errors` and `tare`",
             "E505",
         )
-    for name in ("tare", "payload", "choose_truncation", "sensor_std", "sensor_errors"):
+    for name in (
+        "tare",
+        "payload",
+        "drive_gain",
+        "choose_truncation",
+        "sensor_std",
+        "sensor_errors",
+    ):
         if getattr(options, name):
             raise OptionError(f"`{name}` needs a log, not information; leave it out", "E503")
     prior = choose_prior(options, parameters)
@@ -514,6 +540,7 @@ def _build_solver(
     checks: LogChecks = NO_CHECKS,
 ) -> Solver:
     prior = prior.for_columns(parameters)
+    factors = _initial_factors(options, dataset, parameters, prior)
     problem = Problem(
         dataset.observations,
         parameters,
@@ -524,17 +551,21 @@ def _build_solver(
         force_scale_std=options.force_scale,
     )
     if parameters.candidates:
-        prior = candidate_prior(prior, parameters, dataset.observations[0])
+        scale = None if factors is None else factors.values
+        prior = candidate_prior(prior, parameters, dataset.observations[0], scale)
         problem = replace(problem, prior=prior)
-    if options.sensor_error_kinds:
-        request = SensorErrorRequest(options.sensor_error_kinds, tares, checks.mountings)
+    if options.sensor_error_kinds or factors is not None:
+        kinds = options.sensor_error_kinds + ((DRIVE_GAIN,) if factors is not None else ())
+        request = SensorErrorRequest(kinds, tares, checks.mountings, factors)
         problem = calibrate(problem, dataset, request)
     if options.information is not None:
         earlier = _with_columns(load_archive(options.information), parameters)
         both = merged_observations(problem.observations, earlier, str(options.information))
         problem = replace(problem, observations=both)
     if parameters.candidates:
-        choice = choose_terms(problem)
+        choice = choose_terms(problem if factors is None else with_fixed_gains(problem))
+        if factors is not None:
+            problem = without_terms(problem, dataset, choice.free)
         problem = replace(choice.applied(problem), choice=choice)
     return Solver.of(problem)
 
@@ -547,6 +578,16 @@ def _read(
     return read_dataset(log, parameters, Processing.of(options), checks), checks
 
 
+def _initial_factors(
+    options: IdentifyOptions, dataset: Dataset, parameters: ParameterSet, prior: Prior
+) -> InitialFactors | None:
+    """Return first guesses of the factors of efforts, if any is unknown."""
+    joints = named_joints(options.drive_gains, parameters.model)
+    if not joints:
+        return None
+    return initial_factors(dataset.segments, parameters, prior.mean, joints)
+
+
 def _check(
     dataset: Dataset,
     streams: StreamChecks | None,
@@ -557,6 +598,9 @@ def _check(
     """Check a log as `symbid bag doctor` does; nothing happens without checks of its streams."""
     if streams is None:
         return NO_CHECKS
+    factors = _initial_factors(options, dataset, parameters, prior)
+    if factors is not None:
+        dataset = replace(dataset, segments=ConvertedSegments(dataset.segments, factors.values))
     robot = with_payloads(parameters.apply(prior.mean), parameters.payloads)
     turns = "imu_mounting" in options.sensor_error_kinds
     return check_dataset(dataset, streams, robot, estimates_mounting=turns)

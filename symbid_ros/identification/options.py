@@ -150,6 +150,12 @@ class IdentifyOptions:
     offset: bool = option(
         False, "The same as `joint_terms` offset: a constant torque of every joint.", group=JOINTS
     )
+    drive_gain: tuple[str, ...] = option(
+        (),
+        "Joints whose efforts have an unknown unit or sign, such as motor currents: all, or a "
+        "comma-separated list. One factor for each is identified.",
+        group=JOINTS,
+    )
     effort_side: tuple[str, ...] = option(
         (),
         "Where efforts are measured: motor (before the gear, or from currents), link (behind the "
@@ -274,13 +280,18 @@ class IdentifyOptions:
                     "`method` wls_rc",
                     "E503",
                 )
-        elif self.sensor_error_kinds or self.total_mass is not None or self.mirror is not None:
+        elif (
+            self.sensor_error_kinds
+            or self.drive_gain
+            or self.total_mass is not None
+            or self.mirror is not None
+        ):
             raise OptionError(
-                f"{self.method} supports neither `sensor_errors`, `tare`, `total_mass` nor "
-                "`mirror`; use `method` map or map_lmi",
+                f"{self.method} supports neither `sensor_errors`, `tare`, `drive_gain`, "
+                "`total_mass` nor `mirror`; use `method` map or map_lmi",
                 "E503",
             )
-        if self.sensor_error_kinds and self.row_filter != "weak":
+        if (self.sensor_error_kinds or self.drive_gain) and self.row_filter != "weak":
             raise OptionError(
                 "sensor errors need rows averaged over windows; leave `filter` out", "E503"
             )
@@ -352,6 +363,11 @@ class IdentifyOptions:
         )
 
     @property
+    def drive_gains(self) -> list[str]:
+        """Joints whose efforts have an unknown unit; ``all`` for all of them."""
+        return _names(self.drive_gain)
+
+    @property
     def couplings(self) -> list[str]:
         """The named couplings, one sum of joints each."""
         return _names(self.coupling)
@@ -399,7 +415,7 @@ class IdentifyOptions:
     @property
     def finds_couplings(self) -> bool:
         """Whether couplings of joints are searched for in the log."""
-        added = self.couplings, self.sensor_error_kinds, self.information
+        added = self.couplings, self.sensor_error_kinds, self.information, self.drive_gain
         return self.chooses_terms and not any(added)
 
     @cached_property

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.choices import SENSOR_ERROR_KINDS, Base
+from symbid_ros.choices import Base
 from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts, without_contacts
 from symbid_ros.errors import EstimateError, SymbidError
@@ -22,7 +22,13 @@ from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.sensor_errors import CalibratingRows, LinearizationPoint, SensorErrors
+from symbid_ros.signals.sensor_errors import (
+    DRIVE_GAIN,
+    KINDS,
+    CalibratingRows,
+    LinearizationPoint,
+    SensorErrors,
+)
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base, build_samples
 from symbid_ros.signals.weak_form import (
     RowBuilder,
@@ -258,9 +264,14 @@ class ForcePredictor:
         if not self.sensor_names:
             return None, np.zeros(0, dtype=np.int64)
         parts = [name.rpartition("/")[2] for name in self.sensor_names]
-        kinds = [kind for kind in SENSOR_ERROR_KINDS if any(one.startswith(kind) for one in parts)]
+        kinds = [kind for kind in KINDS if any(one.startswith(kind) for one in parts)]
+        gained = [name.rpartition("/") for name in self.sensor_names]
         errors = SensorErrors.of(
-            kinds, self.parameters.model, segment.wrench_frames, segment.imu_frames
+            kinds,
+            self.parameters.model,
+            segment.wrench_frames,
+            segment.imu_frames,
+            tuple(joint for joint, _, kind in gained if kind == DRIVE_GAIN),
         )
         if set(errors.names) != set(self.sensor_names):
             other = sorted(set(errors.names) ^ set(self.sensor_names))[0].rpartition("/")[0]

@@ -92,10 +92,10 @@ def _check_online(options: IdentifyOptions) -> None:
             "`filter` is not supported online, where rows are averaged over windows; remove it",
             "E503",
         )
-    if options.sensor_error_kinds:
+    if options.sensor_error_kinds or options.drive_gain:
         raise OptionError(
-            "`tare` and `sensor_errors` need several passes over a log; remove them, or record a "
-            "bag and run `symbid identify`",
+            "`tare`, `sensor_errors` and `drive_gain` need several passes over a log; remove them, "
+            "or record a bag and run `symbid identify`",
             "E503",
         )
     if options.loaded_logs:

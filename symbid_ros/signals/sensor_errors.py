@@ -31,6 +31,7 @@ DEVIATIONS = {
     "imu_mounting": (np.radians(0.15),) * 3,
     "imu_bias": (0.002,) * 3 + (0.02,) * 3,  # rad/s, m/s²
     "encoder_offset": (np.radians(0.11),),
+    "drive_gain": (1.0,),  # relative to the first guess
 }
 UNITS = {
     "plate_offset": ("Nm",) * 3 + ("N",) * 3,
@@ -40,8 +41,10 @@ UNITS = {
     "imu_mounting": ("rad",) * 3,
     "imu_bias": ("rad/s",) * 3 + ("m/s^2",) * 3,
     "encoder_offset": ("rad",),
+    "drive_gain": ("1",),
 }
-KINDS = SENSOR_ERROR_KINDS
+DRIVE_GAIN = "drive_gain"
+KINDS = (*SENSOR_ERROR_KINDS, DRIVE_GAIN)
 
 _AXES = {1: ("",), 3: ("_x", "_y", "_z")}
 _PAIRS = {
@@ -65,6 +68,8 @@ class SensorErrors:
         All joints, in the model's order.
     driven : (J,) bool
         Joints whose torque is measured.
+    gained : tuple of str
+        Joints whose efforts have an unknown unit: torque = factor × effort.
     """
 
     kinds: tuple[str, ...]
@@ -72,6 +77,7 @@ class SensorErrors:
     imu_frames: tuple[str, ...]
     joints: tuple[str, ...]
     driven: BoolArray
+    gained: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -80,6 +86,7 @@ class SensorErrors:
         model: RobotModel,
         wrench_frames: tuple[str, ...],
         imu_frames: tuple[str, ...],
+        gained: tuple[str, ...] = (),
     ) -> "SensorErrors":
         """Return the unknowns of the sensors that a log has."""
         return cls(
@@ -88,6 +95,7 @@ class SensorErrors:
             imu_frames if model.floating else (),
             model.joint_names,
             np.array([joint.effort > 0 for joint in model.joints], dtype=bool),
+            gained,
         )
 
     def _owners(self, kind: str) -> tuple[str, ...]:
@@ -97,7 +105,7 @@ class SensorErrors:
             return self.imu_frames
         if kind == "torque_gain":
             return tuple(name for name, used in zip(self.joints, self.driven, strict=True) if used)
-        return self.joints
+        return self.gained if kind == DRIVE_GAIN else self.joints
 
     @cached_property
     def places(self) -> dict[str, slice]:
@@ -135,6 +143,11 @@ class SensorErrors:
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def gained_joints(self) -> list[int]:
+        """Indices of the joints whose efforts have an unknown unit."""
+        return [self.joints.index(name) for name in self.gained]
+
     def of_kind(self, kind: str, theta: FloatArray) -> FloatArray:
         """Return one kind's errors (owners, components) from θ (r,); zero if not estimated."""
         shape = (len(self._owners(kind)), len(DEVIATIONS[kind]))
@@ -152,7 +165,7 @@ class SensorErrors:
                 if kind.startswith("plate"):
                     carried = model.ancestors[:, model.loaded_link(owner)]
                     affects[first:, columns] = carried[:, None]
-                elif kind == "torque_gain":
+                elif kind in ("torque_gain", DRIVE_GAIN):
                     affects[:, columns] = False
                     affects[first + self.joints.index(owner), columns] = True
         return affects
@@ -161,6 +174,9 @@ class SensorErrors:
         """Return the samples corrected for the errors θ (r,)."""
         gain = np.zeros(len(self.joints))
         gain[self.driven] = self.of_kind("torque_gain", theta)[:, 0]
+        factor = np.ones(len(self.joints))
+        if DRIVE_GAIN in self.kinds:
+            factor[self.gained_joints] = theta[self.places[DRIVE_GAIN]]
         wrenches = (readings.wrenches - self.of_kind("plate_offset", theta)) / (
             1 + self.of_kind("plate_gain", theta)
         )
@@ -169,7 +185,7 @@ class SensorErrors:
         corrected = replace(
             readings,
             position=readings.position - self.of_kind("encoder_offset", theta)[:, 0],
-            effort=readings.effort / (1 + gain),
+            effort=factor * readings.effort / (1 + gain),
             wrenches=wrenches,
         )
         if not self.imu_frames:
@@ -303,6 +319,18 @@ class CalibratingRows:
             samples = at_base(errors.corrected(part, point.theta), parameters.model)
             rows = equation_of_motion(parameters, samples)
             C = _interpolated_columns(parameters, errors, point, part)
+            if errors.gained:
+                C = C.copy()
+                place = errors.places[DRIVE_GAIN]
+                rows_of = 6 * parameters.model.floating + np.array(errors.gained_joints)
+                # The effort as the model predicts it: that which was measured contains noise, with
+                # which small factors and small masses would look more probable. Not interpolated,
+                # because a common scale of factors and masses must leave no residual at all.
+                unexplained = (rows.y - rows.K @ point.phi)[:, rows_of]
+                predicted = samples.effort[:, errors.gained_joints] - unexplained
+                C[:, rows_of, range(place.start, place.stop)] = (
+                    np.nan_to_num(predicted) / point.theta[place]
+                )
             yield valid_rows(
                 part.stamp,
                 Rows(np.concatenate([rows.K, -C], axis=2), rows.y - C @ point.theta),

@@ -1,0 +1,220 @@
+"""Efforts in unknown units, such as motor currents: one signed factor for each joint.
+
+First the sign and the size of each factor are found joint by joint: the measured values are
+explained by the torque that the prior needs, viscous and Coulomb friction and an offset, once for
+either sign. Torque and friction must then have the same sign, because friction dissipates power.
+:mod:`symbid_ros.identification.calibration` identifies the factors together with all parameters.
+"""
+
+import logging
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import nnls
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.dynamics.regressor import Rows, coulomb_column, equation_of_motion
+from symbid_ros.errors import OptionError
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_samples import SensorSamples, at_base
+from symbid_ros.signals.weak_form import (
+    ALL_WINDOWS,
+    CHUNK,
+    RowBuilder,
+    SampledRows,
+    suitable_windows,
+    windowed_rows,
+)
+
+logger = logging.getLogger(__name__)
+
+# Share by which the better sign must reduce the square error.
+DECIDED = 0.1
+# Standard deviation of a factor, relative to its first guess.
+SPREAD = 1.0
+# Relative standard deviation of the common scale of all factors from which it is named.
+UNCERTAIN = 0.03
+
+
+@dataclass(frozen=True)
+class InitialFactors:
+    """First guesses of the factors.
+
+    Attributes
+    ----------
+    joints : tuple of str
+        Joints with unknown factors.
+    values : (J,) float64
+        Nm or N per unit of the measured effort, of all joints; 1 where it is known.
+    """
+
+    joints: tuple[str, ...]
+    values: FloatArray
+
+
+@dataclass(frozen=True)
+class ConvertedSegments:
+    """Segments with efforts in Nm and N.
+
+    Attributes
+    ----------
+    segments : iterable of Segment
+    factors : (J,) float64
+        Torque or force per unit of the measured effort.
+    """
+
+    segments: Iterable[Segment]
+    factors: FloatArray
+
+    def __iter__(self) -> Iterator[Segment]:
+        for one in self.segments:
+            yield replace(one, effort=self.factors * one.effort)
+
+
+def named_joints(names: Sequence[str], model: RobotModel) -> tuple[str, ...]:
+    """Return the joints that ``names`` mean, which may be ``all``.
+
+    Raises
+    ------
+    OptionError
+        When the model has no such joint, or it is passive.
+    """
+    driven = [joint.name for joint in model.joints if joint.effort > 0 and joint.mimic is None]
+    if list(names) == ["all"]:
+        return tuple(driven)
+    for name in names:
+        if name not in driven:
+            raise OptionError(
+                f"`drive_gain`: {model.source} has no driven joint {name!r}; give all, or some of "
+                f"{', '.join(driven)}",
+                "E501",
+            )
+    return tuple(name for name in driven if name in names)
+
+
+def initial_factors(
+    segments: Iterable[Segment], parameters: ParameterSet, phi: FloatArray, joints: tuple[str, ...]
+) -> InitialFactors:
+    """Return sign and size of the factors of some joints from a log.
+
+    Parameters
+    ----------
+    segments : iterable of Segment
+        The log.
+    parameters : ParameterSet
+    phi : (p,) float64
+        The prior's mean.
+    joints : tuple of str
+        Joints whose factor is unknown.
+    """
+    model = parameters.model
+    moments = np.zeros((len(model.joints), 5, 5))
+    for segment in segments:
+        window = suitable_windows(ALL_WINDOWS, segment.rate)[-1:]
+        for (rows,) in windowed_rows(segment, _explaining(parameters, phi), window, ()):
+            used = rows.valid[:, -len(model.joints) :]
+            table = np.concatenate([rows.mean.K, rows.mean.y[:, :, None]], axis=2) * used[..., None]
+            moments += np.einsum("tja,tjb->jab", table, table)
+    found = {joint: _factor(moments[model.joint_names.index(joint)]) for joint in joints}
+    sizes = [one.size for one in found.values() if one.size > 0]
+    common = float(np.exp(np.mean(np.log(sizes)))) if sizes else 1.0
+    values = np.ones(len(model.joints))
+    for joint, one in found.items():
+        values[model.joint_names.index(joint)] = one.sign * (one.size or common)
+        if not one.is_certain:
+            logger.warning(
+                "%s: the log does not show the sign of its effort; it is taken as positive. Move "
+                "the joint more, or leave it out of `drive_gain`",
+                joint,
+            )
+    return InitialFactors(joints, values)
+
+
+def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:
+    """Return a builder of rows [needed torque, q̇, sign q̇, 1] and the measured effort."""
+    bare = replace(parameters, terms=(), candidates=False, couplings=(), reference=None)
+    first = 6 * parameters.model.floating
+
+    def build(readings: SensorSamples) -> Iterator[SampledRows]:
+        for start in range(0, len(readings), CHUNK):
+            samples = at_base(readings[start : start + CHUNK], bare.model)
+            measured = samples.effort
+            still = replace(samples, effort=np.zeros_like(measured))
+            rows = equation_of_motion(bare, still)
+            links = np.zeros(len(bare))
+            links[: bare.inertial] = phi[: bare.inertial]
+            needed = (rows.K @ links - rows.y)[:, first:]
+            velocity = samples.velocity
+            columns = [needed, velocity, coulomb_column(velocity), np.ones_like(needed)]
+            valid: BoolArray = np.isfinite(measured)
+            yield SampledRows(
+                samples.stamp, Rows(np.stack(columns, axis=2), np.nan_to_num(measured)), valid
+            )
+
+    return build
+
+
+@dataclass(frozen=True)
+class _Factor:
+    """Sign and size of a factor; the size is 0 if the joint's torque is friction alone."""
+
+    sign: float
+    size: float
+    is_certain: bool
+
+
+def _factor(moment: FloatArray) -> _Factor:
+    """Return a joint's factor.
+
+    Parameters
+    ----------
+    moment : (5, 5) float64
+        Of needed torque, speed, sign of the speed, one, and measured effort.
+    """
+    size = np.sqrt(np.maximum(moment.diagonal(), 1e-300))
+    values, V = np.linalg.eigh(moment / np.outer(size, size))
+    root = np.sqrt(np.maximum(values, 0.0))[:, None] * V.T
+    columns = np.column_stack([root[:, :4], -root[:, 3]])
+    fits = {sign: nnls(columns, sign * root[:, 4]) for sign in (1.0, -1.0)}
+    sign = min(fits, key=lambda one: fits[one][1])
+    (solution, left), (_, other) = fits[sign], fits[-sign]
+    is_certain = left**2 < (1 - DECIDED) * other**2
+    if not is_certain:
+        sign, solution = 1.0, fits[1.0][0]
+    slope = solution[0] * size[4] / size[0]
+    return _Factor(sign, 1 / slope if slope > 0 else 0.0, bool(is_certain))
+
+
+def describe_scale(
+    names: Sequence[str], value: FloatArray, factor: FloatArray, driven: int
+) -> tuple[str, ...]:
+    """Return a sentence if the common scale of all factors is uncertain.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the s sensor errors.
+    value : (s,) float64
+        Their estimates.
+    factor : (s, r) float64
+        L of their covariance L Lᵀ.
+    driven : int
+        Number of driven joints of the robot.
+    """
+    gains = [index for index, name in enumerate(names) if name.endswith("/drive_gain")]
+    if not gains:
+        return ()
+    relative = factor[gains] / value[gains, None]
+    # The common scale is what remains of the factors' logarithms when all change together.
+    spread = float(np.linalg.norm(relative.mean(axis=0)))
+    if spread < UNCERTAIN:
+        return ()
+    source = "masses of the model file alone" if len(gains) == driven else "calibrated joints"
+    return (
+        f"the scale of efforts, masses and friction rests on the {source} (± {100 * spread:.0f} % "
+        "if their errors are independent): give a log with a known `payload`, leave a calibrated "
+        "joint out of `drive_gain`, or give the `total_mass` of a floating robot",
+    )

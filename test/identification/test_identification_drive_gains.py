@@ -1,0 +1,87 @@
+"""Efforts in unknown units: signs, factors, and what fixes their scale."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drive_logs import arm, drives, log_of
+
+import symbid_ros as sy
+from symbid_ros.errors import OptionError
+from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.inertia import phi_from_com
+from symbid_ros.online.initial_state import InitialState
+
+FACTORS = np.array([3.0, -0.2, 15.0])
+FRICTION = {"viscous": 0.4, "coulomb": 0.8}
+
+
+@pytest.fixture(scope="module")
+def robot():
+    robot = arm(seed=2)
+    return replace(robot, joints=tuple(replace(one, effort=np.inf) for one in robot.joints))
+
+
+@pytest.fixture(scope="module")
+def model(robot, tmp_path_factory):
+    """What is known of the robot: wrong masses."""
+    wrong = robot.with_phi(robot.phi * np.array([0.75, 0.9, 1.2, 0.8])[:, None])
+    path = tmp_path_factory.mktemp("arm") / "robot.urdf"
+    path.write_text(urdf_text(wrong))
+    return sy.load_model(path, base="fixed")
+
+
+@pytest.fixture(scope="module")
+def currents(robot):
+    return log_of(robot, drives(robot, **FRICTION), gain=FACTORS)
+
+
+def factors(result):
+    return np.array([one.value for one in result.estimate.verdict.sensors])
+
+
+def test_signs_and_ratios_of_factors_need_no_calibrated_joint(model, currents):
+    result = sy.identify(model, currents, drive_gain="all")
+    relative = factors(result) / FACTORS
+    np.testing.assert_allclose(relative / relative[0], 1.0, rtol=2e-3)
+    assert 0.75 < relative[0] < 1.25
+    assert any("rests on the masses of the model file" in one for one in result.estimate.remarks)
+    assert result.estimate.holdout.percent_after < 0.5
+
+
+def test_a_calibrated_joint_fixes_the_scale(tmp_path, robot, model):
+    log = log_of(robot, drives(robot, **FRICTION), gain=np.append(FACTORS[:2], 1.0))
+    named = ",".join(robot.joint_names[:2])
+    result = sy.identify(model, log, drive_gain=named, no_holdout=True)
+    np.testing.assert_allclose(factors(result), FACTORS[:2], rtol=3e-3)
+    assert not any("scale" in one for one in result.estimate.remarks)
+    result.save(tmp_path)
+    predicted = ForcePredictor.load(tmp_path)
+    assert predicted.sensor_names == tuple(f"{one}/drive_gain" for one in robot.joint_names[:2])
+    assert sy.validate(tmp_path, log).percent_after < 0.5
+
+
+def test_a_known_payload_fixes_the_scale(robot, model, currents):
+    mass, place = 1.5, (0.02, -0.1, 0.2)
+    phi = robot.phi.copy()
+    phi[-1] += phi_from_com(mass, np.array(place), np.zeros((3, 3)))
+    truth = drives(robot.with_phi(phi), **FRICTION)
+    loaded = log_of(robot.with_phi(phi), truth, gain=FACTORS, seed=1, start=100.0)
+    payload = ",".join([robot.link_names[-1], str(mass), *map(str, place)])
+    fields = {"drive_gain": "all", "no_holdout": True, "unchecked": True}
+    result = sy.identify(model, currents, payload=[(loaded, payload)], **fields)
+    np.testing.assert_allclose(factors(result), FACTORS, rtol=3e-3)
+    assert not any("scale" in one for one in result.estimate.remarks)
+
+
+def test_unknown_joints_are_refused(model, currents):
+    with pytest.raises(OptionError, match="drive_gain"):
+        sy.identify(model, currents, drive_gain="elbow")
+
+
+def test_gains_need_a_complete_log(model):
+    with pytest.raises(OptionError, match="drive_gain"):
+        InitialState.of(model, sy.IdentifyOptions(drive_gain="all"))
+    with pytest.raises(OptionError, match="drive_gain"):
+        sy.IdentifyOptions(drive_gain="all", method="ols")
