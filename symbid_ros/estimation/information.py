@@ -344,7 +344,9 @@ class Information:
     @cached_property
     def _products(self) -> csr_array:
         """((p+1)(p+1), n n) half the moments of [K y], by pairs of coordinates."""
-        gram = blas.dsyrk(1.0, self._filled, trans=True)
+        # BLAS refuses a matrix without rows.
+        filled = self._filled if len(self._filled) else np.zeros((1, self.layout.width))
+        gram = blas.dsyrk(1.0, filled, trans=True)
         gram[np.diag_indices(len(gram))] /= 2
         return self.layout.moments_by_pair(gram)
 

@@ -23,8 +23,8 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_errors import (
+    ALL_KINDS,
     DRIVE_GAIN,
-    KINDS,
     CalibratingRows,
     LinearizationPoint,
     SensorErrors,
@@ -264,7 +264,7 @@ class ForcePredictor:
         if not self.sensor_names:
             return None, np.zeros(0, dtype=np.int64)
         parts = [name.rpartition("/")[2] for name in self.sensor_names]
-        kinds = [kind for kind in KINDS if any(one.startswith(kind) for one in parts)]
+        kinds = [kind for kind in ALL_KINDS if any(one.startswith(kind) for one in parts)]
         gained = [name.rpartition("/") for name in self.sensor_names]
         errors = SensorErrors.of(
             kinds,

@@ -44,7 +44,8 @@ UNITS = {
     "drive_gain": ("1",),
 }
 DRIVE_GAIN = "drive_gain"
-KINDS = (*SENSOR_ERROR_KINDS, DRIVE_GAIN)
+KINDS = SENSOR_ERROR_KINDS
+ALL_KINDS = (*KINDS, DRIVE_GAIN)
 
 _AXES = {1: ("",), 3: ("_x", "_y", "_z")}
 _PAIRS = {
@@ -90,7 +91,7 @@ class SensorErrors:
     ) -> "SensorErrors":
         """Return the unknowns of the sensors that a log has."""
         return cls(
-            tuple(kind for kind in KINDS if kind in kinds),
+            tuple(kind for kind in ALL_KINDS if kind in kinds),
             wrench_frames,
             imu_frames if model.floating else (),
             model.joint_names,
