@@ -30,6 +30,7 @@ from symbid_ros.signals.streams import JointStream, Streams
 SPAN = 4 * 10**9  # ns of a log that show its names
 # A gain is corrected if it is known to this share.
 KNOWN = 0.25
+ANGLES = "roll", "pitch", "yaw"
 ROUNDS = 3  # of corrections, since one wrong sign can hide another
 
 
@@ -110,6 +111,12 @@ DESCRIPTIONS = {
     "effort_scale": "JOINT:=NM_PER_UNIT of efforts that are not in Nm (N), such as currents.",
     "flip_wrench": "Frames whose sensor measures the wrench of the robot on its environment.",
     "rotate_imu": "FRAME:=ROLL,PITCH,YAW in degrees of an IMU's axes in its frame of the model.",
+    "contact": "Frames at which something touches the robot without a wrench sensor.",
+    "wrist_sensor": "Frames of force/torque sensors between two links, with a payload beyond them.",
+    "effort_side": "Where efforts are measured: motor or link (behind the gear).",
+    "coupling": "Sums of joints with which one motor turns.",
+    "sensor_errors": "Sensor errors to identify.",
+    "prior_percent": "Standard deviation of the model's values in percent of each value.",
     "total_mass": "Weighed mass of the robot in kg. It sets the scale of all masses.",
     "joint_terms": "Friction, armature and offsets: auto, none, or names of terms.",
 }
@@ -123,6 +130,12 @@ EXAMPLES = {
     "effort_scale": "[elbow_joint:=0.11]",
     "flip_wrench": "[left_sole]",
     "rotate_imu": "['imu_link:=180,0,90']",
+    "contact": "[left_sole]",
+    "wrist_sensor": "[tool0]",
+    "effort_side": "[motor]",
+    "coupling": "[joint_5+joint_6]",
+    "sensor_errors": "[torque_gain]",
+    "prior_percent": "25.0",
     "total_mass": "42.0",
     "joint_terms": "[auto]",
 }
@@ -201,6 +214,7 @@ class _Inspector:
     robot: RobotModel
     topics: tuple[Topic, ...]
     setup: RobotSetup
+    frames: dict[str, str] = field(default_factory=dict)  # of the sensors' topics
 
     def match_joints(self) -> None:
         """Choose the topics of joint states, and match their joints."""
@@ -240,9 +254,23 @@ class _Inspector:
                 self.setup.add("rename_joint", f"{recorded}:={name}")
         if not certain:
             self.setup.note("rename_joint", "CHECK: some are matched by their order alone.")
+        topics = self.setup.options["joint_topic"]
+        self._describe_joints(
+            [name for topic in topics for name in streams[topic].names if name not in chosen]
+        )
         for name in wanted:
             if name not in chosen.values():
                 self.setup.add("hold_joint", f"{name}:=0.0", "CHECK: these positions are guesses.")
+
+    def _describe_joints(self, ignored: Sequence[str]) -> None:
+        if ignored:
+            self.setup.note("", f"Ignored joints of the log: {', '.join(ignored)}.")
+        for joint in self.robot.joints:
+            if joint.mimic is not None:
+                leader = self.robot.joint_names[joint.mimic.leader]
+                self.setup.note("", f"{joint.name} follows {leader}.")
+            elif joint.effort == 0:
+                self.setup.note("", f"{joint.name} has no drive: its effort limit is 0.")
 
     def match_sensors(self, msgtype: str, option: str) -> None:
         """Choose the topics of IMUs or wrench sensors, and match their frames."""
@@ -262,6 +290,7 @@ class _Inspector:
                 self.setup.note("rename_frame", f"Give {frame}:=NAME to use {topic.name}.")
                 continue
             self.setup.add(option, topic.name)
+            self.frames[topic.name] = name
             if name != frame:
                 self.setup.add("rename_frame", f"{frame}:={name}")
 
@@ -291,7 +320,17 @@ class _Inspector:
                 continue
             if not GAINS[0] < gain / common < GAINS[1]:
                 self._scale(name, gain / common)
+        for one in found.findings:
+            place = self.frames.get(one.stream, "")
+            if one.kind is Kind.IMU_MOUNTING and place and "roll_deg" in one.figures:
+                self._rotate(place, [one.figures[f"{angle}_deg"] for angle in ANGLES])
         return self.setup.options != before
+
+    def _rotate(self, frame: str, angles: Sequence[float]) -> None:
+        rotated = self.setup.options.get("rotate_imu", [])
+        if not any(entry.startswith(f"{frame}:=") for entry in rotated):
+            value = ",".join(f"{angle:.1f}" for angle in angles)
+            self.setup.add("rotate_imu", f"{frame}:={value}", "CHECK: found from the motion.")
 
     def _flip(self, frame: str) -> None:
         flipped = self.setup.options.setdefault("flip_wrench", [])
@@ -337,6 +376,7 @@ class _Inspector:
 
 
 CORRECTABLE = {
+    Kind.IMU_MOUNTING,
     Kind.WRENCH_SIGN,
     Kind.TORQUE_SIGN,
     Kind.TORQUE_GAIN,

@@ -10,6 +10,7 @@ import yaml
 from bag_editing import Messages, edit_bag
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from symbid_ros.errors import OptionError
 from symbid_ros.model.load import load_model
@@ -20,6 +21,8 @@ from symbid_ros.package_paths import config_file
 
 # Nm per ampere of the motors, whose signs differ.
 CONSTANTS = np.array([10.0, 9.0, -8.0, 11.0, 12.0, 10.0, 9.0, 8.0, -10.0, 12.0])
+ANGLES = (25.0, -10.0, 40.0)
+MOUNTING = Rotation.from_euler("xyz", ANGLES, degrees=True)
 ENTRY = re.compile(r"(.*):=(.*)")
 
 
@@ -42,6 +45,11 @@ def reversed_plate(messages: Messages) -> None:
 
 
 def imu(messages: Messages) -> None:
+    """Another frame, and axes turned in it."""
+    for name in ("angular_velocity", "linear_acceleration"):
+        messages.records[name] = MOUNTING.inv().apply(messages.records[name])
+    turned = Rotation.from_quat(messages.records["orientation"]) * MOUNTING
+    messages.records["orientation"] = turned.as_quat()
     messages.reframe("exo/imu_link")
 
 
@@ -77,6 +85,8 @@ def test_init_finds_names_signs_and_units(robot_file) -> None:
         "plate_left": "left_sole",
     }
     assert parameters["flip_wrench"] == ["left_sole"]
+    angles = entries(parameters["rotate_imu"])["imu_link"].split(",")
+    assert [float(angle) for angle in angles] == pytest.approx(ANGLES, abs=0.5)
     found = {name: float(value) for name, value in entries(parameters["effort_scale"]).items()}
     for name, constant in zip(robot.joint_names, CONSTANTS, strict=True):
         if name in found:
