@@ -160,6 +160,8 @@ class CandidateRows:
     valid : (N, n) bool
     group : (N,) int
         Group of each row.
+    covariance : (n, n) float64
+        Σ with which the estimate weights rows.
     """
 
     model: RobotModel
@@ -171,6 +173,7 @@ class CandidateRows:
     force: FloatArray
     valid: BoolArray
     group: IntArray
+    covariance: FloatArray
 
     @classmethod
     def of(cls, loaded: LoadedProblem, found: Identification) -> "CandidateRows | None":
@@ -207,6 +210,7 @@ class CandidateRows:
             y,
             valid,
             group,
+            solver.posterior.covariance,
         )
 
     def explanation(self, worst: UnexplainedForce) -> str:
@@ -226,13 +230,12 @@ class CandidateRows:
         """Return the cause that best explains all coordinates and one in particular."""
         worst = self.model.coordinates.index(coordinate)
         tests = _LeftOutBlocks(self)
-        before = tests.errors()
+        before, total = tests.errors()
 
         def tried(kind: str, *candidates: Candidate) -> Cause:
-            after = tests.errors(*candidates)
+            after, left = tests.errors(*candidates)
             remains = after[worst] / before[worst] if before[worst] > 0 else 1.0
-            gain = 1 - (remains + tests.total(after) / tests.total(before)) / 2
-            return Cause(kind, float(gain), float(np.sqrt(remains)), "")
+            return Cause(kind, float(1 - (remains + left / total) / 2), float(np.sqrt(remains)), "")
 
         singles = {one.kind: tried(one.kind, one) for one in self.candidates}
         if not singles:
@@ -306,14 +309,16 @@ class _LeftOutBlocks:
             self._places[one.kind] = np.arange(width, width + one.columns.shape[2])
             width += one.columns.shape[2]
         flat = np.concatenate([*parts, rows.residual[:, :, None]], axis=2)
-        square = np.sum(rows.error**2, axis=0) / np.maximum(rows.valid.sum(axis=0), 1)
-        self._weight = np.divide(1.0, square, out=np.zeros(n), where=square > 0)
+        whitening = np.linalg.inv(np.linalg.cholesky(rows.covariance))
         self._moments = np.empty((GROUPS, n, width + 1, width + 1))
-        for group, coordinate in np.ndindex(GROUPS, n):
-            some = flat[rows.group == group, coordinate]
-            self._moments[group, coordinate] = some.T @ some
+        self._whitened = np.empty((GROUPS, width + 1, width + 1))
+        for group in range(GROUPS):
+            some = flat[rows.group == group]
+            self._moments[group] = some.transpose(1, 2, 0) @ some.transpose(1, 0, 2)
+            white = (whitening @ some).reshape(-1, width + 1)
+            self._whitened[group] = white.T @ white
         self._known = np.arange(p)
-        total = np.einsum("n,gnii->i", self._weight, self._moments)
+        total = np.einsum("gii->i", self._whitened)
         # One row of the prior for each known column.
         self._ridge = np.where(np.arange(width) < p, 1.0, RIDGE * total[:-1])
         for one in rows.candidates:
@@ -324,29 +329,29 @@ class _LeftOutBlocks:
         return np.concatenate([self._known, *(self._places[one.kind] for one in causes)])
 
     def _solve(self, moments: FloatArray, used: IntArray) -> FloatArray:
-        H = np.einsum("n,nij->ij", self._weight, moments[:, used][:, :, np.append(used, -1)])
+        H = moments[np.ix_(used, np.append(used, -1))]
         # A column that is zero keeps a coefficient of zero.
         ridge = np.where(self._ridge[used] > 0, self._ridge[used], 1.0)
         return np.asarray(np.linalg.solve(H[:, :-1] + np.diag(ridge), H[:, -1]))
 
-    def errors(self, *causes: Candidate) -> FloatArray:
-        """Return the sum of squares of each coordinate (n,), with the columns of candidates."""
-        used = self._columns(*causes)
-        everything = self._moments.sum(axis=0)
-        total = np.zeros(len(self._weight))
-        for moments in self._moments:
-            x = np.append(-self._solve(everything - moments, used), 1.0)
-            some = np.append(used, -1)
-            total += np.einsum("i,nij,j->n", x, moments[:, some][:, :, some], x)
-        return total
+    def errors(self, *causes: Candidate) -> tuple[FloatArray, float]:
+        """Return the sums of squares with the columns of candidates.
 
-    def total(self, errors: FloatArray) -> float:
-        """Return the weighted sum of squares of all coordinates."""
-        return float((self._weight * errors).sum())
+        They are that of each coordinate (n,), and that of all after whitening.
+        """
+        used = self._columns(*causes)
+        some = np.append(used, -1)
+        everything = self._whitened.sum(axis=0)
+        each, total = np.zeros(self._moments.shape[1]), 0.0
+        for moments, whitened in zip(self._moments, self._whitened, strict=True):
+            x = np.append(-self._solve(everything - whitened, used), 1.0)
+            each += (moments[:, some][:, :, some] @ x) @ x
+            total += float(x @ whitened[np.ix_(some, some)] @ x)
+        return each, total
 
     def coefficients(self, cause: Candidate) -> FloatArray:
-        """Return the coefficients (m,) of a candidate from all blocks."""
-        found = self._solve(self._moments.sum(axis=0), self._columns(cause))
+        """Return the coefficients (m,) of a candidate from all rows."""
+        found = self._solve(self._whitened.sum(axis=0), self._columns(cause))
         return found[len(self._known) :]
 
 
@@ -407,7 +412,10 @@ class _Builder:
             return
         first, known = 6 * self.parameters.model.floating, len(self.unknowns)
         residual = [part.rows.y - part.rows.K[:, :, :known] @ self.unknowns for part in parts]
-        effort = np.nan_to_num(readings.effort) - np.concatenate(residual)[:, first:]
+        measured = np.nan_to_num(readings.effort)
+        # A joint without a drive has no effort to predict.
+        is_driven = np.any(measured != 0, axis=0)
+        effort = (measured - np.concatenate(residual)[:, first:]) * is_driven
         own = self._own_columns(readings, effort)
         start = 0
         for part in parts:
