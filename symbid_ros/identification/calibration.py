@@ -11,7 +11,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import PseudoMeasurements, posterior
-from symbid_ros.estimation.prior import DEFAULT_PERCENT
+from symbid_ros.estimation.prior import Prior
 from symbid_ros.identification.dataset import Dataset, observe
 from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
 from symbid_ros.identification.problem import Problem
@@ -31,10 +31,18 @@ UNLOADED = 20.0  # N
 
 # The first pass is linearised about the prior; then Gauss-Newton.
 PASSES = 3
-# Relative deviation of the common scale of all masses of the model, on which the first guesses of
-# factors rest. Deviations of single parameters would either nearly fix the scale or, widened by the
-# evidence, let factors and masses vanish together.
-MODEL_SCALE = DEFAULT_PERCENT / 100 / 3**0.5
+# Relative deviation of the common scale of drive gains from which a log leaves it open, if the
+# deviations of the links are this many times wider.
+OPEN_SCALE, WIDE = 0.1, 30.0
+# An open scale is held at that of the first guesses, which rest on the masses of the model. A prior
+# of single masses cannot decide it: the smaller all masses, the smaller their differences from it.
+ASSUMED_STD = 0.01
+ASSUMED = (
+    "the log leaves the common scale of efforts, masses and friction open: it is that of the model "
+    "file's masses, and standard deviations do not include its error; give a log with a known "
+    "`payload`, leave a calibrated joint out of `drive_gain`, or give the `total_mass` of a "
+    "floating robot"
+)
 # Deviation of a fixed gain, as a share of its prior deviation.
 FIXED = 1e-6
 # The linearisation point need not be exact.
@@ -176,21 +184,26 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
     p = len(parameters)
     point = LinearizationPoint(problem.prior.mean, mean)
     pseudo_measurements = _padded(problem.pseudo_measurements, len(errors))
-    if request.factors is not None:
-        row = np.zeros(p + len(errors))
-        place = errors.places[DRIVE_GAIN]
-        row[p + place.start : p + place.stop] = 1 / mean[place] / len(errors.gained) / MODEL_SCALE
-        pseudo_measurements = _with_row(pseudo_measurements, row, 1 / MODEL_SCALE)
     # Only long windows separate sensor errors from slow motion.
     suited = suitable_windows(ALL_WINDOWS, segment.rate)
     shortest, longest = suited[0], suited[-1]
+    scale: FloatArray | None = None
+    remarks: tuple[str, ...] = ()
     for _ in range(PASSES - 1):
         build = CalibratingRows(parameters, errors, point)
         (observations,) = observe(dataset.segments, build, layout, (longest,), ())
+        if request.factors is not None and scale is None:
+            scale = _scale_row(request.factors, errors, mean, p)
+            if is_undetermined(scale, observations, prior, pseudo_measurements, p):
+                remarks = (ASSUMED,)
+                pseudo_measurements = _with_row(
+                    pseudo_measurements, scale / ASSUMED_STD, 1 / ASSUMED_STD
+                )
         found = posterior(
             observations,
             prior,
             pseudo_measurements,
+            empirical=problem.is_empirical and request.factors is not None,
             count=parameters.inertial,
             tolerance=POINT_CONVERGED,
         )
@@ -204,7 +217,48 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         pseudo_measurements=pseudo_measurements,
         needs_longest_window=True,
         calibrated_rows=build,
+        remarks=remarks,
     )
+
+
+def _scale_row(
+    factors: InitialFactors, errors: SensorErrors, mean: FloatArray, count: int
+) -> FloatArray:
+    """Return the row (p + r,) whose value is the common scale of factors, 1 at the first guess."""
+    row = np.zeros(count + len(errors))
+    place = errors.places[DRIVE_GAIN]
+    row[count + place.start : count + place.stop] = factors.weights / mean[place]
+    return row
+
+
+def is_undetermined(
+    scale: FloatArray,
+    observations: Observations,
+    prior: Prior,
+    pseudo_measurements: PseudoMeasurements | None,
+    count: int,
+) -> bool:
+    """Return whether the log leaves the common scale of drive gains open.
+
+    Parameters
+    ----------
+    scale : (p + r,) float64
+        Row of which the value is the scale.
+    observations : Observations
+        The log's rows.
+    prior : Prior
+        The links' deviations are widened, so that they do not tell the scale.
+    pseudo_measurements : PseudoMeasurements or None
+        Such as the total mass.
+    count : int
+        Number of parameters p of links and joints.
+    """
+    wide = np.ones(len(prior.mean))
+    wide[:count] = WIDE
+    found = posterior(
+        observations, prior.widened(wide), pseudo_measurements, tolerance=POINT_CONVERGED
+    )
+    return bool(np.linalg.norm(scale @ found.deviation_factor) > OPEN_SCALE)
 
 
 def with_fixed_gains(problem: Problem) -> Problem:

@@ -33,10 +33,10 @@ logger = logging.getLogger(__name__)
 
 # Share by which the better sign must reduce the square error.
 DECIDED = 0.1
+# Share of a joint's squared effort that the links must explain to show the size of its factor.
+EXPLAINED = 0.02
 # Standard deviation of a factor, relative to its first guess.
 SPREAD = 1.0
-# Relative standard deviation of the common scale of all factors from which it is named.
-UNCERTAIN = 0.03
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,14 @@ class InitialFactors:
         Joints with unknown factors.
     values : (J,) float64
         Nm or N per unit of the measured effort, of all joints; 1 where it is known.
+    weights : (k,) float64
+        Share that each of ``joints`` has in the common scale: that of its squared effort which the
+        links explain.
     """
 
     joints: tuple[str, ...]
     values: FloatArray
+    weights: FloatArray
 
 
 @dataclass(frozen=True)
@@ -119,18 +123,22 @@ def initial_factors(
             table = np.concatenate([rows.mean.K, rows.mean.y[:, :, None]], axis=2) * used[..., None]
             moments += np.einsum("tja,tjb->jab", table, table)
     found = {joint: _factor(moments[model.joint_names.index(joint)]) for joint in joints}
-    sizes = [one.size for one in found.values() if one.size > 0]
+    sizes = [one.size for one in found.values() if one.explained >= EXPLAINED]
     common = float(np.exp(np.mean(np.log(sizes)))) if sizes else 1.0
     values = np.ones(len(model.joints))
     for joint, one in found.items():
-        values[model.joint_names.index(joint)] = one.sign * (one.size or common)
+        values[model.joint_names.index(joint)] = one.sign * (
+            one.size if one.explained >= EXPLAINED else common
+        )
         if not one.is_certain:
             logger.warning(
                 "%s: the log does not show the sign of its effort; it is taken as positive. Move "
                 "the joint more, or leave it out of `drive_gain`",
                 joint,
             )
-    return InitialFactors(joints, values)
+    weights = np.array([one.explained for one in found.values()])
+    weights = weights if weights.any() else np.ones(len(joints))
+    return InitialFactors(joints, values, weights / weights.sum())
 
 
 def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:
@@ -159,10 +167,11 @@ def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:
 
 @dataclass(frozen=True)
 class _Factor:
-    """Sign and size of a factor; the size is 0 if the joint's torque is friction alone."""
+    """Sign and size of a factor, and the share of the squared effort that the links explain."""
 
     sign: float
     size: float
+    explained: float
     is_certain: bool
 
 
@@ -185,36 +194,6 @@ def _factor(moment: FloatArray) -> _Factor:
     if not is_certain:
         sign, solution = 1.0, fits[1.0][0]
     slope = solution[0] * size[4] / size[0]
-    return _Factor(sign, 1 / slope if slope > 0 else 0.0, bool(is_certain))
-
-
-def describe_scale(
-    names: Sequence[str], value: FloatArray, factor: FloatArray, driven: int
-) -> tuple[str, ...]:
-    """Return a sentence if the common scale of all factors is uncertain.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the s sensor errors.
-    value : (s,) float64
-        Their estimates.
-    factor : (s, r) float64
-        L of their covariance L Lᵀ.
-    driven : int
-        Number of driven joints of the robot.
-    """
-    gains = [index for index, name in enumerate(names) if name.endswith("/drive_gain")]
-    if not gains:
-        return ()
-    relative = factor[gains] / value[gains, None]
-    # The common scale is what remains of the factors' logarithms when all change together.
-    spread = float(np.linalg.norm(relative.mean(axis=0)))
-    if spread < UNCERTAIN:
-        return ()
-    source = "masses of the model file alone" if len(gains) == driven else "calibrated joints"
-    return (
-        f"the scale of efforts, masses and friction rests on the {source} (± {100 * spread:.0f} % "
-        "if their errors are independent): give a log with a known `payload`, leave a calibrated "
-        "joint out of `drive_gain`, or give the `total_mass` of a floating robot",
+    return _Factor(
+        sign, 1 / max(slope, 1e-300), min(float(solution[0]) ** 2, 1.0), bool(is_certain)
     )

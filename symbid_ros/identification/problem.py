@@ -67,6 +67,8 @@ class Problem:
         The data with the columns of all candidate terms, for later runs; None if they are the same.
     choice : TermChoice or None
         The joint terms that the data asked for; None if the user named them.
+    remarks : tuple of str
+        What the log cannot tell about the scale of efforts.
     force_scale_std : float or None
         Relative deviation of the gain that all forces and efforts have in common, which enters all
         deviations. None: the usual one, which enters those of the masses.
@@ -83,6 +85,7 @@ class Problem:
     calibrated_rows: CalibratingRows | None = None
     stored: tuple[Observations, ...] | None = None
     choice: "TermChoice | None" = None
+    remarks: tuple[str, ...] = ()
     force_scale_std: float | None = None
 
     @property

@@ -26,7 +26,6 @@ from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, 
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.unexplained import UnexplainedForce, unexplained_forces
 from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
-from symbid_ros.identification.drive_gains import describe_scale
 from symbid_ros.identification.joint_terms import joints_without_rows
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
@@ -357,7 +356,7 @@ class Solver:
             software=SOFTWARE,
             known=parameters.known_values,
             joint_terms=None if choice is None else dict(choice.by_joint),
-            remarks=(*self._scale_remark(), *self._term_remarks()),
+            remarks=(*self.problem.remarks, *self._term_remarks()),
             wrist_sensors=sensor_names(parameters.model),
             load_reference=_load_reference(parameters),
             contacts=() if contacts is None else contacts.names,
@@ -368,15 +367,6 @@ class Solver:
         if problem.choice is not None:
             return problem.choice.remarks
         return joints_without_rows(self.chosen, problem.parameters)
-
-    def _scale_remark(self) -> tuple[str, ...]:
-        """Return a sentence if the scale of efforts in unknown units is uncertain."""
-        found, problem = self.posterior, self.problem
-        p, model = len(problem.parameters), problem.parameters.model
-        driven = sum(joint.effort > 0 and joint.mimic is None for joint in model.joints)
-        return describe_scale(
-            problem.sensor_names, found.mean[p:], found.deviation_factor[p:], driven
-        )
 
 
 def _load_reference(parameters: ParameterSet) -> dict[str, float]:

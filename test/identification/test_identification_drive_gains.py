@@ -46,7 +46,7 @@ def test_signs_and_ratios_of_factors_need_no_calibrated_joint(model, currents):
     relative = factors(result) / FACTORS
     np.testing.assert_allclose(relative / relative[0], 1.0, rtol=2e-3)
     assert 0.75 < relative[0] < 1.25
-    assert any("rests on the masses of the model file" in one for one in result.estimate.remarks)
+    assert any("leaves the common scale" in one for one in result.estimate.remarks)
     assert result.estimate.holdout.percent_after < 0.5
 
 
@@ -55,7 +55,7 @@ def test_a_calibrated_joint_fixes_the_scale(tmp_path, robot, model):
     named = ",".join(robot.joint_names[:2])
     result = sy.identify(model, log, drive_gain=named, no_holdout=True)
     np.testing.assert_allclose(factors(result), FACTORS[:2], rtol=3e-3)
-    assert not any("scale" in one for one in result.estimate.remarks)
+    assert not any("common scale" in one for one in result.estimate.remarks)
     result.save(tmp_path)
     predicted = ForcePredictor.load(tmp_path)
     assert predicted.sensor_names == tuple(f"{one}/drive_gain" for one in robot.joint_names[:2])
@@ -72,7 +72,7 @@ def test_a_known_payload_fixes_the_scale(robot, model, currents):
     fields = {"drive_gain": "all", "no_holdout": True, "unchecked": True}
     result = sy.identify(model, currents, payload=[(loaded, payload)], **fields)
     np.testing.assert_allclose(factors(result), FACTORS, rtol=3e-3)
-    assert not any("scale" in one for one in result.estimate.remarks)
+    assert not any("common scale" in one for one in result.estimate.remarks)
 
 
 def test_unknown_joints_are_refused(model, currents):
