@@ -24,6 +24,7 @@ from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.offline.name_matching import match_names, most_similar
+from symbid_ros.options import options_of
 from symbid_ros.signals.alignment import suggested_prefix
 from symbid_ros.signals.streams import JointStream, Streams
 
@@ -70,8 +71,11 @@ class RobotSetup:
 
     @property
     def log_options(self) -> LogOptions:
-        """The options as the commands take them."""
-        given: dict[str, Any] = {name: tuple(values) for name, values in self.options.items()}
+        """The options that say how to read a log."""
+        names = {option.name for option in options_of(LogOptions)}
+        given: dict[str, Any] = {
+            name: tuple(values) for name, values in self.options.items() if name in names
+        }
         return LogOptions(**given)
 
     def write(self, path: Path) -> None:
@@ -109,6 +113,7 @@ DESCRIPTIONS = {
     "rename_frame": "NAME_IN_LOG:=NAME_IN_MODEL of the sensors' frames.",
     "hold_joint": "JOINT:=POSITION in rad (m) of joints that the log lacks.",
     "effort_scale": "JOINT:=NM_PER_UNIT of efforts that are not in Nm (N), such as currents.",
+    "drive_gain": "Joints whose effort_scale is uncertain; its error is identified, not live.",
     "flip_wrench": "Frames whose sensor measures the wrench of the robot on its environment.",
     "rotate_imu": "FRAME:=ROLL,PITCH,YAW in degrees of an IMU's axes in its frame of the model.",
     "contact": "Frames at which something touches the robot without a wrench sensor.",
@@ -128,6 +133,7 @@ EXAMPLES = {
     "rename_frame": "[xsens:=imu_link]",
     "hold_joint": "[wrist_joint:=0.0]",
     "effort_scale": "[elbow_joint:=0.11]",
+    "drive_gain": "[elbow_joint]",
     "flip_wrench": "[left_sole]",
     "rotate_imu": "['imu_link:=180,0,90']",
     "contact": "[left_sole]",
@@ -343,6 +349,7 @@ class _Inspector:
         entries = dict(entry.split(":=", 1) for entry in self.setup.options.get("effort_scale", []))
         entries[joint] = f"{factor * float(entries.get(joint, 1.0)):.3g}"
         self.setup.options["effort_scale"] = [f"{name}:={at}" for name, at in entries.items()]
+        self.setup.options["drive_gain"] = list(entries)
         self.setup.note(
             "effort_scale",
             "CHECK: found from the model's inertias; better give gear ratio times torque constant.",

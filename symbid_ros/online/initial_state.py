@@ -1,6 +1,7 @@
 """Initial state of an online identification: model, prior and data of an earlier run."""
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from symbid_ros.errors import DataError, EstimateError, OptionError
@@ -17,6 +18,8 @@ from symbid_ros.identification.loaded_problem import (
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
 from symbid_ros.model.tree import RobotModel
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,7 @@ class InitialState:
             When a file is invalid, or an option is not supported online.
         """
         _check_online(options)
+        options = replace(options, drive_gain=())
         parameters = load_parameters(robot, options)
         prior = choose_prior(options, parameters)
         parameters = with_load_reference(parameters, prior, options)
@@ -92,11 +96,16 @@ def _check_online(options: IdentifyOptions) -> None:
             "`filter` is not supported online, where rows are averaged over windows; remove it",
             "E503",
         )
-    if options.sensor_error_kinds or options.drive_gain:
+    if options.sensor_error_kinds:
         raise OptionError(
-            "`tare`, `sensor_errors` and `drive_gain` need several passes over a log; remove them, "
-            "or record a bag and run `symbid identify`",
+            "`tare` and `sensor_errors` need several passes over a log; remove them, or record a "
+            "bag and run `symbid identify`",
             "E503",
+        )
+    if options.drive_gain:  # a robot file may name it, for logs
+        logger.warning(
+            "`drive_gain` needs several passes over a log and has no effect live, where efforts "
+            "are taken as `effort_scale` converts them"
         )
     if options.loaded_logs:
         raise OptionError(

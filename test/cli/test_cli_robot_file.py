@@ -91,6 +91,7 @@ def test_init_finds_names_signs_and_units(robot_file) -> None:
     for name, constant in zip(robot.joint_names, CONSTANTS, strict=True):
         if name in found:
             assert found[name] == pytest.approx(constant, rel=0.15)
+    assert parameters["drive_gain"] == list(found)
     assert len(found) >= 8  # the ankles' side joints carry little
 
 
