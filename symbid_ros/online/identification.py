@@ -234,7 +234,7 @@ class OnlineIdentification:
         if self._parameters.candidates:
             problem = self._with_candidate_prior(problem)
             self._choice = choose_terms(problem)
-            problem = self._choice.applied(problem)
+            problem = replace(self._choice.applied(problem), choice=self._choice)
         return self._estimate(Solver.of(problem), with_verdict=True)
 
     def _solve_approximately(self, new: Sequence[BlockRows]) -> OnlineEstimate | None:
