@@ -360,9 +360,8 @@ def to_log(robot: sy.RobotModel, recording: Recording) -> sy.Log:
     """Return a recording as a log, through the public API."""
     sensors = {}
     if recording.pose is not None:
-        base = robot.links[0].name
-        readings = base_readings(recording, robot.gravity)
-        sensors = {"imus": {base: readings.imu}, "wrenches": {base: readings.wrench}}
+        poses = {robot.links[0].name: recording.pose}
+        sensors = {"poses": poses, "wrenches": {"world": recording.wrench}}
     return sy.Log.from_arrays(
         robot,
         time=recording.time,

@@ -404,9 +404,13 @@ def _collect_probes(
 ) -> Iterator[Segment]:
     """Yield the segments and collect unfiltered samples at few of their instants."""
     for segment in segments:
-        stride = max(1, int(PROBE_PERIOD * segment.rate))
-        readings = smoothed(segment, LowPass(0))
-        # Indices copy; a slice would be a view and keep the whole segment in memory.
-        few = np.arange(0, len(readings), stride)
-        probes.append(at_base(readings[few], model))
+        probes.append(probed(segment, model))
         yield segment
+
+
+def probed(segment: Segment, model: RobotModel) -> Samples:
+    """Return unfiltered samples at few instants of a segment."""
+    stride = max(1, int(PROBE_PERIOD * segment.rate))
+    readings = smoothed(segment, LowPass(0))
+    # Indices copy; a slice would be a view and keep the whole segment in memory.
+    return at_base(readings[np.arange(0, len(readings), stride)], model)

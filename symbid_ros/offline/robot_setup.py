@@ -11,6 +11,7 @@ from typing import Any
 
 import yaml
 
+from symbid_ros.arrays import concatenated
 from symbid_ros.atomic_write import write_text
 from symbid_ros.bags import bag_log, count_messages, join_names
 from symbid_ros.choices import Base
@@ -18,6 +19,8 @@ from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
 from symbid_ros.diagnosis.forces import GAINS
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
+from symbid_ros.identification.dataset import AlignedLog, probed
+from symbid_ros.identification.wrist_evidence import unnamed_sensors
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
@@ -44,7 +47,7 @@ class RobotSetup:
     model : Path
     base : {"floating", "fixed"}
     options : dict of str to list of str
-        Values of the fields of `LogOptions`.
+        Values of fields of `LogOptions` and `IdentifyOptions`.
     comments : dict of str to list of str
         Lines about each option, and about the file under the empty name.
     diagnosis : Diagnosis or None
@@ -180,6 +183,7 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
         inspector.match_sensors(IMU, "imu_topic")
     inspector.match_sensors(WRENCH, "wrench_topic")
     inspector.correct_signs_and_units()
+    inspector.find_wrist_sensors()
     return setup
 
 
@@ -299,6 +303,22 @@ class _Inspector:
             self.frames[topic.name] = name
             if name != frame:
                 self.setup.add("rename_frame", f"{frame}:={name}")
+
+    def find_wrist_sensors(self) -> None:
+        """Name the wrench sensors whose force is that of a body fixed to them."""
+        if self.robot.floating or not self.setup.options.get("wrench_topic"):
+            return
+        log = bag_log(self.bags, self.robot, TopicSelection.of(self.setup.log_options))
+        try:
+            samples = [probed(segment, self.robot) for segment in AlignedLog(log, self.robot)]
+        except SymbidError:
+            return  # which the diagnosis states
+        for sensor, mass, share in unnamed_sensors(self.robot, concatenated(samples)):
+            self.setup.add(
+                "wrist_sensor",
+                sensor,
+                f"{100 * share:.0f} % of the force is that of a body of {mass:.3g} kg.",
+            )
 
     def correct_signs_and_units(self) -> None:
         """Correct wrong signs and units until the doctor finds none."""

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from documented_robots import ur5_urdf, write_inaccurate
 from live_feed import feed_of
 from payload_arm import COM, MASS, OFFSET, payload_arm_log, write_payload_bag
@@ -63,6 +64,16 @@ def test_the_command_finds_the_payload(document, folder):
     written = load_model(folder / "out" / "model.urdf")
     (tool,) = (body for body in written.bodies if body.name == "tool0")
     assert tool.phi[0] == pytest.approx(MASS, rel=5e-3)
+
+
+def test_a_robot_file_names_the_sensor(folder, symbid_here):
+    file = folder / "robot.yaml"
+    ended = symbid_here(
+        "init", "--model", folder / "arm.urdf", "--bag", folder / "bag", "--out", file
+    )
+    assert ended.returncode == 0, ended.stderr
+    options = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]
+    assert options["wrist_sensor"] == ["tool0"]
 
 
 def test_a_saved_result_is_validated(document, folder, symbid_here):
