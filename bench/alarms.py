@@ -345,7 +345,7 @@ def supported(newton):
             frame = model.frame(one.frame_id)
             rotation = poses.rotation[:, frame.link] @ frame.rotation
             origin = poses.position[:, frame.link] + np.einsum(
-                "tij,j->ti", poses.rotation[:, frame.link], frame.position
+                "tij,j->ti", poses.rotation[:, frame.link], frame.translation
             )
             # The plate carries the share of the cord less.
             moment = np.cross(-origin, force)
