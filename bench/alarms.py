@@ -450,14 +450,16 @@ def identified(
         options["tare"] = (tare(seed),)
     options = IdentifyOptions(no_holdout=True, **options)
     try:
-        result = load_problem(model, Log.from_streams(streams), options).solve()
+        problem = load_problem(model, Log.from_streams(streams), options)
+        result = problem.solve()
     except SymbidError as error:
-        return [f"refused: {error}"], "–"
+        return [f"refused: {error}"], "– | –"
     estimate = result.estimate
     true = ParameterSet(truth).values
     some = np.flatnonzero(estimate.determined[: len(true)])
     error = (estimate.value[some] - true[some]) / estimate.std[some]
-    said = list(estimate.verdict.alarms)
+    findings = [one.message for one in problem.checks.findings]
+    said = list(dict.fromkeys([*findings, *estimate.verdict.alarms]))
     if scale := estimate.verdict.describe_mass_scale():
         said.append(scale)
     return said, f"{np.abs(error).max():.1f} | {np.sqrt(np.mean(error**2)):.1f}"
@@ -475,6 +477,15 @@ def tare(seed: int) -> Log:
     return Log.from_streams(read_streams([bag]))
 
 
+def shortened(said: str) -> str:
+    """Return what is said without advice and causes."""
+    for end in ("; ", "): ", ", according to", ": the model's inertias"):
+        said = said.split(end, maxsplit=1)[0]
+    if said.startswith("mass scale"):
+        said = said.split(":", maxsplit=1)[0]
+    return said.replace("refused: ", "")
+
+
 def print_table(seed: int) -> None:
     """Print the rows of docs/diagnosis.md."""
     print("| fault | robot | what is said | error, σ: largest | RMS |")
@@ -487,7 +498,8 @@ def print_table(seed: int) -> None:
         if "off" in known:
             given = "weighing 1 kg too heavy"
         what = f"{name} ({given})" if given else name
-        print(f"| {what} | {robot} | {' / '.join(said) or '–'} | {error} |", flush=True)
+        text = " / ".join(map(shortened, said)) or "–"
+        print(f"| {what} | {robot} | {text} | {error} |", flush=True)
 
 
 TRUTH: dict[str, Callable[[], RobotModel]] = {

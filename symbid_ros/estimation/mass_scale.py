@@ -14,7 +14,7 @@ from symbid_ros.estimation.posterior import Posterior, PseudoMeasurements
 
 # Usual deviation of the gain that sensors calibrated in one laboratory have in common.
 FORCE_SCALE_STD = 0.01
-# The gain is not checkable if data, prior and weighing leave this share of its deviation.
+# A weighing does not check the gain if it leaves this share of its deviation.
 UNCHECKED = 0.7
 # A weighing contradicts the data beyond this many standard deviations,
 DEVIATIONS = 4.0

@@ -155,16 +155,27 @@ class Solver:
         return is_scaled
 
     def _common_gain(self) -> CommonGain | None:
-        """Return the gain that no residual shows; None if a weighing or the user excludes it."""
-        stated = self.problem.force_scale_std
-        std = FORCE_SCALE_STD if stated is None else stated
+        """Return the gain that no residual shows; None if the user excludes it."""
+        std = self._force_scale_std
         if std == 0:
             return None
         value = self.posterior.mean
         is_anchor = np.ones(len(value), dtype=bool)
         is_anchor[self.problem.parameters.inertial : len(self.problem.parameters)] = False
-        found = common_gain(self.posterior, value, self._measurements, std, is_anchor)
-        return found if found.std > UNCHECKED * std else None
+        return common_gain(self.posterior, value, self._measurements, std, is_anchor)
+
+    def _mass_scale(self, gain: CommonGain | None) -> float:
+        """Return the relative deviation of the masses' scale; 0 if a weighing checks it."""
+        if gain is None:
+            return 0.0
+        is_weighed = self._measurements is not None and self._measurements.has_weighing
+        is_checked = is_weighed and gain.std < UNCHECKED * self._force_scale_std
+        return 0.0 if is_checked else gain.std
+
+    @property
+    def _force_scale_std(self) -> float:
+        stated = self.problem.force_scale_std
+        return FORCE_SCALE_STD if stated is None else stated
 
     def map(self, *, with_verdict: bool = True) -> Identification:
         """Return the most probable parameters."""
@@ -204,7 +215,7 @@ class Solver:
                 sensors=(problem.sensor_names, problem.sensor_units),
                 unexplained=self.unexplained,
                 measurements=self._measurements,
-                mass_scale=0.0 if gain is None else gain.std,
+                mass_scale=self._mass_scale(gain),
             )
         estimate = self._estimate(
             method,
