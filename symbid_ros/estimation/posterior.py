@@ -32,8 +32,9 @@ MAX_NOISE_SHARE = 0.75
 # best one, are not used to judge the prior.
 MIN_INFORMATION, MIN_RELATIVE_INFORMATION = 1e-6, 1e-12
 
-# Range of the factor that the evidence may put on the prior's deviations.
-SCALES = (1e-2, 1e2)
+# Range of the factor that the evidence may put on the prior's deviations. A payload that the model
+# lacks needs thousands on a last link of a few grams.
+SCALES = (1e-2, 1e4)
 
 
 @dataclass(frozen=True)
@@ -247,7 +248,7 @@ class _Square:
             ratio = np.exp(2 * log_scale) * square
             return float(np.sum(np.log1p(ratio) - ratio / (1 + ratio) * fit))
 
-        grid = np.linspace(np.log(SCALES[0]), np.log(SCALES[1]), 25)
+        grid = np.linspace(np.log(SCALES[0]), np.log(SCALES[1]), 37)
         best = int(np.argmin([cost(point) for point in grid]))
         low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
         if slope(low) * slope(high) >= 0:
