@@ -106,7 +106,8 @@ def test_no_option_exists_in_one_front_end_only() -> None:
     parameters = {parameter.name for parameter in PARAMETERS}
     assert flags >= NAMES
     assert parameters >= NAMES
-    only_the_command = {"bags", "overwrite"}  # a node has `bag`, and never overwrites
+    # A node has `bag`, never overwrites, and reads a robot file as its parameter file.
+    only_the_command = {"bags", "overwrite", "robot", "context"}
     assert flags - NAMES - only_the_command <= parameters
 
 
