@@ -477,12 +477,20 @@ def tare(seed: int) -> Log:
     return Log.from_streams(read_streams([bag]))
 
 
+GIVEN = {
+    "tare": "tare",
+    "total_mass_std": "weighing ± 0.02 kg",
+    "off": "which is 1 kg too heavy",
+    "force_scale_std": "`--force-scale-std 5`",
+    "sensor_errors": "`--sensor-errors imu_mounting`",
+}
+
+
 def shortened(said: str) -> str:
     """Return what is said without advice and causes."""
-    for end in ("; ", "): ", ", according to", ": the model's inertias"):
+    ends = "; ", " (", ", according to", ": the model's inertias", ", not checkable", ": move more"
+    for end in ends:
         said = said.split(end, maxsplit=1)[0]
-    if said.startswith("mass scale"):
-        said = said.split(":", maxsplit=1)[0]
     return said.replace("refused: ", "")
 
 
@@ -494,10 +502,8 @@ def print_table(seed: int) -> None:
         streams, model = ROBOTS[robot](seed)
         spoilt = FAULTS[name](streams, model, np.random.default_rng(seed))
         said, error = identified(spoilt, model, TRUTH[robot.split("/")[0]](), seed, known)
-        given = ", ".join(f"{key} {value}" for key, value in known.items())
-        if "off" in known:
-            given = "weighing 1 kg too heavy"
-        what = f"{name} ({given})" if given else name
+        given = ", ".join(GIVEN[key] for key in known)
+        what = f"{name}, {given}" if given else name
         text = " / ".join(map(shortened, said)) or "–"
         print(f"| {what} | {robot} | {text} | {error} |", flush=True)
 
