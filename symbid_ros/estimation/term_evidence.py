@@ -17,18 +17,13 @@ from symbid_ros.model.parameters import ParameterSet
 # Log Bayes factor from which a term is chosen, and below which a chosen one is given up again, so
 # that a live choice does not alternate.
 ENTER, LEAVE = 2.0, 0.5
-# The same of an armature that is mixed up with the links' inertias. Fixed at zero it would bias
-# them by what the log cannot tell, so it stays free as soon as it exceeds its deviation: then the
-# evidence is largest for a prior deviation above zero (Tipping 2001, JMLR 1).
-ENTER_MIXED, LEAVE_MIXED = 0.2, 0.0
 # Correlation from which two terms of a joint cannot be told apart.
 INSEPARABLE = 0.995
 # Smallest share of a joint's information that is left when a group of rows is left out.
 LEAST_LEFT = 1e-3
 # Share of its prior deviation above which an armature is unresolved. Fixed at zero it would bias
-# the links' inertias, which it resembles, so it stays free and undetermined. The Gaussian evidence
-# does not know that impossible inertias cannot replace it, so the share is small.
-UNRESOLVED = 0.01
+# the links' inertias, which it resembles, so it stays free and undetermined.
+UNRESOLVED = 0.1
 # Share of its variance that is due to the links' parameters, above which it is mixed up with them.
 MIXED = 0.5
 # Share by which a coupled drive must reduce the square error of left-out rows of its joints. On
@@ -74,13 +69,17 @@ class Elimination:
             if joints[one] == joints[two]
         )
 
+    @property
+    def armatures(self) -> BoolArray:
+        """Which terms are armatures of joints."""
+        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
+        is_armature = np.array([kind == "armature" for kind in kinds], dtype=bool)
+        return np.asarray(is_armature & (self.left < self._parameters.first_coupled))
+
     def mixed(self) -> BoolArray:
         """Return which terms are armatures that would be known far better if the links were."""
         variance = self._covariance.diagonal()
-        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
-        is_armature = np.array([kind == "armature" for kind in kinds], dtype=bool)
-        is_armature &= self.left < self._parameters.first_coupled
-        return np.asarray(is_armature & (self._without_links < (1 - MIXED) * variance))
+        return np.asarray(self.armatures & (self._without_links < (1 - MIXED) * variance))
 
     def hidden_offsets(self) -> BoolArray:
         """Return which terms are offsets that would be known far better if the links were.
@@ -97,23 +96,22 @@ class Elimination:
         std = np.sqrt(self._covariance.diagonal())
         return np.asarray(self.mixed() & (std > UNRESOLVED * self._prior.std[self.left]))
 
-    def run(self, kept: set[int], kept_before: set[int], mixed: set[int]) -> None:
+    def run(self, kept: set[int], kept_before: set[int]) -> None:
         """Remove terms until all that are left are supported; ``kept`` are never removed."""
-        levels = {
-            (False, False): ENTER,
-            (False, True): LEAVE,
-            (True, False): ENTER_MIXED,
-            (True, True): LEAVE_MIXED,
-        }
         while len(self.left):
             factors = self._log_bayes_factors()
-            least = np.array([levels[i in mixed, i in kept_before] for i in self.left])
+            least = np.array([LEAVE if i in kept_before else ENTER for i in self.left])
             margin = factors - least
             margin[[i in kept for i in self.left]] = np.inf
             worst = int(np.argmin(margin))
             if margin[worst] >= 0:
                 return
             self._remove(worst)
+
+    def fix(self, terms: set[int]) -> None:
+        """Fix terms at their prior means."""
+        for term in terms & set(self.left.tolist()):
+            self._remove(int(np.flatnonzero(self.left == term)[0]))
 
     def _log_bayes_factors(self) -> FloatArray:
         """Return the log Bayes factor of each term, free against fixed at the prior's mean.

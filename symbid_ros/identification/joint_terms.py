@@ -11,6 +11,9 @@ is chosen if
 - it predicts rows of its joint that were left out, by groups of seconds, better than the other
   terms do alone.
 
+Some armatures resemble the inertias of the links, so that a log does not tell them apart. These are
+free if most of the other drives have an armature, and zero otherwise.
+
 A sticking joint obeys no friction law. If any joint has Coulomb or Stribeck friction, only rows of
 slipping joints are used; otherwise all rows are, and the other terms are chosen again from them.
 """
@@ -316,17 +319,30 @@ class _Selection:
         terms = np.flatnonzero(candidates & is_term)
         elimination = Elimination(found, parameters, terms)
         inseparable = elimination.inseparable()
-        kept = set(terms[stated[terms] | elimination.unresolved()].tolist())
-        before = set() if previous is None else set(np.flatnonzero(previous.free).tolist())
+        of_file = set(terms[stated[terms]].tolist())
+        unresolved = set(terms[elimination.unresolved()].tolist())
         mixed = set(terms[elimination.mixed()].tolist())
+        # In its own rows the links can replace a mixed armature or an offset, so these cannot
+        # judge it.
         replaced = mixed | set(terms[elimination.hidden_offsets()].tolist())
-        elimination.run(kept, before, mixed)
-        free = ~is_term
-        free[elimination.left] = True
-        if chosen.groups is not None:
-            # In its own rows the links can replace a mixed armature or an offset, so these cannot
-            # judge it.
-            free = cross_validated(free, kept | replaced, found, chosen, parameters)
+        resolved = [i for i in terms[elimination.armatures].tolist() if i not in mixed]
+        before = set() if previous is None else set(np.flatnonzero(previous.free).tolist())
+
+        def selected(kept: set[int], fixed: set[int]) -> BoolArray:
+            elimination = Elimination(found, parameters, terms)
+            elimination.fix(fixed)
+            elimination.run(kept, before)
+            free = ~is_term
+            free[elimination.left] = True
+            if chosen.groups is None:
+                return free
+            return cross_validated(free, kept | replaced, found, chosen, parameters)
+
+        free = selected(of_file | (mixed if resolved else unresolved), set())
+        # The drives of a robot are alike: if those that the log resolves have no armature, the
+        # others have none either.
+        if mixed and 2 * np.count_nonzero(free[resolved]) < len(resolved):
+            free = selected(of_file, mixed - of_file)
         return cls(free, inseparable)
 
 

@@ -83,7 +83,7 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
             failures = _write_all(outputs, stage, out)
     except SymbidError as error:
         failures = dict.fromkeys(outputs, str(error))
-    _log_unwritten(parameters, estimate.value, out)
+    _log_unwritten(parameters, estimate, out)
     if not failures:
         return
     first = next(iter(failures.values()))
@@ -107,8 +107,13 @@ def _write_mjcf(path: Path, files: Mapping[PurePosixPath, str]) -> None:
         write_text(path.parent / place, text)
 
 
-def _log_unwritten(parameters: ParameterSet, values: FloatArray, out: Path) -> None:
+def _log_unwritten(parameters: ParameterSet, estimate: Estimate, out: Path) -> None:
     """Warn about identified parameters that the model files cannot hold."""
+    values = estimate.value.copy()
+    if estimate.determined is not None and estimate.joint_terms is not None:
+        # Terms that the data neither ask for nor exclude stay free without being known.
+        terms = np.arange(len(values)) >= parameters.inertial
+        values[terms & ~estimate.determined] = 0.0
     identified = parameters.apply(values)
     lost: list[str] = [
         term
