@@ -76,6 +76,9 @@ OTHER_OPTIONS = {
     "--kills",
     "--images",
     "--show-args",
+    "--robots",
+    "--draws",
+    "--table",
 }
 SHELL = ("", "sh", "console")
 PROMPT = "$ "
