@@ -91,6 +91,16 @@ class Elimination:
         variance = self._covariance.diagonal()
         return np.asarray(is_offset & (self._without_links < (1 - MIXED) * variance))
 
+    def ambiguous(self) -> BoolArray:
+        """Return which terms are mixed armatures that the evidence alone does not support."""
+        return np.asarray(self.mixed() & (self._log_bayes_factors() < ENTER))
+
+    def resolved(self) -> BoolArray:
+        """Return which terms are armatures whose presence the log tells."""
+        std = np.sqrt(self._covariance.diagonal())
+        is_known = std < UNRESOLVED * self._prior.std[self.left]
+        return np.asarray(self.armatures & is_known & ~self.ambiguous())
+
     def unresolved(self) -> BoolArray:
         """Return which terms are armatures that the data cannot tell from the links' inertias."""
         std = np.sqrt(self._covariance.diagonal())

@@ -321,11 +321,11 @@ class _Selection:
         inseparable = elimination.inseparable()
         of_file = set(terms[stated[terms]].tolist())
         unresolved = set(terms[elimination.unresolved()].tolist())
-        mixed = set(terms[elimination.mixed()].tolist())
+        ambiguous = set(terms[elimination.ambiguous()].tolist()) - of_file
+        resolved = terms[elimination.resolved()].tolist()
         # In its own rows the links can replace a mixed armature or an offset, so these cannot
         # judge it.
-        replaced = mixed | set(terms[elimination.hidden_offsets()].tolist())
-        resolved = [i for i in terms[elimination.armatures].tolist() if i not in mixed]
+        replaced = set(terms[elimination.mixed() | elimination.hidden_offsets()].tolist())
         before = set() if previous is None else set(np.flatnonzero(previous.free).tolist())
 
         def selected(kept: set[int], fixed: set[int]) -> BoolArray:
@@ -338,11 +338,11 @@ class _Selection:
                 return free
             return cross_validated(free, kept | replaced, found, chosen, parameters)
 
-        free = selected(of_file | (mixed if resolved else unresolved), set())
+        free = selected(of_file | (ambiguous if resolved else unresolved), set())
         # The drives of a robot are alike: if those that the log resolves have no armature, the
         # others have none either.
-        if mixed and 2 * np.count_nonzero(free[resolved]) < len(resolved):
-            free = selected(of_file, mixed - of_file)
+        if ambiguous and 2 * np.count_nonzero(free[resolved]) < len(resolved):
+            free = selected(of_file, ambiguous)
         return cls(free, inseparable)
 
 

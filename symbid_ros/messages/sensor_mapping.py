@@ -121,8 +121,9 @@ SAME = SensorMapping()
 class HeldJoints:
     """Joints of the model that a log lacks, at constant positions and without efforts.
 
-    The first states decide which they are, so that a joint that is silent later is noticed. Live,
-    a joint may still be published later, so only those are held that the user names.
+    The first states decide which they are, so that a joint that is silent later is noticed. Only
+    joints that the user names are held live, where others may be published later, and if the log
+    has joints that the model lacks, which may be the missing ones under other names.
 
     Parameters
     ----------
@@ -162,12 +163,11 @@ class HeldJoints:
 
     def _missing(self, stream: JointStream, source: str) -> dict[str, float]:
         missing = [name for name in self.needed if name not in stream.names]
-        if self.is_live:
-            return {name: self.positions[name] for name in missing if name in self.positions}
-        # Without any joint in common, the log or the model is of another robot.
-        if len(missing) == len(self.needed):
-            return {}
         unnamed = [name for name in missing if name not in self.positions]
+        # The log may be of another robot, or use other names.
+        is_foreign = len(missing) == len(self.needed) or not set(stream.names) <= set(self.needed)
+        if self.is_live or is_foreign:
+            return {name: self.positions[name] for name in missing if name in self.positions}
         if unnamed:
             logger.warning(
                 "%s: %s has no joint %s, held at 0; give the position by `hold_joint` "

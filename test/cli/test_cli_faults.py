@@ -83,7 +83,7 @@ def test_a_missing_model(fails, good) -> None:
 def test_a_model_with_other_joints(fails, good, model, tmp_path) -> None:
     other = tmp_path / "other.xml"
     other.write_text(model.read_text().replace("R_kfe", "R_knee"))
-    fails("R_knee", **good | {"model": other})
+    fails("R_knee", "--rename-joint", **good | {"model": other})
 
 
 def test_a_prior_of_another_model(fails, good, tmp_path) -> None:
@@ -236,7 +236,7 @@ def test_nan_and_infinite_values(fails, good, tmp_path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["identify", "log"], "Missing option '--model'; see `symbid identify --help`"),
+        (["identify", "log"], "Missing option '--out'; see `symbid identify --help`"),
         (["simulate", "--out", "bag", "--moves", 0], "'--moves'"),
         (["dance"], "No such command 'dance'; see `symbid --help`"),
     ],
