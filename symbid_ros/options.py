@@ -163,11 +163,12 @@ class Option:
 
 def options_of(kind: type) -> tuple[Option, ...]:
     """Return the options that a dataclass defines, in order."""
-    hints = get_type_hints(kind)
+    entries = [entry for entry in fields(kind) if _KEY in entry.metadata]
+    # Hints of other dataclasses may name types that are imported for type checks only.
+    hints = get_type_hints(kind) if entries else {}
     return tuple(
         _option(entry.name, hints[entry.name], entry.default, entry.metadata[_KEY])
-        for entry in fields(kind)
-        if _KEY in entry.metadata
+        for entry in entries
     )
 
 
