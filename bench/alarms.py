@@ -487,7 +487,7 @@ GIVEN = {
 
 
 def shortened(said: str) -> str:
-    """Return what is said without advice and causes."""
+    """Return a message without its advice and its list of causes."""
     ends = "; ", " (", ", according to", ": the model's inertias", ", not checkable", ": move more"
     for end in ends:
         said = said.split(end, maxsplit=1)[0]

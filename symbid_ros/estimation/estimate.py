@@ -213,7 +213,7 @@ class Estimate:
         return ", ".join(parts) or "none"
 
     def describe_payloads(self) -> tuple[str, ...]:
-        """Return lines about what lies beyond each wrist sensor, and about the sensor's offset."""
+        """Return lines with the payload behind each wrist sensor and the sensor's offset."""
         place = {name: index for index, name in enumerate(self.names)}
         lines = []
         for sensor in self.wrist_sensors:

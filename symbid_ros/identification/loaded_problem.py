@@ -284,7 +284,7 @@ def _require_rows(dataset: Dataset, model: RobotModel) -> None:
 
 
 def _report_unnamed_sensors(model: RobotModel, dataset: Dataset) -> None:
-    """Log a warning about wrench sensors that carry a rigid body, which are no contacts."""
+    """Warn about wrench sensors that read the weight of a payload instead of a contact force."""
     for sensor, mass, share in unnamed_sensors(model, dataset.samples):
         logger.warning(
             "%s: the force at %s is that of a body of %.3g kg fixed to it (%.0f %% of its "

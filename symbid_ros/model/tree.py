@@ -173,7 +173,7 @@ class RobotModel:
     bodies : tuple of Body
         Bodies of the model file, of which the links are made; empty for a robot without a file.
     contacts : Contacts or None
-        Contacts whose wrenches are not measured; None if there is none.
+        Contacts without a wrench sensor; None if every contact has one.
     """
 
     name: str

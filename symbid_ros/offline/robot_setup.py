@@ -322,23 +322,29 @@ class _Inspector:
 
     def correct_signs_and_units(self) -> None:
         """Correct wrong signs and units until the doctor finds none."""
+        found = self._diagnosed()
         for _ in range(ROUNDS):
-            log = bag_log(self.bags, self.robot, TopicSelection.of(self.setup.log_options))
-            found = self.setup.diagnosis = diagnose(log, self.robot)
             kinds = {one.kind for one in found.findings}
             if not kinds & CORRECTABLE or not self._correct(found):
                 break
+            found = self._diagnosed()
+        self.setup.diagnosis = found
         for one in found.findings:
             if one.severity is Severity.UNUSABLE:
                 self.setup.note("", f"CHECK: {one.message}")
+
+    def _diagnosed(self) -> Diagnosis:
+        """Return what the doctor says of the log, read with the options so far."""
+        log = bag_log(self.bags, self.robot, TopicSelection.of(self.setup.log_options))
+        return diagnose(log, self.robot)
 
     def _correct(self, found: Diagnosis) -> bool:
         """Change signs and units as the diagnosis implies; return whether any changed."""
         common = found.figures.get("gain", 1.0) or 1.0
         before = {name: list(values) for name, values in self.setup.options.items()}
-        for frame in self.robot.frames:
-            if found.figures.get(f"{frame.name}/gain", 1.0) < 0:
-                self._flip(frame.name)
+        for frame in self.frames.values():
+            if found.figures.get(f"{frame}/gain", 1.0) < 0:
+                self._flip(frame)
         for name in self.robot.joint_names:
             gain = found.figures.get(f"{name}/effort_gain")
             std = found.figures.get(f"{name}/effort_gain_std", 0.0)

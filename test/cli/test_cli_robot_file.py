@@ -246,3 +246,25 @@ def test_any_names_are_matched_one_to_one(recorded: list[str], wanted: list[str]
     assert set(found) <= set(recorded)
     assert len(set(found.values())) == len(found)
     assert set(found.values()) <= set(wanted)
+
+
+def test_a_reversed_sensor_is_found_in_the_frame_of_a_link(log, tmp_path) -> None:
+    """A driver may name the link that carries the sensor."""
+    model = config_file("symbitron.urdf")
+    robot = load_model(model)
+    link = robot.link_names[robot.frame("left_sole").link]
+
+    def plate(messages: Messages) -> None:
+        """About the origin of the link, in its axes, reversed."""
+        sole = robot.frame("left_sole")
+        force = messages.records["wrench.force"] @ sole.rotation.T
+        torque = messages.records["wrench.torque"] @ sole.rotation.T
+        messages.records["wrench.force"] = -force
+        messages.records["wrench.torque"] = -(torque + np.cross(sole.translation, force))
+        messages.reframe(link)
+
+    reversed_ = edit_bag(log, tmp_path / "bag", {"/left_foot/wrench": plate})
+    setup = inspect_robot(model, [reversed_])
+    assert setup.options["flip_wrench"] == [link]
+    assert setup.diagnosis is not None
+    assert not setup.diagnosis.findings
