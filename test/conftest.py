@@ -3,10 +3,12 @@
 import fcntl
 import os
 import signal
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from browser import Browser, find_chromium, started_browser
 from hypothesis import HealthCheck, settings
 
 from symbid_ros.cli.processes import unused_domain
@@ -118,6 +120,20 @@ def domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
         monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
         yield number
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Chromium without a window; without one the tests are skipped, and the summary warns."""
+    executable = find_chromium()
+    if executable is None:
+        reason = "no Chromium found: pages are not tested; install it or set SYMBID_CHROMIUM"
+        warnings.warn(reason, stacklevel=1)
+        pytest.skip(reason)
+    # Playwright's event loop runs until the file's last test, so a file that uses asyncio must
+    # not ask for this fixture.
+    with started_browser(executable) as started:
+        yield started
 
 
 @pytest.fixture(scope="session")
