@@ -161,6 +161,7 @@ def _identify_offline(
 ) -> None:
     """Identify with every method, and write the results and the report."""
     from symbid_ros.cli.tables import metrics_table
+    from symbid_ros.estimation.provenance import command_line
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing
     from symbid_ros.identification.options import IdentifyOptions
@@ -198,7 +199,9 @@ def _identify_offline(
     exports.setLevel(logging.ERROR)  # the report shows which methods give impossible links
     try:
         for name, identified in found.values():
-            write_identification(identified, by_windows.parameters, out / name)
+            problem = by_thesis if name in METHODS else by_windows
+            named = problem.with_provenance(identified, command_line())
+            write_identification(named, by_windows.parameters, out / name)
     finally:
         exports.setLevel(logging.NOTSET)
     progress.advance(task)

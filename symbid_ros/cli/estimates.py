@@ -86,13 +86,16 @@ def identify(
     """
     from symbid_ros.atomic_write import require_no_files
     from symbid_ros.cli.tables import print_estimate
+    from symbid_ros.estimation.provenance import command_line
     from symbid_ros.identification.holdout import identify_with_holdout
     from symbid_ros.identification.result_files import RESULT_FILES, write_identification
     from symbid_ros.offline.bags import BagRequest
 
     require_no_files(out, RESULT_FILES, overwrite=overwrite)
-    problem = BagRequest(tuple(bags), require_model(model), options, log, base).load(out)
+    request = BagRequest(tuple(bags), require_model(model), options, log, base)
+    problem = request.load(out)
     found = identify_with_holdout(problem)
+    found = request.attributed(found, command_line(), () if robot is None else (robot,))
     write_identification(found, problem.parameters, out)
     print_estimate(found.estimate, out)
     verdict = found.estimate.verdict

@@ -12,6 +12,7 @@ from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.atomic_write import write_text
 from symbid_ros.choices import CHANNELS, FILTERS, TERMS, Channels, Filter
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.provenance import InputFile, Provenance
 from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.model.inertia import com_from_phi
@@ -20,6 +21,8 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.user_files import load_json
 
 MODEL_FILES = "model.urdf", "model.xml"
+# Version of the keys of estimate.json; files of earlier releases have none.
+SCHEMA_VERSION = 1
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,9 @@ class Estimate:
         Parameters of links from which the load of joints follows, if their friction depends on it.
     contacts : tuple of str
         ``FRAME`` or ``FRAME:point`` of each contact whose wrench was not measured.
+    provenance : Provenance or None
+        Checksums of the inputs, command, options, versions and date; None in files of earlier
+        releases and for live estimates that are not saved.
     """
 
     method: str
@@ -167,6 +173,7 @@ class Estimate:
     wrist_sensors: tuple[str, ...] = ()
     load_reference: dict[str, float] = field(default_factory=dict)
     contacts: tuple[str, ...] = ()
+    provenance: Provenance | None = None
 
     def parameters_of(self, model: RobotModel) -> ParameterSet:
         """Return the columns of a robot with the joint terms of this estimate."""
@@ -244,6 +251,7 @@ class Estimate:
         verdicts = [None] * count if self.determined is None else self.determined.tolist()
         values, priors = self.value.tolist(), self.prior.tolist()
         return {
+            "schema_version": SCHEMA_VERSION,
             "method": self.method,
             "model": self.model,
             "parameters": {
@@ -275,6 +283,7 @@ class Estimate:
             "wrist_sensors": list(self.wrist_sensors),
             "load_reference": self.load_reference,
             "contacts": list(self.contacts),
+            "provenance": None if self.provenance is None else asdict(self.provenance),
         }
 
     def write(self, path: Path) -> None:
@@ -300,6 +309,7 @@ def load_estimate(path: Path) -> Estimate:
         raise EstimateError(
             f"{path}: not an estimate.json ({error}); write one with `symbid identify`", "E409"
         ) from None
+    _require_readable_version(path, document)
     try:
         entries = list(document["parameters"].values())
         stds = [entry["std"] for entry in entries]
@@ -332,6 +342,7 @@ def load_estimate(path: Path) -> Estimate:
             wrist_sensors=tuple(map(str, document.get("wrist_sensors", ()))),
             load_reference=_numbers(document, "load_reference"),
             contacts=tuple(map(str, document.get("contacts", ()))),
+            provenance=_provenance(document.get("provenance")),
         )
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise EstimateError(
@@ -346,6 +357,24 @@ def load_estimate(path: Path) -> Estimate:
                 f"{path}: {kind} of {name} is not finite; identify the log again", "E409"
             )
     return estimate
+
+
+def _require_readable_version(path: Path, document: Any) -> None:
+    """Raise an error for a file of a later release, whose keys may have another meaning."""
+    version = document.get("schema_version", 0) if isinstance(document, dict) else 0
+    if isinstance(version, int) and version > SCHEMA_VERSION:
+        raise EstimateError(
+            f"{path}: schema_version {version} is of a later release, this one reads up to "
+            f"{SCHEMA_VERSION}; update symbid_ros",
+            "E475",
+        )
+
+
+def _provenance(document: dict[str, Any] | None) -> Provenance | None:
+    if document is None:
+        return None
+    inputs = tuple(InputFile(**one) for one in document["inputs"])
+    return Provenance(**(document | {"inputs": inputs}))
 
 
 def _rows(document: dict[str, Any] | None) -> RowSettings | None:

@@ -51,7 +51,7 @@ def identify(
     options = options or _options(fields)
     if isinstance(log, LogInformation):
         problem: LoadedProblem = load_information(robot, log.observations, options)
-        found = problem.solve()
+        found = problem.with_provenance(problem.solve())
     else:
         problem = load_problem(robot, log, options)
         found = identify_with_holdout(problem)

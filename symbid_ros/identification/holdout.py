@@ -40,7 +40,7 @@ def identify_with_holdout(problem: LoadedProblem) -> Identification:
     SymbidError
         When the log cannot be identified.
     """
-    found = explained(problem, problem.solve())
+    found = problem.with_provenance(explained(problem, problem.solve()))
     if problem.options.no_holdout:
         return found
     try:

@@ -24,6 +24,7 @@ from symbid_ros.estimation.prior import (
     load_prior,
     model_prior,
 )
+from symbid_ros.estimation.provenance import InputDigests, Provenance
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.identification.calibration import (
     SensorErrorRequest,
@@ -56,6 +57,7 @@ from symbid_ros.identification.result_files import check_output
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.wrist_evidence import reversed_sensors, unnamed_sensors
 from symbid_ros.model.coupling import Coupling
+from symbid_ros.model.load import model_files
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
@@ -93,6 +95,8 @@ class LoadedProblem:
         By frame of the wrench sensor.
     checks : LogChecks
         What the checks of the log found.
+    digests : InputDigests or None
+        Checksums of the input files, which a thread computes.
     """
 
     options: IdentifyOptions
@@ -104,6 +108,7 @@ class LoadedProblem:
     validation: Dataset | None
     tares: Mapping[str, Tare]
     checks: LogChecks = NO_CHECKS
+    digests: InputDigests | None = None
 
     @property
     def parameters(self) -> ParameterSet:
@@ -157,6 +162,12 @@ class LoadedProblem:
             estimate = replace(estimate, verdict=verdict)
         return replace(found, estimate=estimate)
 
+    def with_provenance(self, found: Identification, command: str = "") -> Identification:
+        """Return an identification of this problem that names its inputs and options."""
+        files = () if self.digests is None else self.digests.wait()
+        provenance = Provenance.now(files, self.options, command)
+        return replace(found, estimate=replace(found.estimate, provenance=provenance))
+
     def _solve(self, method: Method) -> Identification:
         if method == "map_lmi":
             return self.solver.map_lmi()
@@ -200,6 +211,7 @@ def load_problem(
     other = next(iter(_open_logs(chosen_on, log)), None)
     for _, text in options.loaded_logs:
         Payload.parse(text, robot)
+    digests = _digests(robot, options, log)
     dataset, streams = _read(log, options, parameters)
     if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
         return load_problem(robot, log, _with_reversed(options, wrong, log.source), out)
@@ -224,8 +236,14 @@ def load_problem(
             options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
         )
     return LoadedProblem(
-        options, inputs, parameters, prior, dataset, solver, validation, tares, checks
+        options, inputs, parameters, prior, dataset, solver, validation, tares, checks, digests
     )
+
+
+def _digests(robot: RobotModel, options: IdentifyOptions, log: Log | None = None) -> InputDigests:
+    """Start to compute the checksums of all input files."""
+    logs = () if log is None else log.files
+    return InputDigests((*logs, *model_files(Path(robot.source)), *options.files))
 
 
 def _with_loaded_logs(
@@ -337,7 +355,10 @@ def load_information(
     nothing = Dataset("information", (), Samples.none(robot.joint_names), observations)
     inputs = (robot.source, *map(str, options.files))
     solver = _build_solver(options, inputs, parameters, prior, dataset=nothing, tares={})
-    return LoadedProblem(options, inputs, parameters, prior, nothing, solver, None, {})
+    digests = _digests(robot, options)
+    return LoadedProblem(
+        options, inputs, parameters, prior, nothing, solver, None, {}, digests=digests
+    )
 
 
 def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet:

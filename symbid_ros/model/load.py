@@ -11,7 +11,7 @@ from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.mjcf_source import read_mjcf
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.urdf import load_urdf
-from symbid_ros.model.xml_file import read_xml
+from symbid_ros.model.xml_file import as_element, read_xml
 
 logger = logging.getLogger(__name__)
 
@@ -87,6 +87,19 @@ def _report_massless(model: RobotModel) -> None:
             model.source,
             ", ".join(names),
         )
+
+
+def model_files(path: Path) -> tuple[Path, ...]:
+    """Return a model's file and those that it includes; the first alone if it cannot be read."""
+    try:
+        if not is_mjcf(path):
+            return (path,)
+        elements = read_mjcf(path).iter()
+    except ModelError:
+        return (path,)
+    included = {as_element(one).file for one in elements} - {path}
+    home = path.parent.resolve()
+    return path, *(path.parent / file.relative_to(home) for file in sorted(included))
 
 
 def is_mjcf(path: Path) -> bool:

@@ -1,19 +1,21 @@
 """Identification and evaluation of bags: logs, requests and ground truth."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from symbid_ros.bags import bag_log, read_streams, read_truth
 from symbid_ros.choices import Base
 from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.provenance import Provenance, option_values
 from symbid_ros.identification.evaluation import Metrics, TrueMotion, true_motion
 from symbid_ros.identification.evaluation import evaluate as evaluate_candidates
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.realistic_prediction import RealisticMotion, realistic_motion
 from symbid_ros.identification.result import Result
+from symbid_ros.identification.solver import Identification
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
@@ -87,6 +89,15 @@ class BagRequest:
         """
         robot = load_model(self.model, self.base)
         return load_problem(robot, load_bag(self.bags, robot, self.log), self.options, out)
+
+    def attributed(
+        self, found: Identification, command: str, files: Sequence[Path] = ()
+    ) -> Identification:
+        """Return an identification that also names the command, these options and further files."""
+        provenance = found.estimate.provenance or Provenance()
+        options = option_values(self.log) | {"base": self.base}
+        provenance = provenance.extended(command, files, options)
+        return replace(found, estimate=replace(found.estimate, provenance=provenance))
 
 
 def read_true_motion(bags: Sequence[Path], model: RobotModel) -> TrueMotion:

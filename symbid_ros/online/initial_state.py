@@ -8,6 +8,7 @@ from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.provenance import InputFile, digest, list_inputs
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.loaded_problem import (
     build_pseudo_measurements,
@@ -17,6 +18,7 @@ from symbid_ros.identification.loaded_problem import (
 )
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
+from symbid_ros.model.load import model_files
 from symbid_ros.model.tree import RobotModel
 
 logger = logging.getLogger(__name__)
@@ -35,12 +37,15 @@ class InitialState:
         Layout of the rows.
     observations : tuple of Observations
         Data of an earlier run, for each window length.
+    files : tuple of InputFile
+        The model and the files that options name, with checksums.
     """
 
     options: IdentifyOptions
     problem: Problem
     layout: RowLayout
     observations: tuple[Observations, ...]
+    files: tuple[InputFile, ...]
 
     @classmethod
     def of(cls, robot: RobotModel, options: IdentifyOptions) -> "InitialState":
@@ -76,7 +81,8 @@ class InitialState:
             if options.information is None
             else _load_earlier(options.information, no_observations)
         )
-        return cls(options, problem, layout, observations)
+        files = tuple(map(digest, list_inputs((*model_files(Path(robot.source)), *options.files))))
+        return cls(options, problem, layout, observations, files)
 
     @property
     def no_observations(self) -> tuple[Observations, ...]:

@@ -13,6 +13,7 @@ from std_msgs.msg import String
 from threadpoolctl import threadpool_limits
 
 from symbid_ros.errors import SymbidError
+from symbid_ros.estimation.provenance import command_line
 from symbid_ros.identification.holdout import identify_with_holdout
 from symbid_ros.identification.result_files import export_urdf, write_identification
 from symbid_ros.model.load import load_model
@@ -103,7 +104,7 @@ def identify_bags(node: Node, values: dict[str, Any], stop: Event) -> None:
     with interruptible(stop):  # long bags take minutes
         request = BagRequest(bags, model, identify_options(values), log_options(values), base)
         problem = request.load(out)
-        found = identify_with_holdout(problem)
+        found = request.attributed(identify_with_holdout(problem), command_line())
     estimate = found.estimate
     if out is not None:
         write_identification(found, problem.parameters, out)

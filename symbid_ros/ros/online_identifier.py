@@ -15,6 +15,7 @@ from rclpy.time import Time
 from std_srvs.srv import SetBool, Trigger
 
 from symbid_ros.errors import EstimateError, SymbidError
+from symbid_ros.estimation.provenance import Provenance, command_line
 from symbid_ros.identification.result_files import check_output, export_urdf, write_identification
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection
 from symbid_ros.model.load import load_model
@@ -277,7 +278,11 @@ class OnlineIdentifier:
         return self._write(self._solve_exactly(), self._out)
 
     def _write(self, estimate: OnlineEstimate, out: Path) -> str:
-        write_identification(estimate.found, estimate.parameters, out)
+        start = self._initial_state
+        provenance = Provenance.now(start.files, start.options, command_line())
+        found = estimate.found
+        found = replace(found, estimate=replace(found.estimate, provenance=provenance))
+        write_identification(found, estimate.parameters, out)
         return f"{_summarize(estimate)}, written to {out}"
 
     def _reset(self) -> str:

@@ -1,6 +1,9 @@
 """`symbid prior`, `identify` and `evaluate` in a row, as a user runs them."""
 
+import hashlib
 import json
+import shlex
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -89,6 +92,30 @@ def test_without_options_links_are_possible_and_the_verdict_says_what_is_known(f
     assert sum(quantity["determined"] for quantity in verdict["base"]) > 0
     assert verdict["alarms"] == []
     assert verdict["sensors"] == []
+
+
+def test_the_estimate_names_its_inputs_command_options_and_versions(
+    symbid_here, model, short, found, prior
+) -> None:
+    document = json.loads((found / "estimate.json").read_text())
+    assert document["schema_version"] == 1
+    provenance = document["provenance"]
+    files = [*sorted(short.iterdir()), model, prior]
+    assert provenance["inputs"] == [
+        {
+            "path": str(file),
+            "sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
+            "size_bytes": file.stat().st_size,
+        }
+        for file in files
+    ]
+    words = shlex.split(provenance["command"])
+    assert words[:3] == ["symbid", "identify", str(short)]
+    options = provenance["options"]
+    assert (options["prior"], options["base"]) == (str(prior), "auto")
+    assert options.keys() >= {"method", "window", "start", "joint_terms"}
+    assert provenance["versions"].keys() >= {"symbid_ros", "python", "numpy", "scipy", "clarabel"}
+    assert datetime.fromisoformat(provenance["date"]) <= datetime.now(UTC)
 
 
 def test_a_truncated_method_chooses_z_on_a_bag_or_by_itself(
@@ -188,7 +215,8 @@ def test_ground_truth_does_not_affect_an_estimate(
     )
     found = request.getfixturevalue(kind)
     expected = json.loads((found / "estimate.json").read_text())
-    assert expected.pop("inputs") != blind.pop("inputs")
+    for names_files in ("inputs", "provenance"):
+        assert expected.pop(names_files) != blind.pop(names_files)
     assert blind == expected
     with (
         np.load(found / "information.npz") as one,
@@ -252,7 +280,7 @@ def test_the_doctors_warnings_are_given_before_the_estimate(
     out = tmp_path / "out"
     ended = symbid_here("identify", bag, "--model", model, "--prior-percent", 25, "--out", out)
     assert ended.returncode == 0
-    assert "effort of L_kfe is in no message" in ended.stderr
+    assert "effort of L_kfe is in no message" in " ".join(ended.stderr.split())
     assert ended.stderr.count("L_kfe") == 1
     residuals = json.loads((out / "estimate.json").read_text())["residual_rmse"]
     assert "L_kfe" not in residuals

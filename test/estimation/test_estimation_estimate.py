@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from expected_errors import raises_code
 
-from symbid_ros.estimation.estimate import Estimate, load_estimate
+from symbid_ros.estimation.estimate import SCHEMA_VERSION, Estimate, load_estimate
+from symbid_ros.estimation.provenance import InputFile, Provenance
 from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 
@@ -43,6 +44,13 @@ ESTIMATE = Estimate(
     software="symbid_ros 0.1",
     verdict=VERDICT,
     known={"knee/coulomb": 0.75},
+    provenance=Provenance(
+        inputs=(InputFile("bag/bag_0.mcap", "ab" * 32, 12), InputFile("gone.urdf", None, None)),
+        command="symbid identify bag --model gone.urdf",
+        options={"method": "map_lmi", "tare": [], "prior_percent": None},
+        versions={"symbid_ros": "0.1.0"},
+        date="2026-03-01T12:00:00+00:00",
+    ),
 )
 TRUNCATED = replace(ESTIMATE, std=None, determined=None, verdict=None, rank=2, known={})
 
@@ -65,6 +73,26 @@ def test_files_without_unexplained_forces_are_read(tmp_path):
     del document["verdict"]["unexplained"]
     path.write_text(json.dumps(document))
     assert load_estimate(path).verdict == replace(VERDICT, unexplained=())
+
+
+def test_files_without_provenance_are_read(tmp_path):
+    """Earlier versions wrote neither it nor a schema_version."""
+    path = tmp_path / "estimate.json"
+    ESTIMATE.write(path)
+    document = json.loads(path.read_text())
+    assert document.pop("schema_version") == SCHEMA_VERSION
+    del document["provenance"]
+    path.write_text(json.dumps(document))
+    assert load_estimate(path).provenance is None
+
+
+def test_files_of_a_later_release_are_refused(tmp_path):
+    path = tmp_path / "estimate.json"
+    ESTIMATE.write(path)
+    document = json.loads(path.read_text())
+    path.write_text(json.dumps(document | {"schema_version": SCHEMA_VERSION + 1}))
+    with raises_code("E475", "update symbid_ros"):
+        load_estimate(path)
 
 
 def test_the_file_has_one_entry_for_each_parameter(tmp_path):
