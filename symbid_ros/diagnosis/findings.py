@@ -126,6 +126,26 @@ def merged(of_streams: Iterable[Finding], of_model: Iterable[Finding]) -> list[F
 
 
 @dataclass(frozen=True)
+class FaultSpan:
+    """A time in which a topic has no usable messages.
+
+    Attributes
+    ----------
+    kind : Kind
+        ``GAP``, ``FROZEN`` or ``SILENT``.
+    stream : str
+        Topic; empty for all.
+    start, stop : int
+        Stamps, ns.
+    """
+
+    kind: Kind
+    stream: str
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True)
 class StreamFigures:
     """Statistics of one topic.
 

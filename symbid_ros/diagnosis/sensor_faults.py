@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.streams import Stream, Streams
 
@@ -163,6 +163,15 @@ class FreezeDetector:
                 )
             )
         return found
+
+    def spans(self, limited: Container[tuple[str, str]]) -> list[FaultSpan]:
+        """Return when readings were frozen, except channels (topic, name) that are at a limit."""
+        return [
+            FaultSpan(Kind.FROZEN, topic, start, stop)
+            for (topic, name), counts in self.readings.items()
+            if counts.is_frozen and (topic, name) not in limited
+            for start, stop in counts.runs
+        ]
 
 
 def _all_changes(streams: Streams, during: tuple[int, int]) -> Iterator[ChannelChanges]:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
-from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity
 from symbid_ros.diagnosis.imu_checks import ImuCheck, QuaternionCheck
 from symbid_ros.diagnosis.jitter import JitterCheck
 from symbid_ros.diagnosis.joint_checks import JointCheck
@@ -48,6 +48,7 @@ class StreamChecks:
     _saturation_detector: SaturationDetector = field(default_factory=SaturationDetector)
     _defects: tuple[DefectCounts, ...] = ()
     _faults: list[str] = field(default_factory=list)
+    _silent: list[FaultSpan] = field(default_factory=list)
 
     def take(self, piece: Slice) -> None:
         """Check the next slice of the log."""
@@ -56,6 +57,7 @@ class StreamChecks:
             self.timings.setdefault(topic, TimingCheck(topic)).add(stamps)
         if piece.streams is None:
             self._faults.append(piece.fault)
+            self._silent.append(FaultSpan(Kind.SILENT, "", piece.start, piece.stop))
             return
         streams, during = piece.streams, (piece.start, piece.stop)
         for imu in streams.imus:
@@ -89,7 +91,7 @@ class StreamChecks:
         known = [timing for timing in self.timings.values() if timing.first is not None]
         first = min((timing.first or 0 for timing in known), default=0)
         last = max((timing.last or 0 for timing in known), default=0)
-        limited = {(topic, name) for topic, name, _ in self._saturation_detector.limits}
+        limited = self._limited
         return [
             *self._silence_findings(source),
             *repair_findings(self._defects),
@@ -101,6 +103,18 @@ class StreamChecks:
             *self.unit_findings(),
             *self.named,
         ]
+
+    @property
+    def spans(self) -> tuple[FaultSpan, ...]:
+        """When topics had no usable messages, in the order of time."""
+        found = [one for timing in self.timings.values() for one in timing.spans]
+        found += [*self._silent, *self._freeze_detector.spans(self._limited)]
+        return tuple(sorted(found, key=lambda one: (one.start, one.stop)))
+
+    @property
+    def _limited(self) -> set[tuple[str, str]]:
+        """Saturated channels."""
+        return {(topic, name) for topic, name, _ in self._saturation_detector.limits}
 
     def _silence_findings(self, source: str) -> list[Finding]:
         if not self._faults:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from symbid_ros.arrays import IntArray
-from symbid_ros.diagnosis.findings import Finding, Kind, Severity, StreamFigures
+from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity, StreamFigures
 from symbid_ros.signals.defects import find_gaps
 
 # Stamps whose periods vary more are arrival times instead of sampling times.
@@ -16,6 +16,8 @@ SLOWEST = 50.0
 MAX_OFFSET = 1.0
 # A topic with a larger share of missing messages is unusable.
 MOST_MISSING = 0.5
+# Number of gaps whose times are kept.
+GAPS_KEPT = 200
 
 
 @dataclass
@@ -27,6 +29,12 @@ class TimingCheck:
     topic : str
     first, last : int or None
         First and last stamp, ns.
+    messages, gaps, missing : int
+        See :class:`StreamFigures`.
+    longest : int
+        Longest period, ns.
+    spans : list of FaultSpan
+        The longest gaps.
     """
 
     topic: str
@@ -36,6 +44,7 @@ class TimingCheck:
     gaps: int = 0
     missing: int = 0
     longest: int = 0
+    spans: list[FaultSpan] = field(default_factory=list)
     _periods: list[int] = field(default_factory=list)
     _deviations: float = 0.0
     _steps: int = 0
@@ -58,9 +67,20 @@ class TimingCheck:
         self.missing += found.missing
         self.longest = max(self.longest, found.longest)
         steps = np.diff(ordered)
+        self._keep_gaps(ordered, steps, found.period)
         regular = steps[2 * steps < 3 * found.period] / found.period - 1
         self._deviations += float(np.sum(regular**2))
         self._steps += len(regular)
+
+    def _keep_gaps(self, stamps: IntArray, steps: IntArray, period: int) -> None:
+        wide = np.flatnonzero(2 * steps >= 3 * period)
+        longest = wide[np.argsort(-steps[wide], kind="stable")[:GAPS_KEPT]]
+        self.spans += [
+            FaultSpan(Kind.GAP, self.topic, int(stamps[one]), int(stamps[one + 1]))
+            for one in longest.tolist()
+        ]
+        if len(self.spans) > GAPS_KEPT:
+            self.spans = sorted(self.spans, key=lambda one: one.start - one.stop)[:GAPS_KEPT]
 
     @property
     def period(self) -> float:

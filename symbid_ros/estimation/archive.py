@@ -21,6 +21,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.user_files import open_regular
 
 FORMAT = 2
+ARCHIVE = "an information.npz"
 MAX_ARRAYS = 10_000
 MAX_BYTES = 512 << 20  # of all arrays, unpacked
 LARGEST_ENTRY = 1e15  # far above an hour of large forces at a high rate
@@ -114,7 +115,7 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
     EstimateError
         When the file is missing, damaged or not an information.npz.
     """
-    content = _read(path)
+    content = read_arrays(path, ARCHIVE)
     try:
         if int(content["format"]) != FORMAT:
             raise EstimateError(
@@ -160,7 +161,7 @@ def load_deviation_factor(path: Path) -> FloatArray | None:
     EstimateError
         When the file is missing, damaged or not an information.npz.
     """
-    factor = _read(path).get("deviation_factor")
+    factor = read_arrays(path, ARCHIVE).get("deviation_factor")
     if factor is None:
         return None
     if factor.ndim != 2 or factor.dtype != np.float64 or not np.all(np.isfinite(factor)):
@@ -178,7 +179,7 @@ def load_calibration(path: Path) -> SensorCalibration | None:
     EstimateError
         When the file is missing, damaged or not an information.npz.
     """
-    content = _read(path)
+    content = read_arrays(path, ARCHIVE)
     names = "sensor_factor", "linearization"
     if not all(name in content for name in names):
         return None
@@ -312,7 +313,15 @@ def _seconds(content: dict[str, np.ndarray]) -> list[int]:
     return seconds
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
+def read_arrays(path: Path, kind: str, code: str = "E410") -> dict[str, np.ndarray]:
+    """Return the arrays of an .npz that `symbid identify` writes under the name ``kind``.
+
+    Raises
+    ------
+    EstimateError
+        When it cannot be read, exceeds the limits or is no archive of arrays; the latter with
+        ``code``.
+    """
     try:
         with open_regular(path) as stream:
             _check_sizes(path, stream)
@@ -326,7 +335,7 @@ def _read(path: Path) -> dict[str, np.ndarray]:
     except (ValueError, TypeError, zipfile.BadZipFile, zlib.error, EOFError, AttributeError):
         # NumPy's own message advises loading the file as a pickle, so it is dropped.
         raise EstimateError(
-            f"{path}: not an information.npz; give the file that `symbid identify` wrote", "E410"
+            f"{path}: not {kind}; give the file that `symbid identify` wrote", code
         ) from None
 
 

@@ -1,6 +1,7 @@
 """Check of an identification on the end of its own log, which a trial identification leaves out."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,13 @@ from symbid_ros.identification.dataset import Processing, fold_dataset
 from symbid_ros.identification.likely_cause import explained
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.identification.report_data import ForceSeries
+from symbid_ros.identification.report_series import (
+    PositionTrace,
+    coverage,
+    force_series,
+    report_data,
+)
 from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import describe_change, validate_segments
 from symbid_ros.signals.segments import Segment, split
@@ -41,13 +49,20 @@ def identify_with_holdout(problem: LoadedProblem) -> Identification:
         When the log cannot be identified.
     """
     found = problem.with_provenance(explained(problem, problem.solve()))
-    if problem.options.no_holdout:
-        return found
-    try:
-        checked = check_holdout(problem, found.window)
-    except SymbidError as error:
-        checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {error}")
-    return replace(found, estimate=replace(found.estimate, holdout=checked))
+    log = coverage(problem)
+    checked, forces = None, None
+    if not problem.options.no_holdout:
+        try:
+            checked, forces = _hold_out(problem, found.window, log.begin)
+        except SymbidError as error:
+            checked = HoldOut(0.0, None, None, "none", 0.0, {}, f"no part of the log: {error}")
+    if forces is None:
+        forces = _predict_end(problem, found, log.begin)
+    return replace(
+        found,
+        estimate=replace(found.estimate, holdout=checked),
+        report=report_data(problem, found, forces, log),
+    )
 
 
 def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:
@@ -64,7 +79,27 @@ def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:
     SymbidError
         When one of both parts is too short.
     """
-    dataset = problem.dataset
+    return _hold_out(problem, window, 0)[0]
+
+
+def _predict_end(problem: LoadedProblem, found: Identification, begin: int) -> ForceSeries | None:
+    """Predict the last quarter of the log, or all of a short one, with the final estimate."""
+    dataset, trace = problem.dataset, PositionTrace()
+    predictor = ForcePredictor.of(found, problem.parameters)
+    part = dataset.segments
+    with suppress(SymbidError):
+        _, part = split(dataset.segments, max(found.window, *WINDOWS), dataset.source)
+    try:
+        efforts = validate_segments(predictor, trace.of(part), dataset.source).efforts
+    except SymbidError:  # too short for a prediction
+        return None
+    model = predictor.parameters.model
+    return force_series(efforts, model, trace, begin=begin, window=found.window, is_held_out=False)
+
+
+def _hold_out(problem: LoadedProblem, window: float, begin: int) -> tuple[HoldOut, ForceSeries]:
+    """Return the check on the end of the log and the forces predicted there."""
+    dataset, trace = problem.dataset, PositionTrace()
     training, held_out = split(dataset.segments, max(window, *WINDOWS), dataset.source)
     processing = Processing.of(problem.options)
     if processing.smoothing is None:
@@ -75,14 +110,16 @@ def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:
         fold_dataset(training, f"{dataset.source}, without its end", problem.columns, processing)
     )
     predictor = ForcePredictor.of(trial.solve(), trial.parameters)
-    found = validate_segments(predictor, held_out, f"{dataset.source}, its end")
+    found = validate_segments(predictor, trace.of(held_out), f"{dataset.source}, its end")
     repeats = repeated_share(training, held_out)
     summary = f"{describe_change(found.main)} on the last {found.seconds:.0f} s"
     if found.advice == "worse":
         summary += ", worse than the original model"
     if repeats >= REPEATED:
         summary += "; the motion repeats itself there, so other motions may be predicted worse"
-    return HoldOut(
+    model = predictor.parameters.model
+    forces = force_series(found.efforts, model, trace, begin=begin, window=window, is_held_out=True)
+    checked = HoldOut(
         seconds=found.seconds,
         percent_before=found.percent_before,
         percent_after=found.percent_after,
@@ -91,6 +128,7 @@ def check_holdout(problem: LoadedProblem, window: float) -> HoldOut:
         coordinates={one.name: (one.rmse_before, one.rmse_after) for one in found.coordinates},
         summary=summary,
     )
+    return checked, forces
 
 
 def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from symbid_ros.diagnosis.findings import Finding, Kind, merged
+from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, merged
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.stream_checks import StreamChecks, unusable
@@ -47,10 +47,13 @@ class LogChecks:
         Worst first.
     mountings : mapping of str to Mounting
         Rotations of IMUs to estimate from, by frame.
+    spans : tuple of FaultSpan
+        When topics had no usable messages.
     """
 
     findings: tuple[Finding, ...] = ()
     mountings: Mapping[str, Mounting] = field(default_factory=dict)
+    spans: tuple[FaultSpan, ...] = ()
 
     @property
     def alarms(self) -> tuple[str, ...]:
@@ -121,7 +124,7 @@ def check_dataset(
         left_out = finding.kind in (Kind.FROZEN, Kind.SATURATED)
         also = "; those messages are left out" if left_out else ""
         logger.warning("%s: %s%s", source, finding.message, also)
-    return LogChecks(tuple(findings), mountings)
+    return LogChecks(tuple(findings), mountings, checks.spans)
 
 
 def _mounting(finding: Finding) -> Mounting | None:

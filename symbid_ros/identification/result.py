@@ -305,7 +305,7 @@ class Result:
         return table.set_index("name")
 
     def save(self, folder: str | Path) -> Path:
-        """Write estimate.json, information.npz, model.urdf and model.xml.
+        """Write estimate.json, information.npz, report_data.npz, model.urdf and model.xml.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Files of a result: estimate.json, information.npz and the robot as URDF and MJCF."""
+"""Files of a result: estimate, information, data of the report, and the robot as URDF and MJCF."""
 
 import logging
 import tempfile
@@ -20,6 +20,7 @@ from symbid_ros.estimation.archive import (
 )
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, load_estimate
 from symbid_ros.estimation.prior import load_prior
+from symbid_ros.identification.report_data import FILE_NAME as REPORT_DATA
 from symbid_ros.identification.solver import Identification
 from symbid_ros.model.export_mjcf import mjcf_files, replaced_values
 from symbid_ros.model.export_urdf import unwritten, urdf_text
@@ -31,7 +32,7 @@ from symbid_ros.user_files import load_json
 
 logger = logging.getLogger(__name__)
 
-RESULT_FILES = *MODEL_FILES, "information.npz", "estimate.json"
+RESULT_FILES = *MODEL_FILES, "information.npz", "estimate.json", REPORT_DATA
 
 
 def check_output(parameters: ParameterSet, out: Path) -> None:
@@ -48,7 +49,7 @@ def check_output(parameters: ParameterSet, out: Path) -> None:
 
 
 def write_identification(found: Identification, parameters: ParameterSet, out: Path) -> None:
-    """Write estimate.json, information.npz, model.urdf and model.xml into a folder, together.
+    """Write the files of a result (``RESULT_FILES``) into a folder, together.
 
     The user's model file keeps everything but the inertial parameters, together with the files that
     it includes. The other format holds the kinematic tree only. Parameters that a format cannot
@@ -73,6 +74,8 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
             base="floating" if parameters.model.floating else "fixed",
         ).write,
     }
+    if found.report is not None:
+        results[REPORT_DATA] = found.report.write
     models: dict[str, Callable[[Path], object]] = {
         "model.urdf": lambda path: write_text(path, export_urdf(estimate, parameters)),
         "model.xml": lambda path: _write_mjcf(path, export_mjcf(estimate, parameters, out)),
@@ -85,6 +88,8 @@ def write_identification(found: Identification, parameters: ParameterSet, out: P
         failures = dict.fromkeys(outputs, str(error))
     _log_unwritten(parameters, estimate, out)
     if not failures:
+        if found.report is None:  # that of an earlier result does not belong to this one
+            (out / REPORT_DATA).unlink(missing_ok=True)
         return
     first = next(iter(failures.values()))
     saved = [name for name in outputs if name not in failures]

@@ -28,6 +28,7 @@ from symbid_ros.estimation.unexplained import UnexplainedForce, unexplained_forc
 from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
 from symbid_ros.identification.joint_terms import joints_without_rows
 from symbid_ros.identification.problem import Problem, Truncation
+from symbid_ros.identification.report_data import ReportData
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet
@@ -59,6 +60,8 @@ class Identification:
     scale_change : (p,) float64 or None
         Change of the parameters with one deviation of the gain that no residual shows, as far as
         their deviations contain it.
+    report : ReportData or None
+        What a report shows of the log; None without a log.
     """
 
     estimate: Estimate
@@ -68,6 +71,7 @@ class Identification:
     unknowns: FloatArray
     rows: RowBuilder
     scale_change: FloatArray | None = None
+    report: ReportData | None = None
 
     @property
     def deviation_factor(self) -> FloatArray | None:

@@ -19,7 +19,7 @@ METRICS = {
     "com_momentum_rmse",
     "parameter_error_pct",
 }
-FILES = {"estimate.json", "information.npz", "model.urdf", "model.xml"}
+FILES = {"report_data.npz", "estimate.json", "information.npz", "model.urdf", "model.xml"}
 WLS_RC = ("--method", "wls_rc")
 
 

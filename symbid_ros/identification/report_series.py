@@ -1,0 +1,256 @@
+"""Computes what a report shows of a log: predicted forces, spectra, coverage, motion."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.signal import welch
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.identification.dataset import PROBE_PERIOD
+from symbid_ros.identification.loaded_problem import LoadedProblem
+from symbid_ros.identification.log_checks import LogChecks
+from symbid_ros.identification.report_data import (
+    QUANTILES,
+    Coverage,
+    ForceSeries,
+    ParameterSpread,
+    ReportData,
+)
+from symbid_ros.identification.solver import Identification
+from symbid_ros.identification.validation import PredictedEfforts
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.segments import Segment
+
+MOST_ROWS = 1500  # shown over time: a minute of rows at 25 Hz
+MOST_SPEEDS = 1000  # rows shown against the speed
+SPECTRUM_ROWS = 64  # rows of one spectrum, which are averaged
+TRACE_PERIOD = 0.01  # s between positions from which speeds are computed
+LEAST_SPAN = 0.04  # s over which a speed is averaged at least
+# Times without data that are shorter, s, are those between two filters.
+LEAST_GAP = 0.3
+
+
+@dataclass
+class PositionTrace:
+    """Joint positions of segments that pass through it.
+
+    Attributes
+    ----------
+    stamps : list of (N,) int64
+        Nanoseconds.
+    positions : list of (N, J) float64
+        rad or m.
+    """
+
+    stamps: list[IntArray] = field(default_factory=list)
+    positions: list[FloatArray] = field(default_factory=list)
+
+    def of(self, segments: Iterable[Segment]) -> Iterator[Segment]:
+        """Yield the segments and keep their positions at few instants."""
+        for segment in segments:
+            # Indices copy; a slice would be a view and keep the whole segment in memory.
+            kept = np.arange(0, len(segment), max(1, round(TRACE_PERIOD * segment.rate)))
+            self.stamps.append(segment.stamp[kept])
+            self.positions.append(segment.position[kept])
+            yield segment
+
+    def speeds(self, stamp: IntArray, span: float) -> FloatArray:
+        """Return mean speeds (N, J) over ``span``, s, around stamps (N,), ns."""
+        known, position = np.concatenate(self.stamps), np.concatenate(self.positions)
+        origin, half = int(known[0]), max(span, LEAST_SPAN) / 2
+        time, at = (known - origin) * 1e-9, (stamp - origin) * 1e-9
+        return np.stack(
+            [
+                (np.interp(at + half, time, column) - np.interp(at - half, time, column))
+                / (2 * half)
+                for column in position.T
+            ],
+            axis=1,
+        )
+
+
+def force_series(
+    efforts: PredictedEfforts,
+    model: RobotModel,
+    trace: PositionTrace,
+    *,
+    begin: int,
+    window: float,
+    is_held_out: bool,
+) -> ForceSeries:
+    """Return measured and predicted forces of a part of a log.
+
+    Parameters
+    ----------
+    efforts : PredictedEfforts
+        The rows of this part.
+    model : RobotModel
+    trace : PositionTrace
+        Its positions.
+    begin : int
+        Stamp of the start of the log, ns.
+    window : float
+        Length of the rows' windows, s; 0 for filtered rows.
+    is_held_out : bool
+        See :class:`ForceSeries`.
+    """
+    first = 6 * model.floating
+    measured, before, after = (
+        np.concatenate(pair, axis=1)
+        for pair in (
+            (efforts.wrench_measured, efforts.measured),
+            (efforts.wrench_before, efforts.before),
+            (efforts.wrench_after, efforts.after),
+        )
+    )
+    time = np.asarray((efforts.stamp - begin) * 1e-9, dtype=np.float64)
+    rest_before, rest_after = measured - before, measured - after
+    shown = _eventful_stretch(time, measured)
+    places = np.unique(np.linspace(0, len(time) - 1, min(len(time), MOST_SPEEDS)).round())
+    some = places.astype(np.int64)
+    speed = np.full((len(some), measured.shape[1]), np.nan)
+    speed[:, first:] = trace.speeds(efforts.stamp[some], window)
+    frequency, powers = _spectra(time, (measured, rest_before, rest_after))
+    return ForceSeries(
+        coordinates=model.coordinates,
+        units=model.coordinate_units,
+        time=time[shown],
+        measured=measured[shown],
+        before=before[shown],
+        after=after[shown],
+        frequency=frequency,
+        power_measured=powers[0],
+        power_before=powers[1],
+        power_after=powers[2],
+        speed=speed,
+        speed_before=rest_before[some],
+        speed_after=rest_after[some],
+        rms_measured=_rms(measured),
+        rmse_before=_rms(rest_before),
+        rmse_after=_rms(rest_after),
+        start=float(time[0]),
+        stop=float(time[-1]),
+        is_held_out=is_held_out,
+    )
+
+
+def _rms(values: FloatArray) -> FloatArray:
+    """Return the RMS (n,) of the rows that are used; NaN without any."""
+    used = np.isfinite(values)
+    count = used.sum(axis=0)
+    squares = np.where(used, values, 0.0) ** 2
+    mean = squares.sum(axis=0) / np.maximum(count, 1)
+    return np.where(count > 0, np.sqrt(mean), np.nan)
+
+
+def _eventful_stretch(time: FloatArray, measured: FloatArray) -> IntArray:
+    """Return consecutive rows, at most ``MOST_ROWS``, in which the forces vary most.
+
+    Rows at more than 25 Hz are thinned out first.
+    """
+    rate = 1 / max(float(np.median(np.diff(time))), 1e-9) if len(time) > 1 else 1.0
+    rows = np.arange(0, len(time), max(1, round(rate / 25)))
+    if len(rows) <= MOST_ROWS:
+        return rows
+    values = measured[rows]
+    scale = np.nanstd(values, axis=0, where=np.isfinite(values))
+    steps = np.abs(np.diff(values, axis=0, prepend=values[:1])) / np.where(scale > 0, scale, 1.0)
+    events = np.cumsum(np.nan_to_num(steps).sum(axis=1))
+    best = int(np.argmax(events[MOST_ROWS:] - events[:-MOST_ROWS]))
+    return rows[best : best + MOST_ROWS]
+
+
+def _spectra(
+    time: FloatArray, signals: tuple[FloatArray, ...]
+) -> tuple[FloatArray, tuple[FloatArray, ...]]:
+    """Return frequencies (F,) and power spectral densities (F, n) of signals (N, n).
+
+    Rows have gaps between blocks, so spectra of stretches without gap are averaged.
+    """
+    empty = tuple(np.zeros((0, one.shape[1])) for one in signals)
+    if len(time) < 8:
+        return np.zeros(0), empty
+    step = float(np.median(np.diff(time)))
+    runs = np.split(np.arange(len(time)), np.flatnonzero(np.diff(time) > 1.5 * step) + 1)
+    length = min(SPECTRUM_ROWS, int(np.median([len(run) for run in runs])))
+    runs = [run for run in runs if len(run) >= length]
+    if length < 8 or not runs:
+        return np.zeros(0), empty
+    frequency = np.zeros(0)
+    powers = []
+    for signal in signals:
+        used = np.isfinite(signal)
+        share = np.maximum(used.mean(axis=0), 1e-12)
+        filled = np.where(used, signal, 0.0)
+        parts = []
+        for run in runs:
+            frequency, power = welch(
+                filled[run], 1 / step, nperseg=length, axis=0, detrend="constant"
+            )
+            parts.append(power)
+        powers.append(np.mean(parts, axis=0) / share)
+    # The mean is removed, so the first bin is empty.
+    return frequency[1:], tuple(power[1:] for power in powers)
+
+
+def coverage(problem: LoadedProblem) -> Coverage:
+    """Return the used parts of a problem's log, its faults, and the motion it contains."""
+    dataset, checks = problem.dataset, problem.checks
+    samples = dataset.samples
+    stamp, position = samples.stamp, samples.position
+    if len(stamp) > 1:
+        period = float(np.median(np.diff(stamp))) * 1e-9
+        stride = max(1, round(PROBE_PERIOD / max(period, 1e-9)))
+        stamp, position = stamp[::stride], position[::stride]
+    begin = min([int(stamp[0]), *(one.start for one in checks.spans)])
+    time = (stamp - begin) * 1e-9
+    step = np.diff(time)
+    breaks = np.flatnonzero(step > LEAST_GAP)
+    starts, stops = np.r_[0, breaks + 1], np.r_[breaks, len(time) - 1]
+    speed = np.abs(np.diff(position, axis=0)) / step[:, None]
+    speed = speed[step <= LEAST_GAP]
+    if not len(speed):
+        speed = np.zeros((1, position.shape[1]))
+    return Coverage(
+        log=dataset.source,
+        begin=begin,
+        used=np.stack([time[starts], time[stops]], axis=1),
+        faults=_faults(checks, begin),
+        findings=tuple(one.as_dict() for one in checks.findings),
+        is_checked=not problem.options.unchecked,
+        joints=problem.parameters.model.joint_names,
+        position=np.quantile(position, QUANTILES, axis=0).T,
+        speed=np.quantile(speed, QUANTILES, axis=0).T,
+        mean_posture=position.mean(axis=0),
+    )
+
+
+def _faults(checks: LogChecks, begin: int) -> tuple[dict[str, object], ...]:
+    return tuple(
+        {
+            "kind": one.kind.value,
+            "stream": one.stream,
+            "start": (one.start - begin) * 1e-9,
+            "stop": (one.stop - begin) * 1e-9,
+        }
+        for one in checks.spans
+    )
+
+
+def report_data(
+    problem: LoadedProblem, found: Identification, forces: ForceSeries | None, log: Coverage
+) -> ReportData:
+    """Return what a report shows of an identification."""
+    names = found.estimate.names
+    prior_std = problem.solver.posterior.prior.std[: len(names)]
+    change = found.scale_change
+    return ReportData(
+        forces,
+        log,
+        ParameterSpread(
+            names,
+            prior_std if found.factor is not None else np.zeros(0),
+            np.zeros(len(names)) if change is None else change,
+        ),
+    )
