@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from symbid_ros.cli.flags import BaseKind, Robot, with_flags
+from symbid_ros.identification.contact_options import ContactOptions
 from symbid_ros.messages.log_options import LogOptions
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def recover(
 @app.command()
 @with_flags
 def doctor(
+    *,
     bags: Annotated[
         list[Path],
         typer.Argument(help="Bags that continue one another.", show_default=False),
@@ -76,6 +78,7 @@ def doctor(
     ] = None,
     robot: Robot = None,
     base: BaseKind = "auto",
+    contacts: ContactOptions,
     as_json: Json = False,
 ) -> None:
     """Check whether a log is suitable for identification: each stream, and all against the model.
@@ -83,10 +86,11 @@ def doctor(
     Exit status: 0 clean, 1 warnings, 2 unusable.
     """
     from symbid_ros.diagnosis.doctor import diagnose
+    from symbid_ros.identification.contacts import with_contact_options
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import load_bag
 
-    loaded = None if model is None else load_model(model, base)
+    loaded = None if model is None else with_contact_options(load_model(model, base), contacts)
     found = diagnose(load_bag(bags, loaded, log), loaded)
     print_verdict(found, as_json=as_json)
     if found.severity:

@@ -130,6 +130,7 @@ def evaluate(
     from symbid_ros.identification.intervals import LEVEL, summarise_intervals
     from symbid_ros.identification.realistic_prediction import evaluate_realistic
     from symbid_ros.identification.result_files import load_estimated_model
+    from symbid_ros.identification.rigid_sensors import RigidSensors
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
     from symbid_ros.signals.filters import CausalLowPass
@@ -139,16 +140,20 @@ def evaluate(
         check_output_file(json_file)
     robot = load_model(model, base)
     estimated = load_estimated_model(estimate, robot)
-    parameters, values = estimated.parameters, estimated.values
-    truth = parameters.values
-    motion = read_true_motion(bag, robot)
-    noisy = read_realistic_motion(realistic, robot, low_pass) if realistic else None
+    rigid = RigidSensors.of(estimated.parameters)
+    parameters, values = rigid.parameters, rigid.matrix @ estimated.values
+    truth = rigid.matrix @ estimated.parameters.values
+    internal = estimated.parameters.model.wrist_sensors
+    motion = read_true_motion(bag, robot, internal)
+    noisy = read_realistic_motion(realistic, robot, low_pass, internal) if realistic else None
     ideal = asdict(evaluate_ideal(parameters, {"": values}, truth, motion)[""])
     errors: dict[str, object] = dict(ideal)
     tables = [errors_table("", ideal)]
     if estimated.deviation_factor is not None:
         summary = asdict(
-            summarise_intervals(parameters, values, estimated.deviation_factor, truth, motion)
+            summarise_intervals(
+                parameters, values, rigid.matrix @ estimated.deviation_factor, truth, motion
+            )
         )
         errors["intervals"] = summary
         tables.append(errors_table(f"{100 * LEVEL:g} % intervals", summary))
@@ -191,7 +196,6 @@ def report(
     from symbid_ros.atomic_write import check_output_file
     from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model
-    from symbid_ros.model.parameters import ParameterSet
     from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
     from symbid_ros.report.compose import (
         METHOD_TITLES,
@@ -219,9 +223,12 @@ def report(
     ground_truth = None
     if truth is not None:
         true_robot = load_model(truth, base)
-        noisy = read_realistic_motion(realistic, true_robot) if realistic else None
-        values = ParameterSet(true_robot, shown.parameters.terms).values
-        ground_truth = GroundTruth(read_true_motion(bag, true_robot), values, noisy)
+        internal = shown.parameters.model.wrist_sensors
+        noisy = (
+            read_realistic_motion(realistic, true_robot, internal=internal) if realistic else None
+        )
+        values = load_estimated_model(folder, true_robot).parameters.values
+        ground_truth = GroundTruth(read_true_motion(bag, true_robot, internal), values, noisy)
     content = compose(
         estimates,
         shown.parameters,

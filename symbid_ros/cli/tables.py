@@ -10,12 +10,14 @@ from rich.table import Table
 from rich.text import Text
 
 from symbid_ros.bags import BagInfo, FileInfo, LostRange, RecoveryReport
+from symbid_ros.cli.flags import flag
 from symbid_ros.diagnosis.findings import Diagnosis, Finding, Severity
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.verdict import Verdict
 from symbid_ros.identification.force_errors import ForceError
 from symbid_ros.identification.validation import Comparison, Validation, percent
 from symbid_ros.messages.topics import OfferedQos
+from symbid_ros.options import spelled
 from symbid_ros.report.content import METRICS, MethodResult, best_labels
 from symbid_ros.report.formatting import significant
 
@@ -163,7 +165,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     # Rich does not wrap these lines, so that a pipe receives them complete.
     for finding in diagnosis.findings:
         line = Text(f"{finding.kind.value}: ", style=STYLES[finding.severity])
-        console.print(line.append(finding.message, style=""), soft_wrap=True)
+        console.print(line.append(spelled(finding.message, flag), style=""), soft_wrap=True)
     for reason in diagnosis.left_out:
         console.print(Text(f"left out: {reason}", style="dim"), soft_wrap=True)
     severity = diagnosis.severity

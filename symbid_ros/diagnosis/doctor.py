@@ -59,24 +59,22 @@ class _LogDiagnoser:
 
     def take(self, piece: Slice) -> None:
         self.streams.take(piece)
-        if self.model is not None and piece.streams is not None:
-            self._add_to_statistics(self.model, piece, piece.streams)
+        if self.model is None or self.model.contacts is not None or piece.streams is None:
+            return
+        self._add_to_statistics(self.model, piece, piece.streams)
 
     def _add_to_statistics(self, model: RobotModel, piece: Slice, streams: Streams) -> None:
         if self.first is None:
             self.first = streams
-            if not unusable(self.streams.named):
-                self.statistics = ModelStatistics(
-                    model,
-                    [one.frame_id for one in streams.wrenches],
-                    [one.frame_id for one in streams.imus],
-                )
-        if self.statistics is None:
+        if unusable(self.streams.named):
             return
         _check_frames(self.first, streams)
         # Slices that are too short or have no common time appear in the streams' figures.
         with suppress(DataError), warn_once(muted=True):
             for segment in cut_to(align_checked(streams, model), piece.start, piece.stop):
+                if self.statistics is None:
+                    frames = segment.wrench_frames, segment.imu_frames
+                    self.statistics = ModelStatistics(model, *frames)
                 self.statistics.add(segment)
 
     def diagnosis(self, source: str) -> Diagnosis:
@@ -93,16 +91,27 @@ class _LogDiagnoser:
     def _checks(self, units: list[Finding]) -> ModelChecks:
         if self.model is None:
             return ModelChecks(left_out=["all checks against a model: no model is given"])
-        if self.fatal or self.statistics is None or self.first is None:
+        if self.model.contacts is not None:
+            names = ", ".join(self.model.contacts.frames)
+            return ModelChecks(
+                left_out=[f"all checks against the model: the wrenches at {names} are unknown"]
+            )
+        if self.fatal or self.first is None or unusable(self.streams.named):
             return ModelChecks(left_out=["all checks against the model: the streams are unusable"])
         if wrong := unusable(units):
             kinds = ", ".join(dict.fromkeys(one.kind.value for one in wrong))
             return ModelChecks(left_out=[f"all checks against the model: they depend on {kinds}"])
+        if self.statistics is None:
+            return ModelChecks(
+                left_out=[
+                    "all checks against the model: every part of the log without a gap is too short"
+                ]
+            )
         return check_model(
             self.statistics,
             self.first.joints.topic,
             [one.topic for one in self.first.imus],
-            {one.frame_id: one.topic for one in self.first.wrenches},
+            self.streams.wrench_topics,
         )
 
 

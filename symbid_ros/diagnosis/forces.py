@@ -1,7 +1,7 @@
 """Checks signs, frames and gains of wrenches and efforts by the equation of motion."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,6 +48,15 @@ class ForceVerdict:
     figures: dict[str, float]
     blamed: str = ""
     left_out: tuple[str, ...] = ()
+
+    def without(self, payloads: Collection[str]) -> "ForceVerdict":
+        """Return the verdict without faults that wrenches of payloads on some topics explain."""
+        kept = tuple(
+            one
+            for one in self.findings
+            if one.stream not in payloads and one.kind is not Kind.CONTRADICTION
+        )
+        return replace(self, findings=kept, blamed=kept[0].kind.value if kept else "")
 
 
 def check_forces(

@@ -88,10 +88,8 @@ def excitation(statistics: ModelStatistics, left: FloatArray) -> Excitation:
 
 # Delays that differ by less than this share of their mean count as equal.
 ALIKE = 0.5
-DEPEND_ON_IMU = (
-    "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation: they depend on the "
-    "IMU, whose mounting or unit is wrong"
-)
+OF_FORCES = "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation"
+DEPEND_ON_IMU = "they depend on the IMU, whose mounting or unit is wrong"
 
 
 @dataclass
@@ -117,24 +115,19 @@ def check_model(
     imus : sequence of str
         Topics of the IMUs.
     wrenches : mapping of str to str
-        Topic of each wrench frame.
+        Topic of each wrench frame, wrist sensors included.
     """
     checks = ModelChecks()
+    _check_wrist_sensors(checks, statistics, wrenches)
     _check_imus(checks, statistics, imus)
-    # A few degrees turn gravity by as much as a wrong wrench would.
-    wrong = (one.kind is Kind.IMU_MOUNTING for one in checks.findings)
-    if any(wrong) or any(one.severity is Severity.UNUSABLE for one in checks.findings):
-        checks.left_out.append(DEPEND_ON_IMU)
-        return checks
-    if statistics.rows.samples < 1:
-        checks.left_out.append(
-            "wrench_sign, wrench_frame, torque_sign, torque_gain, delay, excitation: every "
-            "part of the log without a gap is too short"
-        )
+    if reason := _reason_to_stop(checks, statistics):
+        checks.left_out.append(f"{OF_FORCES}: {reason}")
         return checks
     problem = statistics.problem
     gains = estimate_gains(problem)
     verdict = check_forces(statistics, gains, joints, imus, wrenches)
+    if payloads := {one.stream for one in checks.findings if one.kind is Kind.WRIST_SENSOR}:
+        verdict = verdict.without(payloads)
     if verdict.findings and any(one.kind is Kind.DELAY for one in checks.findings):
         checks.left_out.append(
             "wrench_sign, wrench_frame, torque_sign, torque_gain, excitation: they depend on the "
@@ -144,7 +137,7 @@ def check_model(
     if verdict.findings:
         _check_imu_rotations(checks, problem, gains, imus)
         if any(one.kind is Kind.IMU_MOUNTING for one in checks.findings):
-            checks.left_out.append(DEPEND_ON_IMU)
+            checks.left_out.append(f"{OF_FORCES}: {DEPEND_ON_IMU}")
             return checks
     checks.findings += verdict.findings
     checks.figures |= verdict.figures
@@ -159,6 +152,52 @@ def check_model(
         _check_delays(checks, statistics, joints, imus, wrenches)
     _check_excitation(checks, statistics, gains)
     return checks
+
+
+def _reason_to_stop(checks: ModelChecks, statistics: ModelStatistics) -> str:
+    """Return why forces cannot be checked after the checks so far; empty if they can."""
+    kinds = {one.kind for one in checks.findings}
+    if Kind.WRENCH_SIGN in kinds:
+        return "they depend on the wrist sensor, whose sign is wrong"
+    # A few degrees turn gravity by as much as a wrong wrench would.
+    if Kind.IMU_MOUNTING in kinds or any(
+        one.severity is Severity.UNUSABLE for one in checks.findings
+    ):
+        return DEPEND_ON_IMU
+    if statistics.rows.samples < 1:
+        return "every part of the log without a gap is too short"
+    return ""
+
+
+def _check_wrist_sensors(
+    checks: ModelChecks, statistics: ModelStatistics, wrenches: Mapping[str, str]
+) -> None:
+    """Check the signs of wrist sensors, and whether other wrenches are those of payloads."""
+    for evidence in statistics.payloads:
+        topic = wrenches[evidence.frame]
+        if evidence.is_named and evidence.is_reversed:
+            mass, std = evidence.mass()
+            found = Finding(
+                Kind.WRENCH_SIGN,
+                topic,
+                Severity.UNUSABLE,
+                f"{topic}: the mass beyond {evidence.frame} would be {mass:.3g} ± {std:.1g} kg, so "
+                f"the sign of its wrench is wrong; give `wrist_sensor` {evidence.other_sign}",
+                {"mass_kg": mass, "mass_std_kg": std},
+            )
+            checks.findings.append(found)
+        elif not evidence.is_named and evidence.is_payload:
+            mass, share = abs(evidence.mass()[0]), evidence.share
+            found = Finding(
+                Kind.WRIST_SENSOR,
+                topic,
+                Severity.WARNING,
+                f"{topic}: the force is that of a body of {mass:.3g} kg fixed to {evidence.frame} "
+                f"({100 * share:.0f} % of its variance), not that of a contact; give "
+                f"`wrist_sensor` {evidence.sensor}",
+                {"mass_kg": mass, "share": share},
+            )
+            checks.findings.append(found)
 
 
 def _check_imus(checks: ModelChecks, statistics: ModelStatistics, imus: Sequence[str]) -> None:

@@ -11,6 +11,7 @@ from symbid_ros.choices import TERMS, Term
 from symbid_ros.diagnosis.gain_rows import CoordinateRows, GainLayout, gain_rows
 from symbid_ros.diagnosis.gains import GainProblem
 from symbid_ros.diagnosis.stance_gyro_check import StanceGyroMoments
+from symbid_ros.diagnosis.wrist_evidence import payload_evidence
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.prior import DEFAULT_PERCENT, Prior, model_prior
 from symbid_ros.estimation.prior_std import body_std
@@ -18,6 +19,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment, cut_to
+from symbid_ros.signals.sensor_samples import probed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     block_length,
@@ -35,6 +37,8 @@ RATE, PASSED = 250.0, 0.2
 LEAST_LOAD, LEAST_SHARE = 0.1, 0.01
 # Friction that grows with the load would be taken for a gain, so it is not among the terms here.
 CHECKED_TERMS: tuple[Term, ...] = tuple(term for term in TERMS if term != "load")
+# Seconds between the samples that tell whether a wrench is that of a payload.
+PAYLOAD_PERIOD = 0.2
 # Rows are built from all of the first blocks, and from ever fewer of the later ones.
 DENSE = 25
 
@@ -61,6 +65,8 @@ class ModelStatistics:
         Accumulated rows in all unknowns.
     standing : tuple of StanceGyroMoments
         Moments of each IMU.
+    payloads : tuple of PayloadEvidence
+        Of the wrist sensors, and of an arm's other wrench sensors.
     """
 
     def __init__(
@@ -79,6 +85,7 @@ class ModelStatistics:
             StanceGyroMoments(model, index)
             for index in range(len(imu_frames) if model.floating else 0)
         )
+        self.payloads = payload_evidence(model, [*model.wrist_sensors, *wrench_frames])
         self._build = gain_rows(self.parameters, self.gains)
         self._row_sum = np.zeros((model.dof, len(self.prior.names)))
         self._samples = self._blocks = 0
@@ -89,6 +96,10 @@ class ModelStatistics:
         """Add a segment; segments must be cut at multiples of a block."""
         for one in self.standing:
             one.add(segment)
+        if self.payloads:
+            samples = probed(segment, self.model, PAYLOAD_PERIOD)
+            for evidence in self.payloads:
+                evidence.add(samples)
         force = segment.wrenches[:, :, 3:]
         self._samples += len(segment)
         self._force_square += np.sum(force**2, axis=(0, 2))

@@ -11,6 +11,7 @@ from symbid_ros.diagnosis.sensor_faults import FreezeDetector, SaturationDetecto
 from symbid_ros.diagnosis.timing import TimingCheck
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.alignment import wrist_sensor_faults
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 
@@ -29,8 +30,10 @@ class StreamChecks:
         Findings about names and frames that do not match the model.
     has_streams : bool
         Whether every topic had messages in at least one slice.
-    joint_topic, imu_topics, wrench_topics : str and tuples of str
-        Topics of the first such slice; of wrenches, those of contacts.
+    joint_topic, imu_topics : str and tuple of str
+        Topics of the first such slice.
+    wrench_topics : dict of str to str
+        Its topics of wrenches, by frame.
     """
 
     model: RobotModel | None
@@ -39,7 +42,7 @@ class StreamChecks:
     has_streams: bool = False
     joint_topic: str = ""
     imu_topics: tuple[str, ...] = ()
-    wrench_topics: tuple[str, ...] = ()
+    wrench_topics: dict[str, str] = field(default_factory=dict)
     _quaternion_checks: dict[str, QuaternionCheck] = field(default_factory=dict)
     _imu_checks: dict[str, ImuCheck] = field(default_factory=dict)
     _joint_check: JointCheck | None = None
@@ -75,10 +78,7 @@ class StreamChecks:
         if not self.has_streams:
             self.joint_topic = streams.joints.topic
             self.imu_topics = tuple(imu.topic for imu in streams.imus)
-            internal = {} if self.model is None else self.model.wrist_sensors
-            self.wrench_topics = tuple(
-                wrench.topic for wrench in streams.wrenches if wrench.frame_id not in internal
-            )
+            self.wrench_topics = {one.frame_id: one.topic for one in streams.wrenches}
         self.has_streams = True
 
     def unit_findings(self) -> list[Finding]:
@@ -177,6 +177,10 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
                     Kind.UNKNOWN_FRAME, sensor.topic, Severity.UNUSABLE, f"{sensor.topic}: {error}"
                 )
             )
+    found += [
+        Finding(Kind.UNKNOWN_FRAME, "", Severity.UNUSABLE, f"{streams.source}: {fault}")
+        for fault in wrist_sensor_faults(streams, model)
+    ]
     if model.floating and not streams.imus:
         found.append(
             Finding(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from functools import reduce
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +13,8 @@ from symbid_ros.diagnosis.findings import Diagnosis
 from symbid_ros.dynamics.imu import BaseMotion
 from symbid_ros.dynamics.regressor import Samples, equation_of_motion
 from symbid_ros.errors import DataError, OptionError
+from symbid_ros.identification.contact_options import ContactOptions
+from symbid_ros.identification.contacts import with_contact_options
 from symbid_ros.identification.holdout import identify_with_holdout
 from symbid_ros.identification.loaded_problem import LoadedProblem, load_information, load_problem
 from symbid_ros.identification.options import IdentifyOptions
@@ -20,6 +22,8 @@ from symbid_ros.identification.result import LogInformation, Result
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
+
+T = TypeVar("T", bound=ContactOptions)
 
 
 def identify(
@@ -48,7 +52,7 @@ def identify(
     """
     if options is not None and fields:
         raise OptionError("give either options or single fields, not both", "E502")
-    options = options or _options(fields)
+    options = options or _options(IdentifyOptions, fields)
     if isinstance(log, LogInformation):
         problem: LoadedProblem = load_information(robot, log.observations, options)
         found = problem.with_provenance(problem.solve())
@@ -58,7 +62,9 @@ def identify(
     return Result(found.estimate, options, found, problem.parameters)
 
 
-def diagnose(robot: RobotModel | None, log: Log) -> Diagnosis:
+def diagnose(
+    robot: RobotModel | None, log: Log, options: ContactOptions | None = None, **fields: Any
+) -> Diagnosis:
     """Check whether a log can be used to identify a robot, as ``symbid bag doctor`` does.
 
     Parameters
@@ -66,8 +72,13 @@ def diagnose(robot: RobotModel | None, log: Log) -> Diagnosis:
     robot : RobotModel or None
         The nominal robot, with inertias within about 25 %; None checks each topic by itself.
     log : Log
+    options : ContactOptions, optional
+        Wrist sensors and contacts, as of an identification.
+    **fields
+        These options by name instead, such as ``wrist_sensor=("tool0",)``.
     """
-    return doctor.diagnose(log, robot)
+    options = options or _options(ContactOptions, fields)
+    return doctor.diagnose(log, robot and with_contact_options(robot, options))
 
 
 def merge(records: Sequence[LogInformation]) -> LogInformation:
@@ -147,11 +158,11 @@ def regressor(
     return equation_of_motion(ParameterSet(robot, terms), samples).K
 
 
-def _options(fields: dict[str, Any]) -> IdentifyOptions:
+def _options(kind: type[T], fields: dict[str, Any]) -> T:
     try:
-        return IdentifyOptions(**fields)
+        return kind(**fields)
     except TypeError as error:
         name = str(error).rpartition("'")[0].rpartition("'")[2]
         raise OptionError(
-            f"{name!r} is not an option; see symbid_ros.IdentifyOptions", "E501"
+            f"{name!r} is not an option; see symbid_ros.{kind.__name__}", "E501"
         ) from None

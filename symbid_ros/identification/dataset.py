@@ -5,8 +5,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
-import numpy as np
-
 from symbid_ros.arrays import concatenated
 from symbid_ros.diagnosis.findings import Finding
 from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
@@ -22,7 +20,7 @@ from symbid_ros.signals.alignment import align_checked, warn_once
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_inflation
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment, cut_to, fingerprint
-from symbid_ros.signals.sensor_samples import at_base, build_samples, smoothed
+from symbid_ros.signals.sensor_samples import build_samples, probed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
     BLOCK,
@@ -236,9 +234,6 @@ def _warn_once(findings: Iterable[Finding], reported: set[tuple[str, str]]) -> N
 
 SAMPLES_AT_ONCE = 1024  # samples whose rows are built at once
 
-# Seconds between the instants at which sensor noise is propagated to the rows.
-PROBE_PERIOD = 0.05
-
 
 @dataclass(frozen=True)
 class Processing:
@@ -406,11 +401,3 @@ def _collect_probes(
     for segment in segments:
         probes.append(probed(segment, model))
         yield segment
-
-
-def probed(segment: Segment, model: RobotModel) -> Samples:
-    """Return unfiltered samples at few instants of a segment."""
-    stride = max(1, int(PROBE_PERIOD * segment.rate))
-    readings = smoothed(segment, LowPass(0))
-    # Indices copy; a slice would be a view and keep the whole segment in memory.
-    return at_base(readings[np.arange(0, len(readings), stride)], model)

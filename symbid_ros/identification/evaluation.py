@@ -1,6 +1,6 @@
 """Comparison of an estimate with the ground truth of a simulation, as in the thesis."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from symbid_ros.dynamics.regressor import (
     known_force,
     momentum_regressor,
 )
-from symbid_ros.errors import BagError, EstimateError
+from symbid_ros.errors import BagError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.rotation import rotation_from_xyzw
 from symbid_ros.model.tree import RobotModel
@@ -84,14 +84,27 @@ class Metrics:
     parameter_error_pct: float
 
 
-def true_motion(truth: TruthStreams, streams: Streams, model: RobotModel) -> TrueMotion:
+def true_motion(
+    truth: TruthStreams, streams: Streams, model: RobotModel, internal: Collection[str] = ()
+) -> TrueMotion:
     """Return the true motion at the stamps that ground truth and all wrenches have in common.
+
+    Parameters
+    ----------
+    truth : TruthStreams
+    streams : Streams
+        Sensors of the same log.
+    model : RobotModel
+        The true robot, without wrist sensors.
+    internal : collection of str
+        Frames of wrist sensors, whose wrenches are forces inside of the robot.
 
     Raises
     ------
     BagError
         When there is no common stamp.
     """
+    streams = streams.without_wrenches(internal)
     common = truth.stamp
     for wrench in streams.wrenches:
         common = np.intersect1d(common, wrench.stamp)
@@ -105,12 +118,6 @@ def true_motion(truth: TruthStreams, streams: Streams, model: RobotModel) -> Tru
 def _at(truth: TruthStreams, streams: Streams, stamp: IntArray, model: RobotModel) -> TrueMotion:
     """Return the motion at stamps that every stream has."""
     rows = np.searchsorted(truth.stamp, stamp)
-    if model.wrist_sensors:
-        raise EstimateError(
-            f"{truth.source}: its ground truth lacks the wrench through the wrist sensors "
-            f"{', '.join(model.wrist_sensors)}; use `symbid validate` instead",
-            "E512",
-        )
     columns = joint_columns(truth.joint_names, model, f"{truth.source}: ground_truth/joints")
     effort = truth.effort[np.ix_(rows, columns)]
     effort[:, list(model.followers)] = 0.0

@@ -9,8 +9,8 @@ import numpy as np
 
 from symbid_ros.choices import SLIDING_TERMS, Method
 from symbid_ros.diagnosis.stream_checks import StreamChecks
+from symbid_ros.diagnosis.wrist_evidence import reversed_sensors, unnamed_sensors
 from symbid_ros.dynamics.regressor import Samples
-from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import DataError, EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.constraints import mirror_rows, total_mass_row
@@ -34,6 +34,7 @@ from symbid_ros.identification.calibration import (
     with_fixed_gains,
     without_terms,
 )
+from symbid_ros.identification.contacts import with_contact_options
 from symbid_ros.identification.couplings import find_couplings
 from symbid_ros.identification.dataset import (
     AlignedLog,
@@ -55,13 +56,12 @@ from symbid_ros.identification.options import IdentifyOptions, Source
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.result_files import check_output
 from symbid_ros.identification.solver import Identification, Solver
-from symbid_ros.identification.wrist_evidence import reversed_sensors, unnamed_sensors
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.load import model_files
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.model.wrist_sensors import reversed_sensor, with_wrist_sensors
+from symbid_ros.model.wrist_sensors import reversed_sensor
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN
 
@@ -217,7 +217,8 @@ def load_problem(
         return load_problem(robot, log, _with_reversed(options, wrong, log.source), out)
     checks = _check(dataset, streams, options, parameters, prior)
     _require_rows(dataset, parameters.model)
-    _report_unnamed_sensors(parameters.model, dataset)
+    if options.unchecked:  # otherwise the checks have said so
+        _report_unnamed_sensors(parameters.model, dataset)
     dataset, parameters = _with_loaded_logs(options, log, dataset, parameters)
     validation = None
     if other is not None:
@@ -303,15 +304,15 @@ def _require_rows(dataset: Dataset, model: RobotModel) -> None:
 
 def _report_unnamed_sensors(model: RobotModel, dataset: Dataset) -> None:
     """Warn about wrench sensors that read the weight of a payload instead of a contact force."""
-    for sensor, mass, share in unnamed_sensors(model, dataset.samples):
+    for evidence in unnamed_sensors(model, dataset.samples):
         logger.warning(
             "%s: the force at %s is that of a body of %.3g kg fixed to it (%.0f %% of its "
             "variance); if it is a wrist sensor, give `wrist_sensor` %s",
             dataset.source,
-            sensor.removeprefix("-"),
-            mass,
-            100 * share,
-            sensor,
+            evidence.frame,
+            abs(evidence.mass()[0]),
+            100 * evidence.share,
+            evidence.sensor,
         )
 
 
@@ -326,7 +327,7 @@ def load_information(
         When the information is of another robot or other parameters, or an option is invalid or
         needs a log.
     """
-    robot = with_contacts(with_wrist_sensors(robot, options.wrist_sensors), options.contacts)
+    robot = with_contact_options(robot, options)
     parameters = load_parameters(robot, options)
     if options.chooses_terms:
         columns = _columns_of(robot, observations)
@@ -363,7 +364,7 @@ def load_information(
 
 def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet:
     """Return the columns of the data, and warn about known joint terms of the model file."""
-    robot = with_contacts(with_wrist_sensors(robot, options.wrist_sensors), options.contacts)
+    robot = with_contact_options(robot, options)
     if options.chooses_terms and options.information is not None:
         parameters = _columns_of(robot, load_archive(options.information))
     else:

@@ -103,7 +103,7 @@ def check_dataset(
             statistics,
             checks.joint_topic,
             checks.imu_topics,
-            dict(zip(statistics.gains.wrench_frames, checks.wrench_topics, strict=True)),
+            checks.wrench_topics,
         ).findings
     mountings = {}
     if estimates_mounting and statistics is not None:

@@ -18,7 +18,8 @@ from symbid_ros.choices import (
     Term,
 )
 from symbid_ros.errors import OptionError
-from symbid_ros.options import check_values, option
+from symbid_ros.identification.contact_options import ContactOptions, names
+from symbid_ros.options import option
 
 if TYPE_CHECKING:
     from symbid_ros.signals.log import Log
@@ -49,7 +50,7 @@ WEIGHING_STD = 0.05  # kg; what a good floor scale does
 
 
 @dataclass(frozen=True, kw_only=True)
-class IdentifyOptions:
+class IdentifyOptions(ContactOptions):
     """Options of an identification; the defaults suit most logs.
 
     Raises
@@ -176,20 +177,6 @@ class IdentifyOptions:
         f"{', '.join(SENSOR_ERROR_KINDS)}.",
         group=JOINTS,
     )
-    wrist_sensor: tuple[str, ...] = option(
-        (),
-        "Frame of each wrist force/torque sensor, as FRAME or FRAME:LINK with the first link "
-        "beyond it, comma-separated; -FRAME if it reads the wrench of the robot on the payload. "
-        "What lies beyond it is identified as a link of its own, together with the sensor's "
-        "offset.",
-        group=JOINTS,
-    )
-    contact: tuple[str, ...] = option(
-        (),
-        "Frames at which something touches the robot without a wrench sensor, as FRAME or, without "
-        "moments, FRAME:point, comma-separated. Their wrenches are eliminated at all times.",
-        group=ROWS,
-    )
     filter: Filter | None = option(
         None,
         "weak: average the equation of motion over short windows; butterworth, savitzky_golay: "
@@ -252,7 +239,7 @@ class IdentifyOptions:
 
     def __post_init__(self) -> None:
         """Check for options that contradict each other or have no effect with this method."""
-        check_values(self)
+        super().__post_init__()
         self._rename_deprecated()
         self._check_rows()
         self._check_joint_terms()
@@ -331,13 +318,13 @@ class IdentifyOptions:
 
     @property
     def _named_terms(self) -> list[str]:
-        return _names(self.joint_terms)
+        return names(self.joint_terms)
 
     @cached_property
     def effort_sides(self) -> dict[str, str]:
         """Side of the effort of each named joint; that of all others under the empty name."""
         sides = {}
-        for part in _names(self.effort_side):
+        for part in names(self.effort_side):
             joint, _, side = part.rpartition("=")
             if side not in EFFORT_SIDES or joint in sides:
                 raise OptionError(
@@ -365,12 +352,12 @@ class IdentifyOptions:
     @property
     def drive_gains(self) -> list[str]:
         """Joints whose efforts have an unknown unit; ``all`` for all of them."""
-        return _names(self.drive_gain)
+        return names(self.drive_gain)
 
     @property
     def couplings(self) -> list[str]:
         """The named couplings, one sum of joints each."""
-        return _names(self.coupling)
+        return names(self.coupling)
 
     def _check_joint_terms(self) -> None:
         for name in self._named_terms:
@@ -418,24 +405,7 @@ class IdentifyOptions:
         added = self.couplings, self.sensor_error_kinds, self.information, self.drive_gain
         return self.chooses_terms and not any(added)
 
-    @cached_property
-    def wrist_sensors(self) -> tuple[str, ...]:
-        """The wrist sensors, as FRAME or FRAME:LINK."""
-        parts = ",".join(self.wrist_sensor).split(",")
-        return tuple(name for part in parts if (name := part.strip()))
-
-    @cached_property
-    def contacts(self) -> tuple[str, ...]:
-        """The frames of contacts without a sensor, as FRAME or FRAME:point."""
-        parts = ",".join(self.contact).split(",")
-        return tuple(name for part in parts if (name := part.strip()))
-
     def _check_contacts(self) -> None:
-        for name in self.contacts:
-            if name.partition(":")[2] not in ("", "point", "surface"):
-                raise OptionError(
-                    f"`contact`: {name!r} is no contact; give FRAME or FRAME:point", "E501"
-                )
         if self.contacts and self.sensor_error_kinds:
             raise OptionError(
                 "`contact` leaves no reading to calibrate; leave `sensor_errors` and `tare` out",
@@ -462,7 +432,7 @@ class IdentifyOptions:
 
     @property
     def _named_sensor_errors(self) -> list[str]:
-        return _names(self.sensor_errors)
+        return names(self.sensor_errors)
 
     def _check_sensor_errors(self) -> None:
         known = "typical", *SENSOR_ERROR_KINDS
@@ -527,8 +497,3 @@ class IdentifyOptions:
                 "`filter` butterworth",
                 "E503",
             )
-
-
-def _names(values: tuple[str, ...]) -> list[str]:
-    """Return the names in comma-separated lists."""
-    return [name for part in ",".join(values).split(",") if (name := part.strip())]

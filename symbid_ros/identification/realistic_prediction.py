@@ -1,6 +1,6 @@
 """Predictions that a controller could make on the robot, from noisy sensors (thesis, chapter 4)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -100,8 +100,11 @@ def realistic_motion(
     streams: Streams,
     model: RobotModel,
     low_pass: CausalLowPass | None = None,
+    internal: Collection[str] = (),
 ) -> RealisticMotion:
     """Return a noisy simulated log with filtered velocities, and its ground truth.
+
+    ``internal`` names the frames of wrist sensors.
 
     Raises
     ------
@@ -110,6 +113,7 @@ def realistic_motion(
     DataError
         When a floating robot's log has no IMU.
     """
+    streams = streams.without_wrenches(internal)
     truth = true_motion(recorded, streams, model)
     if model.floating and not streams.imus:
         raise DataError(

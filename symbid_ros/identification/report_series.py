@@ -7,7 +7,6 @@ import numpy as np
 from scipy.signal import welch
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.identification.dataset import PROBE_PERIOD
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.log_checks import LogChecks
 from symbid_ros.identification.report_data import (
@@ -21,6 +20,7 @@ from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import PredictedEfforts
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.sensor_samples import PROBE_PERIOD
 
 MOST_ROWS = 1500  # shown over time: a minute of rows at 25 Hz
 MOST_SPEEDS = 1000  # rows shown against the speed

@@ -1,6 +1,6 @@
 """Identification and evaluation of bags: logs, requests and ground truth."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from symbid_ros.identification.loaded_problem import LoadedProblem, load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.realistic_prediction import RealisticMotion, realistic_motion
 from symbid_ros.identification.result import Result
+from symbid_ros.identification.rigid_sensors import RigidSensors
 from symbid_ros.identification.solver import Identification
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TopicSelection
@@ -100,21 +101,30 @@ class BagRequest:
         return replace(found, estimate=replace(found.estimate, provenance=provenance))
 
 
-def read_true_motion(bags: Sequence[Path], model: RobotModel) -> TrueMotion:
+def read_true_motion(
+    bags: Sequence[Path], model: RobotModel, internal: Collection[str] = ()
+) -> TrueMotion:
     """Read the ground truth of a simulated bag at the stamps that all its topics share.
+
+    ``internal`` names the frames of wrist sensors, whose wrenches are no contact's.
 
     Raises
     ------
     BagError
         When the bag has no ground truth, or none at the stamps of the wrenches.
     """
-    return true_motion(read_truth(bags), read_streams(bags), model)
+    return true_motion(read_truth(bags), read_streams(bags), model, internal)
 
 
 def read_realistic_motion(
-    bags: Sequence[Path], model: RobotModel, low_pass: CausalLowPass | None = None
+    bags: Sequence[Path],
+    model: RobotModel,
+    low_pass: CausalLowPass | None = None,
+    internal: Collection[str] = (),
 ) -> RealisticMotion:
     """Read a noisy simulated bag with ground truth, its velocities filtered by ``low_pass``.
+
+    ``internal`` names the frames of wrist sensors, whose wrenches are no contact's.
 
     Raises
     ------
@@ -124,7 +134,7 @@ def read_realistic_motion(
         When the base floats and the bag has no IMU.
     """
     streams = read_streams(bags)
-    return realistic_motion(read_truth(bags), streams, model, low_pass)
+    return realistic_motion(read_truth(bags), streams, model, low_pass, internal)
 
 
 def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str | Path]) -> Metrics:
@@ -144,8 +154,8 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
         When the bag has no ground truth, or the result is of another robot.
     """
     estimate = result.estimate
-    robot = with_wrist_sensors(robot, estimate.wrist_sensors)
-    parameters = estimate.parameters_of(robot)
+    divided = with_wrist_sensors(robot, estimate.wrist_sensors)
+    parameters = estimate.parameters_of(divided)
     if parameters.names != estimate.names:
         raise EstimateError(
             f"result: its parameters, of model {estimate.model!r}, are not those of "
@@ -153,6 +163,8 @@ def evaluate(robot: RobotModel, result: Result, bags: str | Path | Sequence[str 
             "E512",
         )
     paths = [bags] if isinstance(bags, str | Path) else bags
-    motion = read_true_motion([Path(one) for one in paths], robot)
-    candidates = {"result": estimate.value}
-    return evaluate_candidates(parameters, candidates, parameters.values, motion)["result"]
+    motion = read_true_motion([Path(one) for one in paths], robot, divided.wrist_sensors)
+    rigid = RigidSensors.of(parameters)
+    candidates = {"result": rigid.matrix @ estimate.value}
+    truth = rigid.matrix @ parameters.values
+    return evaluate_candidates(rigid.parameters, candidates, truth, motion)["result"]

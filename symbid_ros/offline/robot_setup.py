@@ -18,17 +18,19 @@ from symbid_ros.choices import Base
 from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
 from symbid_ros.diagnosis.forces import GAINS
+from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
-from symbid_ros.identification.dataset import AlignedLog, probed
-from symbid_ros.identification.wrist_evidence import unnamed_sensors
+from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.wrist_sensors import with_wrist_sensors
 from symbid_ros.offline.name_matching import match_names, most_similar
 from symbid_ros.options import options_of
 from symbid_ros.signals.alignment import suggested_prefix
+from symbid_ros.signals.sensor_samples import probed
 from symbid_ros.signals.streams import JointStream, Streams
 
 SPAN = 4 * 10**9  # ns of a log that show its names
@@ -182,8 +184,8 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     if robot.floating:
         inspector.match_sensors(IMU, "imu_topic")
     inspector.match_sensors(WRENCH, "wrench_topic")
-    inspector.correct_signs_and_units()
     inspector.find_wrist_sensors()
+    inspector.correct_signs_and_units()
     return setup
 
 
@@ -313,10 +315,11 @@ class _Inspector:
             samples = [probed(segment, self.robot) for segment in AlignedLog(log, self.robot)]
         except SymbidError:
             return  # which the diagnosis states
-        for sensor, mass, share in unnamed_sensors(self.robot, concatenated(samples)):
+        for evidence in unnamed_sensors(self.robot, concatenated(samples)):
+            mass, share = abs(evidence.mass()[0]), evidence.share
             self.setup.add(
                 "wrist_sensor",
-                sensor,
+                evidence.sensor,
                 f"{100 * share:.0f} % of the force is that of a body of {mass:.3g} kg.",
             )
 
@@ -336,7 +339,8 @@ class _Inspector:
     def _diagnosed(self) -> Diagnosis:
         """Return what the doctor says of the log, read with the options so far."""
         log = bag_log(self.bags, self.robot, TopicSelection.of(self.setup.log_options))
-        return diagnose(log, self.robot)
+        sensors = self.setup.options.get("wrist_sensor", [])
+        return diagnose(log, with_wrist_sensors(self.robot, sensors))
 
     def _correct(self, found: Diagnosis) -> bool:
         """Change signs and units as the diagnosis implies; return whether any changed."""

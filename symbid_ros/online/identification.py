@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from symbid_ros.diagnosis.wrist_evidence import check_signs
 from symbid_ros.estimation.change import relaxed_prior
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
@@ -27,7 +28,6 @@ from symbid_ros.identification.joint_terms import TermChoice, candidate_prior, c
 from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.window_comparison import WindowSelector
-from symbid_ros.identification.wrist_evidence import check_signs
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.online.block_scheduler import BlockScheduler

@@ -15,6 +15,7 @@ from symbid_ros.identification.evaluation import (
 )
 from symbid_ros.identification.intervals import summarise_intervals
 from symbid_ros.identification.realistic_prediction import RealisticMotion, evaluate_realistic
+from symbid_ros.identification.rigid_sensors import RigidSensors
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.content import (
     PRIOR,
@@ -135,9 +136,17 @@ def _add_evaluation(
     deviation_factor: FloatArray | None,
 ) -> ReportContent:
     """Return the content with errors, predictions and intervals against the ground truth."""
-    truth, motion = ground_truth.values, ground_truth.motion
+    # The ground truth has no wrench through wrist sensors.
+    rigid = RigidSensors.of(parameters)
+    parameters = rigid.parameters
+    vectors = {label: rigid.matrix @ values for label, values in vectors.items()}
+    if deviation_factor is not None:
+        deviation_factor = rigid.matrix @ deviation_factor
+    truth, motion = vectors[TRUTH], ground_truth.motion
     candidates = dict(vectors)
-    candidates |= {" ".join(key): estimate.value for key, estimate in truncations.items()}
+    candidates |= {
+        " ".join(key): rigid.matrix @ estimate.value for key, estimate in truncations.items()
+    }
     errors = evaluate(parameters, candidates, truth, motion)
     shown = {label: vectors[label] for label in (TRUTH, PRIOR, content.chosen)}
     intervals, realistic = None, {}
@@ -149,6 +158,7 @@ def _add_evaluation(
         realistic = evaluate_realistic(parameters, compared, truth, ground_truth.realistic)
     return replace(
         content,
+        joint_names=parameters.model.joint_names,
         methods=tuple(
             replace(method, metrics=asdict(errors[method.label])) for method in content.methods
         ),

@@ -107,12 +107,13 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
     ]
     for sensor in sensors:
         _check_frame(sensor, model, streams.source)
-    _check_wrist_sensors(streams, model)
+    for fault in wrist_sensor_faults(streams, model):
+        raise DataError(f"{streams.source}: {fault}", "E324")
     return align(streams, model)
 
 
-def _check_wrist_sensors(streams: Streams, model: RobotModel) -> None:
-    """Check that one topic has each wrist sensor's frame."""
+def wrist_sensor_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
+    """Yield what is wrong with each wrist sensor whose frame not exactly one topic has."""
     for frame in model.wrist_sensors:
         topics = [one.topic for one in streams.wrenches if one.frame_id == frame]
         if len(topics) == 1:
@@ -121,10 +122,7 @@ def _check_wrist_sensors(streams: Streams, model: RobotModel) -> None:
         found = f"{' and '.join(topics)} have" if topics else "no WrenchStamped topic has"
         also = f" (others have {', '.join(others)})" if others else ""
         action = "name one of them" if topics else "record its topic, or correct `wrist_sensor`"
-        raise DataError(
-            f"{streams.source}: {found} the frame {frame} of the wrist sensor{also}; {action}",
-            "E324",
-        )
+        yield f"{found} the frame {frame} of the wrist sensor{also}; {action}"
 
 
 def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: str) -> None:

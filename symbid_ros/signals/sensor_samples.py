@@ -11,8 +11,11 @@ from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.regressor import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.filters import Smoothing
+from symbid_ros.signals.filters import LowPass, Smoothing
 from symbid_ros.signals.segments import Segment
+
+# Seconds between the instants at which sensor noise is propagated to the rows.
+PROBE_PERIOD = 0.05
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,14 @@ def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
         wrenches=readings.wrenches,
         wrench_frames=readings.wrench_frames,
     )
+
+
+def probed(segment: Segment, model: RobotModel, period: float = PROBE_PERIOD) -> Samples:
+    """Return unfiltered samples of a segment at few instants, ``period`` seconds apart."""
+    stride = max(1, int(period * segment.rate))
+    readings = smoothed(segment, LowPass(0))
+    # Indices copy; a slice would be a view and keep the whole segment in memory.
+    return at_base(readings[np.arange(0, len(readings), stride)], model)
 
 
 def _mean_base_motion(

@@ -1,6 +1,6 @@
 """Sensor streams as recorded, before alignment: one array per field and topic."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -125,6 +125,12 @@ class Streams:
             joints=selected(self.joints),
             imus=tuple(map(selected, self.imus)),
             wrenches=tuple(map(selected, self.wrenches)),
+        )
+
+    def without_wrenches(self, frames: Collection[str]) -> "Streams":
+        """Return the streams without the wrench sensors at some frames."""
+        return replace(
+            self, wrenches=tuple(one for one in self.wrenches if one.frame_id not in frames)
         )
 
     def between(self, start: int, stop: int) -> "Streams":

@@ -7,10 +7,12 @@ import pytest
 import yaml
 from documented_robots import ur5_urdf, write_inaccurate
 from live_feed import feed_of
-from payload_arm import COM, MASS, OFFSET, payload_arm_log, write_payload_bag
+from payload_arm import COM, INERTIA, MASS, OFFSET, payload_arm_log, write_payload_bag
 
 from symbid_ros.errors import DataError
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.inertia import phi_from_com, transform_phi
 from symbid_ros.model.load import load_model
 from symbid_ros.online.identification import OnlineIdentification, Pace
 from symbid_ros.online.initial_state import InitialState
@@ -64,6 +66,62 @@ def test_the_command_finds_the_payload(document, folder):
     written = load_model(folder / "out" / "model.urdf")
     (tool,) = (body for body in written.bodies if body.name == "tool0")
     assert tool.phi[0] == pytest.approx(MASS, rel=5e-3)
+
+
+@pytest.fixture(scope="module")
+def truth(folder):
+    """The true model, and an ideal bag with ground truth."""
+    arm = load_model(ur5_urdf())
+    load = np.zeros((len(arm.links), 10))
+    mount = arm.frame("tool0")
+    about_tool = phi_from_com(MASS, COM, INERTIA)
+    load[mount.link] = transform_phi(about_tool, mount.rotation, mount.translation)
+    (folder / "true.urdf").write_text(urdf_text(arm.with_phi(arm.phi + load)))
+    ideal = payload_arm_log(arm, "tool0", seconds=4.0, seed=7, noise=0.0)
+    write_payload_bag(ideal, arm, "tool0", folder / "ideal", truth=True)
+    return folder / "true.urdf", folder / "ideal"
+
+
+def test_the_ground_truth_judges_the_arm_with_its_payload(document, folder, truth, symbid_here):
+    model, bag = truth
+    given = "--model", model, "--bag", bag, "--json", folder / "errors.json"
+    ended = symbid_here("evaluate", folder / "out", *given)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    found = json.loads((folder / "errors.json").read_text())
+    effort = rms(payload_arm_log(load_model(ur5_urdf()), "tool0", seconds=1.0).effort)
+    assert found["torque_rmse"] < 0.01 * effort
+    assert 0.7 < found["intervals"]["torque_coverage"] <= 1
+    page = folder / "report.html"
+    ended = symbid_here(
+        "report", folder / "out", "--model", folder / "arm.urdf", "--bag", bag, "--truth", model,
+        "--out", page,
+    )  # fmt: skip
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert page.stat().st_size > 10_000
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.sum(values**2, axis=1))))
+
+
+def test_the_doctor_takes_the_sensor_for_what_it_is(folder, symbid_here):
+    given = "bag", "doctor", folder / "bag", "--model", folder / "arm.urdf", "--json"
+    kinds = {}
+    for sensor in ("", "tool0", "-tool0", "wrist_1_link"):
+        named = ("--wrist-sensor", sensor) if sensor else ()
+        found = json.loads(symbid_here(*given, *named).stdout)["findings"]
+        kinds[sensor] = [(one["kind"], one["message"]) for one in found]
+    ((kind, message),) = kinds[""]
+    assert kind == "wrist_sensor"
+    assert "fixed to tool0 (100 %" in message
+    assert message.endswith("give `wrist_sensor` tool0")
+    assert kinds["tool0"] == []
+    ((kind, message),) = kinds["-tool0"]
+    assert kind == "wrench_sign"
+    assert message.endswith("give `wrist_sensor` tool0:tool0")
+    ((kind, message),) = kinds["wrist_1_link"]
+    assert kind == "unknown_frame"
+    assert "no WrenchStamped topic has the frame wrist_1_link" in message
 
 
 def test_a_robot_file_names_the_sensor(folder, symbid_here):

@@ -57,7 +57,7 @@ def test_a_log_without_faults_has_no_findings():
     assert (checks.joint_topic, checks.imu_topics, checks.wrench_topics) == (
         "/joints",
         ("/imu",),
-        ("/wrench",),
+        {"wrench_0": "/wrench"},
     )
     assert {topic: timing.messages for topic, timing in checks.timings.items()} == {
         "/joints": 800,

@@ -9,6 +9,15 @@ from analytic_log import waves
 from random_logs import write_bag
 from scipy.spatial.transform import Rotation
 
+from symbid_ros.messages.types import (
+    ACCEL,
+    ODOMETRY,
+    TRAJECTORY,
+    accel_layout,
+    fill_stamp,
+    odometry_layout,
+    trajectory_layout,
+)
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.signals.streams import JointStream, Streams, WrenchStream
 
@@ -25,6 +34,8 @@ class ArmLog:
     position: np.ndarray
     effort: np.ndarray
     wrench: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
 
 
 def payload_arm_log(arm, frame, *, seconds=20.0, rate=250.0, seed=0, noise=1.0, size=1.2):
@@ -65,16 +76,17 @@ def payload_arm_log(arm, frame, *, seconds=20.0, rate=250.0, seed=0, noise=1.0, 
     effort += noise * 0.1 * rng.normal(size=effort.shape)
     wrench += noise * np.repeat([0.3, 0.01], 3) * rng.normal(size=wrench.shape)
     position = motion[0] + noise * 2e-5 * rng.normal(size=effort.shape)
-    return ArmLog(time, position, effort, wrench + OFFSET)
+    return ArmLog(time, position, effort, wrench + OFFSET, *motion[1:])
 
 
 def _text(values):
     return " ".join(repr(float(one)) for one in values)
 
 
-def write_payload_bag(log, arm, frame, path):
-    """Write the log as a bag, its wrench on a topic of its own."""
+def write_payload_bag(log, arm, frame, path, *, truth=False):
+    """Write the log as a bag, its wrench on a topic of its own, perhaps with the ground truth."""
     stamp = np.rint(log.time * 1e9).astype(np.int64)
+    topics = _truth_topics(log, arm, stamp) if truth else []
     joints = JointStream(
         "/joint_states",
         arm.joint_names,
@@ -84,4 +96,27 @@ def write_payload_bag(log, arm, frame, path):
         log.effort,
     )
     wrench = WrenchStream("/wrist/wrench", frame, stamp, log.wrench[:, :3], log.wrench[:, 3:])
-    return write_bag(Streams("arm", joints, (), (wrench,)), path)
+    return write_bag(Streams("arm", joints, (), (wrench,)), path, topics)
+
+
+def _truth_topics(log, arm, stamp):
+    """Return the simulator's topics of the true motion of an arm whose base is at rest."""
+    joints = trajectory_layout(arm.joint_names).records(len(stamp))
+    fill_stamp(joints, stamp)
+    for field, values in (
+        ("positions", log.position),
+        ("velocities", log.velocity),
+        ("accelerations", log.acceleration),
+        ("effort", log.effort),
+    ):
+        joints[f"points.0.{field}"][...] = values
+    base = odometry_layout("world", "base_link").records(len(stamp))
+    fill_stamp(base, stamp)
+    base["pose.pose.orientation"][...] = [0, 0, 0, 1]
+    rest = accel_layout("base_link").records(len(stamp))
+    fill_stamp(rest, stamp)
+    return [
+        ("/ground_truth/joints", TRAJECTORY, stamp, joints),
+        ("/ground_truth/odom", ODOMETRY, stamp, base),
+        ("/ground_truth/base_accel", ACCEL, stamp, rest),
+    ]

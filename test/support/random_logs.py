@@ -1,6 +1,6 @@
 """Random logs of random robots: any length, rate, gaps, start and missing channels."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
 SECOND = 1_000_000_000
+Topic = tuple[str, str, np.ndarray, np.ndarray]
 FAULTS = (
     "no imu",
     "no wrench",
@@ -163,8 +164,11 @@ def _spoilt(streams: Streams, fault: str) -> Streams:
     return replace(streams, joints=replace(joints, **changes.get(fault, {})))
 
 
-def write_bag(streams: Streams, path: Path) -> Path:
-    """Write streams as a recorder would; a joint array that is all NaN is left empty."""
+def write_bag(streams: Streams, path: Path, further: Sequence[Topic] = ()) -> Path:
+    """Write streams as a recorder would; a joint array that is all NaN is left empty.
+
+    ``further`` topics are (name, type, stamps, records).
+    """
     joints = streams.joints
     given = {name: getattr(joints, name) for name in ("position", "velocity", "effort")}
     given = {name: values for name, values in given.items() if not np.isnan(values).all()}
@@ -172,7 +176,7 @@ def write_bag(streams: Streams, path: Path) -> Path:
     fill_stamp(records, joints.stamp)
     for name, values in given.items():
         records[name][...] = values
-    topics = [(joints.topic, JOINT_STATE, joints.stamp, records)]
+    topics = [*further, (joints.topic, JOINT_STATE, joints.stamp, records)]
     for imu in streams.imus:
         records = imu_layout(imu.frame_id).records(len(imu.stamp))
         upright = np.tile([0.0, 0.0, 0.0, 1.0], (len(imu.stamp), 1))

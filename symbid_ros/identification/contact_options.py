@@ -1,0 +1,59 @@
+"""Options that say where something touches the robot, and which sensors feel it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from symbid_ros.errors import OptionError
+from symbid_ros.options import check_values, option
+
+GROUP = "Contacts and wrench sensors"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactOptions:
+    """Wrist sensors, and contacts without a sensor.
+
+    Raises
+    ------
+    OptionError
+        When a value is invalid.
+    """
+
+    wrist_sensor: tuple[str, ...] = option(
+        (),
+        "Frame of each wrist force/torque sensor, as FRAME or FRAME:LINK with the first link "
+        "beyond it, comma-separated; -FRAME if it reads the wrench of the robot on the payload. "
+        "What lies beyond it is identified as a link of its own, together with the sensor's "
+        "offset.",
+        group=GROUP,
+    )
+    contact: tuple[str, ...] = option(
+        (),
+        "Frames at which something touches the robot without a wrench sensor, as FRAME or, without "
+        "moments, FRAME:point, comma-separated. Their wrenches are eliminated at all times.",
+        group=GROUP,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse invalid values."""
+        check_values(self)
+        for name in self.contacts:
+            if name.partition(":")[2] not in ("", "point", "surface"):
+                raise OptionError(
+                    f"`contact`: {name!r} is no contact; give FRAME or FRAME:point", "E501"
+                )
+
+    @cached_property
+    def wrist_sensors(self) -> tuple[str, ...]:
+        """The wrist sensors, as FRAME or FRAME:LINK."""
+        return tuple(names(self.wrist_sensor))
+
+    @cached_property
+    def contacts(self) -> tuple[str, ...]:
+        """The frames of contacts without a sensor, as FRAME or FRAME:point."""
+        return tuple(names(self.contact))
+
+
+def names(values: tuple[str, ...]) -> list[str]:
+    """Return the names in comma-separated lists."""
+    return [name for part in ",".join(values).split(",") if (name := part.strip())]
