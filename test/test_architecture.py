@@ -67,6 +67,7 @@ ROS_LIBRARIES = {
     "nav_msgs",
     "trajectory_msgs",
     "diagnostic_msgs",
+    "visualization_msgs",
     "std_msgs",
     "std_srvs",
 }

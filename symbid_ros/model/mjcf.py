@@ -47,11 +47,27 @@ def file_bodies(path: Path) -> tuple[list[str], dict[str, FloatArray]]:
     return reader.names[1:], {body.name: body.phi for body in reader.bodies()[0]}
 
 
-def _compiled(path: Path) -> Any:
+def compile_with_shapes(path: Path) -> Any:
+    """Return MuJoCo's compiled model (``MjModel``) with the shapes of all bodies but the world.
+
+    Raises
+    ------
+    ModelError
+        See :func:`load_mjcf`; also when a mesh is missing or outside the model's folder.
+    """
+    return _compiled(path, keep_shapes=True)
+
+
+def body_names(compiled: Any) -> list[str]:
+    """Return the names of all bodies of a compiled model, the world first."""
+    return [compiled.body(body).name or f"body_{body}" for body in range(compiled.nbody)]
+
+
+def _compiled(path: Path, *, keep_shapes: bool = False) -> Any:
     # The core runs without MuJoCo, which only parses MJCF, so it is imported on first use.
     import mujoco  # noqa: PLC0415
 
-    reduced = reduced_mjcf(read_mjcf(path), path.parent)
+    reduced = reduced_mjcf(read_mjcf(path), path.parent, keep_shapes=keep_shapes)
     # Warnings concern simulation; MuJoCo would write them to the working directory.
     handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda warning: None)
@@ -77,7 +93,7 @@ class _Reader:
     @cached_property
     def names(self) -> list[str]:
         """Names of all bodies, the world first."""
-        return [self.m.body(body).name or f"body_{body}" for body in range(self.m.nbody)]
+        return body_names(self.m)
 
     def bodies(self) -> tuple[list[Body], int]:
         """Return the bodies of the moving tree, parents first, and MuJoCo's index of the root."""

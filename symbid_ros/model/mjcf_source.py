@@ -230,11 +230,11 @@ class ReducedMjcf:
         return self.places[line - 1] if 0 < line <= len(self.places) else match[0]
 
 
-def reduced_mjcf(root: Element, folder: Path) -> ReducedMjcf:
+def reduced_mjcf(root: Element, folder: Path, *, keep_shapes: bool = False) -> ReducedMjcf:
     """Reduce a model to bodies, joints, inertias, sites and motors.
 
-    Shapes and their meshes stay only where a body takes its inertia from them, so other meshes
-    need not exist.
+    Unless ``keep_shapes`` is given, shapes and their meshes stay only where a body takes its
+    inertia from them, so other meshes need not exist.
 
     Parameters
     ----------
@@ -242,6 +242,8 @@ def reduced_mjcf(root: Element, folder: Path) -> ReducedMjcf:
         Result of :func:`read_mjcf`.
     folder : Path
         Folder of the model.
+    keep_shapes : bool
+        Whether all shapes of bodies stay.
 
     Raises
     ------
@@ -250,7 +252,7 @@ def reduced_mjcf(root: Element, folder: Path) -> ReducedMjcf:
         outside ``folder``.
     """
     compiler = {key: value for part in root.iterfind("compiler") for key, value in part.items()}
-    needs_shapes = compiler.get("inertiafromgeom") == "true"
+    needs_shapes = keep_shapes or compiler.get("inertiafromgeom") == "true"
     reduced = _copied(root)
     reduced.extend(_section(one, needs_shapes) for one in root if one.tag not in _OMITTED_SECTIONS)
     meshes = _read_meshes(reduced, folder, compiler)
