@@ -63,14 +63,14 @@ def inertia_box(phi: FloatArray) -> InertiaBox | None:
     if moments[0] < -_ROUNDING * max(moments[-1], 0.0) or moments[-1] < 0:
         return None
     axes[:, 2] *= np.sign(np.linalg.det(axes))  # right-handed
-    size = np.sqrt(12 * np.maximum(moments, 0.0) / mass).astype(np.float64)
+    size: FloatArray = np.sqrt(12 * np.maximum(moments, 0.0) / mass)
     return InertiaBox(mass, com, axes, size)
 
 
 def principal_moments(phi: FloatArray) -> FloatArray:
     """Return the principal moments of inertia (3,) about the centre of mass, kg m², ascending."""
-    moments: FloatArray = np.linalg.eigvalsh(com_from_phi(phi)[2])
-    return moments
+    moments = np.linalg.eigvalsh(com_from_phi(phi)[2])
+    return moments.astype(np.float64)
 
 
 def com_covariance(phi: FloatArray, covariance: FloatArray) -> FloatArray:
