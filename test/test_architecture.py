@@ -25,6 +25,7 @@ SUBPACKAGES = (
     "online",
     "simulation",
     "report",
+    "excitation",
     "study",
     "ros",
     "cli",

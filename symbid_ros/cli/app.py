@@ -13,6 +13,7 @@ from rich.logging import RichHandler
 from symbid_ros.cli.bag import app as bag
 from symbid_ros.cli.demo import demo
 from symbid_ros.cli.estimates import evaluate, identify, prior, report
+from symbid_ros.cli.excite import excite
 from symbid_ros.cli.flags import flag
 from symbid_ros.cli.init import init
 from symbid_ros.cli.simulate import simulate, udp_client
@@ -34,6 +35,7 @@ USAGE = 2  # status after an error that the user can correct
 COMMANDS = (
     demo,
     simulate,
+    excite,
     prior,
     init,
     identify,

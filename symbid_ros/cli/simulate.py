@@ -1,32 +1,59 @@
 """The commands ``simulate`` and ``udp-client``."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from symbid_ros.cli.flags import with_flags
+from symbid_ros.cli.flags import BaseKind, ModelOrRobot, Robot, require_model, with_flags
+from symbid_ros.errors import OptionError
+from symbid_ros.options import options_of
 from symbid_ros.shutdown import stop_on_signals
-from symbid_ros.simulation.options import SimulateOptions
+from symbid_ros.simulation.joint_sensors import JointSensorOptions
+from symbid_ros.simulation.options import SimulateOptions, TruthOptions
+
+if TYPE_CHECKING:
+    from symbid_ros.model.tree import RobotModel
+    from symbid_ros.simulation.simulator import Simulator
+    from symbid_ros.simulation.tracking import TrackingSimulator
 
 
 @with_flags
 def simulate(
+    *,
     out: Annotated[Path, typer.Option(help="Folder of the new bag.")],
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of `symbid excite`, or CSV file with positions of joints, for a robot on "
+            "a fixed base to follow; needs --model. Of the options of scenarios, --noise-seed, "
+            "--ideal and --friction apply as well."
+        ),
+    ] = None,
+    model: ModelOrRobot = None,
+    robot: Robot = None,
+    base: BaseKind = "auto",
     options: SimulateOptions,
+    truth: TruthOptions,
+    sensors: JointSensorOptions,
     true_model: Annotated[
         Path | None,
         typer.Option(
-            help="MJCF file to write: the simulated robot without payload, for `symbid evaluate`."
+            help="MJCF file to write: the simulated robot without payload, for `symbid evaluate`. "
+            "Default with --trajectory: the bag's name with _truth.xml."
         ),
     ] = None,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the bag of an earlier run.")
     ] = False,
 ) -> None:
-    """Simulate the Symbitron in MuJoCo and record its sensors and the ground truth to a bag.
+    """Simulate a robot in MuJoCo and record its sensors and the ground truth to a bag.
+
+    With --trajectory, the robot of --model follows a trajectory of its joints. Its true links
+    differ from the model by up to --truth-percent, so that an identification can be rehearsed.
+    Without, the Symbitron carries out a scenario.
 
     [b]Scenarios[/b]: in [b]smooth[/b] and [b]vibrating[/b] the robot stands and moves its centre
     of mass. In [b]squat[/b] it moves mostly up and down. In [b]suspended[/b] it hangs from an
@@ -42,17 +69,24 @@ def simulate(
     [b]quantisation[/b] 16 to 18 bits.
     """
     from symbid_ros.atomic_write import clear_folder, write_text
+    from symbid_ros.model.load import load_model
     from symbid_ros.simulation.recording import record
-    from symbid_ros.simulation.simulator import PayloadFactory, Simulator
 
-    payload = PayloadFactory().payload(
-        options.payload_link, options.payload_mass, options.payload_position
-    )
-    simulator = Simulator(options, payload=payload)
+    simulator: Simulator | TrackingSimulator
+    if trajectory is None:
+        _require_scenario(model)
+        simulator = _scenario_simulator(options)
+    else:
+        _require_tracking(options)
+        simulator = _tracking_simulator(
+            load_model(require_model(model), base), trajectory, options, truth, sensors
+        )
+        true_model = true_model or out.with_name(f"{out.name}_truth.xml")
     clear_folder(out, _is_simulated_bag, "a bag", overwrite=overwrite)
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(f"simulating {options.scenario}", total=simulator.steps)
+        what = options.scenario if trajectory is None else trajectory
+        task = progress.add_task(f"simulating {what}", total=simulator.steps)
         counts = record(
             simulator, out, progress=lambda done, _: progress.update(task, completed=done)
         )
@@ -60,6 +94,66 @@ def simulate(
         write_text(true_model, simulator.robot)
     seconds = simulator.steps * simulator.period_ns * 1e-9
     typer.echo(f"{out}: {seconds:.1f} s, {sum(counts.values())} messages on {len(counts)} topics")
+    if trajectory is not None:
+        typer.echo(f"{true_model}: the true robot, for `symbid evaluate`")
+
+
+def _require_scenario(model: Path | None) -> None:
+    if model is not None:
+        raise OptionError(
+            "`model` has no effect without `trajectory`: scenarios are those of the Symbitron; "
+            "give both",
+            "E503",
+        )
+
+
+def _require_tracking(options: SimulateOptions) -> None:
+    """Refuse options of scenarios that have no effect on a robot that follows a trajectory."""
+    unused = SimulateOptions(
+        noise_seed=options.noise_seed, ideal=options.ideal, friction=options.friction
+    )
+    for each in options_of(SimulateOptions):
+        if getattr(options, each.name) != getattr(unused, each.name):
+            raise OptionError(
+                f"`{each.name}` has no effect with `trajectory`; leave it out", "E503"
+            )
+
+
+def _scenario_simulator(options: SimulateOptions) -> "Simulator":
+    from symbid_ros.simulation.simulator import PayloadFactory, Simulator
+
+    payload = PayloadFactory().payload(
+        options.payload_link, options.payload_mass, options.payload_position
+    )
+    return Simulator(options, payload=payload)
+
+
+def _tracking_simulator(
+    robot: "RobotModel",
+    trajectory: Path,
+    options: SimulateOptions,
+    truth: TruthOptions,
+    sensors: JointSensorOptions,
+) -> "TrackingSimulator":
+    from symbid_ros.excitation.rehearsal import draw_truth, effort_capacity
+    from symbid_ros.simulation.joint_trajectory import read_trajectory
+    from symbid_ros.simulation.tracking import TrackingSimulator
+
+    motion = read_trajectory(trajectory, robot.measured_joint_names)
+    return TrackingSimulator(
+        draw_truth(
+            robot,
+            motion,
+            percent=truth.truth_percent,
+            seed=truth.truth_seed,
+            has_friction=options.friction,
+        ),
+        robot,
+        motion,
+        sensors=sensors,
+        capacity=effort_capacity(robot, motion),
+        seed=None if options.ideal else options.noise_seed,
+    )
 
 
 def _is_simulated_bag(folder: Path) -> bool:

@@ -68,6 +68,35 @@ def trajectory_layout(names: tuple[str, ...]) -> Layout:
     return message_layout(TRAJECTORY, joint_names=list(names), points=[point])
 
 
+def trajectory_message(names: tuple[str, ...], time: IntArray, motion: FloatArray) -> bytes:
+    """Return a serialised JointTrajectory with N points.
+
+    Parameters
+    ----------
+    names : tuple of str
+        The D joints.
+    time : (N,) int64
+        Time of each point from the start, ns.
+    motion : (3, N, D) float64
+        Position, velocity and acceleration.
+    """
+    kind = "trajectory_msgs/msg/JointTrajectoryPoint"
+    points = [
+        _zero_message(
+            kind,
+            positions=position,
+            velocities=velocity,
+            accelerations=acceleration,
+            time_from_start=typestore().types["builtin_interfaces/msg/Duration"](
+                *divmod(stamp, NANO)
+            ),
+        )
+        for stamp, position, velocity, acceleration in zip(time.tolist(), *motion, strict=True)
+    ]
+    message = _zero_message(TRAJECTORY, joint_names=list(names), points=points)
+    return bytes(typestore().serialize_cdr(message, TRAJECTORY, little_endian=True))
+
+
 def odometry_layout(frame_id: str, child_frame_id: str) -> Layout:
     """Return the layout of an Odometry: pose in ``frame_id``, twist in the child frame."""
     return message_layout(ODOMETRY, header=_header(frame_id), child_frame_id=child_frame_id)

@@ -47,6 +47,7 @@ class BodyJoint:
     armature: float = 0.0
     mimic: tuple[str, float, float] | None = None
     sensor: str = ""
+    speed: float = np.inf
 
 
 @dataclass(frozen=True)
@@ -126,6 +127,7 @@ class _Assembly:
                     joint.friction_loss,
                     joint.armature,
                     sensor=joint.sensor,
+                    speed=joint.speed,
                 )
             )
             name = body.name if last else f"{body.name}:{joint.name}"

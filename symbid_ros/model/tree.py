@@ -75,6 +75,8 @@ class Joint:
         Position limits, infinite where the file sets none.
     effort : float
         Largest effort, Nm or N; zero for a passive joint, infinite where unknown.
+    speed : float
+        Largest speed, rad/s or m/s, infinite where unknown. MJCF has no such limit.
     damping, friction_loss, armature : float
         Viscous friction (Nm s/rad or N s/m), Coulomb friction (Nm or N) and the inertia of
         rotor and gear reflected to the joint (kg m² or kg), as given in the file.
@@ -101,6 +103,7 @@ class Joint:
     armature: float = 0.0
     mimic: Mimic | None = None
     sensor: str = ""
+    speed: float = np.inf
 
 
 @dataclass(frozen=True)

@@ -152,7 +152,7 @@ class UrdfReader:
         lower, upper = (self._number(limit, key) for key in ("lower", "upper"))
         if kind == "continuous" or lower is None or upper is None:
             lower, upper = -np.inf, np.inf
-        effort = self._number(limit, "effort")
+        effort, speed = (self._number(limit, key) for key in ("effort", "velocity"))
         return (
             BodyJoint(
                 name,
@@ -165,6 +165,7 @@ class UrdfReader:
                 damping=self._number(dynamics, "damping", LARGEST) or 0.0,
                 friction_loss=self._number(dynamics, "friction", LARGEST) or 0.0,
                 mimic=self._mimic(joint),
+                speed=np.inf if speed is None else speed,
             ),
         )
 

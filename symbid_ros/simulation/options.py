@@ -74,3 +74,34 @@ class SimulateOptions:
     def __post_init__(self) -> None:
         """Refuse invalid values."""
         check_values(self)
+
+
+TRUTH = "True robot, with --trajectory"
+
+
+@dataclass(frozen=True)
+class TruthOptions:
+    """How the true robot of a rehearsal differs from its model file.
+
+    Raises
+    ------
+    OptionError
+        When a value is invalid.
+    """
+
+    truth_percent: float = option(
+        25.0,
+        "Half-width of the uniform distribution of each link's mass moments about those of the "
+        "model; 0: the model's.",
+        unit="%",
+        minimum=0.0,
+        maximum=95.0,
+        group=TRUTH,
+    )
+    truth_seed: int = option(
+        0, "Random seed of the true links, friction and armature.", minimum=0, group=TRUTH
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse invalid values."""
+        check_values(self)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from symbid_ros.messages import types as messages
 from symbid_ros.messages.layout import Columns, Layout
 from symbid_ros.simulation.scenario import SUPPORT_FRAME
 from symbid_ros.simulation.sensors import Instant
-from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.simulation.simulator import WrenchSensor
+from symbid_ros.simulation.systematic_errors import SampleRates
 
 WORLD = "world"
 BLOCK = 500  # instants encoded together: large enough to be efficient, small enough for progress
@@ -42,6 +43,26 @@ BASE_ACCELERATION = {
     "accel.angular": "base_angular_acceleration",
 }
 
+
+class SimulatedRobot(Protocol):
+    """A simulated robot with sensors, see :class:`symbid_ros.simulation.simulator.Simulator`.
+
+    ``imu_frame`` is empty for a robot without an IMU.
+    """
+
+    joint_names: tuple[str, ...]
+    base_frame: str
+    imu_frame: str
+    wrench_sensors: tuple[WrenchSensor, ...]
+    sample_rates: SampleRates
+    period_ns: int
+    steps: int
+
+    def step(self) -> Instant:
+        """Simulate one period and return the instant at its start."""
+        ...
+
+
 Fill = Callable[[Columns, IntArray | int, Instant], None]
 
 
@@ -69,11 +90,14 @@ class SimulatedTopic:
     every: int = 1
 
 
-def sensor_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
+def sensor_topics(robot: SimulatedRobot) -> tuple[SimulatedTopic, ...]:
     """Return the topics of joint states, IMU and wrenches."""
     rates = robot.sample_rates
     joint_states = messages.joint_state_layout(robot.joint_names)
-    imu = messages.imu_layout(robot.imu_frame)
+    imus = []
+    if robot.imu_frame:
+        layout = messages.imu_layout(robot.imu_frame)
+        imus = [SimulatedTopic("imu/data", layout, _fill(IMU), rates.imu)]
     wrenches = [
         SimulatedTopic(
             sensor.topic,
@@ -85,12 +109,12 @@ def sensor_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
     ]
     return (
         SimulatedTopic("joint_states", joint_states, _fill(JOINTS), rates.joints),
-        SimulatedTopic("imu/data", imu, _fill(IMU), rates.imu),
+        *imus,
         *wrenches,
     )
 
 
-def truth_topics(robot: Simulator) -> tuple[SimulatedTopic, ...]:
+def truth_topics(robot: SimulatedRobot) -> tuple[SimulatedTopic, ...]:
     """Return the topics of the true motion, for validation only."""
     joints = messages.trajectory_layout(robot.joint_names)
     odometry = messages.odometry_layout(WORLD, robot.base_frame)
@@ -118,7 +142,7 @@ def _wrench_fill(index: int) -> Fill:
 
 
 def record(
-    simulator: Simulator,
+    simulator: SimulatedRobot,
     out: Path,
     *,
     progress: Callable[[int, int], None] | None = None,
@@ -129,7 +153,7 @@ def record(
 
     Parameters
     ----------
-    simulator : Simulator
+    simulator : SimulatedRobot
         A simulator that has not been stepped.
     out : Path
         Folder of the bag, which must not exist; it appears when the bag is complete.

@@ -1,0 +1,1 @@
+"""Excitation trajectories: designed for the most information before a robot moves."""

@@ -1,0 +1,158 @@
+"""Files of a designed trajectory: CSV, bag, goal of a ros2_control controller, and the plan."""
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.atomic_write import staged, write_text
+from symbid_ros.bags import BagWriter
+from symbid_ros.excitation.plan import ExcitationPlan
+from symbid_ros.messages.types import TRAJECTORY, trajectory_message
+from symbid_ros.package_paths import package_version
+from symbid_ros.simulation.joint_trajectory import (
+    ACCELERATION,
+    EFFORT,
+    POSITION,
+    TIME,
+    TRAJECTORY_FILE,
+    VELOCITY,
+)
+
+PLAN_FILE, BAG, GOAL_FILE = "plan.json", "trajectory_bag", "goal.yaml"
+FILES = TRAJECTORY_FILE, PLAN_FILE, GOAL_FILE, BAG
+# Where ros2_control's joint_trajectory_controller listens.
+TOPIC = "/joint_trajectory_controller/joint_trajectory"
+CSV_RATE = 100.0  # Hz
+# Points of the message for each period of the fastest harmonic. Controllers interpolate positions,
+# velocities and accelerations by quintics, whose error is then below a microradian.
+POINTS_PER_WAVE = 16
+DIGITS, GOAL_DIGITS = 9, 7
+
+
+def write_plan(plan: ExcitationPlan, out: Path) -> None:
+    """Write all files of a plan into a folder, together.
+
+    Raises
+    ------
+    SymbidError
+        When the folder cannot be written to.
+    """
+    with staged(out) as stage:
+        write_text(stage / TRAJECTORY_FILE, csv_text(plan))
+        write_text(stage / GOAL_FILE, goal_text(plan))
+        write_text(stage / PLAN_FILE, json.dumps(document(plan), indent=1) + "\n")
+        _write_bag(plan, stage / BAG)
+
+
+def csv_text(plan: ExcitationPlan) -> str:
+    """Return the trajectory as CSV: time, then position, velocity, acceleration and effort."""
+    seconds = plan.problem.design.seconds
+    time = np.arange(round(seconds * CSV_RATE) + 1) / CSV_RATE
+    kinds = (POSITION, VELOCITY, ACCELERATION, EFFORT)
+    columns = np.concatenate([*plan.motion(time), plan.torque(time)], axis=1)
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow([TIME, *(f"{name}/{kind}" for kind in kinds for name in plan.joints.names)])
+    for instant, row in zip(time.tolist(), columns.tolist(), strict=True):
+        writer.writerow([f"{instant:.{DIGITS}g}", *(f"{value:.{DIGITS}g}" for value in row)])
+    return stream.getvalue()
+
+
+def _points(plan: ExcitationPlan) -> tuple[FloatArray, FloatArray]:
+    """Return times (N,), s, and motion (3, N, D) of the message, after the approach."""
+    design = plan.problem.design
+    waves = design.series.harmonics * design.seconds / design.series.period
+    time = np.linspace(0.0, design.seconds, round(POINTS_PER_WAVE * waves) + 1)
+    return plan.approach + time, plan.motion(time)
+
+
+def goal_text(plan: ExcitationPlan) -> str:
+    """Return the goal of a FollowJointTrajectory action as YAML."""
+    time, motion = _points(plan)
+    points = []
+    for instant, position, velocity, acceleration in zip(time.tolist(), *motion, strict=True):
+        nanoseconds = round(instant * 1e9)
+        points.append(
+            {
+                "positions": [round(value, GOAL_DIGITS) for value in position.tolist()],
+                "velocities": [round(value, GOAL_DIGITS) for value in velocity.tolist()],
+                "accelerations": [round(value, GOAL_DIGITS) for value in acceleration.tolist()],
+                "time_from_start": {
+                    "sec": nanoseconds // 10**9,
+                    "nanosec": nanoseconds % 10**9,
+                },
+            }
+        )
+    goal = {"trajectory": {"joint_names": list(plan.joints.names), "points": points}}
+    text: str = yaml.safe_dump(goal, default_flow_style=None, sort_keys=False, width=10_000)
+    return text
+
+
+def _write_bag(plan: ExcitationPlan, path: Path) -> None:
+    time, motion = _points(plan)
+    payload = trajectory_message(plan.joints.names, np.rint(time * 1e9).astype(np.int64), motion)
+    with BagWriter(path) as bag:
+        bag.write(bag.add_topic(TOPIC, TRAJECTORY), 0, payload)
+
+
+def document(plan: ExcitationPlan) -> dict[str, object]:
+    """Return the plan as JSON: coefficients, limits, and what is expected of each parameter."""
+    problem = plan.problem
+    design, limits = problem.design, problem.limits
+    names = plan.joints.names
+    usage = plan.usage()
+    return {
+        "schema_version": 1,
+        "software": f"symbid_ros {package_version()}",
+        "model": plan.joints.model.name,
+        "model_file": plan.joints.model.source,
+        "seconds": design.seconds,
+        "period_s": design.series.period,
+        "harmonics": design.series.harmonics,
+        "approach_s": plan.approach,
+        "is_complete": plan.is_complete,
+        "gain_bits": plan.gain,
+        "rate_hz": problem.sensors.rate,
+        "effort_noise_percent": problem.sensors.effort_noise,
+        "position_noise": problem.sensors.position_noise,
+        "coefficients": dict(zip(names, plan.coefficients.T.tolist(), strict=True)),
+        "joints": {
+            name: {
+                "lower": float(limits.lower[index]),
+                "upper": float(limits.upper[index]),
+                "velocity": float(limits.speed[index]),
+                "acceleration": float(limits.acceleration[index]),
+                "effort": _finite(float(limits.effort[index])),
+                "used": {kind: float(shares[index]) for kind, shares in usage.items()},
+            }
+            for index, name in enumerate(names)
+        },
+        "assumed": list(limits.assumed),
+        "parameters": {
+            name: {
+                "unit": unit,
+                "value": value,
+                "std_before": before,
+                "std_expected": after,
+                "determined": determined,
+            }
+            for name, unit, value, before, after, determined in zip(
+                problem.parameters.names,
+                problem.parameters.units,
+                design.expected.values.tolist(),
+                problem.prior_std.tolist(),
+                plan.std.tolist(),
+                plan.determined.tolist(),
+                strict=True,
+            )
+        },
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

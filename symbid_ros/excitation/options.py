@@ -1,0 +1,89 @@
+"""Options of the design of an excitation trajectory."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from symbid_ros.options import check_values, option
+
+LIMITS = "Limits"
+KNOWN = "What is known before"
+
+
+@dataclass(frozen=True)
+class ExciteOptions:
+    """How to design an excitation trajectory.
+
+    Raises
+    ------
+    OptionError
+        When a value is invalid.
+    """
+
+    seconds: float = option(
+        40.0, "Length of the recording, rounded up to whole periods.", unit="s", minimum=1.0
+    )
+    period: float = option(
+        10.0, "Period of the trajectory, which is repeated.", unit="s", minimum=0.5
+    )
+    harmonics: int = option(
+        5, "Number of harmonics of the period in each joint.", minimum=2, maximum=50
+    )
+    joints: tuple[str, ...] = option(
+        (), "Joint to move; all others stay in place.", unset="all joints"
+    )
+    starts: int = option(2, "Number of random starts of the search.", minimum=1, maximum=100)
+    iterations: int = option(
+        120, "Iterations of the search from each start.", minimum=1, maximum=10_000
+    )
+    seed: int = option(0, "Random seed of the starts.", minimum=0)
+    prior_percent: float = option(
+        25.0,
+        "Half-width of the uniform prior of the model's values, in percent of each value.",
+        unit="%",
+        minimum=0.1,
+        maximum=1000.0,
+        group=KNOWN,
+    )
+    information: Path | None = option(
+        None,
+        "Folder of an identification, or its information.npz; the trajectory then measures what "
+        "is still uncertain.",
+        group=KNOWN,
+    )
+    joint_terms: tuple[str, ...] = option(
+        (),
+        "Joint terms that will be identified: none, or a comma-separated list of viscous, coulomb, "
+        "armature, offset.",
+        unset="viscous,coulomb",
+        group=KNOWN,
+    )
+    limits: Path | None = option(
+        None,
+        "YAML in the format of MoveIt's joint_limits.yaml; its limits replace those of the model.",
+        group=LIMITS,
+    )
+    position_share: float = option(
+        0.95,
+        "Share of each joint's range to use.",
+        minimum=0.01,
+        maximum=1.0,
+        group=LIMITS,
+    )
+    speed_share: float = option(
+        0.8,
+        "Share of each joint's velocity and acceleration limits to use.",
+        minimum=0.01,
+        maximum=1.0,
+        group=LIMITS,
+    )
+    effort_share: float = option(
+        0.7,
+        "Share of each joint's effort limit to use, by the model's values.",
+        minimum=0.01,
+        maximum=1.0,
+        group=LIMITS,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse invalid values."""
+        check_values(self)

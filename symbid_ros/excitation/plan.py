@@ -1,0 +1,307 @@
+"""From a robot and options to a trajectory, with what it will tell before anyone moves."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+from scipy.ndimage import minimum_filter1d
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.choices import Term
+from symbid_ros.dynamics.regressor import equation_of_motion, slipping
+from symbid_ros.errors import OptionError
+from symbid_ros.estimation.prior import model_prior
+from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.excitation.fourier import DrivenJoints, FourierSeries
+from symbid_ros.excitation.limits import JointLimits, joint_limits
+from symbid_ros.excitation.objective import ExpectedInformation
+from symbid_ros.excitation.optimizer import Design
+from symbid_ros.excitation.options import ExciteOptions
+from symbid_ros.identification.result_files import load_estimated_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.simulation.joint_sensors import JointSensorOptions
+from symbid_ros.simulation.tracking import effort_std, position_std
+
+DESIGN_TERMS = "viscous", "coulomb", "armature", "offset"
+DEFAULT_TERMS = "viscous", "coulomb"
+# Window whose rows are expected, s: the noise of positions enters through their second derivative.
+WINDOW = 0.161
+SAMPLES_PER_HARMONIC = 20
+POSTURES = 200  # random ones, for mean inertias and for the efforts of drives without a limit
+
+
+@dataclass(frozen=True)
+class ExcitationProblem:
+    """A robot, its limits and sensors: everything that a trajectory is designed for.
+
+    Attributes
+    ----------
+    options : ExciteOptions
+    sensors : JointSensorOptions
+    limits : JointLimits
+        Complete limits of the D joints that move; the trajectory uses shares of them.
+    design : Design
+    capacity : (J,) float64
+        Largest effort of each joint, Nm or N, of which the noise of efforts is a share.
+    """
+
+    options: ExciteOptions
+    sensors: JointSensorOptions
+    limits: JointLimits
+    design: Design
+    capacity: FloatArray
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The p parameters."""
+        return self.design.expected.parameters
+
+    @property
+    def prior_std(self) -> FloatArray:
+        """(p,) standard deviations before the motion."""
+        return np.asarray(np.linalg.norm(self.design.expected.factor, axis=1))
+
+    def expected_factor(self, coefficients: FloatArray) -> FloatArray:
+        """Return L (p, r) of the covariance L Lᵀ after a recording of the trajectory.
+
+        Unlike the gain that is optimised, this counts a joint with friction only while it slips
+        during a whole window, as an identification does.
+        """
+        design, expected = self.design, self.design.expected
+        count = round(design.series.period * self.sensors.rate)
+        time = np.arange(count) / self.sensors.rate
+        samples = expected.joints.samples(design.series.motion(coefficients, time))
+        K = equation_of_motion(expected.parameters, samples).K
+        if {"viscous", "coulomb"} & set(expected.parameters.terms):
+            used = slipping(expected.parameters, samples.velocity)
+            width = max(1, round(WINDOW * self.sensors.rate))
+            kept = minimum_filter1d(used.astype(np.int8), width, axis=0, mode="wrap")
+            K *= kept[..., None]
+        information = expected.information(K) * design.seconds / design.series.period
+        return expected.posterior_factor(information)
+
+
+@dataclass(frozen=True)
+class ExcitationPlan:
+    """A designed trajectory with its expected result.
+
+    Attributes
+    ----------
+    problem : ExcitationProblem
+    coefficients : (m, D) float64
+        Of the Fourier series of each joint that moves.
+    is_complete : bool
+        Whether the search ended by itself.
+    """
+
+    problem: ExcitationProblem
+    coefficients: FloatArray
+    is_complete: bool = True
+
+    @property
+    def joints(self) -> DrivenJoints:
+        """The joints that move."""
+        return self.problem.design.expected.joints
+
+    @cached_property
+    def factor(self) -> FloatArray:
+        """(p, r) L of the covariance expected after the recording."""
+        return self.problem.expected_factor(self.coefficients)
+
+    @cached_property
+    def std(self) -> FloatArray:
+        """(p,) expected standard deviations."""
+        return np.asarray(np.linalg.norm(self.factor, axis=1))
+
+    @property
+    def determined(self) -> BoolArray:
+        """(p,) parameters that the recording is expected to determine."""
+        return np.asarray(self.std < DETERMINED * self.problem.prior_std)
+
+    @property
+    def gain(self) -> float:
+        """Expected gain of information, bit."""
+        return self.problem.design.gain(self.coefficients) / float(np.log(2))
+
+    def motion(self, time: FloatArray) -> FloatArray:
+        """Return position, velocity and acceleration (3, N, D) at times (N,), s."""
+        return self.problem.design.series.motion(self.coefficients, time)
+
+    def torque(self, time: FloatArray) -> FloatArray:
+        """Return the torques (N, D) that the model's values need, Nm or N."""
+        expected = self.problem.design.expected
+        torque = expected.rows(self.motion(time)) @ expected.values
+        return np.asarray(torque[:, self.joints.indices])
+
+    def usage(self) -> dict[str, FloatArray]:
+        """Return the largest share (D,) of each complete limit that is used, by its name."""
+        period = self.problem.design.series.period
+        time = np.linspace(0, period, 20 * self.problem.design.samples)
+        return self.problem.limits.usage(self.motion(time), self.torque(time))
+
+    @property
+    def approach(self) -> float:
+        """Seconds in which any posture within the limits reaches the start at a safe speed."""
+        limits = self.problem.design.limits
+        # A quintic from rest to rest has 15/8 of its mean speed in the middle.
+        return float(np.ceil(1.875 * np.max(2 * limits.half_width / limits.speed)))
+
+
+def excitation_problem(
+    robot: RobotModel, options: ExciteOptions, sensors: JointSensorOptions
+) -> ExcitationProblem:
+    """Check a robot and options, and return what a trajectory is designed for.
+
+    Raises
+    ------
+    SymbidError
+        When the base floats, no joint is driven, or an option is invalid.
+    """
+    if robot.floating:
+        raise OptionError(
+            f"{robot.source}: its base floats; give `base` fixed for a robot whose base is clamped "
+            "or hangs firmly",
+            "E581",
+        )
+    parameters, values, factor = _known(robot, options)
+    indices = _moving(robot, options.joints)
+    named = {robot.joint_names[index]: robot.joints[index] for index in indices}
+    limits = joint_limits(named, {}, options.limits)
+    used = limits.scaled(options.position_share, options.speed_share, options.effort_share)
+    posture = np.array([min(max(0.0, joint.lower), joint.upper) for joint in robot.joints])
+    posture[list(indices)] = limits.centre
+    joints = DrivenJoints(parameters.model, indices, posture)
+    series = FourierSeries(options.period, options.harmonics)
+    expected = ExpectedInformation(parameters, values, factor, np.ones(robot.dof), joints)
+    postures = _random_postures(joints, used)
+    capacity, remarks = _capacity(robot, limits, expected, postures)
+    limits = replace(limits, assumed=(*limits.assumed, *remarks))
+    precision = _precision(robot, sensors, capacity, expected, postures)
+    return ExcitationProblem(
+        options,
+        sensors,
+        limits,
+        Design(
+            series,
+            replace(expected, precision=precision),
+            used,
+            SAMPLES_PER_HARMONIC * options.harmonics,
+            sensors.rate,
+            series.period * np.ceil(options.seconds / series.period - 1e-9),
+        ),
+        capacity,
+    )
+
+
+def _known(
+    robot: RobotModel, options: ExciteOptions
+) -> tuple[ParameterSet, FloatArray, FloatArray]:
+    """Return the parameters, their expected values and L of their covariance before the motion."""
+    if options.information is not None:
+        folder = options.information
+        known = load_estimated_model(folder if folder.is_dir() else folder.parent, robot)
+        unknown = set(known.parameters.terms) - set(DESIGN_TERMS)
+        if known.deviation_factor is None or unknown or known.parameters.couplings:
+            raise OptionError(
+                f"{folder}: has no covariance of links, viscous, coulomb, armature and offset "
+                "alone; identify with `method` map_lmi and name these `joint_terms`",
+                "E582",
+            )
+        return known.parameters, known.values, known.deviation_factor
+    named = [name for part in ",".join(options.joint_terms).split(",") if (name := part.strip())]
+    terms = DEFAULT_TERMS if named in ([], ["auto"]) else tuple(named)
+    if unknown_terms := set(terms) - {*DESIGN_TERMS, "none"}:
+        raise OptionError(
+            f"`joint_terms`: {min(unknown_terms)!r} cannot be planned; give none or any of "
+            f"{', '.join(DESIGN_TERMS)}",
+            "E501",
+        )
+    chosen = () if "none" in terms else cast(tuple[Term, ...], terms)
+    parameters = ParameterSet(robot, chosen)
+    prior = model_prior(parameters, options.prior_percent)
+    return parameters, prior.mean, prior.covariance_factor()
+
+
+def _moving(robot: RobotModel, names: tuple[str, ...]) -> tuple[int, ...]:
+    """Return the joints that move: those named, or all that have a drive and a range."""
+    named = [name for part in ",".join(names).split(",") if (name := part.strip())]
+    for name in named:
+        if name not in robot.measured_joint_names:
+            raise OptionError(
+                f"`joints`: {robot.source} has no joint {name!r} that moves by itself; name any of "
+                f"{', '.join(robot.measured_joint_names)}",
+                "E583",
+            )
+    chosen = []
+    for name in named or robot.measured_joint_names:
+        joint = robot.joints[robot.joint_names.index(name)]
+        if joint.effort > 0 and joint.lower < joint.upper:
+            chosen.append(robot.joint_names.index(name))
+        elif named:
+            raise OptionError(
+                f"{robot.source}: joint {name} has no range or no effort, so no drive moves it; "
+                "correct its limits, or leave it out of `joints`",
+                "E583",
+            )
+    if not chosen:
+        raise OptionError(
+            f"{robot.source}: no joint has a range and an effort above zero; correct the limits in "
+            "the model",
+            "E583",
+        )
+    return tuple(chosen)
+
+
+def _random_postures(joints: DrivenJoints, limits: JointLimits) -> FloatArray:
+    """Return positions (N, D) within the limits, the same in every call."""
+    shares = np.random.default_rng(0).uniform(-1, 1, (POSTURES, len(limits.names)))
+    return np.asarray(limits.centre + shares * limits.half_width)
+
+
+def _capacity(
+    robot: RobotModel, limits: JointLimits, expected: ExpectedInformation, postures: FloatArray
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return the largest effort (J,) of each joint, and remarks about those without a limit."""
+    motion = np.zeros((3, *postures.shape))
+    motion[0] = postures
+    torque = np.abs(expected.rows(motion) @ expected.values).max(axis=0)
+    capacity = np.array([joint.effort for joint in robot.joints])
+    for name, effort in zip(limits.names, limits.effort.tolist(), strict=True):
+        capacity[robot.joint_names.index(name)] = effort
+    guessed = ~np.isfinite(capacity) | (capacity <= 0)
+    capacity[guessed] = np.maximum(2 * torque[guessed], 0.1 * torque.max())
+    remarks = tuple(
+        f"{robot.joint_names[index]}: noise of efforts as for a drive of {capacity[index]:.3g}"
+        for index in np.flatnonzero(guessed)
+        if robot.joint_names[index] in limits.names
+    )
+    return capacity, remarks
+
+
+def _precision(
+    robot: RobotModel,
+    sensors: JointSensorOptions,
+    capacity: FloatArray,
+    expected: ExpectedInformation,
+    postures: FloatArray,
+) -> FloatArray:
+    """Return the inverse variance (J,) of one sample's row, noise of efforts and positions.
+
+    Positions are differentiated twice, and a window of length W weights them by the second
+    derivative of its Hann shape, whose rms is 2 (π / W)² √(4/3) of the window's own.
+    """
+    variance = effort_std(sensors, capacity) ** 2
+    gain = 2 * (np.pi / WINDOW) ** 2 * np.sqrt(4 / 3)
+    acceleration = gain * position_std(sensors, robot)
+    moved = np.flatnonzero(np.isin(np.arange(len(robot.joints)), expected.joints.indices))
+    motion = np.zeros((3, *postures.shape))
+    motion[0] = postures
+    rest = expected.rows(motion) @ expected.values
+    for place, joint in enumerate(moved):
+        motion[2] = 0.0
+        motion[2, :, place] = 1.0
+        inertia = expected.rows(motion) @ expected.values - rest
+        variance = variance + np.mean(inertia**2, axis=0) * acceleration[joint] ** 2
+    return np.asarray(1.0 / variance)

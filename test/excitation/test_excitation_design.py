@@ -1,0 +1,191 @@
+"""The design of a trajectory: Fourier series, gradients, limits, and what is expected of it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio
+import pytest
+from documented_robots import ur5_urdf
+
+from symbid_ros.errors import OptionError
+from symbid_ros.estimation.prior import model_prior
+from symbid_ros.excitation.fourier import FourierSeries
+from symbid_ros.excitation.limits import joint_limits
+from symbid_ros.excitation.optimizer import TrajectoryOptimizer, smooth_maximum
+from symbid_ros.excitation.options import ExciteOptions
+from symbid_ros.excitation.plan import ExcitationPlan, excitation_problem
+from symbid_ros.model.load import load_model
+from symbid_ros.simulation.joint_sensors import JointSensorOptions
+
+SENSORS = JointSensorOptions()
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_model(ur5_urdf(), "fixed")
+
+
+@pytest.fixture(scope="module")
+def problem(arm):
+    return excitation_problem(arm, ExciteOptions(period=6.0, seconds=12.0, harmonics=3), SENSORS)
+
+
+@pytest.fixture(scope="module")
+def optimizer(problem):
+    found = TrajectoryOptimizer(problem.design, seed=1)
+    found.run(starts=1, iterations=15)
+    return found
+
+
+@pytest.fixture(scope="module")
+def plan(problem, optimizer):
+    return ExcitationPlan(problem, optimizer.best)
+
+
+def pinocchio_torques(path, names, motion):
+    """Inverse dynamics of Pinocchio for position, velocity, acceleration (3, N, D)."""
+    model = pinocchio.buildModelFromUrdf(str(path))
+    data = model.createData()
+    order = [model.joints[model.getJointId(name)].idx_v for name in names]
+    torques = np.zeros(motion.shape[1:])
+    for row in range(len(torques)):
+        q, v, a = (np.zeros(model.nv) for _ in range(3))
+        q[order], v[order], a[order] = motion[:, row]
+        torques[row] = pinocchio.rnea(model, data, q, v, a)[order]
+    return torques
+
+
+def test_a_series_is_periodic_at_rest_at_its_start_and_its_derivatives_are_exact():
+    series = FourierSeries(4.0, 3)
+    coefficients = np.random.default_rng(0).normal(size=(series.size, 2))
+    start, end = series.motion(coefficients, np.array([0.0, 4.0])).swapaxes(0, 1)
+    np.testing.assert_allclose(start, end, atol=1e-12)
+    np.testing.assert_allclose(start[1:], 0.0, atol=1e-12)
+    time, step = np.linspace(0, 4, 50), 1e-5
+    ahead, behind = (series.motion(coefficients, time + s) for s in (step, -step))
+    here = series.motion(coefficients, time)
+    np.testing.assert_allclose((ahead - behind)[:2] / (2 * step), here[1:], atol=1e-8)
+
+
+def test_the_gradients_agree_with_finite_differences(problem):
+    optimizer = TrajectoryOptimizer(problem.design, seed=0)
+    point = optimizer.draw().ravel()
+    direction = np.random.default_rng(1).normal(size=point.shape)
+    step = 1e-6
+
+    def at(offset):
+        evaluation, constraints, _ = optimizer._at(point + offset * direction)
+        return np.append(constraints, evaluation.gain)
+
+    _, _, slopes = optimizer._at(point)
+    expected = np.append(slopes @ direction, optimizer._gradient(point) @ direction)
+    found = (at(step) - at(-step)) / (2 * step)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
+
+
+def test_the_smooth_maximum_is_a_tight_upper_bound():
+    values = np.random.default_rng(0).uniform(-1, 1, 300)
+    bound, slopes = smooth_maximum(values)
+    assert values.max() <= bound <= values.max() + np.log(300) / 250
+    assert slopes.sum() == pytest.approx(1)
+
+
+def test_the_search_gains_more_than_random_starts_within_the_limits(problem, optimizer):
+    draws = TrajectoryOptimizer(problem.design, seed=5)
+    gains = [problem.design.gain(draws.draw()) for _ in range(5)]
+    assert optimizer.best_gain > max(gains)
+
+
+def test_a_trajectory_keeps_its_limits_between_the_samples_by_other_dynamics(problem, plan):
+    time = np.linspace(0, problem.design.seconds, 5003)
+    motion = plan.motion(time)
+    torque = pinocchio_torques(ur5_urdf(), plan.joints.names, motion)
+    options, limits = problem.options, problem.limits
+    half = options.position_share * limits.half_width
+    assert np.all(np.abs(motion[0] - limits.centre) <= half * (1 + 1e-3))
+    assert np.all(np.abs(motion[1]) <= options.speed_share * limits.speed * (1 + 1e-3))
+    assert np.all(np.abs(motion[2]) <= options.speed_share * limits.acceleration * (1 + 1e-3))
+    assert np.all(np.abs(torque) <= options.effort_share * limits.effort * (1 + 1e-3))
+    # The file gives these numbers; a wrong limit would be kept as well.
+    np.testing.assert_allclose(limits.speed, [3.15, 3.15, 3.15, 3.2, 3.2, 3.2])
+    np.testing.assert_allclose(limits.effort, [150, 150, 150, 28, 28, 28])
+    np.testing.assert_allclose(plan.torque(time), torque, atol=1e-6)
+
+
+def test_the_expected_covariance_is_that_of_rows_with_the_stated_noise(problem, plan):
+    """Without noise of positions and friction, the posterior is that of least squares."""
+    arm = plan.joints.model
+    options = replace(problem.options, joint_terms=("none",))
+    ideal = excitation_problem(arm, options, JointSensorOptions(position_noise=0.0))
+    found = ExcitationPlan(ideal, plan.coefficients)
+    time = np.arange(round(12.0 * SENSORS.rate)) / SENSORS.rate
+    K = ideal.design.expected.rows(plan.motion(time))
+    std = 1e-3 * ideal.limits.effort
+    rows = (K / std[:, None]).reshape(-1, K.shape[2])
+    prior = model_prior(ideal.parameters)
+    precision = np.diag(prior.std**-2) + rows.T @ rows
+    expected = np.sqrt(np.diag(np.linalg.inv(precision * np.outer(prior.std, prior.std))))
+    np.testing.assert_allclose(found.std, prior.std * expected, rtol=1e-6)
+
+
+def test_more_seconds_and_earlier_information_leave_less_to_learn(arm, problem, plan):
+    longer = excitation_problem(arm, replace(problem.options, seconds=48.0), SENSORS)
+    std = ExcitationPlan(longer, plan.coefficients).std
+    assert np.all(std <= plan.std * (1 + 1e-9))
+    # Well determined parameters improve with the square root of time.
+    assert np.min(std / plan.std) == pytest.approx(0.5, abs=0.02)
+
+
+def test_a_limits_file_replaces_limits_of_the_model(arm, tmp_path):
+    file = tmp_path / "joint_limits.yaml"
+    file.write_text(
+        "joint_limits:\n  elbow_joint: {has_velocity_limits: true, max_velocity: 0.5, "
+        "min_position: -1.0, max_position: 9.0, max_acceleration: 2.0, max_effort: 40}\n"
+    )
+    named = {joint.name: joint for joint in arm.joints}
+    limits = joint_limits(named, {}, file)
+    place = limits.names.index("elbow_joint")
+    found = [getattr(limits, name)[place] for name in ("lower", "speed", "acceleration", "effort")]
+    assert found == [-1.0, 0.5, 2.0, 40.0]
+    assert limits.upper[place] == pytest.approx(np.pi)  # the model's range is not exceeded
+    assert not any("elbow" in each for each in limits.assumed)
+    file.write_text("joint_limits:\n  elbow: {max_velocity: 1}\n")
+    with pytest.raises(OptionError, match="'elbow' is not a joint") as error:
+        joint_limits(named, {}, file)
+    assert error.value.code == "E580"
+
+
+def test_a_joint_without_limits_gets_stated_defaults(arm):
+    joint = replace(arm.joints[2], lower=-np.inf, upper=np.inf, speed=np.inf, effort=np.inf)
+    limits = joint_limits({"elbow_joint": joint}, {})
+    assert (limits.lower[0], limits.upper[0]) == (-np.pi / 2, np.pi / 2)
+    assert (limits.speed[0], limits.acceleration[0]) == (1.0, 2.0)
+    assert len(limits.assumed) == 4
+
+
+def test_named_joints_move_alone(arm):
+    options = ExciteOptions(joints=("elbow_joint,wrist_1_joint",), period=4.0)
+    problem = excitation_problem(arm, options, SENSORS)
+    motion = TrajectoryOptimizer(problem.design, 0).draw()
+    samples = problem.design.expected.joints.samples(
+        problem.design.series.motion(motion, problem.design.time)
+    )
+    moved = np.ptp(samples.position, axis=0) > 0
+    assert [name for name, one in zip(arm.joint_names, moved, strict=True) if one] == [
+        "elbow_joint",
+        "wrist_1_joint",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("base", "options", "code"),
+    [
+        ("floating", {}, "E581"),
+        ("fixed", {"joints": ("elbow",)}, "E583"),
+        ("fixed", {"joint_terms": ("stribeck",)}, "E501"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused(base, options, code):
+    with pytest.raises(OptionError) as error:
+        excitation_problem(load_model(ur5_urdf(), base), ExciteOptions(**options), SENSORS)
+    assert error.value.code == code
