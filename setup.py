@@ -9,7 +9,7 @@ PACKAGE = "symbid_ros"
 setup(
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
     package_data={
-        PACKAGE: ["py.typed"],
+        PACKAGE: ["py.typed", "schemas/*.json"],
         f"{PACKAGE}.report": ["*.html", "*.css", "*.js", "vendored/*"],
         f"{PACKAGE}.study": ["*.html", "*.css", "thesis/*.json"],
     },

@@ -23,6 +23,7 @@ html_title = f"symbid_ros {version}"
 html_copy_source = False
 html_show_copyright = False
 html_static_path = ["static"]
+html_extra_path = ["../symbid_ros/schemas"]
 html_css_files = ["site.css"]
 exclude_patterns = ["_build"]
 

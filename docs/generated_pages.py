@@ -1,14 +1,16 @@
 """Directives that write tables from the code, so that no page repeats what the code says.
 
 ``{options} identify`` lists the options of a command, ``{parameters} identifier`` the parameters
-of a node. ``{public-api}`` documents every public name of the package. Formulas become MathML,
-which browsers show without a script from elsewhere.
+of a node, ``{schema} estimate`` the keys of a JSON document. ``{public-api}`` documents every
+public name of the package. Formulas become MathML, which browsers show without a script from
+elsewhere.
 """
 
 import inspect
 import json
 import math
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import is_dataclass
 from typing import Any
 
@@ -22,6 +24,7 @@ from sphinx.writers.html5 import HTML5Translator
 
 import symbid_ros
 from symbid_ros.cli.app import app as command_line
+from symbid_ros.json_documents import schema
 from symbid_ros.options import Option, options_of
 from symbid_ros.ros.launch_arguments import node_parameters
 
@@ -79,6 +82,50 @@ class Parameters(SphinxDirective):
                 meaning += " Can be set while the node runs."
             rows.append((f"`{each.name}`", f"`{json.dumps(each.default)}`", meaning))
         return self.parse_text_to_nodes(markdown_table(("parameter", "default", "meaning"), rows))
+
+
+class Schema(SphinxDirective):
+    """The keys of a JSON document."""
+
+    required_arguments = 1
+
+    def run(self) -> list[nodes.Node]:
+        content = schema(self.arguments[0])
+        rows = list(keys_of(content, content.get("$defs", {}), ""))
+        return self.parse_text_to_nodes(markdown_table(("key", "type", "meaning"), rows))
+
+
+def keys_of(
+    node: dict[str, Any], definitions: dict[str, Any], path: str
+) -> Iterator[tuple[str, str, str]]:
+    """Yield path, type and meaning of each key below a node of a schema."""
+    for name, value in node.get("properties", {}).items():
+        yield from entries_of(value, definitions, f"{path}{name}", name in node["required"])
+
+
+def entries_of(
+    value: dict[str, Any], definitions: dict[str, Any], path: str, is_required: bool
+) -> Iterator[tuple[str, str, str]]:
+    meaning, kinds = value.get("description", ""), []
+    inner = value
+    for one in value.get("anyOf", [value]):
+        target = definitions[one["$ref"].rpartition("/")[2]] if "$ref" in one else one
+        kind = target.get("type", "integer" if "const" in target else "")
+        kinds += [kind] if isinstance(kind, str) else kind
+        if target.get("type") != "null":
+            inner = target
+    words = [" or ".join(kinds), "" if is_required else "optional"]
+    if "enum" in inner:
+        meaning += " One of " + ", ".join(f"`{one}`" for one in inner["enum"] if one) + "."
+    yield f"`{path}`", ", ".join(filter(None, words)), meaning or inner.get("description", "")
+    below, mark = inner, "."
+    if inner.get("type") == "array":
+        below, mark = inner["items"], "[]."
+    elif isinstance(inner.get("additionalProperties"), dict):
+        below, mark = inner["additionalProperties"], ".*."
+    if "$ref" in below:
+        below = definitions[below["$ref"].rpartition("/")[2]]
+    yield from keys_of(below, definitions, f"{path}{mark}")
 
 
 def kind_of(value: Any) -> str:
@@ -144,6 +191,7 @@ def setup(app: Sphinx) -> ExtensionMetadata:
     for name, directive in {
         "options": Options,
         "parameters": Parameters,
+        "schema": Schema,
         "public-api": PublicApi,
     }.items():
         app.add_directive(name, directive)

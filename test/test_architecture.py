@@ -53,6 +53,7 @@ FREE = {
     "atomic_write",
     "shutdown",
     "errors",
+    "json_documents",
     "package_paths",
     "user_files",
 }

@@ -23,8 +23,12 @@ from symbid_ros.bags.container.schema_registry import SchemaRegistry, parse_reco
 from symbid_ros.bags.container.sqlite import SQLITE_SUFFIX, read_sqlite_summary
 from symbid_ros.bags.recovery.damaged_mcap import DamagedMcapReader, MessageRun
 from symbid_ros.errors import BagError
+from symbid_ros.json_documents import versioned, with_keys
 from symbid_ros.messages.limits import MAX_QOS, check_limit
 from symbid_ros.messages.topics import OfferedQos, Topic
+
+# Fields and their keys in JSON, with units.
+_KEYS = {"size": "size_bytes", "start": "start_ns", "end": "end_ns", "rate": "rate_hz"}
 
 
 @dataclass(frozen=True)
@@ -93,19 +97,20 @@ class BagInfo:
         files = []
         for file in self.files:
             counts = {topic.name: count for topic, count in file.counts.items()}
-            files.append({**vars(file), "counts": counts})
-        return {
+            files.append(with_keys({**vars(file), "counts": counts}, _KEYS))
+        document = {
             "bag": str(self.bag),
-            "size": self.size,
-            "duration": self.duration,
-            "start": self.start,
-            "end": self.end,
+            "size_bytes": self.size,
+            "duration_s": self.duration,
+            "start_ns": self.start,
+            "end_ns": self.end,
             "count": self.count,
             "is_finished": self.is_finished,
             "ros_distro": self.ros_distro,
             "files": files,
-            "topics": [asdict(topic) for topic in self.topics],
+            "topics": [with_keys(asdict(topic), _KEYS) for topic in self.topics],
         }
+        return versioned("bag_info", document)
 
 
 def bag_info(bag: Path) -> BagInfo:

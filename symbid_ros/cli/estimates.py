@@ -131,6 +131,7 @@ def evaluate(
     from symbid_ros.identification.realistic_prediction import evaluate_realistic
     from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.identification.rigid_sensors import RigidSensors
+    from symbid_ros.json_documents import versioned
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import read_realistic_motion, read_true_motion
     from symbid_ros.signals.filters import CausalLowPass
@@ -163,7 +164,7 @@ def evaluate(
         tables.append(errors_table("from noisy sensors", predicted))
     Console().print(*tables, sep="\n")
     if json_file is not None:
-        write_text(json_file, json.dumps(errors, indent=1) + "\n")
+        write_text(json_file, json.dumps(versioned("evaluation", errors), indent=1) + "\n")
 
 
 @with_flags

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from symbid_ros.json_documents import versioned
+
 
 class Severity(IntEnum):
     """Severity of a finding; the value is the doctor's exit status."""
@@ -212,7 +214,7 @@ class Diagnosis:
 
     def as_dict(self) -> dict[str, Any]:
         """Return what ``--json`` prints."""
-        return {
+        document = {
             "source": self.source,
             "severity": self.severity.name.lower(),
             "streams": [json_figures(asdict(stream)) for stream in self.streams],
@@ -220,3 +222,4 @@ class Diagnosis:
             "figures": json_figures(self.figures),
             "left_out": list(self.left_out),
         }
+        return versioned("diagnosis", document)

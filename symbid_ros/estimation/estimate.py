@@ -1,9 +1,10 @@
 """The estimate: identified parameters with their uncertainty, provenance and verdict."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,17 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.provenance import InputFile, Provenance
 from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
+from symbid_ros.json_documents import VERSIONS, versioned, with_keys
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.user_files import load_json
 
 MODEL_FILES = "model.urdf", "model.xml"
-# Version of the keys of estimate.json; files of earlier releases have none.
-SCHEMA_VERSION = 1
+# Fields and their keys in estimate.json, with units; earlier releases wrote the fields' names.
+_ROWS = {"window": "window_s", "cutoff": "cutoff_hz"}
+_HOLDOUT = {"seconds": "duration_s"}
+_VERDICT = {"window": "window_s", "gain": "gain_bits", "link_gain": "link_gain_bits"}
 
 
 @dataclass(frozen=True)
@@ -250,8 +254,7 @@ class Estimate:
         stds = [None] * count if self.std is None else self.std.tolist()
         verdicts = [None] * count if self.determined is None else self.determined.tolist()
         values, priors = self.value.tolist(), self.prior.tolist()
-        return {
-            "schema_version": SCHEMA_VERSION,
+        document = {
             "method": self.method,
             "model": self.model,
             "parameters": {
@@ -271,24 +274,29 @@ class Estimate:
             "consistent": self.consistent,
             "inputs": list(self.inputs),
             "software": self.software,
-            "verdict": None if self.verdict is None else asdict(self.verdict),
+            "verdict": _entry(self.verdict, _VERDICT),
             "known": self.known,
-            "rows": None if self.rows is None else asdict(self.rows),
+            "rows": _entry(self.rows, _ROWS),
             "model_file": self.model_file,
             "base": self.base,
             "row_std": self.row_std,
-            "holdout": None if self.holdout is None else asdict(self.holdout),
+            "holdout": _entry(self.holdout, _HOLDOUT),
             "joint_terms": self.joint_terms,
             "remarks": list(self.remarks),
             "wrist_sensors": list(self.wrist_sensors),
             "load_reference": self.load_reference,
             "contacts": list(self.contacts),
-            "provenance": None if self.provenance is None else asdict(self.provenance),
+            "provenance": _entry(self.provenance),
         }
+        return versioned("estimate", document)
 
     def write(self, path: Path) -> None:
         """Write estimate.json atomically."""
         write_text(path, json.dumps(self.document(), indent=1) + "\n")
+
+
+def _entry(value: Any, keys: Mapping[str, str] = MappingProxyType({})) -> dict[str, Any] | None:
+    return None if value is None else with_keys(asdict(value), keys)
 
 
 def load_estimate(path: Path) -> Estimate:
@@ -362,10 +370,11 @@ def load_estimate(path: Path) -> Estimate:
 def _require_readable_version(path: Path, document: Any) -> None:
     """Raise an error for a file of a later release, whose keys may have another meaning."""
     version = document.get("schema_version", 0) if isinstance(document, dict) else 0
-    if isinstance(version, int) and version > SCHEMA_VERSION:
+    known = VERSIONS["estimate"]
+    if isinstance(version, int) and version > known:
         raise EstimateError(
             f"{path}: schema_version {version} is of a later release, this one reads up to "
-            f"{SCHEMA_VERSION}; update symbid_ros",
+            f"{known}; update symbid_ros",
             "E475",
         )
 
@@ -377,9 +386,14 @@ def _provenance(document: dict[str, Any] | None) -> Provenance | None:
     return Provenance(**(document | {"inputs": inputs}))
 
 
+def _with_field_names(document: dict[str, Any], keys: Mapping[str, str]) -> dict[str, Any]:
+    return with_keys(document, {key: name for name, key in keys.items()})
+
+
 def _rows(document: dict[str, Any] | None) -> RowSettings | None:
     if document is None:
         return None
+    document = _with_field_names(document, _ROWS)
     numbers = [document[name] for name in ("window", "cutoff") if document[name] is not None]
     if any(isinstance(one, bool) or not 0 <= one < np.inf for one in numbers):
         raise ValueError("rows has a window or cutoff that is negative or not finite")
@@ -404,6 +418,7 @@ def _numbers(document: dict[str, Any], name: str) -> dict[str, float]:
 def _holdout(document: dict[str, Any] | None) -> HoldOut | None:
     if document is None:
         return None
+    document = _with_field_names(document, _HOLDOUT)
     coordinates = {
         name: (float(before), float(after))
         for name, (before, after) in document["coordinates"].items()
@@ -420,6 +435,7 @@ def _joint_terms(document: dict[str, Any] | None) -> dict[str, tuple[str, ...]] 
 def _verdict(document: dict[str, Any] | None) -> Verdict | None:
     if document is None:
         return None
+    document = _with_field_names(document, _VERDICT)
     lists = {name: tuple(document[name]) for name in ("alarms", "directions")}
     quantities = {
         name: tuple(EstimatedQuantity(**entry) for entry in document[name])

@@ -19,6 +19,7 @@ from symbid_ros.estimation.prior_std import (
     percent_floor,
     percent_std,
 )
+from symbid_ros.json_documents import versioned
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.xml_file import LARGEST
@@ -170,7 +171,7 @@ class Prior:
         }
         if self.factor is not None:
             document["covariance_factor"] = self.factor.tolist()
-        write_text(path, json.dumps(document, indent=1) + "\n")
+        write_text(path, json.dumps(versioned("prior", document), indent=1) + "\n")
 
 
 def _triangular(root: FloatArray) -> FloatArray:

@@ -20,6 +20,7 @@ from symbid_ros.identification.force_errors import (
 )
 from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.result import Result
+from symbid_ros.json_documents import versioned
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 
@@ -165,12 +166,15 @@ class Validation:
 
     def document(self) -> dict[str, object]:
         """Return everything but the series, for JSON."""
+        mass = None
+        if self.mass is not None:
+            mass = {f"{name}_kg": value for name, value in asdict(self.mass).items()}
         errors = {
             name: None if error is None else error.document()
             for name in ("torque", "slow", "base_moment", "base_force")
             for error in [getattr(self, name)]
         }
-        return {
+        document = {
             "verdict": self.verdict,
             "advice": self.advice,
             "percent_before": self.percent_before,
@@ -179,15 +183,16 @@ class Validation:
             "model": self.model,
             "method": self.method,
             "log": self.log,
-            "seconds": self.seconds,
-            "seconds_used": self.seconds_used,
+            "duration_s": self.seconds,
+            "used_s": self.seconds_used,
             "coverage": self.coverage,
             "normalized_square": self.normalized_square,
-            "mass": None if self.mass is None else asdict(self.mass),
-            "slow_seconds": self.slow_seconds,
+            "mass": mass,
+            "slow_s": self.slow_seconds,
             **errors,
             "coordinates": [one.document() for one in self.coordinates],
         }
+        return versioned("validation", document)
 
     def __repr__(self) -> str:
         lines = [f"<Validation of {self.result} on {self.log}: {self.verdict}"]
@@ -230,7 +235,8 @@ class Comparison:
 
     def document(self) -> dict[str, object]:
         """Return everything but the series, for JSON."""
-        return {"verdict": self.verdict, "ranking": [one.document() for one in self.ranking]}
+        ranking = [one.document() for one in self.ranking]
+        return versioned("comparison", {"verdict": self.verdict, "ranking": ranking})
 
 
 def validate(result: Result | str | Path, log: Log) -> Validation:

@@ -1,9 +1,11 @@
 """The description of a bag, from summaries and from the messages themselves."""
 
+import json
 from pathlib import Path
 
 import pytest
 from foreign_bags import IMU, JOINT_STATE, imu, joint_state, write_rosbags
+from json_schemas import require_valid
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap_features import ALL, CHUNKS, MESSAGE_INDEX, mcap_image
 
@@ -63,7 +65,9 @@ def test_a_bag_without_messages_has_no_times(tmp_path: Path) -> None:
     assert (one.start, one.end, one.duration) == (3_000_000_000, 3_000_000_000, 0.0)
     assert one.topics[0].rate is None
     document = one.as_dict()
-    assert (document["count"], document["start"], document["is_finished"]) == (1, one.start, True)
+    require_valid("bag_info", json.loads(json.dumps(document)))
+    assert (document["count"], document["is_finished"]) == (1, True)
+    assert document["start_ns"] == one.start
     assert document["files"][0]["counts"] == {"/a": 1, "/b": 0}
     assert document["topics"][0]["name"] == "/a"
 

@@ -1,8 +1,10 @@
 """Counts of a recovery: what is kept, what is lost, and where."""
 
+import json
 from pathlib import Path
 
 import pytest
+from json_schemas import require_valid
 from mcap.opcode import Opcode
 
 from symbid_ros.bags.recovery.report import LostRange, RecoveryCounts
@@ -84,6 +86,7 @@ def test_a_recovery_is_whole_if_nothing_is_lost(change, is_whole):
     report = reported(counts)
     assert report.is_whole is is_whole
     document = report.as_dict()
+    require_valid("bag_recovery", json.loads(json.dumps(document)))
     assert (document["source"], document["out"]) == ("bag", "out")
     assert (document["kept"], document["lost"]) == (1, report.lost)
     assert document["is_whole"] is is_whole

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from bag_editing import topic_counts
 from foreign_bags import STORE, imu, joint_state
+from json_schemas import require_valid
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from symbid_ros.bags import BagWriter
@@ -39,21 +40,22 @@ def cut(bag: Path, share: float) -> Path:
 
 def test_info_lists_files_and_topics(symbid_here, bag) -> None:
     told = json.loads(symbid_here("bag", "info", bag, "--json").stdout)
+    require_valid("bag_info", told)
     assert told["count"] == STEPS * 3 // 2
-    assert (told["start"], told["end"]) == (START, START + 990_000_000)
-    assert told["duration"] == pytest.approx(0.99)
+    assert (told["start_ns"], told["end_ns"]) == (START, START + 990_000_000)
+    assert told["duration_s"] == pytest.approx(0.99)
     assert told["ros_distro"] == "jazzy"
     assert told["is_finished"] is True
     (file,) = told["files"]
     assert file["name"] == "log_0.mcap"
-    assert file["size"] == told["size"] == (bag / "log_0.mcap").stat().st_size
+    assert file["size_bytes"] == told["size_bytes"] == (bag / "log_0.mcap").stat().st_size
     assert (file["storage"], file["compression"]) == ("mcap", ["zstd"])
     assert file["recorded_by"] == "symbid_ros"
     assert file["is_indexed"]
     sensor, joints = told["topics"]
     assert (sensor["name"], sensor["msgtype"], sensor["count"]) == ("/robot/imu/data", IMU, 50)
     assert sensor["qos"][0]["durability"] == "transient_local"
-    assert joints["rate"] == pytest.approx(100 / 0.99)
+    assert joints["rate_hz"] == pytest.approx(100 / 0.99)
     assert {topic["name"]: topic["count"] for topic in told["topics"]} == topic_counts(bag)
 
 
@@ -91,7 +93,7 @@ def test_info_of_an_sqlite_bag(symbid_here, tmp_path) -> None:
     told = json.loads(symbid_here("bag", "info", tmp_path / "old", "--json").stdout)
     assert told["files"][0]["storage"] == "sqlite3"
     assert told["topics"][0]["count"] == 5
-    assert (told["start"], told["end"]) == (START, START + 4 * 10**9)
+    assert (told["start_ns"], told["end_ns"]) == (START, START + 4 * 10**9)
     saved = symbid_here("bag", "recover", tmp_path / "old")
     assert saved.returncode == 0
     assert "5 messages kept, 0 lost" in saved.stdout
@@ -111,6 +113,7 @@ def test_exit_status_of_recover_shows_whether_data_were_lost(symbid_here, bag) -
     part = symbid_here("bag", "recover", bag, "--out", bag.with_name("part"), "--json")
     assert part.returncode == 1
     told = json.loads(part.stdout)
+    require_valid("bag_recovery", told)
     assert told["kept"] + told["lost"] == 150
     assert told["is_counted"]
     assert told["holes"][-1]["fault"] == "cut off"

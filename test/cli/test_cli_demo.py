@@ -43,7 +43,7 @@ def test_the_demo_writes_all_its_files(symbid, tmp_path) -> None:
     assert all(chosen["consistent"].values())
     alarms = chosen["verdict"]["alarms"]
     assert ("No alarm" in page.source) == (not alarms)
-    for link, gain in chosen["verdict"]["link_gain"].items():
+    for link, gain in chosen["verdict"]["link_gain_bits"].items():
         mass = chosen["parameters"][f"{link}/m"]
         (row,) = [row for row in page.rows if row[0] == link and len(row) == 5]
         assert row[2:4] == [with_std(mass["value"], mass["std"]), f"{gain:.1f}"]

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from bag_editing import Messages, edit_bag
+from json_schemas import require_valid
 from random_robots import CONFIG
 
 from symbid_ros.cli.bag import print_verdict
@@ -31,6 +32,7 @@ def test_json_holds_what_the_table_says(symbid_here, tare) -> None:
     result = symbid_here("bag", "doctor", tare, "--model", MODEL, "--json")
     assert result.returncode == 1
     told = json.loads(result.stdout)
+    require_valid("diagnosis", told)
     assert told["severity"] == "warning"
     assert [one["kind"] for one in told["findings"]] == ["excitation"]
     joints = told["streams"][0]
@@ -82,6 +84,7 @@ def test_every_kind_of_finding_is_printed_in_both_forms(capsys, kind, severity) 
     diagnosis = Diagnosis("log", (stream,), (finding,), {"angle": np.float64(3)}, ("delay",))
     print_verdict(diagnosis, as_json=True)
     told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
+    require_valid("diagnosis", told)
     assert told["findings"][0] == {
         "kind": kind.value,
         "stream": LEFT,

@@ -5,6 +5,7 @@ from dataclasses import asdict, fields
 
 import numpy as np
 import pytest
+from json_schemas import require_valid
 from report_pages import Page
 
 from symbid_ros.estimation.archive import load_deviation_factor
@@ -119,9 +120,10 @@ def test_realistic_predictions_come_beside_the_ideal_ones(
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "from noisy sensors" in ended.stdout
     figures = json.loads(both.read_text())
+    require_valid("evaluation", figures)
     realistic = figures.pop("realistic")
     assert figures == json.loads(plain.read_text())
-    assert set(figures) == {field.name for field in fields(Metrics)}
+    assert set(figures) == {"schema_version", *(field.name for field in fields(Metrics))}
     assert set(realistic) == {field.name for field in fields(RealisticMetrics)}
     assert all(f"{value:.4g}" in ended.stdout for value in realistic.values())
 

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from bag_editing import Messages, edit_bag
+from json_schemas import require_valid
 
 METRICS = {
     "gen_force_rmse",
@@ -62,13 +63,17 @@ def identified(symbid, bag: Path, model: Path, out: Path, *options: object) -> d
     assert ended.stderr.count("WARNING") == may_be_impossible
     assert may_be_impossible or ended.stderr == ""
     assert {path.name for path in out.iterdir()} == FILES
-    return json.loads((out / "estimate.json").read_text())
+    document = json.loads((out / "estimate.json").read_text())
+    require_valid("estimate", document)
+    return document
 
 
 def evaluated(symbid, subject: Path, model: Path, bag: Path, out: Path) -> dict[str, float]:
     ended = symbid("evaluate", subject, "--model", model, "--bag", bag, "--json", out)
     assert (ended.returncode, ended.stderr) == (0, "")
-    return json.loads(out.read_text())
+    document = json.loads(out.read_text())
+    require_valid("evaluation", document)
+    return document
 
 
 def test_identification_beats_the_prior_on_every_metric(
@@ -139,7 +144,7 @@ def test_a_run_continues_from_saved_information(symbid, model, log, found, prior
         tmp_path / "out",
         *("--prior", prior, "--information", found / "information.npz"),
         # The log begins with the earlier one's move.
-        *("--window", earlier["verdict"]["window"], "--start", 7),
+        *("--window", earlier["verdict"]["window_s"], "--start", 7),
     )
     assert both["inputs"][-1] == str(found / "information.npz")
     assert both["samples"] > earlier["samples"]

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from json_schemas import require_valid
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -35,6 +36,7 @@ def test_percentages_agree_with_an_evaluation_against_the_truth(
     ended = symbid_here("validate", found, "--bag", ideal, "--json")
     assert (ended.returncode, ended.stderr) == (0, "")
     figures = json.loads(ended.stdout)
+    require_valid("validation", figures)
     effort = read_truth([ideal]).effort
     measured = np.sqrt(np.mean(np.sum(effort**2, axis=1)))
     assert figures["torque"]["measured"] == pytest.approx(measured, rel=0.01)
@@ -45,7 +47,7 @@ def test_percentages_agree_with_an_evaluation_against_the_truth(
         torque = json.loads(file.read_text())["torque_rmse"]
         assert figures[f"percent_{when}"] == pytest.approx(100 * torque / measured, rel=0.05)
     assert figures["advice"] == "better"
-    assert figures["mass"]["measured"] == pytest.approx(41.05, abs=0.02)
+    assert figures["mass"]["measured_kg"] == pytest.approx(41.05, abs=0.02)
 
 
 def test_the_table_ends_with_a_verdict(symbid_here, ideal, found) -> None:
@@ -77,6 +79,7 @@ def test_a_result_that_is_not_better_ends_with_status_1(
     ranked = symbid_here("compare", worse, found, "--bag", ideal, "--json")
     assert (ranked.returncode, ranked.stderr) == (0, "")
     comparison = json.loads(ranked.stdout)
+    require_valid("comparison", comparison)
     assert [one["result"] for one in comparison["ranking"]] == [str(found), str(worse)]
     assert comparison["verdict"].startswith(f"{found} predicts best")
     shown = symbid_here("compare", worse, found, "--bag", ideal).stdout

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from documented_robots import ur5_urdf, write_inaccurate
+from json_schemas import require_valid
 from live_feed import feed_of
 from payload_arm import COM, INERTIA, MASS, OFFSET, payload_arm_log, write_payload_bag
 
@@ -39,7 +40,9 @@ def document(folder, symbid_here):
     )  # fmt: skip
     assert (ended.returncode, ended.stderr) == (0, "")
     assert "beyond tool0: 1.7 ±" in ended.stdout
-    return json.loads((folder / "out" / "estimate.json").read_text())
+    document = json.loads((folder / "out" / "estimate.json").read_text())
+    require_valid("estimate", document)
+    return document
 
 
 def payload(parameters, value=lambda one: one["value"]):

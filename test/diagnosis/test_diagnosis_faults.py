@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_editing import BagEdit, Messages, edit_bag
+from json_schemas import require_valid
 from random_robots import CONFIG
 from scipy.spatial.transform import Rotation
 
@@ -54,7 +55,7 @@ def judged(log, model, tmp_path) -> Callable[..., Diagnosis]:
     def judge(edits: dict[str, BagEdit], *, alone: bool = False, bag: Path = log) -> Diagnosis:
         spoilt = edit_bag(bag, tmp_path / "spoilt", edits)
         diagnosis = diagnose(bag_log([spoilt], model), None if alone else model)
-        assert json.loads(json.dumps(diagnosis.as_dict()))["severity"]
+        require_valid("diagnosis", json.loads(json.dumps(diagnosis.as_dict())))
         return diagnosis
 
     return judge

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from json_schemas import require_valid
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from scipy.spatial.transform import Rotation
 
@@ -42,7 +43,7 @@ def judged(log, model, tmp_path) -> Callable[..., Diagnosis]:
         spoilt = copy.deepcopy(log)
         spoil(spoilt)
         diagnosis = diagnose(bag_log([record_log(spoilt, model, tmp_path / "bag")], model), model)
-        assert json.loads(json.dumps(diagnosis.as_dict()))["severity"]
+        require_valid("diagnosis", json.loads(json.dumps(diagnosis.as_dict())))
         return diagnosis
 
     return judge

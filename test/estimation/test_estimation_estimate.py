@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from expected_errors import raises_code
 
-from symbid_ros.estimation.estimate import SCHEMA_VERSION, Estimate, load_estimate
+from symbid_ros.estimation.estimate import Estimate, HoldOut, RowSettings, load_estimate
 from symbid_ros.estimation.provenance import InputFile, Provenance
 from symbid_ros.estimation.unexplained import UnexplainedForce
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
+from symbid_ros.json_documents import VERSIONS
 
 VERDICT = Verdict(
     window=0.161,
@@ -44,6 +45,8 @@ ESTIMATE = Estimate(
     software="symbid_ros 0.1",
     verdict=VERDICT,
     known={"knee/coulomb": 0.75},
+    rows=RowSettings("weak", window=0.161),
+    holdout=HoldOut(12.0, 9.4, 1.2, "better", 0.5, {"knee": (0.5, 0.1)}, "9.4 % → 1.2 %"),
     provenance=Provenance(
         inputs=(InputFile("bag/bag_0.mcap", "ab" * 32, 12), InputFile("gone.urdf", None, None)),
         command="symbid identify bag --model gone.urdf",
@@ -52,6 +55,11 @@ ESTIMATE = Estimate(
         date="2026-03-01T12:00:00+00:00",
     ),
 )
+EARLIER_KEYS = {
+    "verdict": {"window_s": "window", "gain_bits": "gain", "link_gain_bits": "link_gain"},
+    "rows": {"window_s": "window", "cutoff_hz": "cutoff"},
+    "holdout": {"duration_s": "seconds"},
+}
 TRUNCATED = replace(ESTIMATE, std=None, determined=None, verdict=None, rank=2, known={})
 
 
@@ -76,21 +84,26 @@ def test_files_without_unexplained_forces_are_read(tmp_path):
 
 
 def test_files_without_provenance_are_read(tmp_path):
-    """Earlier versions wrote neither it nor a schema_version."""
+    """Earlier versions wrote neither it nor a schema_version, and no units in keys."""
     path = tmp_path / "estimate.json"
     ESTIMATE.write(path)
     document = json.loads(path.read_text())
-    assert document.pop("schema_version") == SCHEMA_VERSION
+    assert document.pop("schema_version") == VERSIONS["estimate"]
     del document["provenance"]
+    for name, keys in EARLIER_KEYS.items():
+        for key, earlier in keys.items():
+            document[name][earlier] = document[name].pop(key)
     path.write_text(json.dumps(document))
-    assert load_estimate(path).provenance is None
+    found = load_estimate(path)
+    assert found.provenance is None
+    assert (found.verdict, found.rows, found.holdout) == (VERDICT, ESTIMATE.rows, ESTIMATE.holdout)
 
 
 def test_files_of_a_later_release_are_refused(tmp_path):
     path = tmp_path / "estimate.json"
     ESTIMATE.write(path)
     document = json.loads(path.read_text())
-    path.write_text(json.dumps(document | {"schema_version": SCHEMA_VERSION + 1}))
+    path.write_text(json.dumps(document | {"schema_version": VERSIONS["estimate"] + 1}))
     with raises_code("E475", "update symbid_ros"):
         load_estimate(path)
 

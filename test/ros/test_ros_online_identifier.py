@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import InertiaStamped
+from json_schemas import require_valid
 from preloaded import run_symbid
 from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
@@ -111,6 +112,7 @@ def test_topics_give_the_same_estimate_as_their_bag(graph, tmp_path: Path) -> No
     offline(tmp_path / "bag", tmp_path / "offline")
     assert_same(tmp_path / "live", tmp_path / "offline")
     document = json.loads((tmp_path / "live" / "estimate.json").read_text())
+    require_valid("estimate", document)
     assert inertias[-1].inertia.m == document["parameters"]["base_link/m"]["value"]
     assert set(recorded) <= set(document["inputs"])
 

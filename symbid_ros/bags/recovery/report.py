@@ -7,7 +7,16 @@ from typing import Any
 
 from mcap.opcode import Opcode
 
+from symbid_ros.json_documents import versioned, with_keys
 from symbid_ros.messages.topics import Topic
+
+# Fields of a lost range and their keys in JSON, with units.
+_KEYS = {
+    "offset": "offset_bytes",
+    "length": "length_bytes",
+    "after": "after_ns",
+    "before": "before_ns",
+}
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,9 @@ class RecoveryReport:
     def as_dict(self) -> dict[str, Any]:
         """Return the output of ``symbid bag recover --json``."""
         totals = {"kept": self.kept, "lost": self.lost, "is_whole": self.is_whole}
-        return {**asdict(self), "source": str(self.source), "out": str(self.out), **totals}
+        holes = [with_keys(asdict(hole), _KEYS) for hole in self.holes]
+        paths = {"source": str(self.source), "out": str(self.out)}
+        return versioned("bag_recovery", {**asdict(self), **paths, "holes": holes, **totals})
 
 
 UNKNOWN_TOPIC = Topic("(unknown topic)", "")
