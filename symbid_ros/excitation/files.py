@@ -133,6 +133,9 @@ def document(plan: ExcitationPlan) -> dict[str, object]:
             for index, name in enumerate(names)
         },
         "assumed": list(limits.assumed),
+        "smallest_distance_m": _finite(plan.closest[0]) if plan.closest is not None else None,
+        "closest_links": plan.closest[1] if plan.closest is not None else "",
+        "unchecked": list(problem.unchecked),
         "parameters": {
             name: {
                 "unit": unit,

@@ -21,6 +21,7 @@ from symbid_ros.model.parameters import ParameterSet
 # Coulomb friction changes its sign over this speed, rad/s or m/s: smooth for the optimiser. Slower
 # rows are discarded in an identification, as the joint may stick.
 SMOOTH_SPEED = 0.1
+ROUNDING = 1e-14
 STEP = 1e-4  # rad or m, and per second, of central differences; their error is below 1e-7
 
 
@@ -105,7 +106,10 @@ class ExpectedInformation:
         """
         K = self.rows(motion)
         H = self.posterior_precision(repeats * self.information(K))
-        decomposition = cho_factor(H)
+        try:
+            decomposition = cho_factor(H)
+        except np.linalg.LinAlgError:  # rounding, in motions far beyond the limits
+            decomposition = cho_factor(H + ROUNDING * np.trace(H) * np.eye(len(H)))
         gain = float(np.sum(np.log(np.diag(decomposition[0]))))
         covariance = self.factor @ cho_solve(decomposition, self.factor.T)
         weight = repeats * self.precision[:, None] * (K @ covariance)

@@ -1,28 +1,36 @@
-"""Design of a trajectory: SLSQP over Fourier coefficients, from several random starts.
+"""Design of a trajectory: sequential quadratic programs over Fourier coefficients.
 
-SLSQP of SciPy, a dependency of the package, suits the problem: about a hundred variables, a few
-dozen smooth constraints, exact gradients. IPOPT through CasADi would add 93 MB and a second
-formulation of the dynamics. One smooth maximum over all
-samples bounds each limit of each joint (Kreisselmeier and Steinhauser 1979), so that the number of
-constraints does not grow with the number of samples.
+Limits of positions, velocities and accelerations are linear in the coefficients, so that each
+program keeps them exactly, at all samples. Efforts and distances are linearized within a trust
+region, and every step keeps them, so that the search can stop at any time. Clarabel, a dependency
+of the package, solves a program in some ten milliseconds. SciPy's SLSQP, with one smooth maximum
+for each limit, left the feasible set near obstacles and did not return; IPOPT through CasADi would
+add 93 MB and a second formulation of the dynamics.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
+import clarabel  # type: ignore[import-untyped]
 import numpy as np
-from scipy.optimize import minimize
+from scipy.sparse import csc_array, eye_array, kron, vstack
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.excitation.clearance import Clearance
 from symbid_ros.excitation.fourier import FourierSeries
 from symbid_ros.excitation.limits import JointLimits
 from symbid_ros.excitation.objective import Evaluation, ExpectedInformation
 
-# The smooth maximum exceeds the maximum by at most log(2 N) / SHARPNESS: 2 % for 150 samples.
-SHARPNESS = 250.0
-CONVERGED = 1e-3  # nat
-KEEP_EVERY = 10  # iterations; to check a trajectory between samples takes as long as one of them
+CONVERGED = 0.02  # expected gain of a program, nat
+# Trust region: largest change of a coefficient, rad or m.
+FIRST_STEP, LARGEST_STEP, SMALLEST_STEP = 0.2, 1.0, 1e-4
+GROWTH, SHRINKAGE = 1.6, 0.4
+LEAST_SHARE = 0.1  # of the predicted gain that a step must reach
+FIRST_CURVATURE = 1.0  # nat per squared coefficient
+DAMPING = 0.2
+AIM = 0.97  # share of limits on efforts and distances that a program aims at; steps may use all
+NEAR = 0.5  # share of an effort limit from which it is linearized
+KEEP_EVERY = 10  # iterations; to check a trajectory between samples takes as long as some of them
 RETRIES = 40  # random starts that are tried for a feasible one
 
 
@@ -36,6 +44,8 @@ class Design:
     expected : ExpectedInformation
     limits : JointLimits
         Of the D joints that move.
+    clearance : Clearance or None
+        Distances to keep; None if nothing has a shape.
     samples : int
         Number N of instants of a period at which gain and limits are computed.
     rows_per_second : float
@@ -47,6 +57,7 @@ class Design:
     series: FourierSeries
     expected: ExpectedInformation
     limits: JointLimits
+    clearance: Clearance | None
     samples: int
     rows_per_second: float
     seconds: float
@@ -76,8 +87,10 @@ class Design:
         motion = self.series.motion(coefficients, self.time if time is None else time)
         torque = self.expected.rows(motion) @ self.expected.values
         driven = torque[:, list(self.expected.joints.indices)]
-        used = [float(each.max()) for each in self.limits.usage(motion, driven).values()]
-        return max(used)
+        used = max(float(each.max()) for each in self.limits.usage(motion, driven).values())
+        if used > 1.0 or self.clearance is None:  # distances take much longer
+            return used
+        return max(used, self.clearance.usage(self.expected.joints.samples(motion).position))
 
 
 @dataclass(frozen=True)
@@ -125,7 +138,7 @@ class TrajectoryOptimizer:
         self.best_gain = -np.inf
         self._basis = design.series.basis(design.time)
         self._shape = (design.series.size, len(design.limits.names))
-        self._cached: tuple[bytes, Evaluation, FloatArray, FloatArray] | None = None
+        self._size = design.series.size * len(design.limits.names)
 
     def draw(self) -> FloatArray | None:
         """Return random coefficients that touch a limit; None if none of many are feasible."""
@@ -155,82 +168,75 @@ class TrajectoryOptimizer:
         return self.best
 
     def _climb(self, start: FloatArray, number: int, starts: int, iterations: int) -> None:
-        count = 0
-
-        def after(point: FloatArray) -> None:
-            nonlocal count
-            count += 1
+        """Improve a feasible start by quadratic programs within a trust region."""
+        point, step = start.ravel(), FIRST_STEP
+        here = self._linearized(point)
+        curvature = FIRST_CURVATURE * np.eye(len(point))
+        for count in range(1, iterations + 1):
+            move = best_move(here, curvature, step)
+            bent = curvature @ move
+            predicted = here.slope @ move - move @ bent / 2
+            if predicted < CONVERGED:
+                break
+            gain = self.design.gain((point + move).reshape(self._shape))
+            if gain > here.gain + LEAST_SHARE * predicted and self._fits(point + move):
+                point = point + move
+                there = self._linearized(point)
+                curvature = updated_curvature(curvature, move, here.slope - there.slope)
+                here, step = there, min(GROWTH * step, LARGEST_STEP)
+            else:
+                step = SHRINKAGE * float(np.abs(move).max())
+                if step < SMALLEST_STEP:
+                    break
             if count % KEEP_EVERY == 0:
                 self._keep(point.reshape(self._shape))
             if self._report is not None:
                 self._report(Progress(number, starts, count, self.best_gain))
+        self._keep(point.reshape(self._shape))
 
-        def loss(point: FloatArray) -> float:
-            return -self._at(point)[0].gain
+    def _fits(self, point: FloatArray) -> bool:
+        return self.design.excess(point.reshape(self._shape)) <= 1.0
 
-        def slope(point: FloatArray) -> FloatArray:
-            return -self._gradient(point)
+    def _linearized(self, point: FloatArray) -> "LinearizedProblem":
+        """Return gain and limits about a point (x,), to first order."""
+        motion = self._basis @ point.reshape(self._shape)
+        evaluation = self.design.expected.evaluate(motion, self.design.repeats)
+        slope = np.einsum("otm,otd->md", self._basis, evaluation.gain_slopes).ravel()
+        blocks = [*self._motion_limits(motion), *self._effort_limits(evaluation)]
+        if self.design.clearance is not None:
+            blocks += self._clearances(motion)
+        rows, room = zip(*blocks, strict=True)
+        return LinearizedProblem(evaluation.gain, slope, vstack(rows, "csc"), np.concatenate(room))
 
-        limits: Any = {
-            "type": "ineq",
-            "fun": lambda point: self._at(point)[1],
-            "jac": lambda point: self._at(point)[2],
-        }
-        options: Any = {"maxiter": iterations, "ftol": CONVERGED}
-        search: Any = minimize  # its type hints have no case for such constraints
-        found = search(
-            loss,
-            start.ravel(),
-            jac=slope,
-            method="SLSQP",
-            constraints=limits,
-            callback=after,
-            options=options,
-        )
-        self._keep(found.x.reshape(self._shape))
-
-    def _gradient(self, point: FloatArray) -> FloatArray:
-        slopes = self._at(point)[0].gain_slopes
-        gradient: FloatArray = np.einsum("otm,otd->md", self._basis, slopes).ravel()
-        return gradient
-
-    def _at(self, point: FloatArray) -> tuple[Evaluation, FloatArray, FloatArray]:
-        """Return the evaluation, constraints (c,) that must not be negative, and their slopes."""
-        key = point.tobytes()
-        if self._cached is None or self._cached[0] != key:
-            motion = self._basis @ point.reshape(self._shape)
-            evaluation = self.design.expected.evaluate(motion, self.design.repeats)
-            self._cached = key, evaluation, *self._constraints(motion, evaluation)
-        return self._cached[1:]
-
-    def _constraints(
-        self, motion: FloatArray, evaluation: Evaluation
-    ) -> tuple[FloatArray, FloatArray]:
-        limits, joints = self.design.limits, range(self._shape[1])
-        values: list[float] = []
-        slopes: list[FloatArray] = []
-
-        def add(shares: FloatArray, changes: FloatArray) -> None:
-            """Add 1 - max |shares| of shares (N,) with sensitivities (3, N, D) to the motion."""
-            largest, weight = smooth_maximum(np.concatenate([shares, -shares]))
-            signed = weight[: len(shares)] - weight[len(shares) :]
-            values.append(1.0 - largest)
-            slope = np.einsum("otm,t,otd->md", self._basis, signed, changes)
-            slopes.append(-slope.ravel())
-
+    def _motion_limits(self, motion: FloatArray) -> Iterator[tuple[csc_array, FloatArray]]:
+        """Yield rows and room of the limits of position, velocity and acceleration."""
+        limits = self.design.limits
         scales = (limits.half_width, limits.speed, limits.acceleration)
         for order, scale in enumerate(scales):
-            offset = limits.centre if order == 0 else np.zeros(len(scale))
-            for joint in joints:
-                changes = np.zeros(motion.shape)
-                changes[order, :, joint] = 1.0 / scale[joint]
-                add((motion[order, :, joint] - offset[joint]) / scale[joint], changes)
+            share = (motion[order] - (limits.centre if order == 0 else 0.0)) / scale
+            rows = csc_array(kron(self._basis[order], np.diag(1 / scale)))
+            yield rows, 1.0 - share.ravel()
+            yield -rows, 1.0 + share.ravel()
+
+    def _effort_limits(self, evaluation: Evaluation) -> Iterator[tuple[csc_array, FloatArray]]:
+        """Yield rows and room of the limits of efforts, where they are near."""
         for joint, index in enumerate(self.design.expected.joints.indices):
-            effort = limits.effort[joint]
-            if np.isfinite(effort):
-                changes = evaluation.torque_slopes[:, :, index] / effort
-                add(evaluation.torque[:, index] / effort, changes)
-        return np.array(values), np.array(slopes)
+            share = evaluation.torque[:, index] / self.design.limits.effort[joint]
+            near = np.flatnonzero(np.abs(share) > NEAR)
+            sign = np.sign(share[near])
+            slopes = evaluation.torque_slopes[:, near, index] / self.design.limits.effort[joint]
+            rows = np.einsum("otm,t,otd->tmd", self._basis[:, near], sign, slopes)
+            yield csc_array(rows.reshape(len(near), self._size)), AIM - np.abs(share[near])
+
+    def _clearances(self, motion: FloatArray) -> Iterator[tuple[csc_array, FloatArray]]:
+        """Yield rows and room of the distances between links, where they are small."""
+        assert self.design.clearance is not None
+        joints = self.design.expected.joints
+        for share, slopes in self.design.clearance.shares(joints.samples(motion).position):
+            near = np.flatnonzero(share > 0)
+            moved = slopes[near][:, list(joints.indices)]
+            rows = np.einsum("tm,td->tmd", self._basis[0, near], moved)
+            yield csc_array(rows.reshape(len(near), self._size)), AIM - share[near]
 
     def _keep(self, coefficients: FloatArray) -> None:
         """Store coefficients, shrunk into the limits if needed, if they are the best so far."""
@@ -285,9 +291,67 @@ class TrajectoryOptimizer:
         return coefficients
 
 
-def smooth_maximum(values: FloatArray) -> tuple[float, FloatArray]:
-    """Return a smooth upper bound of the largest of (N,) values, and its slopes (N,)."""
-    largest = values.max()
-    powers = np.exp(SHARPNESS * (values - largest))
-    total = powers.sum()
-    return float(largest + np.log(total) / SHARPNESS), powers / total
+@dataclass(frozen=True)
+class LinearizedProblem:
+    """Gain and limits about coefficients (x,), to first order in their change d.
+
+    Attributes
+    ----------
+    gain : float
+        Nat.
+    slope : (x,) float64
+        Derivative of the gain.
+    rows : (k, x) csc_array
+        The limits are rows @ d ≤ room.
+    room : (k,) float64
+        Shares of the limits that are left.
+    """
+
+    gain: float
+    slope: FloatArray
+    rows: csc_array
+    room: FloatArray
+
+
+def best_move(problem: LinearizedProblem, curvature: FloatArray, step: float) -> FloatArray:
+    """Return the change d (x,) that maximises slopeᵀd - dᵀ curvature d / 2 within the limits.
+
+    No coefficient changes by more than ``step``.
+    """
+    size = len(problem.slope)
+    unit = eye_array(size, format="csc")
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    rows = vstack([problem.rows, unit, -unit], "csc")
+    own = problem.room
+    for smallest in (-np.inf, 0.0):  # if the excess cannot be undone within the step, keep it
+        room = np.concatenate([np.maximum(own, smallest), np.full(2 * size, step)])
+        answer = clarabel.DefaultSolver(
+            csc_array(np.triu(curvature)),
+            -problem.slope,
+            rows,
+            room,
+            [clarabel.NonnegativeConeT(len(room))],
+            settings,
+        ).solve()
+        if str(answer.status) in ("Solved", "AlmostSolved"):
+            return np.asarray(answer.x, dtype=np.float64)
+    return np.zeros(size)
+
+
+def updated_curvature(curvature: FloatArray, move: FloatArray, change: FloatArray) -> FloatArray:
+    """Return the curvature (x, x) after the loss's slope changed by (x,) along a move (x,).
+
+    Damped BFGS keeps it positive definite (Nocedal and Wright 2006, Numerical Optimization,
+    procedure 18.2).
+    """
+    bent = curvature @ move
+    along, expected = float(move @ change), float(move @ bent)
+    if along < DAMPING * expected:
+        share = (1 - DAMPING) * expected / (expected - along)
+        change = share * change + (1 - share) * bent
+        along = float(move @ change)
+    updated: FloatArray = (
+        curvature - np.outer(bent, bent) / expected + np.outer(change, change) / along
+    )
+    return updated

@@ -84,6 +84,25 @@ class ExciteOptions:
         group=LIMITS,
     )
 
+    clearance: float = option(
+        0.03,
+        "Smallest distance between links that are not neighbours, and from links to the floor.",
+        unit="m",
+        minimum=0.0,
+        maximum=1.0,
+        group=LIMITS,
+    )
+    floor: float | None = option(
+        None,
+        "Height of a floor or table above the base's origin; negative below it.",
+        unit="m",
+        group=LIMITS,
+        unset="no floor",
+    )
+    no_collision: bool = option(
+        False, "Do not keep links apart from each other and the floor.", group=LIMITS
+    )
+
     def __post_init__(self) -> None:
         """Refuse invalid values."""
         check_values(self)

@@ -13,6 +13,7 @@ from symbid_ros.dynamics.regressor import equation_of_motion, slipping
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.excitation.clearance import Clearance
 from symbid_ros.excitation.fourier import DrivenJoints, FourierSeries
 from symbid_ros.excitation.limits import JointLimits, joint_limits
 from symbid_ros.excitation.objective import ExpectedInformation
@@ -45,6 +46,8 @@ class ExcitationProblem:
     design : Design
     capacity : (J,) float64
         Largest effort of each joint, Nm or N, of which the noise of efforts is a share.
+    unchecked : tuple of str
+        Collisions that are not checked.
     """
 
     options: ExciteOptions
@@ -52,6 +55,7 @@ class ExcitationProblem:
     limits: JointLimits
     design: Design
     capacity: FloatArray
+    unchecked: tuple[str, ...] = ()
 
     @property
     def parameters(self) -> ParameterSet:
@@ -141,6 +145,15 @@ class ExcitationPlan:
         time = np.linspace(0, period, 20 * self.problem.design.samples)
         return self.problem.limits.usage(self.motion(time), self.torque(time))
 
+    @cached_property
+    def closest(self) -> tuple[float, str] | None:
+        """Smallest distance, m, and names of the two links; None if nothing has a shape."""
+        clearance = self.problem.design.clearance
+        if clearance is None:
+            return None
+        time = self.problem.design.instants(4 * self.problem.design.samples)
+        return clearance.smallest(self.joints.samples(self.motion(time)).position)
+
     @property
     def approach(self) -> float:
         """Seconds in which any posture within the limits reaches the start at a safe speed."""
@@ -179,6 +192,7 @@ def excitation_problem(
     capacity, remarks = _capacity(robot, limits, expected, postures)
     limits = replace(limits, assumed=(*limits.assumed, *remarks))
     precision = _precision(robot, sensors, capacity, expected, postures)
+    clearance, unchecked = _clearance(parameters.model, options, joints, postures)
     return ExcitationProblem(
         options,
         sensors,
@@ -187,12 +201,30 @@ def excitation_problem(
             series,
             replace(expected, precision=precision),
             used,
+            clearance,
             SAMPLES_PER_HARMONIC * options.harmonics,
             sensors.rate,
             series.period * np.ceil(options.seconds / series.period - 1e-9),
         ),
         capacity,
+        unchecked,
     )
+
+
+def _clearance(
+    robot: RobotModel, options: ExciteOptions, joints: DrivenJoints, postures: FloatArray
+) -> tuple[Clearance | None, tuple[str, ...]]:
+    """Return the distances to keep, and what is not checked."""
+    if options.no_collision:
+        return None, ("collisions, as `no_collision` says",)
+    motion = np.zeros((3, *postures.shape))
+    motion[0] = postures
+    position = joints.samples(motion).position
+    clearance = Clearance(robot, options.clearance, position, options.floor)
+    remarks = clearance.remarks
+    if options.floor is None:
+        remarks = (*remarks, "a floor or table; give `floor`")
+    return (None if clearance.is_empty else clearance), remarks
 
 
 def _known(

@@ -1,4 +1,4 @@
-"""The visible shapes of a model file: primitives and meshes fixed to the robot's links."""
+"""The shapes of a model file, to see or to collide: primitives and meshes fixed to links."""
 
 import os
 from collections.abc import Iterator
@@ -76,14 +76,24 @@ def visual_shapes(model: RobotModel) -> VisualShapes:
     The collision shapes of links without a visual are taken. Shapes only serve pictures, so a file
     that cannot be read gives none, and a remark.
     """
+    return _shapes(model, collision=False)
+
+
+def collision_shapes(model: RobotModel) -> VisualShapes:
+    """Return the shapes with which links of the model file touch each other and the world."""
+    return _shapes(model, collision=True)
+
+
+def _shapes(model: RobotModel, *, collision: bool) -> VisualShapes:
     path = Path(model.source)
+    read = _mjcf_shapes if is_mjcf(path) else _urdf_shapes
     try:
-        return _mjcf_shapes(model, path) if is_mjcf(path) else _urdf_shapes(model, path)
+        return read(model, path, collision=collision)
     except ModelError as error:
         return VisualShapes(remarks=(str(error),))
 
 
-def _urdf_shapes(model: RobotModel, path: Path) -> VisualShapes:
+def _urdf_shapes(model: RobotModel, path: Path, *, collision: bool) -> VisualShapes:
     robot = read_xml(path)
     reader = UrdfReader(str(path), robot)
     known = {frame.name for frame in model.frames} | set(model.link_names)
@@ -93,7 +103,8 @@ def _urdf_shapes(model: RobotModel, path: Path) -> VisualShapes:
         if name not in known:  # the root link "world" of a fixed robot
             continue
         frame = model.frame(name)
-        for visual in link.findall("visual") or link.findall("collision"):
+        visuals = [] if collision else link.findall("visual")
+        for visual in visuals or link.findall("collision"):
             rotation, translation = reader.pose(visual)
             geometry = visual.find("geometry")
             for element in () if geometry is None else map(as_element, geometry):
@@ -198,7 +209,7 @@ _KINDS: dict[int, ShapeKind] = {
 }
 
 
-def _mjcf_shapes(model: RobotModel, path: Path) -> VisualShapes:
+def _mjcf_shapes(model: RobotModel, path: Path, *, collision: bool) -> VisualShapes:
     m = compile_with_shapes(path)
     names = body_names(m)
     known = {frame.name for frame in model.frames} | set(model.link_names)
@@ -208,8 +219,10 @@ def _mjcf_shapes(model: RobotModel, path: Path) -> VisualShapes:
     shapes = []
     for geom in range(m.ngeom):
         body, kind = int(bodies[geom]), int(m.geom_type[geom])
-        has_visual = bool(np.any(is_visual[bodies == body]))
-        if names[body] not in known or kind not in _KINDS or (has_visual and not is_visual[geom]):
+        wanted = not collision and bool(np.any(is_visual[bodies == body]))
+        if names[body] not in known or kind not in _KINDS:
+            continue
+        if (wanted or collision) and is_visual[geom] != wanted:
             continue
         frame = model.frame(names[body])
         vertices, faces = _mjcf_mesh(m, int(m.geom_dataid[geom])) if kind == _MESH else (None, None)

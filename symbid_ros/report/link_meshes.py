@@ -176,6 +176,14 @@ def _capsule(radius: float, length: float) -> _Triangles:
     return _Triangles(vertices, np.array(solid.faces))
 
 
+def mesh_vertices(file: Path) -> FloatArray | None:
+    """Return the vertices (V, 3) of a mesh file, m; None if it cannot be read."""
+    try:
+        return _read_mesh(file).vertices
+    except _UnreadableMeshError:
+        return None
+
+
 def _read_mesh(file: Path) -> _Triangles:
     """Return the triangles of a mesh file, in m if the file states its unit."""
     kind = file.suffix.lower()

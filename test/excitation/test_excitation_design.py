@@ -6,12 +6,18 @@ import numpy as np
 import pinocchio
 import pytest
 from documented_robots import ur5_urdf
+from scipy.sparse import csc_array
 
 from symbid_ros.errors import OptionError
 from symbid_ros.estimation.prior import model_prior
 from symbid_ros.excitation.fourier import FourierSeries
 from symbid_ros.excitation.limits import joint_limits
-from symbid_ros.excitation.optimizer import TrajectoryOptimizer, smooth_maximum
+from symbid_ros.excitation.optimizer import (
+    LinearizedProblem,
+    TrajectoryOptimizer,
+    best_move,
+    updated_curvature,
+)
 from symbid_ros.excitation.options import ExciteOptions
 from symbid_ros.excitation.plan import ExcitationPlan, excitation_problem
 from symbid_ros.model.load import load_model
@@ -67,27 +73,42 @@ def test_a_series_is_periodic_at_rest_at_its_start_and_its_derivatives_are_exact
     np.testing.assert_allclose((ahead - behind)[:2] / (2 * step), here[1:], atol=1e-8)
 
 
-def test_the_gradients_agree_with_finite_differences(problem):
-    optimizer = TrajectoryOptimizer(problem.design, seed=0)
+def test_the_gradients_agree_with_finite_differences(arm, problem):
+    guarded = excitation_problem(arm, replace(problem.options, floor=0.2), SENSORS)
+    optimizer = TrajectoryOptimizer(guarded.design, seed=0)
     point = optimizer.draw().ravel()
+    here = optimizer._linearized(point)
     direction = np.random.default_rng(1).normal(size=point.shape)
     step = 1e-6
+    ahead, behind = (optimizer._linearized(point + s * direction) for s in (step, -step))
+    slope = (ahead.gain - behind.gain) / (2 * step)
+    assert slope == pytest.approx(here.slope @ direction, rel=1e-5)
+    taken = -(ahead.room - behind.room) / (2 * step)
+    motion_rows = 6 * len(guarded.design.time) * len(guarded.limits.names)
+    assert len(taken) > motion_rows  # efforts and distances have rows too
+    expected = here.rows @ direction
+    # A few closest points may jump from one corner to another between both sides.
+    wrong = np.abs(taken - expected) > 1e-3 * np.abs(expected).max()
+    assert not wrong[:motion_rows].any()
+    assert wrong.mean() < 1e-3
 
-    def at(offset):
-        evaluation, constraints, _ = optimizer._at(point + offset * direction)
-        return np.append(constraints, evaluation.gain)
 
-    _, _, slopes = optimizer._at(point)
-    expected = np.append(slopes @ direction, optimizer._gradient(point) @ direction)
-    found = (at(step) - at(-step)) / (2 * step)
-    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
+def test_a_program_respects_its_limits_and_the_trust_region():
+    problem = LinearizedProblem(
+        0.0, np.array([1.0, 1.0]), csc_array(np.array([[1.0, 0.0]])), np.array([0.1])
+    )
+    np.testing.assert_allclose(best_move(problem, np.eye(2), 0.5), [0.1, 0.5], atol=1e-6)
+    np.testing.assert_allclose(best_move(problem, np.eye(2), 5.0), [0.1, 1.0], atol=1e-6)
 
 
-def test_the_smooth_maximum_is_a_tight_upper_bound():
-    values = np.random.default_rng(0).uniform(-1, 1, 300)
-    bound, slopes = smooth_maximum(values)
-    assert values.max() <= bound <= values.max() + np.log(300) / 250
-    assert slopes.sum() == pytest.approx(1)
+def test_the_curvature_is_that_along_the_moves_and_stays_positive():
+    true = np.diag([1.0, 4.0, 9.0])
+    curvature = np.eye(3)
+    for move in np.random.default_rng(0).normal(size=(60, 3)):
+        curvature = updated_curvature(curvature, move, true @ move)
+    np.testing.assert_allclose(curvature, true, rtol=1e-3, atol=1e-3)
+    bent = updated_curvature(np.eye(3), np.array([1.0, 0.0, 0.0]), np.array([-5.0, 0.0, 0.0]))
+    assert np.linalg.eigvalsh(bent)[0] > 0
 
 
 def test_the_search_gains_more_than_random_starts_within_the_limits(problem, optimizer):
