@@ -97,6 +97,22 @@ def _select_batches(decoder: TopicDecoder, batches: list[DecodedBatch]) -> Topic
     return TopicDecoder(decoder.source, decoder.topic, renumbered, len(index))
 
 
+def build_joints(
+    source: str,
+    chosen: SelectedTopics,
+    decoders: Mapping[Topic, TopicDecoder],
+    tallies: Mapping[Topic, DefectCounts],
+) -> JointStream:
+    """Return the joint states of a robot, merged from its topics, as the model defines them."""
+    joints = [
+        build_joint_stream(part, tallies[topic])
+        for topic in chosen.joints
+        for part in split_by_joints(decoders[topic], chosen.recorded_joints, tallies[topic])
+    ]
+    merged = merged_joints(joints, source, chosen.recorded_joints)
+    return chosen.held_joints.added_to(chosen.mapping.converted_joints(merged), source)
+
+
 def build_streams(
     source: str,
     chosen: SelectedTopics,
@@ -107,11 +123,6 @@ def build_streams(
 
     Defects of messages are counted in ``tallies``.
     """
-    joints = [
-        build_joint_stream(part, tallies[topic])
-        for topic in chosen.joints
-        for part in split_by_joints(decoders[topic], chosen.recorded_joints, tallies[topic])
-    ]
     mapping = chosen.mapping
     poses = [
         build_pose_stream(decoders[topic], mapping.tracked, tallies[topic])
@@ -126,10 +137,9 @@ def build_streams(
             return converted
         return pose.on_robot(converted, mapping.plate_links.get(stream.topic, ""))
 
-    merged = merged_joints(joints, source, chosen.recorded_joints)
     return Streams(
         source=source,
-        joints=chosen.held_joints.added_to(mapping.converted_joints(merged), source),
+        joints=build_joints(source, chosen, decoders, tallies),
         imus=(
             *(
                 mapping.converted_imu(build_imu_stream(decoders[topic], tallies[topic]))

@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.wrist_evidence import check_signs
+from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.change import relaxed_prior
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
@@ -35,11 +37,13 @@ from symbid_ros.online.block_worker import BlockWorker
 from symbid_ros.online.initial_state import InitialState
 from symbid_ros.online.live_streams import LiveStreams
 from symbid_ros.online.message_check import MessageCheck
+from symbid_ros.signals.alignment import joint_columns
 from symbid_ros.signals.weak_form import check_windows, equation_rows, suitable_windows
 
 logger = logging.getLogger(__name__)
 
 RECENT_FAULTS = 10
+POSTURE_TIME = 50_000_000  # ns; every part of a robot publishes its joints within this time
 # Factor by which the number of blocks grows between two choices of the joint terms.
 CHOOSE_AGAIN = 1.25
 
@@ -166,6 +170,17 @@ class OnlineIdentification:
     def can_tell_change(self) -> bool:
         """Whether the usual level of evidence is known well enough to detect a change."""
         return self._monitor.is_ready
+
+    def posture(self) -> FloatArray | None:
+        """Return the newest joint positions (J,), rad or m; None while there are none."""
+        model = self._parameters.model
+        try:
+            joints = self.streams.newest_joints(POSTURE_TIME)
+            columns = joint_columns(joints.names, model, joints.topic)
+        except SymbidError:  # no message yet, or one without a joint, which is reported elsewhere
+            return None
+        position = joints.position[-1:, columns]
+        return model.apply_mimics(position)[0] if np.all(np.isfinite(position)) else None
 
     def feed(self, topic: Topic, payload: bytes) -> None:
         """Add a serialised message of a topic; an invalid one is dropped and counted."""

@@ -10,10 +10,10 @@ from symbid_ros.arrays import IntArray
 from symbid_ros.errors import DataError
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.layout import Layout
-from symbid_ros.messages.sensor_streams import build_streams
+from symbid_ros.messages.sensor_streams import build_joints, build_streams
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.signals.defects import CLOCK_JUMP, DefectCounts, find_gaps, seconds
-from symbid_ros.signals.streams import Streams
+from symbid_ros.signals.streams import JointStream, Streams
 
 # Messages this much older than the topic's newest, ns, are dropped; checked once every so many
 # messages.
@@ -234,6 +234,26 @@ class LiveStreams:
             counts.messages = decoders[topic].count
             counts.report()
         return streams
+
+    def newest_joints(self, duration: int) -> JointStream:
+        """Return the joint states of the last ``duration`` ns, without a report of defects.
+
+        Raises
+        ------
+        DataError
+            When there is none.
+        """
+        newest = self.joints.newest
+        if newest is None:
+            raise DataError(f"{self.source}: no joint states yet; start their driver", "E313")
+        decoders = {
+            topic: self.buffers[topic].decoder(self.source, newest - duration, newest + 1)
+            for topic in self.selected.joints
+        }
+        present = {topic: decoder for topic, decoder in decoders.items() if decoder.count}
+        chosen = replace(self.selected, joints=tuple(present))
+        defects = {topic: DefectCounts(self.source, topic.name) for topic in present}
+        return build_joints(self.source, chosen, present, defects)
 
     def drop_before(self, stamp: int) -> None:
         """Drop messages older than ``stamp``, ns."""

@@ -117,3 +117,19 @@ def link_covariance(
     factor = deviation_factor[own]
     covariance: FloatArray = factor @ factor.T
     return covariance
+
+
+def total_com(phi: FloatArray, rotations: FloatArray, positions: FloatArray) -> FloatArray:
+    """Return the centre of mass (3,) of links φ (L, 10), in the axes of their poses.
+
+    Parameters
+    ----------
+    phi : (L, 10) float64
+        Parameters of the links.
+    rotations, positions : (L, 3, 3) and (L, 3) float64
+        Poses of their frames, m. Without a mass, the result is zero.
+    """
+    mass = phi[:, 0]
+    first = np.einsum("lij,lj->i", rotations, phi[:, 1:4]) + mass @ positions
+    total: FloatArray = first / mass.sum() if mass.sum() else np.zeros(3)
+    return total

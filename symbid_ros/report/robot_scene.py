@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import matplotlib
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
@@ -24,25 +23,14 @@ from symbid_ros.report.inertia_shapes import (
     inertia_box,
     link_covariance,
     principal_moments,
+    total_com,
 )
 from symbid_ros.report.link_meshes import LinkMesh, link_meshes
+from symbid_ros.report.palette import link_colour
 
 # Vertices are sent as 16-bit integers: steps of 15 µm for a link of one metre.
 _LARGEST = 32767
 SHOWN_DEVIATIONS = 2.0  # semi-axes of the ellipsoids, in standard deviations
-
-BEFORE_COLOUR = "#d55e00"  # vermillion of Okabe and Ito's palette
-UNKNOWN_COLOUR = "#a8a8a8"
-# cividis, which colour-blind readers see alike, without its darkest end.
-_LOWEST, _HIGHEST = 0.3, 1.0
-
-
-def link_colour(determined: int | None, parameters: int = 10) -> str:
-    """Return the colour of a link by the number of its parameters that the data determine."""
-    if determined is None:
-        return UNKNOWN_COLOUR
-    share = _LOWEST + (_HIGHEST - _LOWEST) * determined / parameters
-    return matplotlib.colors.to_hex(matplotlib.colormaps["cividis"](share))
 
 
 @dataclass(frozen=True)
@@ -173,7 +161,7 @@ def robot_scene(
         )
     own = parameters.links
     before, after = (
-        _total_com(parameters.link_phi(values), rotations[own], positions[own])
+        total_com(parameters.link_phi(values), rotations[own], positions[own])
         for values in (estimate.prior, estimate.value)
     )
     return RobotScene(
@@ -262,14 +250,6 @@ def _numbers(
         (name, prior.replace("-", "−"), estimate.replace("-", "−"))
         for name, prior, estimate in rows
     )
-
-
-def _total_com(phi: FloatArray, rotations: FloatArray, positions: FloatArray) -> FloatArray:
-    """Return the centre of mass (3,) of links φ (L, 10) at poses in the base's frame."""
-    mass = phi[:, 0]
-    first = np.einsum("lij,lj->i", rotations, phi[:, 1:4]) + mass @ positions
-    total: FloatArray = first / mass.sum() if mass.sum() else np.zeros(3)
-    return total
 
 
 def link_document(link: SceneLink) -> dict[str, Any]:

@@ -7,12 +7,8 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
-from symbid_ros.report.robot_scene import (
-    BEFORE_COLOUR,
-    SHOWN_DEVIATIONS,
-    RobotScene,
-    link_colour,
-)
+from symbid_ros.report.palette import BEFORE_COLOUR, DETERMINED_COLOURS, UNKNOWN_COLOUR
+from symbid_ros.report.robot_scene import SHOWN_DEVIATIONS, RobotScene
 from symbid_ros.report.still_picture import camera_direction, still_picture
 
 _FOLDER = Path(__file__).parent
@@ -57,9 +53,7 @@ def robot_view(scene: RobotScene) -> RobotView:
         name=scene.name,
         still=Markup(still),
         has_determined=has_determined,
-        colours=[link_colour(count) for count in range(11)]
-        if has_determined
-        else [link_colour(None)],
+        colours=DETERMINED_COLOURS if has_determined else (UNKNOWN_COLOUR,),
         before=BEFORE_COLOUR,
         deviations=f"{SHOWN_DEVIATIONS:g}",
         remarks=scene.remarks,

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
-import matplotlib
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.report.inertia_shapes import InertiaBox
 from symbid_ros.report.link_meshes import LinkMesh, simplified
-from symbid_ros.report.robot_scene import BEFORE_COLOUR, RobotScene, SceneLink, link_colour
+from symbid_ros.report.palette import BEFORE_COLOUR, link_colour, rgb
+from symbid_ros.report.robot_scene import RobotScene, SceneLink
 
 # The camera's direction, from the robot's front left and above.
 AZIMUTH, ELEVATION = np.radians(40.0), np.radians(18.0)
@@ -146,8 +146,7 @@ def _outline(corners: FloatArray) -> str:
 
 def _shaded(colour: str, shade: int) -> str:
     share = _DARKEST + (1 - _DARKEST) * shade / (_SHADES - 1)
-    red, green, blue = matplotlib.colors.to_rgb(colour)
-    return matplotlib.colors.to_hex((share * red, share * green, share * blue))
+    return "#" + bytes(round(255 * share * part) for part in rgb(colour)).hex()
 
 
 def _visible(triangles: FloatArray) -> BoolArray:

@@ -30,6 +30,7 @@ from symbid_ros.ros.identifier_parameters import (
     log_options,
     model_of,
 )
+from symbid_ros.ros.inertia_markers import InertiaMarkers
 from symbid_ros.ros.parameters import ParameterError, watch
 from symbid_ros.ros.raw_subscription import RawSubscription
 from symbid_ros.ros.reporting import FaultReporter, StatusPublisher
@@ -101,6 +102,7 @@ class OnlineIdentifier:
         self._unused: set[str] = set()
         self._subscriptions: tuple[tuple[Topic, RawSubscription], ...] = ()
         self._topics = EstimateTopics(node, self._parameters)
+        self._markers = InertiaMarkers(node, self._parameters, log_options(values).frame_prefix)
         self._described = float("-inf")
         self._solves = 0
         self._newest: OnlineEstimate | None = None
@@ -262,6 +264,7 @@ class OnlineIdentifier:
     def _publish(self, newest: OnlineEstimate, *, describe: bool) -> None:
         estimate = newest.found.estimate
         self._topics.publish(estimate, Time(nanoseconds=newest.until).to_msg())
+        self._markers.publish(estimate, newest.change, self._live.posture())
         now = time.monotonic()
         if describe or now - self._described >= DESCRIPTION_PERIOD:
             self._topics.describe(export_urdf(estimate, newest.parameters))
@@ -288,6 +291,7 @@ class OnlineIdentifier:
     def _reset(self) -> str:
         self._live.reset()
         self._newest = None
+        self._markers.clear()
         return "all data are discarded; the prior remains"
 
     def _finish(self) -> None:

@@ -17,7 +17,8 @@ from report_pages import Page
 from symbid_ros.model.load import load_model
 from symbid_ros.model.rotation import rotation_from_xyzw
 from symbid_ros.package_paths import config_file
-from symbid_ros.report.robot_scene import RobotScene, link_colour, robot_scene
+from symbid_ros.report.palette import link_colour
+from symbid_ros.report.robot_scene import RobotScene, robot_scene
 from symbid_ros.report.robot_view import RobotView, robot_view
 
 # Bytes of the view of the package's robot.

@@ -15,6 +15,7 @@ from rcl_interfaces.msg import Parameter, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, ListParameters, SetParameters
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import Marker, MarkerArray
 
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.package_paths import config_file
@@ -140,7 +141,8 @@ def test_a_player_serves_as_well_as_a_robot(graph, simulated, tmp_path: Path) ->
 
 
 def test_services_solve_enable_and_reset(graph) -> None:
-    probe = EstimateProbe(graph)
+    probe, markers = EstimateProbe(graph), []
+    graph.node.create_subscription(MarkerArray, "/identifier/markers", markers.append, LATCHED)
     live = identifier(graph, solve_period=0.5, **LINKS)
     early = call(graph, Trigger, "/identifier/solve")
     assert not early.success
@@ -163,6 +165,12 @@ def test_services_solve_enable_and_reset(graph) -> None:
     rows = int(probe.values("estimate")["samples"])
     assert call(graph, Trigger, "/identifier/reset").success
     graph.wait_until(lambda: int(probe.values("estimate").get("samples", rows)) < rows)
+    # The markers of the old estimate were deleted.
+    actions = [{marker.action for marker in message.markers} for message in markers]
+    assert Marker.DELETEALL in actions[0]
+    assert {Marker.DELETE} in actions
+    namespaces = {marker.ns for message in markers for marker in message.markers}
+    assert {"inertia", "com", "total_com"} <= namespaces
     live.send(signal.SIGINT)
     assert live.ended().status == 0
 
