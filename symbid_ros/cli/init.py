@@ -16,37 +16,64 @@ def init(
             help="Robot model: URDF, MJCF or xacro, whose URDF is written beside the robot file."
         ),
     ],
-    bag: Annotated[list[Path], typer.Option(help="Bag of the robot, in sequence if several.")],
-    out: Annotated[Path, typer.Option(help="Robot file to write, such as robot.yaml.")],
+    bag: Annotated[
+        list[Path] | None, typer.Option(help="Bag of the robot, in sequence if several.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Robot file to write, such as robot.yaml.")
+    ] = None,
+    foxglove: Annotated[
+        Path | None,
+        typer.Option(
+            help="Foxglove layout to write, such as layout.json: the robot in 3D with its live "
+            "estimate. --bag and --out may then be left out."
+        ),
+    ] = None,
     base: BaseKind = "auto",
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a file of that name.")
+        bool, typer.Option("--overwrite", help="Replace files of these names.")
     ] = False,
 ) -> None:
     """Write a robot file: topics, names, signs and units that a log and a model differ in.
+
+    With --foxglove it writes a layout for Foxglove that suits the robot.
 
     What was guessed is marked CHECK. `symbid identify`, `validate` and `bag doctor` read the file
     with --robot, the node `identifier` with --params-file.
 
     Exit status: 0 the log is usable as the file says, 1 correct the file first, 2 error.
     """
-    from symbid_ros.atomic_write import check_output_file
+    from symbid_ros.atomic_write import check_output_file, write_text
+    from symbid_ros.cli.foxglove import layout_text
     from symbid_ros.diagnosis.findings import Severity
-    from symbid_ros.errors import SymbidError
+    from symbid_ros.errors import OptionError, SymbidError
+    from symbid_ros.model.load import load_model
     from symbid_ros.model.urdf import expanded_name
     from symbid_ros.offline.robot_setup import expand_xacro, inspect_robot
 
+    if (bag is None) != (out is None) or (out is None and foxglove is None):
+        raise OptionError(
+            "a robot file needs `bag`, the log to look at, and `out`, the file to write; give "
+            "both, or `foxglove` alone",
+            "E585",
+        )
     is_xacro = model.suffix == ".xacro"
-    urdf = out.parent / expanded_name(model) if is_xacro else model
-    for file in [out, *([urdf] if is_xacro else [])]:
+    files = [file for file in (out, foxglove) if file is not None]
+    urdf = files[0].parent / expanded_name(model) if is_xacro else model
+    for file in [*files, *([urdf] if is_xacro else [])]:
         check_output_file(file)
         if file.exists() and not overwrite:
             raise SymbidError(f"{file}: exists; choose another `out`, or give `overwrite`", "E551")
     if is_xacro:
         expand_xacro(model, urdf)
+    console = Console(soft_wrap=True)
+    if foxglove is not None:
+        write_text(foxglove, layout_text(load_model(urdf, base)))
+        console.print(f"written: {foxglove}", markup=False, highlight=False)
+    if bag is None or out is None:
+        return
     setup = inspect_robot(urdf, bag, base)
     setup.write(out)
-    console = Console(soft_wrap=True)
     for name, values in setup.options.items():
         console.print(f"{name}: {', '.join(values)}", markup=False, highlight=False)
     for lines in setup.comments.values():

@@ -1,5 +1,6 @@
 """Topics of a robot, and the selection of those that an identification reads."""
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,6 +15,12 @@ TRUTH = "ground_truth"
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 POSES = ODOMETRY, POSE
 ENCODED = " encoded as "  # between a type's name and an encoding other than CDR
+
+
+def topic_token(link: str) -> str:
+    """Return a link's name as a valid part of a topic name."""
+    token = re.sub(r"[^A-Za-z0-9_]", "_", link)
+    return f"_{token}" if token[:1].isdigit() else token
 
 
 @dataclass(frozen=True)

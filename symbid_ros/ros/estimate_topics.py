@@ -1,6 +1,5 @@
 """The latched topics that carry an estimate, in messages that any ROS tool can display."""
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,6 +14,7 @@ from std_msgs.msg import String
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.messages.topics import topic_token
 from symbid_ros.model.inertia import PARAMETERS, com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.ros.endpoints import latched_qos
@@ -22,12 +22,6 @@ from symbid_ros.ros.reporting import OK, WARN, NodeStatus
 
 # Step of a parameter for numerical derivatives of message fields, in its standard deviations.
 STEP = 1e-4
-
-
-def topic_token(link: str) -> str:
-    """Return a link's name as a valid part of a topic name."""
-    token = re.sub(r"[^A-Za-z0-9_]", "_", link)
-    return f"_{token}" if token[:1].isdigit() else token
 
 
 def inertia_message(estimate: Estimate, link: str, stamp: Time) -> InertiaStamped:

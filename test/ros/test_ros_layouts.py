@@ -9,10 +9,21 @@ from xml.etree import ElementTree
 import pytest
 from rclpy.node import Node
 
+from symbid_ros.cli.foxglove import layout_text
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.package_paths import config_file
 from symbid_ros.ros.estimate_topics import EstimateTopics
+from symbid_ros.ros.inertia_markers import (
+    BOX,
+    CHANGE,
+    COM,
+    PRIOR_BOX,
+    TOTAL_COM,
+    UNCERTAINTY,
+    InertiaMarkers,
+)
+from symbid_ros.user_files import load_yaml
 
 AGE = "/identifier: estimate", "age"
 
@@ -26,7 +37,7 @@ def parameters() -> ParameterSet:
 def published(graph, parameters: ParameterSet) -> Iterator[dict[str, Any]]:
     """Return an empty message of each topic that an identifier of the Symbitron publishes."""
     node = Node("identifier", context=graph.node.context)
-    topics = EstimateTopics(node, parameters)
+    topics = EstimateTopics(node, parameters), InertiaMarkers(node, parameters)
     yield {publisher.topic_name: publisher.msg_type() for publisher in node.publishers}
     del topics
     node.destroy_node()
@@ -57,7 +68,7 @@ class TestFoxglove:
         shown = leaves(self.layout["layout"])
         assert sorted(shown) == sorted(self.panels)
         kinds = {name.split("!")[0] for name in shown}
-        assert kinds == {"Plot", "DiagnosticSummary", "RawMessages"}
+        assert kinds == {"3D", "Plot", "DiagnosticSummary", "RawMessages"}
 
     def test_plots_what_is_published(self, published, parameters: ParameterSet) -> None:
         joints = parameters.model.joint_names
@@ -81,6 +92,43 @@ class TestFoxglove:
         }
         assert topics == {"/diagnostics", "/identifier/estimate"}
         assert "/identifier/estimate" in published
+
+    def test_is_the_one_generated_for_this_robot(self, parameters: ParameterSet) -> None:
+        text = config_file("foxglove_layout.json").read_text(encoding="utf-8")
+        assert text == layout_text(parameters.model)
+
+    def test_shows_the_robot_and_its_markers(self, published, parameters: ParameterSet) -> None:
+        panel = self.panels["3D!robot"]
+        assert panel["followTf"] == parameters.model.links[0].name
+        assert panel["layers"]["robot"]["topic"] in published
+        assert list(panel["topics"]) == ["/identifier/markers"]
+
+
+class TestRviz:
+    root = load_yaml(config_file("symbid.rviz"))
+    displays = root["Visualization Manager"]["Displays"]
+
+    def test_shows_what_is_published(self, published) -> None:
+        topics = {
+            value["Value"]: value
+            for display in self.displays
+            for value in display.values()
+            if isinstance(value, dict) and "Durability Policy" in value
+        }
+        assert topics.keys() == {"/identifier/robot_description", "/identifier/markers"}
+        assert topics.keys() <= published.keys()
+        # Only such a subscriber receives the last message of a latched topic.
+        assert {one["Durability Policy"] for one in topics.values()} == {"Transient Local"}
+
+    def test_names_each_namespace_of_the_markers(self) -> None:
+        (markers,) = [one for one in self.displays if one["Class"].endswith("MarkerArray")]
+        assert set(markers["Namespaces"]) == {
+            *(BOX, PRIOR_BOX, COM, UNCERTAINTY, TOTAL_COM, CHANGE),
+        }
+
+    def test_starts_in_a_frame_of_the_robot(self, parameters: ParameterSet) -> None:
+        frame = self.root["Visualization Manager"]["Global Options"]["Fixed Frame"]
+        assert frame == parameters.model.links[0].name
 
 
 class TestPlotJuggler:
