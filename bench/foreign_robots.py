@@ -28,6 +28,7 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 import symbid_ros as sy
+from symbid_ros.choices import Base
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Samples, equation_of_motion
@@ -114,13 +115,13 @@ def table_row(name: str, friction: str, trials: list[Trial]) -> str:
     )
 
 
-def load_robot(name: str) -> tuple[sy.RobotModel, tuple[str, ...]]:
-    """Return a robot and its feet."""
+def load_robot(name: str, base: Base | None = None) -> tuple[sy.RobotModel, tuple[str, ...]]:
+    """Return a robot and its feet; legged robots float unless a base is named."""
     file, feet = LEGGED[name] if name in LEGGED else (ARMS[name], ())
     for each in files("example-robot-data") or ():
         if each.name == file:
             path = Path(str(each.locate()))
-            return sy.load_model(path, base="floating" if feet else "fixed"), feet
+            return sy.load_model(path, base or ("floating" if feet else "fixed")), feet
     raise SystemExit(f"example-robot-data has no {file}")
 
 

@@ -19,6 +19,7 @@ VERSIONS = {
     "diagnosis": 1,
     "estimate": 1,
     "evaluation": 1,
+    "plan": 1,
     "prior": 1,
     "validation": 1,
 }

@@ -30,7 +30,7 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
         *(f"assumed: {each}" for each in plan.problem.limits.assumed),
         *([_closest(plan)] if plan.closest is not None else []),
         *(f"not checked: {spelled(each, flag)}" for each in plan.problem.unchecked),
-        f"wrote {out}/: trajectory.csv, trajectory_bag, goal.yaml, plan.json",
+        f"wrote {out}/: trajectory.csv, trajectory_bag, goal.yaml, plan.json, prior.json",
     ]
     for line in lines:
         console.print(Text(line), soft_wrap=True)

@@ -14,6 +14,7 @@ from symbid_ros.choices import TERMS
 from symbid_ros.errors import PriorError
 from symbid_ros.estimation.prior_std import (
     absolute_std,
+    body_covariance,
     consistent_std,
     is_stated,
     percent_floor,
@@ -196,6 +197,30 @@ def model_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> P
     std = percent_std(parameters, mean, percent)
     terms = parameters.names[parameters.inertial :]
     return Prior(parameters.model.name, kind, None, parameters.names, mean, std, assumed=terms)
+
+
+def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
+    """Return a prior around the model's values with the covariance of physically possible links.
+
+    Every mass moment of a link is uniform within ± ``percent`` %, as drawn by :func:`draw_prior`
+    with "consistent". Unlike with :func:`model_prior`, a zero in the file is as uncertain as the
+    link's extent allows. Joint terms are those of :func:`model_prior`.
+
+    Raises
+    ------
+    PriorError
+        When ``percent`` is not positive.
+    """
+    prior = model_prior(parameters, percent)
+    variances = np.diag(prior.std**2)
+    floor = percent_floor(parameters, percent) ** 2
+    for index, phi in enumerate(parameters.link_phi(parameters.values)):
+        own = slice(10 * index, 10 * index + 10)
+        # A link without mass or extent has no covariance of its own.
+        variances[own, own] = body_covariance(phi, percent) + np.diag(floor[own])
+    scale = np.sqrt(np.diag(variances))
+    factor = scale[:, None] * np.linalg.cholesky(variances / np.outer(scale, scale))
+    return replace(prior, kind=f"model, consistent {percent:g}", std=scale, factor=factor)
 
 
 def absolute_model_prior(parameters: ParameterSet, amount: float) -> Prior:

@@ -58,7 +58,13 @@ def _widen_beyond_sensors(std: FloatArray, parameters: ParameterSet) -> None:
 
 
 def consistent_std(root: FloatArray, half_width: float) -> FloatArray:
-    """Return the deviations (10,) of φ under J → L S Lᵀ in closed form, where ``root`` is L (4, 4).
+    """Return the deviations (10,) of φ under J → L S Lᵀ, see :func:`consistent_covariance`."""
+    std: FloatArray = np.sqrt(np.diag(consistent_covariance(root, half_width)))
+    return std
+
+
+def consistent_covariance(root: FloatArray, half_width: float) -> FloatArray:
+    """Return the covariance (10, 10) of φ under J → L S Lᵀ, where ``root`` is L (4, 4).
 
     With iid eigenvalues of variance σ² and axes uniform over O(4), S has
     E[S_ij S_kl] - E[S_ij] E[S_kl] = σ²/6 (δ_ij δ_kl + δ_ik δ_jl + δ_il δ_jk).
@@ -68,8 +74,10 @@ def consistent_std(root: FloatArray, half_width: float) -> FloatArray:
     moved = np.einsum("ai,bj->ijab", root, root)
     spread = phi_from_pseudo_inertia((moved + moved.swapaxes(2, 3)) / 2)
     trace = np.einsum("iik->k", spread)
-    std: FloatArray = np.sqrt(variance * (trace**2 + 2 * np.sum(spread**2, axis=(0, 1))))
-    return std
+    covariance: FloatArray = variance * (
+        np.outer(trace, trace) + 2 * np.einsum("ijk,ijl->kl", spread, spread)
+    )
+    return covariance
 
 
 def body_std(phi: FloatArray, percent: float) -> FloatArray:
@@ -77,8 +85,17 @@ def body_std(phi: FloatArray, percent: float) -> FloatArray:
 
     Those of :func:`consistent_std`; a link that no body has is projected onto one.
     """
+    std: FloatArray = np.sqrt(np.diag(body_covariance(phi, percent)))
+    return std
+
+
+def body_covariance(phi: FloatArray, percent: float) -> FloatArray:
+    """Return the covariance (10, 10) of a link φ of which every moment is uniform ± percent.
+
+    That of :func:`consistent_covariance`; a link that no body has is projected onto one.
+    """
     values, axes = np.linalg.eigh(pseudo_inertia(phi))
-    return consistent_std(axes * np.sqrt(np.maximum(values, 0.0)), percent / 100)
+    return consistent_covariance(axes * np.sqrt(np.maximum(values, 0.0)), percent / 100)
 
 
 def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:

@@ -12,6 +12,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import staged, write_text
 from symbid_ros.bags import BagWriter
 from symbid_ros.excitation.plan import ExcitationPlan
+from symbid_ros.json_documents import versioned
 from symbid_ros.messages.types import TRAJECTORY, trajectory_message
 from symbid_ros.package_paths import package_version
 from symbid_ros.simulation.joint_trajectory import (
@@ -23,8 +24,8 @@ from symbid_ros.simulation.joint_trajectory import (
     VELOCITY,
 )
 
-PLAN_FILE, BAG, GOAL_FILE = "plan.json", "trajectory_bag", "goal.yaml"
-FILES = TRAJECTORY_FILE, PLAN_FILE, GOAL_FILE, BAG
+PLAN_FILE, BAG, GOAL_FILE, PRIOR_FILE = "plan.json", "trajectory_bag", "goal.yaml", "prior.json"
+FILES = TRAJECTORY_FILE, PLAN_FILE, GOAL_FILE, PRIOR_FILE, BAG
 # Where ros2_control's joint_trajectory_controller listens.
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
 CSV_RATE = 100.0  # Hz
@@ -46,6 +47,8 @@ def write_plan(plan: ExcitationPlan, out: Path) -> None:
         write_text(stage / TRAJECTORY_FILE, csv_text(plan))
         write_text(stage / GOAL_FILE, goal_text(plan))
         write_text(stage / PLAN_FILE, json.dumps(document(plan), indent=1) + "\n")
+        if plan.problem.prior is not None:
+            plan.problem.prior.write(stage / PRIOR_FILE)
         _write_bag(plan, stage / BAG)
 
 
@@ -106,8 +109,7 @@ def document(plan: ExcitationPlan) -> dict[str, object]:
     design, limits = problem.design, problem.limits
     names = plan.joints.names
     usage = plan.usage()
-    return {
-        "schema_version": 1,
+    content = {
         "software": f"symbid_ros {package_version()}",
         "model": plan.joints.model.name,
         "model_file": plan.joints.model.source,
@@ -119,7 +121,7 @@ def document(plan: ExcitationPlan) -> dict[str, object]:
         "gain_bits": plan.gain,
         "rate_hz": problem.sensors.rate,
         "effort_noise_percent": problem.sensors.effort_noise,
-        "position_noise": problem.sensors.position_noise,
+        "position_noise_rad": problem.sensors.position_noise,
         "coefficients": dict(zip(names, plan.coefficients.T.tolist(), strict=True)),
         "joints": {
             name: {
@@ -155,6 +157,7 @@ def document(plan: ExcitationPlan) -> dict[str, object]:
             )
         },
     }
+    return versioned("plan", content)
 
 
 def _finite(value: float) -> float | None:

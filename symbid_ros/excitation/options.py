@@ -38,7 +38,7 @@ class ExciteOptions:
     seed: int = option(0, "Random seed of the starts.", minimum=0)
     prior_percent: float = option(
         25.0,
-        "Half-width of the uniform prior of the model's values, in percent of each value.",
+        "Half-width of the uniform prior of each link's mass moments, in percent of the model's.",
         unit="%",
         minimum=0.1,
         maximum=1000.0,
@@ -54,7 +54,7 @@ class ExciteOptions:
         (),
         "Joint terms that will be identified: none, or a comma-separated list of viscous, coulomb, "
         "armature, offset.",
-        unset="viscous,coulomb",
+        unset="viscous,coulomb,armature",
         group=KNOWN,
     )
     limits: Path | None = option(

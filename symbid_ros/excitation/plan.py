@@ -11,7 +11,7 @@ from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Term
 from symbid_ros.dynamics.regressor import equation_of_motion, slipping
 from symbid_ros.errors import OptionError
-from symbid_ros.estimation.prior import model_prior
+from symbid_ros.estimation.prior import Prior, consistent_prior
 from symbid_ros.estimation.verdict import DETERMINED
 from symbid_ros.excitation.clearance import Clearance
 from symbid_ros.excitation.fourier import DrivenJoints, FourierSeries
@@ -26,7 +26,7 @@ from symbid_ros.simulation.joint_sensors import JointSensorOptions
 from symbid_ros.simulation.tracking import effort_std, position_std
 
 DESIGN_TERMS = "viscous", "coulomb", "armature", "offset"
-DEFAULT_TERMS = "viscous", "coulomb"
+DEFAULT_TERMS = "viscous", "coulomb", "armature"
 # Window whose rows are expected, s: the noise of positions enters through their second derivative.
 WINDOW = 0.161
 SAMPLES_PER_HARMONIC = 20
@@ -48,6 +48,8 @@ class ExcitationProblem:
         Largest effort of each joint, Nm or N, of which the noise of efforts is a share.
     unchecked : tuple of str
         Collisions that are not checked.
+    prior : Prior or None
+        Distribution before the motion; None if it is that of an earlier result.
     """
 
     options: ExciteOptions
@@ -56,6 +58,7 @@ class ExcitationProblem:
     design: Design
     capacity: FloatArray
     unchecked: tuple[str, ...] = ()
+    prior: Prior | None = None
 
     @property
     def parameters(self) -> ParameterSet:
@@ -178,7 +181,7 @@ def excitation_problem(
             "or hangs firmly",
             "E581",
         )
-    parameters, values, factor = _known(robot, options)
+    parameters, values, factor, prior = _known(robot, options)
     indices = _moving(robot, options.joints)
     named = {robot.joint_names[index]: robot.joints[index] for index in indices}
     limits = joint_limits(named, {}, options.limits)
@@ -208,6 +211,7 @@ def excitation_problem(
         ),
         capacity,
         unchecked,
+        prior,
     )
 
 
@@ -229,8 +233,8 @@ def _clearance(
 
 def _known(
     robot: RobotModel, options: ExciteOptions
-) -> tuple[ParameterSet, FloatArray, FloatArray]:
-    """Return the parameters, their expected values and L of their covariance before the motion."""
+) -> tuple[ParameterSet, FloatArray, FloatArray, Prior | None]:
+    """Return the parameters, their expected values, L of their covariance, and their prior."""
     if options.information is not None:
         folder = options.information
         known = load_estimated_model(folder if folder.is_dir() else folder.parent, robot)
@@ -241,7 +245,7 @@ def _known(
                 "alone; identify with `method` map_lmi and name these `joint_terms`",
                 "E582",
             )
-        return known.parameters, known.values, known.deviation_factor
+        return known.parameters, known.values, known.deviation_factor, None
     named = [name for part in ",".join(options.joint_terms).split(",") if (name := part.strip())]
     terms = DEFAULT_TERMS if named in ([], ["auto"]) else tuple(named)
     if unknown_terms := set(terms) - {*DESIGN_TERMS, "none"}:
@@ -252,8 +256,8 @@ def _known(
         )
     chosen = () if "none" in terms else cast(tuple[Term, ...], terms)
     parameters = ParameterSet(robot, chosen)
-    prior = model_prior(parameters, options.prior_percent)
-    return parameters, prior.mean, prior.covariance_factor()
+    prior = consistent_prior(parameters, options.prior_percent)
+    return parameters, prior.mean, prior.covariance_factor(), prior
 
 
 def _moving(robot: RobotModel, names: tuple[str, ...]) -> tuple[int, ...]:

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 import yaml
 from documented_robots import ur5_urdf
+from json_schemas import require_valid
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from symbid_ros.excitation.optimizer import TrajectoryOptimizer
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
 
 QUICK = "--period", 5, "--seconds", 20, "--harmonics", 3, "--starts", 1, "--iterations", 10
 ARM = "--model", ur5_urdf(), "--base", "fixed"
@@ -28,6 +31,7 @@ def planned(symbid_here, tmp_path_factory):
 def test_all_files_hold_the_same_trajectory(planned):
     folder, _ = planned
     plan = json.loads((folder / "plan.json").read_text())
+    require_valid("plan", plan)
     with (folder / "trajectory.csv").open() as file:
         rows = list(csv.DictReader(file))
     goal = yaml.safe_load((folder / "goal.yaml").read_text())["trajectory"]
@@ -76,11 +80,21 @@ def test_a_rehearsal_identifies_the_true_robot(planned, symbid_here, tmp_path):
     bag, result = tmp_path / "bag", tmp_path / "result"
     done = symbid_here(
         *("simulate", *ARM, "--trajectory", folder, "--truth-seed", 1),
-        *("--out", bag),
+        *("--friction", "--out", bag),
     )
     assert done.returncode == 0
     assert "bag_truth.xml" in done.stdout
-    assert symbid_here("identify", bag, *ARM, "--out", result).returncode == 0
+    prior = folder / "prior.json"
+    done = symbid_here("identify", bag, *ARM, "--prior", prior, "--out", result)
+    assert done.returncode == 0
+    plan = json.loads((folder / "plan.json").read_text())["parameters"]
+    estimate = json.loads((result / "estimate.json").read_text())["parameters"]
+    truth = ParameterSet(load_model(tmp_path / "bag_truth.xml"), ("viscous", "coulomb", "armature"))
+    exact = dict(zip(truth.names, truth.values.tolist(), strict=True))
+    known = [name for name, each in plan.items() if each["determined"] and name in exact]
+    error = [(estimate[name]["value"] - exact[name]) / plan[name]["std_expected"] for name in known]
+    assert len(known) > 30
+    assert 0.5 < np.sqrt(np.mean(np.square(error))) < 1.6
     errors = []
     for estimate in (result, _prior(symbid_here, tmp_path)):
         file = tmp_path / "errors.json"
@@ -88,7 +102,8 @@ def test_a_rehearsal_identifies_the_true_robot(planned, symbid_here, tmp_path):
         done = symbid_here("evaluate", estimate, "--model", truth, "--bag", bag, "--json", file)
         assert done.returncode == 0, done.stderr
         errors.append(json.loads(file.read_text())["torque_rmse"])
-    assert errors[0] < 0.1 * errors[1]
+    # What remains is friction of joints at rest, which no model of the log contains.
+    assert errors[0] < 0.2 * errors[1]
 
 
 def _prior(symbid_here, folder) -> Path:

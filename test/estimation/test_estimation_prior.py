@@ -16,6 +16,7 @@ from symbid_ros.errors import PriorError, SymbidError
 from symbid_ros.estimation.prior import (
     Prior,
     absolute_model_prior,
+    consistent_prior,
     draw_prior,
     load_prior,
     model_prior,
@@ -73,6 +74,20 @@ def test_a_consistent_priors_deviation_is_that_of_its_draws(symbitron):
     # Below one where a nearly vanishing product meets the floor.
     assert ratio.min() > 0.7
     assert ratio.max() < 1.2
+
+
+def test_the_covariance_of_a_consistent_prior_is_that_of_its_draws(symbitron):
+    found = consistent_prior(symbitron, 25)
+    draws = np.array([draw_prior(symbitron, "consistent", 25, s).mean for s in range(600)])
+    scaled = (draws - draws.mean(axis=0)) / found.std
+    root = found.factor / found.std[:, None]
+    expected = root @ root.T
+    for link in range(len(symbitron.links)):
+        own = slice(10 * link, 10 * link + 10)
+        sample = scaled[:, own].T @ scaled[:, own] / len(draws)
+        # The standard error of a covariance of 600 draws is at most .06.
+        np.testing.assert_allclose(sample, expected[own, own], atol=0.3)
+    np.testing.assert_allclose(found.mean, symbitron.values)
 
 
 @pytest.mark.parametrize("points", [1, 2, 3])

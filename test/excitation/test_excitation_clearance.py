@@ -8,8 +8,8 @@ import pytest
 from documented_robots import ur5_urdf
 
 from symbid_ros.excitation.clearance import SCALE, Clearance
-from symbid_ros.excitation.options import ExciteOptions
 from symbid_ros.excitation.optimizer import TrajectoryOptimizer
+from symbid_ros.excitation.options import ExciteOptions
 from symbid_ros.excitation.plan import ExcitationPlan, excitation_problem
 from symbid_ros.model.load import load_model
 from symbid_ros.simulation.joint_sensors import JointSensorOptions
@@ -60,7 +60,10 @@ def test_distances_and_slopes_of_balls_are_those_of_geometry(chain):
     np.testing.assert_allclose(share, 1 + (0.5 - expected) / SCALE, atol=1e-4)
     step = 1e-6
     ends = np.linalg.norm(
-        place_of_hand(np.concatenate([position + [0, step], position - [0, step]])), axis=1
+        place_of_hand(
+            np.concatenate([position + np.array([0, step]), position - np.array([0, step])])
+        ),
+        axis=1,
     )
     found = -(ends[:40] - ends[40:]) / (2 * step) / SCALE
     np.testing.assert_allclose(slopes[:, 1], found, atol=1e-3)

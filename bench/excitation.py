@@ -1,0 +1,177 @@
+"""Designed trajectories against random ones, and expected against actual errors.
+
+Usage: .venv/bin/python bench/excitation.py [random] [rehearsals] [--robot ur5] [--draws 20]
+
+- random: standard deviations of the base parameters, by the data alone, of random trajectories of
+  the same length, relative to the designed one's. Each random trajectory has the same harmonics
+  and is scaled until it touches a limit.
+- rehearsals: true robots drawn within 25 % of the model follow the designed trajectory in MuJoCo,
+  with friction, and the noisy logs are identified with the plan's prior. The error of each
+  parameter that was expected to be determined is divided by the standard deviation that was stated
+  before.
+"""
+
+import argparse
+import logging
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from foreign_robots import load_robot
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+import symbid_ros as sy
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.estimation.base_parameters import base_parameters
+from symbid_ros.estimation.prior import consistent_prior
+from symbid_ros.excitation.optimizer import TrajectoryOptimizer
+from symbid_ros.excitation.options import ExciteOptions
+from symbid_ros.excitation.plan import ExcitationPlan, ExcitationProblem, excitation_problem
+from symbid_ros.excitation.rehearsal import draw_truth, effort_capacity
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.simulation.joint_sensors import JointSensorOptions
+from symbid_ros.simulation.joint_trajectory import JointTrajectory
+from symbid_ros.simulation.tracking import TrackingSimulator
+
+FloatArray = NDArray[np.float64]
+
+
+def main() -> None:
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("parts", nargs="*", default=["random", "rehearsals"])
+    options.add_argument("--robot", default="ur5")
+    options.add_argument("--draws", type=int, default=20)
+    options.add_argument("--starts", type=int, default=2)
+    options.add_argument("--speed-share", type=float, default=0.8)
+    options.add_argument("--floor", type=float)
+    given = options.parse_args()
+    logging.disable(logging.WARNING)
+    robot = load_robot(given.robot, base="fixed")[0]
+    chosen = ExciteOptions(speed_share=given.speed_share, floor=given.floor, starts=given.starts)
+    problem = excitation_problem(robot, chosen, JointSensorOptions())
+    with threadpool_limits(1):
+        started = time.perf_counter()
+        optimizer = TrajectoryOptimizer(problem.design, seed=0)
+        plan = ExcitationPlan(problem, optimizer.run(chosen.starts, chosen.iterations))
+        print(f"{given.robot}: designed in {time.perf_counter() - started:.0f} s\n")
+        if "random" in given.parts:
+            compare(plan, given.draws)
+        if "rehearsals" in given.parts:
+            rehearse(plan, given.draws)
+
+
+def compare(plan: ExcitationPlan, draws: int) -> None:
+    """Print base parameters' deviations of random trajectories relative to the designed one."""
+    problem = plan.problem
+    optimizer = TrajectoryOptimizer(problem.design, seed=1)
+    designed = base_deviations(problem, plan.coefficients)
+    ratios = np.array([base_deviations(problem, drawn(optimizer)) for _ in range(draws)]) / designed
+    means = np.sort(np.exp(np.mean(np.log(ratios), axis=1)))
+    print("| trajectory | σ of base parameters, geometric mean | of the median parameter |")
+    print("|---|---|---|")
+    print("| designed | 1 | 1 |")
+    middles = np.sort(np.median(ratios, axis=1))
+    for name, row in (("best", 0), ("median", draws // 2), ("worst", -1)):
+        print(f"| {name} of {draws} random | {means[row]:.2f} | {middles[row]:.2f} |")
+    better = np.mean(np.median(ratios, axis=0) > 1)
+    print(f"\nSmaller than with the median random trajectory: {100 * better:.0f} % of parameters\n")
+
+
+def drawn(optimizer: TrajectoryOptimizer) -> FloatArray:
+    while (coefficients := optimizer.draw()) is None:
+        pass
+    return coefficients
+
+
+def base_deviations(problem: ExcitationProblem, coefficients: FloatArray) -> FloatArray:
+    """Return the deviations of base and friction parameters by least squares, without a prior."""
+    expected, design = problem.design.expected, problem.design
+    instants = design.instants(10 * design.samples)
+    samples = expected.joints.samples(design.series.motion(coefficients, instants))
+    base = base_parameters(expected.parameters)
+    K = equation_of_motion(expected.parameters, samples).K[:, :, base.independent]
+    rows = (np.sqrt(expected.precision)[:, None] * K).reshape(-1, K.shape[2])
+    repeats = problem.sensors.rate * design.seconds / len(instants)
+    scale = np.linalg.norm(rows, axis=0)
+    upper = np.linalg.qr(rows / scale, mode="r")
+    deviations = np.linalg.norm(np.linalg.inv(upper), axis=1) / scale / np.sqrt(repeats)
+    return np.asarray(deviations)
+
+
+def rehearse(plan: ExcitationPlan, draws: int) -> None:
+    """Print the pooled ratio of errors to the deviations that were expected."""
+    problem = plan.problem
+    robot = plan.joints.model
+    instants = np.arange(round(problem.design.seconds * 100) + 1) / 100
+    trajectory = JointTrajectory(plan.joints.names, instants, plan.motion(instants)[0])
+    names = problem.parameters.names
+    ratios, own = [], []
+    folder = tempfile.TemporaryDirectory()
+    prior = Path(folder.name) / "prior.json"
+    consistent_prior(problem.parameters).write(prior)
+    print("| truth | rms of error/expected σ | of error/σ of the estimate | alarms |")
+    print("|---|---|---|---|", flush=True)
+    for seed in range(draws):
+        truth = draw_truth(robot, trajectory, percent=25, seed=seed, has_friction=True)
+        log = simulated_log(truth, robot, trajectory, problem.sensors, seed)
+        found = sy.identify(robot, log, prior=prior, no_holdout=True)
+        exact = true_values(truth)
+        estimate = found.estimate
+        place = {name: index for index, name in enumerate(estimate.names)}
+        some = [i for i, name in enumerate(names) if plan.determined[i] and name in place]
+        rows = [place[names[i]] for i in some]
+        error = estimate.value[rows] - [exact[names[i]] for i in some]
+        ratios.append(error / plan.std[some])
+        kept = estimate.determined[rows]
+        own.append((error / estimate.std[rows])[kept])
+        print(
+            f"| {seed} | {rms(ratios[-1]):.2f} | {rms(own[-1]):.2f} | "
+            f"{'; '.join(alarm[:50] for alarm in found.alarms) or 'none'} |",
+            flush=True,
+        )
+    print(f"| pooled | {rms(np.concatenate(ratios)):.2f} | {rms(np.concatenate(own)):.2f} | |")
+    by_parameter = np.sqrt(np.mean(np.square(ratios), axis=0))
+    worst = np.argsort(by_parameter)[::-1][:8]
+    chosen = [name for name, known in zip(names, plan.determined, strict=True) if known]
+    folder.cleanup()
+    print("\nlargest:", ", ".join(f"{chosen[i]} {by_parameter[i]:.2f}" for i in worst))
+
+
+def simulated_log(
+    truth: sy.RobotModel,
+    robot: sy.RobotModel,
+    trajectory: JointTrajectory,
+    sensors: JointSensorOptions,
+    seed: int,
+) -> sy.Log:
+    simulator = TrackingSimulator(
+        truth,
+        robot,
+        trajectory,
+        sensors=sensors,
+        capacity=effort_capacity(robot, trajectory),
+        seed=seed,
+    )
+    instants = [simulator.step() for _ in range(simulator.steps)]
+    measured = [robot.joint_names.index(name) for name in robot.measured_joint_names]
+    return sy.Log.from_arrays(
+        robot,
+        time=np.array([each.stamp for each in instants]),
+        position=np.array([each.joint_position for each in instants])[:, measured],
+        effort=np.array([each.joint_effort for each in instants])[:, measured],
+    )
+
+
+def true_values(truth: sy.RobotModel) -> dict[str, float]:
+    parameters = ParameterSet(truth, ("viscous", "coulomb", "armature"))
+    return dict(zip(parameters.names, parameters.values.tolist(), strict=True))
+
+
+def rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+if __name__ == "__main__":
+    main()
