@@ -1,7 +1,7 @@
 """Read bags as streams of arrays in slices of time, so that long logs need not fit in memory."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -11,11 +11,12 @@ from symbid_ros.arrays import IntArray
 from symbid_ros.bags.container.blocks import MessageBlock
 from symbid_ros.bags.container.files import count_messages, join_names, read_blocks
 from symbid_ros.errors import DataError
+from symbid_ros.messages.contact_flags import FlagHistory
 from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.layout import ByteArray
 from symbid_ros.messages.sensor_streams import build_streams, group_joints, read_stamps
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
-from symbid_ros.messages.types import read_stamp
+from symbid_ros.messages.types import read_leading_stamp, read_stamp
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
 from symbid_ros.signals.defects import (
     ALWAYS,
@@ -88,6 +89,8 @@ class _Slicer:
             for topic in chosen.all
         }
         self._joints = self._buffers[chosen.clock]
+        self._flags = tuple(FlagHistory(one, chosen.flagged_frame(one)) for one in chosen.flags)
+        self._last_joint_state: int | None = None
         self._processed_until, self._end = ALWAYS
         self._requested_from = self._processed_until
         self._has_begun = False
@@ -103,12 +106,30 @@ class _Slicer:
             if topic in block.spans:
                 spans = block.spans[topic]
                 buffer.add(block.data, spans, self._processed_until, self._requested_from)
+        if self._flags:
+            self._add_flags(block)
         if not self._has_begun and (first := self._joints.first_from(ALWAYS[0])) is not None:
             self._has_begun = True
             if self._part.start > 0:
                 self._processed_until = self._requested_from = first + round(1e9 * self._part.start)
             if np.isfinite(self._part.stop):
                 self._end = first + round(1e9 * self._part.stop)
+
+    def _add_flags(self, block: MessageBlock) -> None:
+        """Add the flags of a block, each with the stamp of the last joint state before it."""
+        spans = block.spans.get(self._chosen.clock, np.zeros((0, 2), dtype=np.int64))
+        stamps = [
+            read_leading_stamp(block.data[start : start + size].tobytes())
+            for start, size in spans.tolist()
+        ]
+        for history in self._flags:
+            for start, size in block.spans.get(history.topic, ()):
+                before = int(np.searchsorted(spans[:, 0], start))
+                stamp = stamps[before - 1] if before else self._last_joint_state
+                if stamp is not None:
+                    history.add(stamp, block.data[start : start + size].tobytes())
+        if stamps:
+            self._last_joint_state = stamps[-1]
 
     def complete_slices(self) -> Iterator[Slice]:
         """Yield the slices that all topics have passed."""
@@ -164,6 +185,7 @@ class _Slicer:
         else:
             try:
                 streams = build_streams(self._source, self._chosen, decoders, tallies)
+                streams = replace(streams, flags=tuple(one.flags for one in self._flags))
             except DataError as error:
                 if error.code != "E327":
                     raise

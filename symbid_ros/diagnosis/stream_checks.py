@@ -11,7 +11,7 @@ from symbid_ros.diagnosis.sensor_faults import FreezeDetector, SaturationDetecto
 from symbid_ros.diagnosis.timing import TimingCheck
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.signals.alignment import wrist_sensor_faults
+from symbid_ros.signals.alignment import contact_flag_faults, wrist_sensor_faults
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
 
@@ -179,7 +179,7 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
             )
     found += [
         Finding(Kind.UNKNOWN_FRAME, "", Severity.UNUSABLE, f"{streams.source}: {fault}")
-        for fault in wrist_sensor_faults(streams, model)
+        for fault in (*wrist_sensor_faults(streams, model), *contact_flag_faults(streams, model))
     ]
     if model.floating and not streams.imus:
         found.append(

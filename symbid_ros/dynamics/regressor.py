@@ -61,6 +61,8 @@ class Samples:
         axes about its origin.
     wrench_frames : tuple of str
         Names of the F sensor frames.
+    touching : (N, C) bool or None
+        Which contacts without a sensor touch something; None if all may.
     """
 
     stamp: IntArray
@@ -73,6 +75,7 @@ class Samples:
     base_specific_force: FloatArray
     wrenches: FloatArray
     wrench_frames: tuple[str, ...]
+    touching: BoolArray | None = None
 
     @classmethod
     def none(cls, joint_names: tuple[str, ...]) -> "Samples":
@@ -242,8 +245,9 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     if parameters.known_terms:
         y -= known_force(parameters, samples)
     if model.contacts is not None:
-        K, y = without_contacts(model, samples.position, K, y[..., None])
-        y = y[..., 0]
+        both = np.concatenate([K, y[..., None]], axis=2)
+        (both,) = without_contacts(model, samples.position, both, touching=samples.touching)
+        K, y = both[..., :-1], both[..., -1]
     return Rows(K, y)
 
 

@@ -10,15 +10,19 @@ is not smooth where J_g loses rank. The factor d = det(J Jᵀ) / det(J Jᵀ + ε
 det(J Jᵀ) P = det(J Jᵀ) - Jᵀ adj(J Jᵀ) J is a polynomial of J. E depends on the robot alone, so that
 logs can be merged. Units may be mixed: other units give other combinations of the same rows, and
 rows are weighted by the covariance of their residuals.
+
+If it is known which contacts touch something, the others are left out of J_g. More rows remain
+then: those of a leg that swings are used as they are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from scipy.linalg import qr
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.contact import RANK_TOLERANCE, contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.errors import ModelError
@@ -34,6 +38,10 @@ DAMPING = 3e-4
 # Postures from which the coordinates are selected, and the largest angle in them, rad.
 POSTURES, LARGEST_ANGLE = 100, 1.0
 ENDS = "lower", "upper"  # of a joint's range
+# Largest number of contacts of which some may touch nothing: there are 2^C combinations.
+MOST_FLAGGED = 6
+# Norm below which the projection of a coordinate adds no direction to those of others.
+LEAST_SIZE = 1e-3
 # By how much rows of the base are preferred to those of joints.
 PREFERENCE = 10.0
 
@@ -56,36 +64,93 @@ def with_contacts(model: RobotModel, contacts: Sequence[str]) -> RobotModel:
     """
     if not contacts:
         return model
-    frames: list[str] = []
-    possible: list[int] = []
-    for index, contact in enumerate(contacts):
-        frame, _, kind = contact.partition(":")
-        frames.append(model.frame(frame).name)
-        first = 3 if kind == POINT else 0
-        possible += range(6 * index + first, 6 * index + 6)
-    postures = _postures(model)
-    J = contact_jacobian(model, frames, link_poses(model, postures))
-    generic = J[0][np.array(possible)]
-    _, R, order = qr(generic.T, mode="economic", pivoting=True)
-    size = np.abs(R.diagonal())
-    rank = int(np.sum(size > RANK_TOLERANCE * size.max(initial=0.0)))
-    left = model.dof - len(model.followers) - rank
-    if left <= 0:
+    frames = tuple(model.frame(one.partition(":")[0]).name for one in contacts)
+    found = _eliminated(model, tuple(contacts), frames)
+    if not len(found.coordinates):
         raise ModelError(
             f"{model.source}: unknown wrenches at {', '.join(frames)} explain any motion of this "
             "robot; name fewer frames in `contact`, mark points as FRAME:point, or record wrenches",
             "E121",
         )
+    return replace(model, contacts=found)
+
+
+def contacts_of_state(model: RobotModel, touching: tuple[bool, ...]) -> Contacts:
+    """Return the contacts of a robot of which only some touch anything."""
+    contacts = model.contacts
+    assert contacts is not None
+    if all(touching):
+        return contacts
+    if touching not in contacts.by_state:
+        names, frames = (
+            tuple(name for name, touches in zip(each, touching, strict=True) if touches)
+            for each in (contacts.names, contacts.frames)
+        )
+        contacts.by_state[touching] = _eliminated(model, names, frames, contacts.coordinates)
+    return contacts.by_state[touching]
+
+
+def _eliminated(
+    model: RobotModel,
+    names: tuple[str, ...],
+    frames: tuple[str, ...],
+    kept: IntArray | None = None,
+) -> Contacts:
+    """Return the contacts at some frames.
+
+    Coordinates ``kept`` are among those whose rows remain, so that the rows of a coordinate have
+    the same meaning, as far as possible, whichever frames touch something.
+    """
+    first = 6 * model.floating
+    own = [first + joint for joint in range(len(model.joints)) if joint not in model.followers]
+    loads = np.zeros((len(frames), model.dof), dtype=bool)
+    loads[:, :first] = True
+    loads[:, first:] = model.ancestors[:, [model.frame(name).link for name in frames]].T
+    loads[:, [first + joint for joint in model.followers]] = False
+    possible: list[int] = []
+    for index, name in enumerate(names):
+        start = 3 if name.partition(":")[2] == POINT else 0
+        possible += range(6 * index + start, 6 * index + 6)
+    if not possible:
+        coordinates = np.array([*range(first), *own], dtype=np.int64)
+        return Contacts(names, frames, np.zeros(0, dtype=np.int64), 0.0, coordinates, loads)
+    J = contact_jacobian(model, frames, link_poses(model, _postures(model)))
+    _, R, order = qr(J[0][np.array(possible)].T, mode="economic", pivoting=True)
+    size = np.abs(R.diagonal())
+    rank = int(np.sum(size > RANK_TOLERANCE * size.max(initial=0.0)))
+    left = max(model.dof - len(model.followers) - rank, 0)
     components = np.array(possible)[np.sort(order[:rank])]
     damping = DAMPING * float(np.linalg.norm(J[:, components], 2, axis=(1, 2)).max())
+    is_free = ~np.asarray(loads.any(axis=0))
     projections = annihilator(J[:, components], damping, np.eye(model.dof)).mean(axis=0)
-    projections[:, : 6 * model.floating] *= PREFERENCE
-    projections[:, [6 * model.floating + joint for joint in model.followers]] = 0.0
-    _, _, order = qr(projections, mode="economic", pivoting=True)
-    chosen = np.sort(order[:left]).astype(np.int64)
-    return replace(
-        model, contacts=Contacts(tuple(contacts), tuple(frames), components, damping, chosen)
-    )
+    projections[:, :first] *= PREFERENCE
+    projections[:, [first + joint for joint in model.followers]] = 0.0
+    free = np.array([place for place in (*range(first), *own) if is_free[place]], dtype=np.int64)
+    before = np.zeros(0, dtype=np.int64) if kept is None else np.setdiff1d(kept, free)
+    others = np.setdiff1d(np.arange(model.dof), [*free, *before])
+    chosen = _independent(projections, (free, before, others), left)
+    return Contacts(names, frames, components, damping, chosen, loads)
+
+
+def _independent(projections: FloatArray, groups: Sequence[IntArray], count: int) -> IntArray:
+    """Return the coordinates whose rows remain, at most ``count``, sorted.
+
+    Columns of the projections (n, n) that are nearly combinations of chosen ones are left out.
+    Coordinates of the first groups come first.
+    """
+    chosen: list[int] = []
+    left = projections.copy()
+    for group in groups:
+        if not len(group) or len(chosen) >= count:
+            continue
+        Q, R, order = qr(left[:, group], mode="economic", pivoting=True)
+        size = np.abs(R.diagonal())
+        some = int(np.sum(size > LEAST_SIZE))
+        some = min(some, count - len(chosen))
+        chosen += group[order[:some]].tolist()
+        left -= Q[:, :some] @ (Q[:, :some].T @ left)
+    found: IntArray = np.sort(np.array(chosen, dtype=np.int64))
+    return found
 
 
 def _postures(model: RobotModel) -> FloatArray:
@@ -112,25 +177,62 @@ def annihilator(jacobian: FloatArray, damping: float, selection: FloatArray) -> 
 
 
 def without_contacts(
-    model: RobotModel, position: FloatArray, *columns: FloatArray
+    model: RobotModel,
+    position: FloatArray,
+    *columns: FloatArray,
+    touching: BoolArray | None = None,
 ) -> list[FloatArray]:
     """Return rows (N, n, c) at joint positions (N, J) combined so that no contact enters them.
 
-    The rows of other coordinates than ``model.contacts.coordinates`` are zero. NaN in a row is also
-    in the combinations that contain it.
+    The rows of other coordinates than ``coordinates`` of the contacts are zero. NaN in a row is
+    also in the combinations that contain it. ``touching`` (N, F) tells which contacts touch
+    something; without it all do.
     """
     contacts = model.contacts
     assert contacts is not None
+    if touching is None:
+        return [_combined(model, contacts, position, rows) for rows in columns]
+    results = [np.zeros_like(rows) for rows in columns]
+    for state, index in contact_states(touching):
+        active = contacts_of_state(model, state)
+        for rows, result in zip(columns, results, strict=True):
+            result[index] = _combined(model, active, position[index], rows[index])
+    return results
+
+
+def possible_states(model: RobotModel) -> tuple[tuple[bool, ...], ...]:
+    """Return every combination of contacts that may touch something; none if there are too many."""
+    count = 0 if model.contacts is None else len(model.contacts.frames)
+    return tuple(product((True, False), repeat=count)) if 0 < count <= MOST_FLAGGED else ()
+
+
+def contact_states(touching: BoolArray) -> Iterator[tuple[tuple[bool, ...], IntArray]]:
+    """Yield each set of contacts that touch something at once, and the samples of (N, F)."""
+    if not touching.shape[1]:
+        return
+    states, place = np.unique(touching, axis=0, return_inverse=True)
+    for number, state in enumerate(states.tolist()):
+        yield tuple(state), np.flatnonzero(place.ravel() == number)
+
+
+def _combined(
+    model: RobotModel, contacts: Contacts, position: FloatArray, rows: FloatArray
+) -> FloatArray:
+    """Return the combinations of rows (N, n, c) that no wrench of the contacts enters."""
+    result = np.zeros_like(rows)
+    loaded = np.asarray(contacts.loads.any(axis=0))
+    # Rows on which no contact acts stay as they are.
+    free = contacts.coordinates[~loaded[contacts.coordinates]]
+    result[:, free] = rows[:, free]
+    combined = contacts.coordinates[loaded[contacts.coordinates]]
+    if not len(combined):
+        return result
     poses = link_poses(model, position)
     J = contact_jacobian(model, contacts.frames, poses)[:, contacts.components]
-    N = annihilator(J, contacts.damping, np.eye(model.dof)[contacts.coordinates])
-    combined = []
-    for rows in columns:
-        is_known = np.isfinite(rows)
-        kept = N @ np.where(is_known, rows, 0.0)
-        if not is_known.all():
-            kept[(np.abs(N) > NEGLIGIBLE).astype(float) @ ~is_known > 0] = np.nan
-        result = np.zeros_like(rows)
-        result[:, contacts.coordinates] = kept
-        combined.append(result)
-    return combined
+    N = annihilator(J, contacts.damping, np.eye(model.dof)[combined])
+    is_known = np.isfinite(rows)
+    kept = N @ np.where(is_known, rows, 0.0)
+    if not is_known.all():
+        kept[(np.abs(N) > NEGLIGIBLE).astype(float) @ ~is_known > 0] = np.nan
+    result[:, combined] = kept
+    return result

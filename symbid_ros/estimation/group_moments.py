@@ -92,7 +92,7 @@ class GroupMoments:
     @classmethod
     def empty(cls, layout: RowLayout, *, candidates: bool = False) -> "GroupMoments":
         """Return the moments of no data; all moments of joints whose terms are candidates."""
-        complete = layout.own_coordinates if candidates else ()
+        complete = layout.term_coordinates if candidates else frozenset()
         parts = []
         for coordinate, columns in enumerate(layout.columns):
             count = len(columns)

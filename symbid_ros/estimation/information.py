@@ -9,7 +9,7 @@ is enough, without a second pass over the data, for:
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,9 @@ from scipy.linalg import blas, lapack, qr
 from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.choices import TERMS
 from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
+from symbid_ros.dynamics.unmeasured_contacts import possible_states
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -53,7 +55,13 @@ class RowLayout:
             When no part of the robot can move.
         """
         model = parameters.model
-        K = np.abs(equation_of_motion(parameters, random_motions(model, 20)).K).max(axis=0)
+        samples = random_motions(model, 20)
+        K = np.zeros((model.dof, len(parameters)))
+        # Rows depend on which contacts touch something, if that is known.
+        for touching in possible_states(model) or (None,):
+            state = None if touching is None else np.tile(touching, (len(samples), 1))
+            rows = equation_of_motion(parameters, replace(samples, touching=state))
+            K = np.maximum(K, np.abs(rows.K).max(axis=0))
         # Structural zeros still contain rounding, relative to their column or row.
         structure = 1e-10 * np.maximum(K.max(axis=0), K.max(axis=1, keepdims=True)) < K
         return cls(model.coordinates, parameters.names, structure)
@@ -85,6 +93,13 @@ class RowLayout:
         """Coordinates with a parameter that affects no other."""
         own = self.structure[:, self.structure.sum(axis=0) == 1]
         return tuple(np.flatnonzero(own.any(axis=1)).tolist())
+
+    @cached_property
+    def term_coordinates(self) -> frozenset[int]:
+        """Coordinates that a joint term or an own parameter affects."""
+        is_term = [name.rpartition("/")[2] in TERMS for name in self.parameters]
+        affected = np.flatnonzero(self.structure[:, is_term].any(axis=1))
+        return frozenset([*affected.tolist(), *self.own_coordinates])
 
     @property
     def width(self) -> int:

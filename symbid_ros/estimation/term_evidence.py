@@ -162,11 +162,15 @@ def cross_validated(
     columns_of = list(parameters.term_columns.values())
     joints = parameters.joints.tolist()
     parts = {part.coordinate: part for part in groups.complete}
-    for coordinate, part in parts.items():
-        if coordinate - first not in joints:
-            continue
-        index = joints.index(coordinate - first)
+    for index, joint in enumerate(joints):
         own = {columns.start + index for columns in columns_of}
+        part = parts.get(first + joint)
+        has_rows = bool(groups.counts[:, first + joint].any())
+        if parameters.model.contacts is not None and not has_rows:
+            free = _without_useless(free, own - kept, found, groups)
+            continue
+        if part is None:
+            continue
         while True:
             terms = [i for i in sorted(own) if free[i] and i not in kept]
             if not terms:
@@ -188,6 +192,29 @@ def cross_validated(
             if gains[worst] > 0:
                 break
             free[terms[worst]] = False
+    return free
+
+
+def _without_useless(
+    free: BoolArray, own: set[int], found: Posterior, groups: GroupMoments
+) -> BoolArray:
+    """Return the free parameters without those of ``own`` that predict no left-out row better.
+
+    A joint without rows of its own is part of those without the wrenches of contacts. All rows
+    that a term affects judge it.
+    """
+    own = {term for term in own if free[term]}
+    free = free.copy()
+    columns = groups.layout.columns
+    judges = [
+        _LeftOut(found, free, groups, part)
+        for part in groups.complete
+        if groups.counts[:, part.coordinate].any() and not own.isdisjoint(columns[part.coordinate])
+    ]
+    before = sum(one.without(None) for one in judges)
+    for term in own:
+        if sum(one.without(term) for one in judges) <= before:
+            free[term] = False
     return free
 
 

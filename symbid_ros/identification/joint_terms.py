@@ -173,6 +173,8 @@ def candidate_prior(
     file is the mean, and may be wrong by itself. ``factors`` (J,) convert efforts of unknown units.
     """
     std = prior.std.copy()
+    if parameters.model.contacts is not None:
+        return _with_contact_deviations(prior, parameters, observations)
     inertia = _joint_inertia(parameters, prior.mean)
     rows = observations.rows
     first = 6 * parameters.model.floating
@@ -198,6 +200,32 @@ def candidate_prior(
             squares = np.array([rows.column_squares(one, column) for one in coordinates])
             if parameters.names[column] in assumed and np.all(squares > 0):
                 std[column] = np.sqrt(np.max(efforts[coordinates] / squares))
+    return prior.widened(std / prior.std)
+
+
+def _with_contact_deviations(
+    prior: Prior, parameters: ParameterSet, observations: Observations
+) -> Prior:
+    """Return the prior for rows that combine the efforts of several joints.
+
+    With its deviation alone, a term may explain the root mean square of all rows that it affects.
+    """
+    model = replace(parameters.model, contacts=None)
+    inertia = _joint_inertia(replace(parameters, model=model), prior.mean)
+    std, rows, assumed = prior.std.copy(), observations.rows, set(prior.assumed)
+    joints = parameters.joints.tolist()
+    for term, columns in parameters.term_columns.items():
+        for joint, column in zip(joints, range(columns.start, columns.stop), strict=True):
+            if parameters.names[column] not in assumed:
+                continue
+            affected = np.flatnonzero(rows.layout.structure[:, column]).tolist()
+            square = sum(rows.column_squares(one, column) for one in affected)
+            effort = float(rows.target_squares[affected].sum())
+            if square > 0 and effort > 0:
+                std[column] = np.sqrt(effort / square)
+                if term == "armature":
+                    std[column] = max(inertia[joint], LEAST_SHARE * std[column])
+            std[column] = max(std[column], abs(prior.mean[column]))
     return prior.widened(std / prior.std)
 
 
@@ -356,8 +384,12 @@ def rows_of(observations: Sequence[Observations], *, slips: bool) -> tuple[Obser
 
 def _any_slips(observations: Sequence[Observations], parameters: ParameterSet) -> bool:
     slipping = [one.slipping for one in observations if one.slipping is not None]
-    first = 6 * parameters.model.floating
-    rows = first + parameters.joints
+    rows = 6 * parameters.model.floating + parameters.joints
+    contacts = parameters.model.contacts
+    if contacts is not None:
+        # Rows that combine joints, of which one may stick nearly always, are too few to judge.
+        loaded = np.asarray(contacts.loads.any(axis=0))
+        rows = np.setdiff1d(rows, contacts.coordinates[loaded[contacts.coordinates]])
     return any(np.any(one.counts.diagonal()[rows] >= FEWEST_SLIPPING) for one in slipping)
 
 
@@ -422,7 +454,9 @@ def _inseparable(
 def _replaceable(parameters: ParameterSet, free: BoolArray) -> tuple[str, ...]:
     """Return the chosen terms that act exactly like inertial parameters, one sentence each."""
     count = parameters.inertial
-    samples = random_motions(parameters.model, 3 * len(parameters) // parameters.model.dof + 10)
+    model = replace(parameters.model, contacts=None)
+    parameters = replace(parameters, model=model)
+    samples = random_motions(model, 3 * len(parameters) // model.dof + 10)
     K = equation_of_motion(parameters, samples).K
     K = K.reshape(-1, K.shape[2])
     terms = [i for i in range(count, parameters.sensor_offsets.start) if free[i]]

@@ -135,8 +135,8 @@ class IdentifyOptions(ContactOptions):
         f"Joint terms to identify: auto (for each joint those that the data ask for), none, or a "
         f"comma-separated list of {', '.join(TERMS)} for all joints.",
         group=JOINTS,
-        unset="auto; none with `contact`, with `filter` butterworth or savitzky_golay and with "
-        "ols, wls_r, wls_c and wls_rc",
+        unset="auto; none with `filter` butterworth or savitzky_golay and with ols, wls_r, wls_c "
+        "and wls_rc",
     )
     friction: bool = option(
         False,
@@ -300,7 +300,8 @@ class IdentifyOptions(ContactOptions):
     def terms(self) -> tuple[Term, ...]:
         """Joint terms to identify, or the candidates if the data choose."""
         if self.chooses_terms:
-            return TERMS
+            # Friction that depends on the load needs the wrenches of contacts.
+            return tuple(term for term in TERMS if term != "load" or not self.contacts)
         named = set(self._named_terms) | {
             term for flag, terms in FLAGS.items() if getattr(self, flag) for term in terms
         }
@@ -311,8 +312,6 @@ class IdentifyOptions(ContactOptions):
         """Whether the data choose the terms of each joint."""
         if self._named_terms or any(getattr(self, flag) for flag in FLAGS):
             return self._named_terms == ["auto"]
-        if self.contacts:
-            return False
         # Only rows averaged over windows and weighed against a prior can be compared.
         return self.method in GAUSSIAN and self.row_filter == "weak"
 
@@ -402,7 +401,13 @@ class IdentifyOptions(ContactOptions):
     @property
     def finds_couplings(self) -> bool:
         """Whether couplings of joints are searched for in the log."""
-        added = self.couplings, self.sensor_error_kinds, self.information, self.drive_gain
+        added = (
+            self.couplings,
+            self.sensor_error_kinds,
+            self.information,
+            self.drive_gain,
+            self.contacts,
+        )
         return self.chooses_terms and not any(added)
 
     def _check_contacts(self) -> None:
@@ -411,16 +416,12 @@ class IdentifyOptions(ContactOptions):
                 "`contact` leaves no reading to calibrate; leave `sensor_errors` and `tare` out",
                 "E503",
             )
-        for term, needed in (
-            ("auto", "a row for each joint"),
-            ("load", "the wrenches of contacts"),
-        ):
-            if self.contacts and term in self._named_terms:
-                raise OptionError(
-                    f"`joint_terms` {term} needs {needed}, which `contact` does not leave; name "
-                    "other terms",
-                    "E503",
-                )
+        if self.contacts and "load" in self._named_terms:
+            raise OptionError(
+                "`joint_terms` load needs the wrenches of contacts, which `contact` eliminates; "
+                "name other terms",
+                "E503",
+            )
 
     @cached_property
     def sensor_error_kinds(self) -> tuple[SensorErrorKind, ...]:

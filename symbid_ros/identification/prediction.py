@@ -300,7 +300,7 @@ class ForcePredictor:
         pair[:, 6 * model.floating :, 0] = np.nan_to_num(samples.effort)
         model.fold_followers(pair)
         if model.contacts is not None:
-            (pair,) = without_contacts(model, samples.position, pair)
+            (pair,) = without_contacts(model, samples.position, pair, touching=samples.touching)
         pair[..., 1] = K @ self.unknowns[inertial]
         return pair
 

@@ -60,6 +60,13 @@ class LogOptions:
         group=MAPPING,
         unset="the link that `pose_frame` is fixed to",
     )
+    contact_flag: tuple[str, ...] = option(
+        (),
+        "Bool topic that tells whether a contact touches anything, and the frame of `contact` that "
+        "it is about, such as /left_foot/contact:=left_sole.",
+        group=MAPPING,
+        unset="contacts may touch something at any time",
+    )
     frame_prefix: str = option(
         "",
         "Prefix of the sensors' frames that the model's frames lack, such as robot1/.",

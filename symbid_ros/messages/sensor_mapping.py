@@ -41,6 +41,8 @@ class SensorMapping:
         Frame of the robot whose pose is measured; empty for an Odometry's own.
     plate_links : mapping of str to str
         Links that wrenches in axes of the world act on, by topic.
+    flagged : mapping of str to str
+        Frames of contacts, by the topics that tell whether they touch anything.
     """
 
     frame_prefix: str = ""
@@ -52,6 +54,7 @@ class SensorMapping:
     rotations: Mapping[str, FloatArray] = field(default_factory=dict)
     tracked: str = ""
     plate_links: Mapping[str, str] = field(default_factory=dict)
+    flagged: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, options: LogOptions) -> "SensorMapping":
@@ -72,6 +75,7 @@ class SensorMapping:
             _pairs("rotate_imu", options.rotate_imu, _rotation),
             options.pose_frame,
             _pairs("plate_link", options.plate_link, str),
+            _pairs("contact_flag", options.contact_flag, str),
         )
 
     def frame(self, frame_id: str) -> str:
@@ -200,6 +204,7 @@ EXAMPLES = {
     "effort_scale": "JOINT:=FACTOR, such as elbow_joint:=-0.11",
     "hold_joint": "JOINT:=POSITION, such as wrist_joint:=0.5",
     "plate_link": "TOPIC:=LINK, such as /plate_1/wrench:=left_foot",
+    "contact_flag": "TOPIC:=FRAME, such as /left_foot/contact:=left_sole",
     "rotate_imu": "FRAME:=ROLL,PITCH,YAW in degrees, such as imu_link:=180,0,90",
 }
 

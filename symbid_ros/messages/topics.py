@@ -9,7 +9,7 @@ from typing import Any
 from symbid_ros.errors import BagError
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.sensor_mapping import SAME, HeldJoints, SensorMapping
-from symbid_ros.messages.types import IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
+from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
 
 TRUTH = "ground_truth"
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
@@ -113,6 +113,8 @@ class SelectedTopics:
     ----------
     joints, imus, wrenches, poses : tuple of Topic
         Topics by sensor type; at least one has joint states.
+    flags : tuple of Topic
+        Topics that tell whether a contact touches anything. Their messages have no stamp.
     mapping, joint_names
         As in `TopicSelection`.
     is_live : bool
@@ -126,6 +128,7 @@ class SelectedTopics:
     joint_names: tuple[str, ...] = ()
     is_live: bool = False
     poses: tuple[Topic, ...] = ()
+    flags: tuple[Topic, ...] = ()
 
     @cached_property
     def recorded_joints(self) -> frozenset[str]:
@@ -139,8 +142,13 @@ class SelectedTopics:
 
     @property
     def all(self) -> tuple[Topic, ...]:
-        """All topics, joint states first."""
+        """All topics with stamps, joint states first."""
         return (*self.joints, *self.imus, *self.wrenches, *self.poses)
+
+    def flagged_frame(self, topic: Topic) -> str:
+        """Return the frame of the contact that a topic of flags is about."""
+        frames = {_bare(name): frame for name, frame in self.mapping.flagged.items()}
+        return frames[_bare(topic.name)]
 
     @property
     def clock(self) -> Topic:
@@ -172,6 +180,7 @@ class TopicSelector:
             or self._matches(topic, IMU, self.selection.imus, None)
             or self._matches(topic, WRENCH, self.selection.wrenches, "wrench")
             or any(self._matches(topic, kind, self.selection.poses, None) for kind in POSES)
+            or self._matches(topic, BOOL, tuple(self.selection.mapping.flagged), None)
         )
 
     def select(self) -> SelectedTopics:
@@ -203,8 +212,9 @@ class TopicSelector:
             self.selection.mapping,
             self.selection.joint_names,
             poses=tuple(self._find_named(name, *POSES) for name in self.selection.poses),
+            flags=tuple(self._find_named(name, BOOL) for name in self.selection.mapping.flagged),
         )
-        for topic in chosen.all:
+        for topic in (*chosen.all, *chosen.flags):
             if not self.counts[topic]:
                 raise BagError(
                     f"{self.source}: no message on {topic.name}; record it again or leave the "

@@ -29,6 +29,7 @@ POSE = "geometry_msgs/msg/PoseStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 ACCEL = "geometry_msgs/msg/AccelStamped"
 CLOCK = "rosgraph_msgs/msg/Clock"
+BOOL = "std_msgs/msg/Bool"
 
 NANO = 1_000_000_000
 

@@ -144,6 +144,10 @@ class Contacts:
         ε, in units of the contact Jacobian.
     coordinates : (n - r,) int64
         Coordinates whose rows remain.
+    loads : (F, n) bool
+        Coordinates on which each contact acts.
+    by_state : dict of tuple of bool to Contacts
+        The contacts of each set of frames that touch something, filled as they occur.
     """
 
     names: tuple[str, ...]
@@ -151,6 +155,10 @@ class Contacts:
     components: IntArray
     damping: float
     coordinates: IntArray
+    loads: BoolArray
+    by_state: "dict[tuple[bool, ...], Contacts]" = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,14 @@ with their block.
 import logging
 from collections import deque
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.wrist_evidence import check_signs
-from symbid_ros.errors import SymbidError
+from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.change import relaxed_prior
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
@@ -31,6 +32,7 @@ from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics, Topic
+from symbid_ros.messages.types import BOOL
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.online.block_scheduler import BlockScheduler
 from symbid_ros.online.block_worker import BlockWorker
@@ -184,6 +186,10 @@ class OnlineIdentification:
 
     def feed(self, topic: Topic, payload: bytes) -> None:
         """Add a serialised message of a topic; an invalid one is dropped and counted."""
+        if topic.msgtype == BOOL:
+            with suppress(DataError):
+                self.streams.add_flag(topic, payload)
+            return
         for stamp, usable in self.checks[topic].take(payload):
             self._feed(topic, stamp, usable)
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from symbid_ros.arrays import IntArray
 from symbid_ros.errors import DataError
+from symbid_ros.messages.contact_flags import FlagHistory
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.sensor_streams import build_joints, build_streams
@@ -145,9 +146,14 @@ class LiveStreams:
     released_until: int | None = None
     buffers: dict[Topic, TopicBuffer] = field(init=False)
     _clock: int | None = None
+    _flags: dict[Topic, FlagHistory] = field(init=False)
 
     def __post_init__(self) -> None:
         self.buffers = {topic: TopicBuffer(topic) for topic in self.selected.all}
+        self._flags = {
+            topic: FlagHistory(topic, self.selected.flagged_frame(topic))
+            for topic in self.selected.flags
+        }
 
     @property
     def joints(self) -> TopicBuffer:
@@ -164,6 +170,19 @@ class LiveStreams:
         self.released_until = self._clock = None
         for buffer in self.buffers.values():
             buffer.clear()
+        for history in self._flags.values():
+            history.clear()
+
+    def add_flag(self, topic: Topic, payload: bytes) -> None:
+        """Add a message about a contact, which has no stamp of its own.
+
+        Raises
+        ------
+        DataError
+            When the message is invalid.
+        """
+        if self.joints.newest is not None:
+            self._flags[topic].add(self.joints.newest, payload)
 
     def add(self, topic: Topic, stamp: int, payload: bytes) -> None:
         """Add a message with its stamp, ns."""
@@ -229,7 +248,8 @@ class LiveStreams:
                 )
         defects = {topic: DefectCounts(self.source, topic.name) for topic in decoders}
         streams = build_streams(self.source, self.selected, decoders, defects)
-        streams = replace(streams, is_live=True)
+        flags = tuple(history.flags for history in self._flags.values())
+        streams = replace(streams, is_live=True, flags=flags)
         for topic, counts in defects.items():
             counts.messages = decoders[topic].count
             counts.report()
@@ -259,3 +279,5 @@ class LiveStreams:
         """Drop messages older than ``stamp``, ns."""
         for buffer in self.buffers.values():
             buffer.drop_before(stamp)
+        for history in self._flags.values():
+            history.drop_before(stamp - MAX_AGE)

@@ -11,7 +11,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.single_message import SingleMessageDecoder
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
-from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
+from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.message_check import known_frames
 from symbid_ros.ros.raw_subscription import PolledGroup, RawSubscription, subscribe
@@ -43,7 +43,8 @@ class RobotTopics:
     def named(self) -> frozenset[str]:
         """Topics that identification waits for."""
         chosen = self.selection
-        return frozenset([*(chosen.joints or ()), *(chosen.imus or ()), *(chosen.wrenches or ())])
+        sensors = chosen.joints or (), chosen.imus or (), chosen.wrenches or ()
+        return frozenset(name for names in (*sensors, chosen.mapping.flagged) for name in names)
 
 
 @dataclass
@@ -58,7 +59,7 @@ class CandidateTopic:
     frame : str
         ``header.frame_id`` of the newest message examined; empty before the first.
     is_placed : bool
-        Whether the model has that frame; joint states need no frame.
+        Whether the model has that frame; joint states and flags of contacts need no frame.
     """
 
     topic: Topic
@@ -68,7 +69,7 @@ class CandidateTopic:
 
     def examine(self, frames: frozenset[str], mapping: SensorMapping) -> None:
         """Read messages until one has a frame of the model, and put that one back."""
-        if self.topic.msgtype == JOINT_STATE:
+        if self.topic.msgtype in (JOINT_STATE, BOOL):
             self.is_placed = True
         if self.is_placed or self.subscription is None:
             return
@@ -126,7 +127,7 @@ class SensorTopics:
             return None
         by_type = {
             kind: tuple(topic for topic in chosen if topic.msgtype == kind)
-            for kind in (JOINT_STATE, IMU, WRENCH)
+            for kind in (JOINT_STATE, IMU, WRENCH, BOOL)
         }
         # A joint that several topics contain is read from the first of them, in the user's order.
         order = self.own.selection.joints or ()
@@ -136,14 +137,15 @@ class SensorTopics:
             by_type[WRENCH],
             self.own.selection.mapping,
             self.own.selection.joint_names,
+            flags=by_type[BOOL],
         )
 
     def subscriptions(self, selected: SelectedTopics) -> tuple[tuple[Topic, RawSubscription], ...]:
         """Return the selected topics with their subscriptions, and close all others."""
-        self._used = frozenset(selected.all)
+        self._used = frozenset([*selected.all, *selected.flags])
         self.release()
         found = []
-        for topic in selected.all:
+        for topic in (*selected.all, *selected.flags):
             candidate = self._candidates[topic]
             if candidate.subscription is None:
                 candidate.subscription = subscribe(
@@ -279,6 +281,13 @@ def resolve_topics(node: Node, selection: TopicSelection, arguments: Sequence[st
         joints=all_of(selection.joints or (JOINTS,)),
         imus=(imu,) if is_remapped and selection.imus is None else all_of(selection.imus),
         wrenches=all_of(selection.wrenches),
+        mapping=replace(
+            selection.mapping,
+            flagged={
+                node.resolve_topic_name(name): frame
+                for name, frame in selection.mapping.flagged.items()
+            },
+        ),
     )
     return RobotTopics(
         own, frozenset(new for _, new in pairs), frozenset(old for old, new in pairs if old != new)
@@ -306,6 +315,7 @@ def missing_topics(
         ("joint_topic", JOINT_STATE, selection.joints),
         ("imu_topic", IMU, selection.imus),
         ("wrench_topic", WRENCH, selection.wrenches),
+        ("contact_flag", BOOL, tuple(selection.mapping.flagged)),
     ):
         for name in wanted or ():
             if f"/{name.lstrip('/')}" not in names:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
+from symbid_ros.dynamics.unmeasured_contacts import MOST_FLAGGED
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
@@ -25,6 +26,9 @@ logger = logging.getLogger(__name__)
 LONGEST_GAP = 5.5
 SHORTEST_SEGMENT = 50
 
+# Time, ns, by which a contact may open earlier or close later than its flag says: a Bool has no
+# stamp. Treating a contact as closed is right at any time.
+FLAG_MARGIN = 40_000_000
 # Margin beyond the ends of a slice, ns, that splines of slower topics need. The influence of a
 # sample on a spline falls by a factor of four with each sample of distance.
 MARGIN = 100_000_000
@@ -109,6 +113,8 @@ def align_checked(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
         _check_frame(sensor, model, streams.source)
     for fault in wrist_sensor_faults(streams, model):
         raise DataError(f"{streams.source}: {fault}", "E324")
+    for fault in contact_flag_faults(streams, model):
+        raise DataError(f"{streams.source}: {fault}", "E366")
     return align(streams, model)
 
 
@@ -123,6 +129,31 @@ def wrist_sensor_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
         also = f" (others have {', '.join(others)})" if others else ""
         action = "name one of them" if topics else "record its topic, or correct `wrist_sensor`"
         yield f"{found} the frame {frame} of the wrist sensor{also}; {action}"
+
+
+def contact_flag_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
+    """Yield what is wrong with each topic of contact flags that belongs to no named contact."""
+    names = () if model.contacts is None else model.contacts.frames
+    for one in streams.flags:
+        if one.frame_id not in names:
+            named = ", ".join(names) or "none"
+            yield (
+                f"{one.topic}: its flags are for {one.frame_id}, but the named contacts are "
+                f"{named}; add {one.frame_id} to `contact`, or correct `contact_flag`"
+            )
+    if streams.flags and len(names) > MOST_FLAGGED:
+        yield (
+            f"flags of more than {MOST_FLAGGED} contacts cannot be used; leave `contact_flag` out"
+        )
+
+
+def _touching(streams: Streams, grid: IntArray, model: RobotModel) -> BoolArray | None:
+    """Return which contacts (M, C) may touch something at stamps (M,); None without flags."""
+    if not streams.flags or model.contacts is None:
+        return None
+    flags = {one.frame_id: one.at(grid, FLAG_MARGIN) for one in streams.flags}
+    always = np.ones(len(grid), dtype=bool)
+    return np.stack([flags.get(frame, always) for frame in model.contacts.frames], axis=1)
 
 
 def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: str) -> None:
@@ -243,6 +274,7 @@ def _segment(
         wrenches=np.stack([*contacts.values()], axis=1) if contacts else np.zeros((count, 0, 6)),
         imu_frames=tuple(imu.frame_id for imu in streams.imus),
         wrench_frames=tuple(one.frame_id for one in streams.wrenches if one.topic in contacts),
+        touching=_touching(streams, grid, model),
     )
 
 

@@ -15,6 +15,7 @@ from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.defects import Defect, DefectCounts, kept_in_order, seconds
 from symbid_ros.signals.streams import (
     WHOLE_LOG,
+    ContactFlags,
     ImuStream,
     JointStream,
     Slice,
@@ -109,6 +110,7 @@ class Log:
         imus: Mapping[str, ArrayLike] | None = None,
         wrenches: Mapping[str, ArrayLike] | None = None,
         poses: Mapping[str, ArrayLike] | None = None,
+        touches: Mapping[str, ArrayLike] | None = None,
         start: float = 0.0,
         stop: float = np.inf,
         name: str = "arrays",
@@ -136,6 +138,9 @@ class Log:
         poses : mapping of str to (N, 7) array_like, optional
             For a frame of a floating robot: its position in the world (m), z upwards, then its
             orientation as quaternion xyzw. It takes the place of an IMU, or is used beside it.
+        touches : mapping of str to (N,) array_like of bool, optional
+            Whether a contact named by ``contact`` touches anything, by its frame. Contacts without
+            flags may touch something at any time.
         start, stop : float
             Part of the log to use, seconds after the first instant.
         name : str
@@ -216,7 +221,15 @@ class Log:
                 else one
                 for one in wrench_streams
             )
-        streams = Streams(name, joints, imu_streams, wrench_streams)
+        flags = []
+        for frame, values in (touches or {}).items():
+            robot.frame(frame)
+            topic = f"touches[{frame!r}]"
+            read = np.asarray(values, dtype=bool).reshape(-1, 1)
+            flags.append(
+                ContactFlags(topic, frame, stamp[kept], rows(topic, read, 1)[:, 0].astype(bool))
+            )
+        streams = Streams(name, joints, imu_streams, wrench_streams, flags=tuple(flags))
         return cls.from_streams(streams, TimeRange(start, stop), tuple(tallies))
 
     @classmethod

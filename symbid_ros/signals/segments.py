@@ -6,7 +6,7 @@ from hashlib import blake2b
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray, map_arrays
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
 from symbid_ros.errors import DataError
 
 SECOND = 1_000_000_000  # ns
@@ -34,6 +34,8 @@ class Segment:
         Moment and force of each wrench sensor, in its frame.
     imu_frames, wrench_frames : tuple of str
         Frames of the I IMUs and F wrench sensors.
+    touching : (M, C) bool or None
+        Which contacts without a sensor touch something; None if all may.
     """
 
     stamp: IntArray
@@ -45,6 +47,7 @@ class Segment:
     wrenches: FloatArray
     imu_frames: tuple[str, ...]
     wrench_frames: tuple[str, ...]
+    touching: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.stamp)

@@ -17,7 +17,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import (
     SampledRows,
-    slipping_joints,
+    slipping_coordinates,
     valid_coordinates,
     valid_rows,
 )
@@ -336,7 +336,7 @@ class CalibratingRows:
                 part.stamp,
                 Rows(np.concatenate([rows.K, -C], axis=2), rows.y - C @ point.theta),
                 valid_coordinates(parameters, samples.velocity),
-                slipping_joints(parameters, samples.velocity),
+                slipping_coordinates(parameters, samples.velocity),
             )
 
 

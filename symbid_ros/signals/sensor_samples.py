@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray, concatenated, map_arrays
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray, concatenated, map_arrays
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.regressor import Samples
 from symbid_ros.errors import DataError
@@ -34,6 +34,8 @@ class SensorSamples:
         Moment and force of each sensor.
     imu_frames, wrench_frames : tuple of str
         Frames of the sensors.
+    touching : (N, C) bool or None
+        Which contacts without a sensor touch something; None if all may.
     """
 
     stamp: IntArray
@@ -47,6 +49,7 @@ class SensorSamples:
     wrenches: FloatArray
     imu_frames: tuple[str, ...]
     wrench_frames: tuple[str, ...]
+    touching: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.stamp)
@@ -93,6 +96,7 @@ def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) ->
         wrenches=smoothing.force(segment.wrenches, rate),
         imu_frames=segment.imu_frames,
         wrench_frames=segment.wrench_frames,
+        touching=segment.touching,
     )
     return readings[edge : len(readings) - edge]
 
@@ -120,6 +124,7 @@ def at_base(readings: SensorSamples, model: RobotModel) -> Samples:
         base_specific_force=base.specific_force,
         wrenches=readings.wrenches,
         wrench_frames=readings.wrench_frames,
+        touching=readings.touching,
     )
 
 

@@ -83,6 +83,34 @@ class WrenchStream:
     torque: FloatArray
 
 
+@dataclass(frozen=True)
+class ContactFlags:
+    """Tells when a contact without a wrench sensor touches something.
+
+    Attributes
+    ----------
+    topic, frame_id : str
+        Topic, and the contact's frame.
+    stamp : (N,) int64
+        Instants from which a flag holds, ns. Before the first, the contact may touch something.
+    touches : (N,) bool
+        The flags.
+    """
+
+    topic: str
+    frame_id: str
+    stamp: IntArray
+    touches: BoolArray
+
+    def at(self, stamp: IntArray, margin: int) -> BoolArray:
+        """Return whether it touches at any time within a margin, ns, of stamps (M,)."""
+        count = np.concatenate([[0], np.cumsum(self.touches)])
+        first = np.searchsorted(self.stamp, stamp - margin, side="right") - 1
+        last = np.searchsorted(self.stamp, stamp + margin, side="right")
+        found: BoolArray = (first < 0) | (count[last] > count[np.maximum(first, 0)])
+        return found
+
+
 Stream = JointStream | ImuStream | WrenchStream
 S = TypeVar("S", JointStream, ImuStream, WrenchStream)
 
@@ -100,6 +128,8 @@ class Streams:
     wrenches : tuple of WrenchStream
     is_live : bool
         Whether they come from a running robot; error messages then give no advice about bags.
+    flags : tuple of ContactFlags
+        Complete up to the end of the other streams.
     """
 
     source: str
@@ -107,10 +137,11 @@ class Streams:
     imus: tuple[ImuStream, ...]
     wrenches: tuple[WrenchStream, ...]
     is_live: bool = False
+    flags: tuple[ContactFlags, ...] = ()
 
     @property
     def all(self) -> tuple[Stream, ...]:
-        """Joint states, then IMUs, then wrenches."""
+        """Joint states, then IMUs, then wrenches; all that have a value at every instant."""
         return (self.joints, *self.imus, *self.wrenches)
 
     def select(self, rows: Callable[[Stream], slice | BoolArray]) -> "Streams":

@@ -21,6 +21,7 @@ from scipy.sparse import csr_array
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SLIDING_TERMS
 from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion, slipping
+from symbid_ros.dynamics.unmeasured_contacts import contact_states, contacts_of_state
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
@@ -95,12 +96,18 @@ class SampledRows:
         Coordinates at which the equation holds; false where a joint with friction may stick.
     slips : (N, n) bool or None
         Of candidate terms: valid coordinates except joints that may stick.
+    touching : (N, C) bool or None
+        Which contacts without a sensor touch something.
+    loads : (C, n) bool or None
+        Coordinates on which each of these contacts acts.
     """
 
     stamp: IntArray
     rows: Rows
     valid: BoolArray
     slips: BoolArray | None = None
+    touching: BoolArray | None = None
+    loads: BoolArray | None = None
 
 
 RowBuilder = Callable[[SensorSamples], Iterator[SampledRows]]
@@ -154,12 +161,16 @@ def equation_rows(parameters: ParameterSet) -> RowBuilder:
 
 def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
     """Return the equation of motion at single samples, and where it holds."""
-    return valid_rows(
+    touching, contacts = samples.touching, parameters.model.contacts
+    rows = valid_rows(
         samples.stamp,
         equation_of_motion(parameters, samples),
-        valid_coordinates(parameters, samples.velocity),
-        slipping_joints(parameters, samples.velocity),
+        valid_coordinates(parameters, samples.velocity, touching),
+        slipping_coordinates(parameters, samples.velocity, touching),
     )
+    if contacts is None or touching is None:
+        return rows
+    return replace(rows, touching=touching, loads=contacts.loads)
 
 
 def valid_rows(
@@ -167,7 +178,7 @@ def valid_rows(
 ) -> SampledRows:
     """Return rows valid at some coordinates (N, n), except where the force was not measured.
 
-    ``slips`` (N, J) tells which joints slip, if they are invalid otherwise for some terms only.
+    ``slips`` (N, n) tells at which coordinates no joint sticks, which some terms need.
     """
     measured = np.isfinite(rows.y)
     if not measured.all():
@@ -175,15 +186,17 @@ def valid_rows(
         rows = Rows(rows.K, np.where(measured, rows.y, 0.0))
     if slips is None:
         return SampledRows(stamp, rows, valid)
-    base = np.ones((len(valid), valid.shape[1] - slips.shape[1]), dtype=bool)
-    return SampledRows(stamp, rows, valid, valid & np.concatenate([base, slips], axis=1))
+    return SampledRows(stamp, rows, valid, valid & slips)
 
 
-def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
+def valid_coordinates(
+    parameters: ParameterSet, velocity: FloatArray, touching: BoolArray | None = None
+) -> BoolArray:
     """Return which coordinates (N, n) obey the equation of motion at joint rates (N, J).
 
     Joints with Coulomb friction, identified or known, do so only while they slip. A joint that
-    mimics another has no row of its own.
+    mimics another has no row of its own. ``touching`` (N, C) tells which contacts without a sensor
+    touch something; without it all may.
     """
     model = parameters.model
     valid = np.ones((len(velocity), model.dof), dtype=bool)
@@ -194,30 +207,44 @@ def valid_coordinates(parameters: ParameterSet, velocity: FloatArray) -> BoolArr
         valid[:, 6 * model.floating :] = slipping(parameters, velocity) | ~has_friction
     valid[:, [6 * model.floating + joint for joint in model.followers]] = False
     if model.contacts is not None:
-        valid = _valid_combinations(model, valid)
+        valid = _valid_combinations(model, valid, touching)
     return valid
 
 
-def _valid_combinations(model: RobotModel, valid: BoolArray) -> BoolArray:
+def _valid_combinations(
+    model: RobotModel, valid: BoolArray, touching: BoolArray | None
+) -> BoolArray:
     """Return which rows without unmeasured contacts are valid if single coordinates are (N, n)."""
-    contacts, first = model.contacts, 6 * model.floating
+    contacts = model.contacts
     assert contacts is not None
-    links = [model.frame(name).link for name in contacts.frames]
-    loaded = np.ones(model.dof, dtype=bool)
-    loaded[first:] = model.ancestors[:, links].any(axis=1)
-    loaded[[first + joint for joint in model.followers]] = False
-    # Combinations contain all coordinates that feel a contact; other rows stay as they are.
-    together: BoolArray = np.asarray(valid[:, loaded].all(axis=1))
+    if touching is None:
+        touching = np.ones((len(valid), len(contacts.frames)), dtype=bool)
     combined = np.zeros_like(valid)
-    kept = contacts.coordinates
-    combined[:, kept] = valid[:, kept]
-    combined[:, kept[loaded[kept]]] = together[:, None]
+    for state, index in contact_states(touching):
+        active = contacts_of_state(model, state)
+        kept, loaded = active.coordinates, np.asarray(active.loads.any(axis=0))
+        some = combined[index]
+        # Combinations contain all coordinates that feel a contact; other rows stay as they are.
+        some[:, kept] = valid[np.ix_(index, kept)]
+        together: BoolArray = np.asarray(valid[index][:, loaded].all(axis=1))
+        some[:, kept[loaded[kept]]] = together[:, None]
+        combined[index] = some
     return combined
 
 
-def slipping_joints(parameters: ParameterSet, velocity: FloatArray) -> BoolArray | None:
-    """Return which joints (N, J) slip if it is open whether they have friction, else None."""
-    return slipping(parameters, velocity) if parameters.candidates else None
+def slipping_coordinates(
+    parameters: ParameterSet, velocity: FloatArray, touching: BoolArray | None = None
+) -> BoolArray | None:
+    """Return at which coordinates (N, n) no joint sticks, if it is open which have friction.
+
+    None if the joints' terms are given.
+    """
+    if not parameters.candidates:
+        return None
+    model = parameters.model
+    slips = np.ones((len(velocity), model.dof), dtype=bool)
+    slips[:, 6 * model.floating :] = slipping(parameters, velocity)
+    return slips if model.contacts is None else _valid_combinations(model, slips, touching)
 
 
 def suitable_windows(windows: Sequence[float], rate: float) -> tuple[float, ...]:
@@ -355,11 +382,16 @@ def _hann(readings: SensorSamples, centres: FloatArray, length: float) -> csr_ar
 
 @dataclass(frozen=True)
 class _Average:
-    """Sums over windows: flat [K y] (W, n p + n), shares of weight that is valid and slips."""
+    """Sums over windows: flat [K y] (W, n p + n), shares of weight that is valid, slips, touches.
+
+    Each may touch coordinates ``loads`` (C, n).
+    """
 
     flat: FloatArray
     valid: FloatArray
     slips: FloatArray | None
+    touching: FloatArray | None
+    loads: BoolArray | None
     shape: tuple[int, int]
 
 
@@ -374,7 +406,9 @@ def _averages(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> lis
         for weight in weights:
             some = weight[:, columns]
             slips = None if part.slips is None else some @ part.slips
-            terms.append(_Average(some @ flat, some @ part.valid, slips, (n, p)))
+            touching = None if part.touching is None else some @ part.touching
+            valid = some @ part.valid
+            terms.append(_Average(some @ flat, valid, slips, touching, part.loads, (n, p)))
         sums = terms if not sums else [_add(a, b) for a, b in zip(sums, terms, strict=True)]
         start += count
     return sums
@@ -382,16 +416,21 @@ def _averages(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> lis
 
 def _add(a: _Average, b: _Average) -> _Average:
     slips = None if a.slips is None or b.slips is None else a.slips + b.slips
-    return _Average(a.flat + b.flat, a.valid + b.valid, slips, a.shape)
+    touching = None if a.touching is None or b.touching is None else a.touching + b.touching
+    return _Average(a.flat + b.flat, a.valid + b.valid, slips, touching, a.loads, a.shape)
 
 
 def _windowed_rows_of(mean: _Average, noisy: _Average, stamp: IntArray) -> WindowedRows:
     n, p = mean.shape
     valid = mean.valid > SLIPPING
+    if mean.touching is not None and mean.loads is not None:
+        # A coordinate's row has another meaning when a contact that acts on it opens or closes.
+        changes = (mean.touching < SLIPPING) & (mean.touching > 1 - SLIPPING)
+        valid &= ~(changes.astype(float) @ mean.loads > 0)
 
     def rows(flat: FloatArray) -> Rows:
         K, y = flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]
         return Rows(K * valid[:, :, None], y * valid)
 
-    slips = None if mean.slips is None else mean.slips > SLIPPING
+    slips = None if mean.slips is None else (mean.slips > SLIPPING) & valid
     return WindowedRows(rows(mean.flat), rows(noisy.flat - mean.flat), valid, stamp, slips)

@@ -1,6 +1,6 @@
 """Samples: a selection of instants applies to each array."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -13,7 +13,8 @@ ARRAYS = [field.name for field in fields(Samples) if field.name != "wrench_frame
 
 @pytest.fixture(scope="module")
 def samples():
-    return random_samples(random_robot(0), 11, np.random.default_rng(0))
+    found = random_samples(random_robot(0), 11, np.random.default_rng(0))
+    return replace(found, touching=np.arange(22).reshape(11, 2) % 3 > 0)
 
 
 @pytest.mark.parametrize("index", [slice(2, 7), slice(None, None, 3), np.array([9, 0, 4])])
@@ -39,7 +40,7 @@ def test_samples_without_instants_have_the_shapes_of_the_robot():
     empty = Samples.none(("hip", "knee"))
     assert len(empty) == 0
     assert empty.stamp.dtype == np.int64
-    shapes = {name: getattr(empty, name).shape for name in ARRAYS}
+    shapes = {name: getattr(empty, name).shape for name in ARRAYS if name != "touching"}
     assert shapes == {
         "stamp": (0,),
         **dict.fromkeys(("position", "velocity", "acceleration", "effort"), (0, 2)),
@@ -49,4 +50,5 @@ def test_samples_without_instants_have_the_shapes_of_the_robot():
         "wrenches": (0, 0, 6),
     }
     assert empty.wrench_frames == ()
+    assert empty.touching is None
     assert not list(empty.blocks(5))

@@ -12,7 +12,8 @@ from symbid_ros.errors import ModelError
 from symbid_ros.estimation.information import random_motions
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.weak_form import sampled_rows
+from symbid_ros.signals.segments import Segment
+from symbid_ros.signals.weak_form import equation_rows, sampled_rows, windowed_rows
 
 POINTS = tuple(f"{foot}:point" for foot in FEET)
 
@@ -63,6 +64,62 @@ def test_a_missing_effort_or_a_sticking_joint_spoils_only_combinations_that_cont
     assert not rows.valid[5:, 6 + 8].any()
     assert rows.valid[5:, 6 + 9].all()
     assert not rows.valid[:, np.setdiff1d(np.arange(18), kept)].any()
+
+
+def test_a_leg_that_swings_keeps_its_rows(quadruped):
+    model = with_contacts(quadruped, POINTS)
+    parameters = ParameterSet(model)
+    rng = np.random.default_rng(2)
+    motion = random_motions(quadruped, 40)
+    touching = rng.random((40, len(FEET))) < 0.5
+    touching[:2] = [[True] * 4, [False] * 4]
+    wrenches = 100 * rng.normal(size=(40, len(FEET), 6)) * touching[:, :, None]
+    wrenches[:, :, :3] = 0.0
+    touched = replace(motion, wrenches=wrenches, wrench_frames=FEET, touching=touching)
+    plain = equation_of_motion(ParameterSet(quadruped), touched)
+    rows = sampled_rows(parameters, touched)
+    # The true wrenches leave no trace, whichever feet touch.
+    without = equation_of_motion(parameters, replace(touched, wrenches=0 * wrenches))
+    np.testing.assert_allclose(rows.rows.y, without.y, atol=1e-9 * np.abs(plain.y).max())
+    for leg in range(4):
+        own = slice(6 + 3 * leg, 9 + 3 * leg)
+        swings = ~touching[:, leg]
+        assert rows.valid[swings, own].all()
+        np.testing.assert_allclose(rows.rows.K[swings, own], plain.K[swings, own])
+    # There are as many rows as directions that no contact takes, and all in flight.
+    np.testing.assert_array_equal(rows.valid.sum(axis=1), 18 - 3 * touching.sum(axis=1))
+    np.testing.assert_allclose(rows.rows.K[1], plain.K[1])
+
+
+def test_windows_in_which_a_contact_opens_are_left_out(quadruped):
+    model = with_contacts(quadruped, POINTS[:1])
+    count, rate = 200, 200.0
+    still = np.zeros((count, 12))
+    closed = np.arange(count) < count // 2
+    segment = Segment(
+        stamp=(np.arange(count) * 1e9 / rate).astype(np.int64),
+        rate=rate,
+        position=still + 0.3,
+        effort=still,
+        angular_velocity=np.zeros((count, 1, 3)),
+        linear_acceleration=np.tile([0, 0, 9.81], (count, 1, 1)),
+        wrenches=np.zeros((count, 0, 6)),
+        imu_frames=("imu_link",),
+        wrench_frames=(),
+        touching=closed[:, None],
+    )
+    length = 0.1
+    ((rows,),) = windowed_rows(segment, equation_rows(ParameterSet(model)), [length], ())
+    centre = rows.stamp * 1e-9
+    is_apart = np.abs(centre - 0.5) > length / 2
+    is_near = np.abs(centre - 0.5) < length / 5
+    kept = model.contacts.coordinates
+    before, after = centre < 0.5, centre > 0.5
+    assert rows.valid[is_apart & before][:, kept].all()
+    assert rows.valid[is_apart & after].all()
+    assert not rows.valid[is_near][:, :9].any()
+    # Other legs do not feel the contact.
+    assert rows.valid[:, 9:].all()
 
 
 def test_contacts_that_explain_everything_are_refused(quadruped):

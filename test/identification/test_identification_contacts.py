@@ -9,10 +9,12 @@ from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import identify
-from symbid_ros.identification.dataset import AlignedLog
+from symbid_ros.identification.dataset import AlignedLog, joined_segments
 from symbid_ros.identification.loaded_problem import load_problem
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.validation import validate
+from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import load_bag
@@ -41,7 +43,7 @@ def readings(true_robot):
     return standing_log(true_robot, 16.0, 3, friction=0.0)
 
 
-def log_of(robot, readings, *, feet=(), effort=None):
+def log_of(robot, readings, *, feet=(), effort=None, touches=None):
     joints, imu = readings["/joint_states"], readings["/imu"]
     return Log.from_arrays(
         robot,
@@ -50,6 +52,7 @@ def log_of(robot, readings, *, feet=(), effort=None):
         effort=joints["effort"] if effort is None else effort,
         imus={"imu_link": np.hstack([imu["angular_velocity"] - 0.01, imu["linear_acceleration"]])},
         wrenches={foot: readings[f"/{foot}/wrench"]["wrench"] for foot in feet},
+        touches=touches,
     )
 
 
@@ -86,6 +89,78 @@ def test_live_messages_give_the_same(robot, true_robot, readings, tmp_path):
     assert found.value[:130:10].sum() == pytest.approx(true_robot.phi[:, 0].sum(), rel=0.02)
 
 
+@pytest.fixture(scope="module")
+def steps(true_robot):
+    """It lifts one foot after the other; its drives do not rub."""
+    return standing_log(true_robot, 16.0, 3, friction=0.0, steps=True)
+
+
+def with_flags(robot, steps, *, flags=True):
+    touches = {foot: steps[f"/{foot}/contact"]["touches"] for foot in FEET}
+    return log_of(robot, steps, touches=touches if flags else None)
+
+
+def test_flags_of_contacts_keep_the_rows_of_legs_that_swing(robot, true_robot, steps):
+    options = {"contact": POINTS, "window": 0.161, "joint_terms": ("none",), "no_holdout": True}
+    found = {
+        flags: identify(robot, with_flags(robot, steps, flags=flags), **options)
+        for flags in (False, True)
+    }
+    gained = {flags: one.estimate.verdict.gain for flags, one in found.items()}
+    assert gained[True] > gained[False] + 20
+    known = {flags: np.sum(one.estimate.determined) for flags, one in found.items()}
+    assert known[True] > known[False] + 5
+    errors = {}
+    for flags, one in found.items():
+        assert one.robot.phi[:, 0].sum() == pytest.approx(true_robot.phi[:, 0].sum(), rel=0.01)
+        legs = slice(1, None)
+        shift = one.robot.phi[legs, 1:4] - true_robot.phi[legs, 1:4]
+        errors[flags] = np.sqrt(np.mean(shift**2))
+    assert errors[True] < errors[False]
+
+
+def test_the_data_choose_the_friction_of_legs_that_swing(robot, true_robot):
+    rubbing = standing_log(true_robot, 24.0, 4, friction=0.1, steps=True)
+    found = identify(
+        robot, with_flags(robot, rubbing), contact=POINTS, window=0.161, no_holdout=True
+    )
+    terms = found.estimate.joint_terms
+    assert sum("viscous" in one for one in terms.values()) >= 10
+    assert sum("coulomb" in one for one in terms.values()) >= 10
+    assert not any("load" in one for one in terms.values())
+    named = {name: one for name, one in found.parameters.items() if name.endswith("viscous")}
+    assert sum(one.is_determined for one in named.values()) >= 10
+
+
+def test_flags_in_a_bag_and_live_are_those_of_arrays(robot, steps, tmp_path):
+    feet = {f"/{foot}/wrench" for foot in FEET}
+    short = {topic: values for topic, values in steps.items() if topic not in feet}
+    bag = record_log(short, robot, tmp_path / "bag")
+    flags = tuple(f"{foot}/contact:={foot}" for foot in FEET)
+    log = load_bag(bag, robot, contact_flag=flags)
+    model = with_contacts(robot, POINTS)
+    options = IdentifyOptions(contact=POINTS, window=0.321, no_holdout=True, joint_terms=("none",))
+    recorded = joined_segments(AlignedLog(log, model))
+    expected = joined_segments(AlignedLog(with_flags(robot, steps), model))
+    np.testing.assert_array_equal(recorded[0].touching, expected[0].touching)
+    assert 0.5 < recorded[0].touching.mean() < 0.95
+    offline = load_problem(robot, log, options).solve().estimate
+    feed = feed_of(bag, TopicSelection.of(LogOptions(contact_flag=flags)))
+    live = OnlineIdentification(InitialState.of(robot, options), feed.selected, Pace(share=1.0))
+    try:
+        feed.into(live, solving=6.0)
+        found = live.solve(exactly=True).found.estimate
+    finally:
+        live.close()
+    np.testing.assert_allclose(found.value, offline.value, atol=1e-3 * offline.std.max())
+
+
+def test_flags_of_a_contact_that_is_not_named_are_refused(robot, steps):
+    with pytest.raises(DataError, match=r"for RH_foot, .*add RH_foot to `contact`") as caught:
+        identify(robot, with_flags(robot, steps), contact=POINTS[:3], unchecked=True)
+    assert caught.value.code == "E366"
+
+
 def test_readings_at_a_contact_that_is_named_are_left_out(robot, readings):
     model = with_contacts(robot, POINTS[:3])
     segment = next(iter(AlignedLog(log_of(robot, readings, feet=FEET), model)))
@@ -117,7 +192,7 @@ def test_wrenches_alone_identify_a_robot_whose_drives_measure_nothing(robot, tru
     ("fields", "message"),
     [
         ({"contact": ("foot:heel",)}, "no contact"),
-        ({"contact": ("foot",), "joint_terms": ("auto",)}, "name other terms"),
+        ({"contact": ("foot",), "joint_terms": ("load",)}, "name other terms"),
         ({"contact": ("foot",), "sensor_errors": ("typical",)}, "nothing|no reading"),
     ],
 )

@@ -14,7 +14,7 @@ from symbid_ros.estimation.group_moments import GROUPS, GroupMoments
 from symbid_ros.estimation.information import Information, RowLayout, random_motions
 from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.weak_form import WindowedRows, slipping_joints, valid_coordinates
+from symbid_ros.signals.weak_form import WindowedRows, slipping_coordinates, valid_coordinates
 
 
 def chosen(result, log):
@@ -163,7 +163,7 @@ def test_group_moments_are_those_of_each_joints_rows():
     rows = replace(rows, y=rng.normal(size=rows.y.shape))
     stamp = np.sort(rng.integers(0, 30_000_000_000, len(samples)))
     valid = valid_coordinates(parameters, samples.velocity)
-    slips = valid & slipping_joints(parameters, samples.velocity)
+    slips = valid & slipping_coordinates(parameters, samples.velocity)
     block = WindowedRows(rows, rows, valid, stamp, slips)
     groups = GroupMoments.empty(layout, candidates=True).fold([block])
     assert groups.complete == groups.parts

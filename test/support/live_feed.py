@@ -6,7 +6,7 @@ from pathlib import Path
 from symbid_ros.bags.container.blocks import read_mcap_blocks
 from symbid_ros.bags.container.files import list_files
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
-from symbid_ros.messages.types import read_leading_stamp
+from symbid_ros.messages.types import BOOL, read_leading_stamp
 
 
 @dataclass(frozen=True)
@@ -42,14 +42,19 @@ def feed_of(bag: Path, selection: TopicSelection | None = None) -> Feed:
     """Return the sensor messages of a bag."""
     selector = TopicSelector(str(bag), selection or TopicSelection())
     messages = []
+    newest = 0
     for file in list_files(bag):
         for block in read_mcap_blocks(file):
+            places = []
             for topic, spans in block.spans.items():
                 selector.counts[topic] = selector.counts.get(topic, 0) + len(spans)
                 if selector.wants(topic):
-                    payloads = [block.data[at : at + size].tobytes() for at, size in spans]
-                    messages += [
-                        (read_leading_stamp(payload), topic, payload) for payload in payloads
-                    ]
-    messages.sort(key=lambda message: (message[0], message[1].name))
+                    places += [(at, size, topic) for at, size in spans.tolist()]
+            for at, size, topic in sorted(places, key=lambda place: place[0]):
+                payload = block.data[at : at + size].tobytes()
+                # A flag has no stamp, and arrives after the message that was recorded before it.
+                stamp = newest if topic.msgtype == BOOL else read_leading_stamp(payload)
+                newest = max(newest, stamp)
+                messages.append((stamp, topic, payload))
+    messages.sort(key=lambda one: (one[0], one[1].msgtype == BOOL, one[1].name))
     return Feed(selector.select(), tuple(messages))

@@ -12,6 +12,7 @@ from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Samples, equation_of_motion
 from symbid_ros.messages.types import (
+    BOOL,
     IMU,
     JOINT_STATE,
     WRENCH,
@@ -69,17 +70,19 @@ def quadruped_urdf() -> str:
     return f'<robot name="quadruped">{"".join(parts)}</robot>'
 
 
-def standing_log(model, seconds, seed, friction=0.1, *, captured=False):
+def standing_log(model, seconds, seed, friction=0.1, *, captured=False, steps=False):
     """Return what its sensors read by topic: stamps (N,), s, and named columns.
 
     ``captured`` adds the base's pose and the wrench of each foot in world axes about the world's
-    origin, as motion capture and force plates give them.
+    origin, as motion capture and force plates give them. With ``steps`` it lifts one foot after
+    the other, and the topics ``/<foot>/contact`` tell which of them touch the ground.
     """
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds * RATE)) / RATE
     rotation = Rotation.from_rotvec(waves(rng, time, (3,), 0.3)[0]).as_matrix()
     place = waves(rng, time, (3,), 0.06)[0]
-    position = _feet_at_rest(model, rotation, place)
+    closed, moved = _steps(time) if steps else (np.ones((len(time), len(FEET))), 0.0)
+    position = _feet_at_rest(model, rotation, place, moved)
     rate, acceleration = _derivative(time, position, 1), _derivative(time, position, 2)
     spin = np.swapaxes(rotation, 1, 2) @ _derivative(time, rotation, 1)
     omega = np.stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]], axis=1)
@@ -100,7 +103,7 @@ def standing_log(model, seconds, seed, friction=0.1, *, captured=False):
     owed = equation_of_motion(parameters, samples).K @ parameters.values
     jacobian = contact_jacobian(model, FEET, link_poses(model, position))
     # Points carry no moment; the load wanders between the feet.
-    share = 1 + 0.6 * waves(rng, time, (len(FEET),), 1.0)[0]
+    share = closed * (1 + 0.6 * waves(rng, time, (len(FEET),), 1.0)[0])
     weight = np.kron(share, [0, 0, 0, 1, 1, 1])
     reach = np.swapaxes(jacobian[:, :, :6], 1, 2)
     response = (reach * weight[:, None]) @ np.swapaxes(reach, 1, 2)
@@ -134,6 +137,8 @@ def standing_log(model, seconds, seed, friction=0.1, *, captured=False):
         force = noise(wrenches[:, index, 3:], 0.3)
         moment = noise(wrenches[:, index, :3], 0.01)
         log[f"/{foot}/wrench"] = {"time": time, "wrench": np.hstack([force, moment])}
+        if steps:
+            log[f"/{foot}/contact"] = {"time": time, "touches": closed[:, index] > 0}
     if captured:
         quaternion = Rotation.from_matrix(rotation).as_quat()
         pose = np.hstack([noise(place, 1e-4), noise(quaternion, 1e-4)])
@@ -162,6 +167,14 @@ def record_log(log, model, path: Path) -> Path:
                 records = layout.records(len(stamp))
                 fill_message(records, stamp, **{k: v[:, order] for k, v in columns.items()})
                 channel = writer.add_topic(topic, JOINT_STATE)
+            elif topic.endswith("/contact"):
+                # It has no stamp, and arrives after the joint state of the same instant.
+                channel = writer.add_topic(topic, BOOL)
+                messages += [
+                    (int(when) + 1, channel, bytes([0, 1, 0, 0, flag]))
+                    for when, flag in zip(stamp, columns["touches"].tolist(), strict=True)
+                ]
+                continue
             elif topic == "/imu":
                 records = imu_layout("imu_link").records(len(stamp))
                 fill_message(records, stamp, **columns)
@@ -185,11 +198,29 @@ def _derivative(time, values, order):
     return spline(time).reshape(values.shape)
 
 
-def _feet_at_rest(model, rotation, place):
-    """Return joint positions (N, 12) that leave the feet where they stood, by Newton's method."""
+def _steps(time, period=2.4, lifted=0.4, ramp=0.1):
+    """Return how firmly each foot stands (N, 4), from 0 to 1, and where it moved to (N, 4, 3)."""
+    closed, moved = np.ones((len(time), len(FEET))), np.zeros((len(time), len(FEET), 3))
+    for index in range(len(FEET)):
+        after = (time - 0.5 * ramp - index * period / len(FEET)) % period
+        down = np.clip(after / ramp, 0, 1)
+        up = np.clip((after - ramp - lifted) / ramp, 0, 1)
+        closed[:, index] = 1 - down**3 * (10 - 15 * down + 6 * down**2) * (after < ramp)
+        closed[after >= ramp, index] = (up**3 * (10 - 15 * up + 6 * up**2))[after >= ramp]
+        swing = np.clip((after - ramp) / lifted, 0, 1)
+        bump = np.sin(np.pi * swing) ** 4
+        moved[:, index] = bump[:, None] * np.array([0.05, 0.02, 0.08])
+    return closed, moved
+
+
+def _feet_at_rest(model, rotation, place, moved=0.0):
+    """Return joint positions (N, 12) that leave the feet where they stood, by Newton's method.
+
+    ``moved`` (N, 4, 3) displaces them.
+    """
     bent = np.tile([0.0, 0.7, -1.4], 4)
     position = np.tile(bent, (len(place), 1))
-    targets = _feet(model, bent[None], np.eye(3)[None], np.zeros((1, 3)))
+    targets = _feet(model, bent[None], np.eye(3)[None], np.zeros((1, 3))) + moved
     for _ in range(8):
         off = targets - _feet(model, position, rotation, place)
         jacobian = contact_jacobian(model, FEET, link_poses(model, position))[:, :, 6:]
