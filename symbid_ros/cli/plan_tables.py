@@ -8,6 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from symbid_ros.cli.flags import flag
+from symbid_ros.excitation.files import FILES
+from symbid_ros.excitation.page import closest_links
 from symbid_ros.excitation.plan import ExcitationPlan
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.options import spelled
@@ -28,20 +30,12 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
         f"{int(plan.determined.sum())} of {len(plan.std)} parameters expected to be determined, "
         f"{plan.gain:.0f} bits to gain",
         *(f"assumed: {each}" for each in plan.problem.limits.assumed),
-        *([_closest(plan)] if plan.closest is not None else []),
+        *filter(None, [closest_links(plan)]),
         *(f"not checked: {spelled(each, flag)}" for each in plan.problem.unchecked),
-        f"wrote {out}/: trajectory.csv, trajectory_bag, goal.yaml, plan.json, prior.json",
+        f"wrote {out}/: {', '.join(FILES)}",
     ]
     for line in lines:
         console.print(Text(line), soft_wrap=True)
-
-
-def _closest(plan: ExcitationPlan) -> str:
-    assert plan.closest is not None
-    distance, pair = plan.closest
-    if not pair:
-        return "no links come close to each other"
-    return f"smallest distance {1e3 * distance:.0f} mm, between {pair}"
 
 
 def limits_table(plan: ExcitationPlan) -> Table:

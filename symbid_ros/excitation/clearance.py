@@ -4,7 +4,7 @@ The shapes are the collision shapes of the model file; meshes become their conve
 of links whose distance changes with the posture are of interest.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -32,6 +32,8 @@ HULL_VERTICES = 64
 FLOOR_SIZE, THICKNESS = 20.0, 0.5  # m
 
 Pair = tuple[int, int]
+# Distance, the two geoms, and the segment (6,) between their closest points.
+Closest = tuple[float, int, int, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -75,13 +77,13 @@ class Clearance:
         self._radii = geometry.model.geom_rbound.copy()
         neighbours = {(joint.parent, index + 1) for index, joint in enumerate(robot.joints)}
         rigid = {pair for pair in combinations(sorted(self._geoms), 2) if self._is_rigid(pair)}
-        self._pairs = [
+        self._set_pairs(
             pair
             for pair in combinations(sorted(self._geoms), 2)
             if pair not in neighbours and pair not in rigid
-        ]
+        )
         always = self._always_close(postures)
-        self._pairs = [pair for pair in self._pairs if pair not in always]
+        self._set_pairs([pair for pair in self._pairs if pair not in always])
         if always:
             names = ", ".join(f"{self._name(a)} and {self._name(b)}" for a, b in sorted(always))
             remarks = (*remarks, f"distances of pairs that are always close: {names}")
@@ -99,12 +101,10 @@ class Clearance:
         """
         smallest, names = np.inf, ""
         for posture in position:
-            self._place(posture)
-            for pair in self._pairs:
-                distance, _ = self._distance(pair)
+            for index, (distance, *_) in self._closest(posture).items():
                 if distance < smallest:
                     smallest = distance
-                    names = f"{self._name(pair[0])} and {self._name(pair[1])}"
+                    names = " and ".join(map(self._name, self._pairs[index]))
         return smallest, names
 
     def usage(self, position: FloatArray) -> float:
@@ -121,12 +121,9 @@ class Clearance:
         shares = np.zeros((pairs, count))
         slopes = np.zeros((pairs, count, len(self._robot.joints)))
         for row, posture in enumerate(position):
-            self._place(posture)
-            for index, pair in enumerate(self._pairs):
-                distance, closest = self._distance(pair)
-                if closest is not None:
-                    shares[index, row] = self._share(distance)
-                    slopes[index, row] = -self._slope(distance, *closest) / SCALE
+            for index, closest in self._closest(posture).items():
+                shares[index, row] = self._share(closest[0])
+                slopes[index, row] = -self._slope(*closest) / SCALE
         for joint, mimic in self._robot.followers.items():
             slopes[..., mimic.leader] += mimic.multiplier * slopes[..., joint]
         yield from zip(shares, slopes, strict=True)
@@ -152,26 +149,34 @@ class Clearance:
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_comPos(self._model, data)
 
-    def _distance(self, pair: Pair) -> tuple[float, tuple[int, int, FloatArray] | None]:
-        """Return the distance of two links, and its geoms and the segment between them (6,).
+    def _set_pairs(self, pairs: Iterable[Pair]) -> None:
+        """Set the pairs of links to compare, and list the pairs of their shapes."""
+        self._pairs = list(pairs)
+        listed = [
+            (index, one, other)
+            for index, pair in enumerate(self._pairs)
+            for one in self._geoms[pair[0]]
+            for other in self._geoms[pair[1]]
+        ]
+        self._shape_pairs = np.array(listed, dtype=np.int64).reshape(-1, 3)
+        _, one, other = self._shape_pairs.T
+        self._reach = self._radii[one] + self._radii[other] + self.margin + SCALE
 
-        The segment is None if the links are too far apart to count.
-        """
-        smallest, found = self.margin + SCALE, None
-        place, radii = self._data.geom_xpos, self._radii
+    def _closest(self, posture: FloatArray) -> dict[int, Closest]:
+        """Return the distance of each pair of links near each other, by its index."""
+        self._place(posture)
+        model, data = self._model, self._data
+        _, one, other = self._shape_pairs.T
+        gap = data.geom_xpos[one] - data.geom_xpos[other]
+        near = np.flatnonzero(np.einsum("ij,ij->i", gap, gap) < self._reach**2)
+        found: dict[int, Closest] = {}
         segment = np.zeros(6)
-        for one in self._geoms[pair[0]]:
-            for other in self._geoms[pair[1]]:
-                gap = place[one] - place[other]
-                reach = radii[one] + radii[other] + smallest
-                if gap @ gap > reach * reach:
-                    continue
-                distance = mujoco.mj_geomDistance(
-                    self._model, self._data, one, other, smallest, segment
-                )
-                if distance < smallest:
-                    smallest, found = distance, (one, other, segment.copy())
-        return (smallest, found) if found is not None else (np.inf, None)
+        for index, first, second in self._shape_pairs[near].tolist():
+            smallest = found[index][0] if index in found else self.margin + SCALE
+            distance = mujoco.mj_geomDistance(model, data, first, second, smallest, segment)
+            if distance < smallest:
+                found[index] = distance, first, second, segment.copy()
+        return found
 
     def _slope(self, distance: float, one: int, other: int, segment: FloatArray) -> FloatArray:
         """Return the derivative (J,) of a distance by the positions of the joints."""
@@ -189,9 +194,8 @@ class Clearance:
     def _always_close(self, postures: FloatArray) -> set[Pair]:
         counts = dict.fromkeys(self._pairs, 0)
         for posture in postures:
-            self._place(posture)
-            for pair in self._pairs:
-                counts[pair] += self._distance(pair)[0] < self.margin
+            for index, (distance, *_) in self._closest(posture).items():
+                counts[self._pairs[index]] += distance < self.margin
         return {pair for pair, count in counts.items() if count > ALWAYS * len(postures)}
 
 

@@ -11,6 +11,7 @@ import yaml
 from symbid_ros.arrays import FloatArray
 from symbid_ros.atomic_write import staged, write_text
 from symbid_ros.bags import BagWriter
+from symbid_ros.excitation.page import render_page
 from symbid_ros.excitation.plan import ExcitationPlan
 from symbid_ros.json_documents import versioned
 from symbid_ros.messages.types import TRAJECTORY, trajectory_message
@@ -24,8 +25,9 @@ from symbid_ros.simulation.joint_trajectory import (
     VELOCITY,
 )
 
-PLAN_FILE, BAG, GOAL_FILE, PRIOR_FILE = "plan.json", "trajectory_bag", "goal.yaml", "prior.json"
-FILES = TRAJECTORY_FILE, PLAN_FILE, GOAL_FILE, PRIOR_FILE, BAG
+PLAN_FILE, PAGE, PRIOR_FILE = "plan.json", "plan.html", "prior.json"
+BAG, GOAL_FILE = "trajectory_bag", "goal.yaml"
+FILES = TRAJECTORY_FILE, PLAN_FILE, PAGE, PRIOR_FILE, GOAL_FILE, BAG
 # Where ros2_control's joint_trajectory_controller listens.
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
 CSV_RATE = 100.0  # Hz
@@ -47,6 +49,7 @@ def write_plan(plan: ExcitationPlan, out: Path) -> None:
         write_text(stage / TRAJECTORY_FILE, csv_text(plan))
         write_text(stage / GOAL_FILE, goal_text(plan))
         write_text(stage / PLAN_FILE, json.dumps(document(plan), indent=1) + "\n")
+        write_text(stage / PAGE, render_page(plan))
         if plan.problem.prior is not None:
             plan.problem.prior.write(stage / PRIOR_FILE)
         _write_bag(plan, stage / BAG)

@@ -31,6 +31,7 @@ DAMPING = 0.2
 AIM = 0.97  # share of limits on efforts and distances that a program aims at; steps may use all
 NEAR = 0.5  # share of an effort limit from which it is linearized
 KEEP_EVERY = 10  # iterations; to check a trajectory between samples takes as long as some of them
+CANDIDATES = 4  # random trajectories drawn for each start; the best become starts
 RETRIES = 40  # random starts that are tried for a feasible one
 
 
@@ -157,7 +158,7 @@ class TrajectoryOptimizer:
         starts, iterations : int
             Number of starts, and of iterations of each.
         """
-        candidates = [each for _ in range(3 * starts) if (each := self.draw()) is not None]
+        candidates = [each for _ in range(CANDIDATES * starts) if (each := self.draw()) is not None]
         candidates.append(self._at_rest())
         for each in candidates:
             self._keep(each)

@@ -31,9 +31,9 @@ class ExciteOptions:
     joints: tuple[str, ...] = option(
         (), "Joint to move; all others stay in place.", unset="all joints"
     )
-    starts: int = option(2, "Number of random starts of the search.", minimum=1, maximum=100)
+    starts: int = option(3, "Number of random starts of the search.", minimum=1, maximum=100)
     iterations: int = option(
-        120, "Iterations of the search from each start.", minimum=1, maximum=10_000
+        80, "Iterations of the search from each start.", minimum=1, maximum=10_000
     )
     seed: int = option(0, "Random seed of the starts.", minimum=0)
     prior_percent: float = option(

@@ -1,0 +1,53 @@
+"""The page of a plan in the system's Chromium."""
+
+import pytest
+from browser import DESKTOP, PHONE
+from documented_robots import ur5_urdf
+
+from symbid_ros.excitation.optimizer import TrajectoryOptimizer
+from symbid_ros.excitation.options import ExciteOptions
+from symbid_ros.excitation.page import render_page
+from symbid_ros.excitation.plan import ExcitationPlan, excitation_problem
+from symbid_ros.model.load import load_model
+from symbid_ros.report.formatting import significant
+from symbid_ros.simulation.joint_sensors import JointSensorOptions
+
+
+@pytest.fixture(scope="module")
+def plan():
+    arm = load_model(ur5_urdf(), "fixed")
+    options = ExciteOptions(period=5.0, seconds=10.0, harmonics=2)
+    problem = excitation_problem(arm, options, JointSensorOptions())
+    optimizer = TrajectoryOptimizer(problem.design, seed=0)
+    return ExcitationPlan(problem, optimizer.run(starts=1, iterations=2))
+
+
+@pytest.fixture(scope="module")
+def page_file(plan, tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "plan.html"
+    path.write_text(render_page(plan))
+    return path
+
+
+@pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (DESKTOP, True), (PHONE, False)])
+def test_it_fits_and_loads_nothing(browser, page_file, width, dark):
+    with browser.page(page_file, width=width, dark=dark) as page:
+        page.tab.evaluate("document.querySelectorAll('details').forEach(e => e.open = true)")
+        assert (page.problems, page.overflow, page.requests) == ([], [], [])
+        colours = page.tab.evaluate(
+            "(s => [s.color, s.backgroundColor])(getComputedStyle(document.body))"
+        )
+        lightness = [int(each[4:].split(",")[0]) for each in colours]
+        assert (lightness[0] > lightness[1]) == dark
+
+
+def test_it_shows_each_joint_and_each_parameter(browser, page_file, plan):
+    with browser.page(page_file) as page:
+        assert page.tab.locator("figure").count() == len(plan.joints.names)
+        rows = page.tab.locator("details tbody tr")
+        assert rows.count() == len(plan.std)
+        place = plan.problem.parameters.names.index("wrist_3_link/m")
+        group = page.tab.locator("details", has_text="wrist_3_link")
+        group.evaluate("e => e.open = true")
+        cells = group.locator("tbody tr").first.locator("td").all_inner_texts()
+        assert cells[2] == significant(plan.std[place], 2)
