@@ -164,18 +164,19 @@ def _identify_offline(
     from symbid_ros.estimation.provenance import command_line
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing
+    from symbid_ros.identification.holdout import identify_with_holdout
     from symbid_ros.identification.options import IdentifyOptions
     from symbid_ros.identification.result_files import write_identification
     from symbid_ros.model.load import load_model
-    from symbid_ros.model.parameters import ParameterSet
     from symbid_ros.offline.bags import (
         BagRequest,
         load_bag,
         read_realistic_motion,
         read_true_motion,
     )
-    from symbid_ros.report.compose import METHOD_TITLES, OWN_Z, GroundTruth, compose, describe_log
+    from symbid_ros.report.compose import OWN_Z, GroundTruth, compose, describe_log
     from symbid_ros.report.page import write_report
+    from symbid_ros.report.saved_results import METHOD_TITLES, ReportedResult
 
     task = progress.add_task("identifying and reporting", total=6)
     validation = out / "validation"
@@ -188,7 +189,7 @@ def _identify_offline(
     progress.advance(task)
     by_windows = BagRequest((out / "bag",), model, options).load()
     progress.advance(task)
-    chosen = by_windows.solve("map_lmi")
+    chosen = identify_with_holdout(by_windows)
     found: dict[str, tuple[str, Identification]] = {
         METHOD_TITLES[method]: (method, by_thesis.solve(method)) for method in METHODS
     }
@@ -210,7 +211,7 @@ def _identify_offline(
     robot = load_model(model)
     ground_truth = GroundTruth(
         read_true_motion([validation], robot),
-        ParameterSet(robot).values,
+        robot,
         read_realistic_motion([out / "bag"], robot),
     )
     progress.advance(task)
@@ -224,12 +225,18 @@ def _identify_offline(
         "Software": chosen.estimate.software,
     }
     content = compose(
-        {title: identified.estimate for title, (_, identified) in found.items()},
-        by_windows.parameters,
+        {
+            title: ReportedResult(
+                identified.estimate,
+                by_windows.parameters,
+                identified.deviation_factor,
+                identified.report,
+            )
+            for title, (_, identified) in found.items()
+        },
         chosen=METHOD_TITLES["map_lmi"],
         metadata=described,
         ground_truth=ground_truth,
-        deviation_factor=chosen.deviation_factor,
         truncations=truncations,
     )
     write_report(content, out / "report.html")
@@ -242,7 +249,7 @@ def _truncations(prepared: "LoadedProblem", validation: Path) -> "dict[tuple[str
     from symbid_ros.bags import bag_log
     from symbid_ros.estimation.truncated_svd import METHODS
     from symbid_ros.identification.dataset import Processing, read_dataset
-    from symbid_ros.report.compose import METHOD_TITLES
+    from symbid_ros.report.saved_results import METHOD_TITLES
 
     # Only rows of the chosen window are needed.
     log = bag_log([validation], prepared.parameters.model)
@@ -328,40 +335,30 @@ def _report(
 ) -> None:
     """Compare the saved estimate with the truth, and write the report."""
     from symbid_ros.cli.tables import metrics_table
-    from symbid_ros.errors import EstimateError
-    from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
-    from symbid_ros.report.compose import (
-        METHOD_TITLES,
-        GroundTruth,
-        compose,
-        describe_estimate,
-        describe_log,
-    )
+    from symbid_ros.report.compose import GroundTruth, compose, describe_estimate, describe_log
     from symbid_ros.report.page import write_report
+    from symbid_ros.report.saved_results import METHOD_TITLES, load_result, with_forces_of
 
     task = progress.add_task("reporting", total=2)
     robot = load_model(model)
-    subject = load_estimated_model(out / "online", robot)
-    estimate = subject.estimate
-    if estimate is None:
-        raise EstimateError(f"{out / 'online'}: holds no estimate; see {out / 'log'}", "E553")
+    log = load_bag(out / "bag", robot)
+    result = with_forces_of(load_result(out / "online", robot), out / "online", log)
+    estimate = result.estimate
     ground_truth = GroundTruth(
         read_true_motion([out / "validation"], robot),
-        subject.parameters.values,
+        robot,
         read_realistic_motion([out / "bag"], robot),
     )
     progress.advance(task)
     title = f"{METHOD_TITLES[estimate.method]}, online"
-    described = describe_log(load_bag(out / "bag")) | facts | describe_estimate(estimate)
+    described = describe_log(log) | facts | describe_estimate(estimate)
     content = compose(
-        {title: estimate},
-        subject.parameters,
+        {title: result},
         chosen=title,
         metadata=described | {"Evaluated on": f"{out / 'validation'}, ideal, another motion"},
         ground_truth=ground_truth,
-        deviation_factor=subject.deviation_factor,
     )
     write_report(content, out / "report.html")
     progress.advance(task)

@@ -173,13 +173,27 @@ def report(
     folders: Annotated[
         list[Path], typer.Argument(help="Folders of identifications; the last is shown in full.")
     ],
-    model: ModelOrRobot = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="Robot model, if not the one in the result's folder.", show_default=False
+        ),
+    ] = None,
     robot: Robot = None,
     bag: Annotated[
-        list[Path],
-        typer.Option(help="Bag to describe; with --truth, bag with ground truth to predict."),
-    ],
-    out: Annotated[Path, typer.Option(help="HTML file to write.")],
+        list[Path] | None,
+        typer.Option(
+            help="Bag whose forces are shown instead of those of the identified log; with --truth, "
+            "bag with ground truth to predict."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="HTML file to write; by default report.html in the last folder.",
+            show_default=False,
+        ),
+    ] = None,
     truth: Annotated[
         Path | None,
         typer.Option(help="Model with the true parameters, for errors of the estimates."),
@@ -193,50 +207,48 @@ def report(
     base: BaseKind = "auto",
     log: LogOptions,
 ) -> None:
-    """Write a report on one or several identifications as a self-contained page."""
+    """Write a report on one or several identifications as a self-contained page.
+
+    Results of one robot may differ in method, log and joint terms.
+    """
     from symbid_ros.atomic_write import check_output_file
-    from symbid_ros.identification.result_files import load_estimated_model
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
-    from symbid_ros.report.compose import (
-        METHOD_TITLES,
-        GroundTruth,
-        compose,
-        describe_estimate,
-        describe_log,
-    )
+    from symbid_ros.report.compose import GroundTruth, compose, describe_estimate, describe_log
     from symbid_ros.report.page import write_report
+    from symbid_ros.report.saved_results import labels, load_result, with_forces_of
 
+    if truth is not None and not bag:
+        raise EstimateError("--truth needs a bag with ground truth to predict; add --bag", "E556")
     if realistic and truth is None:
         raise EstimateError("--realistic needs the true model to compare with; add --truth", "E556")
+    folders = list(dict.fromkeys(folders))
+    out = folders[-1] / "report.html" if out is None else out
     check_output_file(out)
-    loaded = load_model(require_model(model), base)
-    estimates = {}
-    for folder in dict.fromkeys(folders):
-        shown = load_estimated_model(folder, loaded)
-        if shown.estimate is None:
-            raise EstimateError(
-                f"{folder}: holds a prior; give the folder of an identification", "E556"
-            )
-        title = METHOD_TITLES.get(shown.estimate.method, shown.estimate.method)
-        label = title if title not in estimates else f"{title}, {folder}"
-        estimates[label] = shown.estimate
+    loaded = None if model is None else load_model(model, base)
+    found = [load_result(folder, loaded) for folder in folders]
+    shown = found[-1]
+    recording = load_bag(bag, shown.parameters.model, log) if bag else None
     ground_truth = None
-    if truth is not None:
+    if recording is not None and truth is None:
+        found = [
+            with_forces_of(one, folder, recording)
+            for folder, one in zip(folders, found, strict=True)
+        ]
+    elif bag and truth is not None:
         true_robot = load_model(truth, base)
         internal = shown.parameters.model.wrist_sensors
         noisy = (
             read_realistic_motion(realistic, true_robot, internal=internal) if realistic else None
         )
-        values = load_estimated_model(folder, true_robot).parameters.values
-        ground_truth = GroundTruth(read_true_motion(bag, true_robot, internal), values, noisy)
+        ground_truth = GroundTruth(read_true_motion(bag, true_robot, internal), true_robot, noisy)
+    names = labels(folders, [one.estimate for one in found])
+    metadata = {} if recording is None else describe_log(recording)
     content = compose(
-        estimates,
-        shown.parameters,
-        chosen=label,
-        metadata=describe_log(load_bag(bag, loaded, log)) | describe_estimate(estimates[label]),
+        dict(zip(names, found, strict=True)),
+        chosen=names[-1],
+        metadata=metadata | describe_estimate(shown.estimate),
         ground_truth=ground_truth,
-        deviation_factor=shown.deviation_factor,
     )
     write_report(content, out)
     typer.echo(f"wrote {out}")

@@ -133,7 +133,7 @@ class ForcePredictor:
             When a file is missing, malformed or belongs to another result.
         """
         saved = load_estimate(folder / "estimate.json")
-        found = load_estimated_model(folder, _load_robot(folder, saved))
+        found = load_estimated_model(folder, load_result_robot(folder, saved))
         model = with_contacts(found.parameters.model, saved.contacts)
         found = replace(found, parameters=replace(found.parameters, model=model))
         estimate = found.estimate
@@ -305,8 +305,14 @@ class ForcePredictor:
         return pair
 
 
-def _load_robot(folder: Path, estimate: Estimate) -> RobotModel:
-    """Return the robot of a result's folder; earlier versions did not say which file has it."""
+def load_result_robot(folder: Path, estimate: Estimate) -> RobotModel:
+    """Return the robot of a result's folder; earlier versions did not say which file has it.
+
+    Raises
+    ------
+    EstimateError
+        When its model cannot be read.
+    """
     name = estimate.model_file
     if not name:
         is_mjcf = any(one.endswith(".xml") for one in estimate.inputs)

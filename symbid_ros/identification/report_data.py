@@ -71,7 +71,7 @@ class ForceSeries:
     @property
     def has_rows(self) -> BoolArray:
         """(n,) whether a coordinate has rows."""
-        return np.isfinite(self.rmse_after)
+        return np.asarray(np.isfinite(self.rmse_after))
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,11 @@ import numpy as np
 from scipy.signal import welch
 
 from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.diagnosis.stream_checks import StreamChecks
+from symbid_ros.identification.dataset import AlignedLog
 from symbid_ros.identification.loaded_problem import LoadedProblem
 from symbid_ros.identification.log_checks import LogChecks
+from symbid_ros.identification.prediction import ForcePredictor
 from symbid_ros.identification.report_data import (
     QUANTILES,
     Coverage,
@@ -17,8 +20,9 @@ from symbid_ros.identification.report_data import (
     ReportData,
 )
 from symbid_ros.identification.solver import Identification
-from symbid_ros.identification.validation import PredictedEfforts
+from symbid_ros.identification.validation import PredictedEfforts, validate_segments
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import PROBE_PERIOD
 
@@ -203,8 +207,28 @@ def coverage(problem: LoadedProblem) -> Coverage:
         period = float(np.median(np.diff(stamp))) * 1e-9
         stride = max(1, round(PROBE_PERIOD / max(period, 1e-9)))
         stamp, position = stamp[::stride], position[::stride]
+    return _coverage(
+        dataset.source,
+        stamp,
+        position,
+        problem.parameters.model.joint_names,
+        checks=checks,
+        is_checked=not problem.options.unchecked,
+    )
+
+
+def _coverage(
+    source: str,
+    stamp: IntArray,
+    position: FloatArray,
+    joints: tuple[str, ...],
+    *,
+    checks: LogChecks,
+    is_checked: bool,
+) -> Coverage:
+    """Return what a log consists of, from joint positions (N, J) at stamps (N,), ns."""
     begin = min([int(stamp[0]), *(one.start for one in checks.spans)])
-    time = (stamp - begin) * 1e-9
+    time = np.asarray((stamp - begin) * 1e-9, dtype=np.float64)
     step = np.diff(time)
     breaks = np.flatnonzero(step > LEAST_GAP)
     starts, stops = np.r_[0, breaks + 1], np.r_[breaks, len(time) - 1]
@@ -213,13 +237,13 @@ def coverage(problem: LoadedProblem) -> Coverage:
     if not len(speed):
         speed = np.zeros((1, position.shape[1]))
     return Coverage(
-        log=dataset.source,
+        log=source,
         begin=begin,
         used=np.stack([time[starts], time[stops]], axis=1),
         faults=_faults(checks, begin),
         findings=tuple(one.as_dict() for one in checks.findings),
-        is_checked=not problem.options.unchecked,
-        joints=problem.parameters.model.joint_names,
+        is_checked=is_checked,
+        joints=joints,
         position=np.quantile(position, QUANTILES, axis=0).T,
         speed=np.quantile(speed, QUANTILES, axis=0).T,
         mean_posture=position.mean(axis=0),
@@ -254,3 +278,34 @@ def report_data(
             np.zeros(len(names)) if change is None else change,
         ),
     )
+
+
+def report_data_of(predictor: ForcePredictor, log: Log) -> ReportData:
+    """Return what a report shows of any log of an identified robot.
+
+    Raises
+    ------
+    SymbidError
+        When the log is invalid, too short, or of another robot.
+    """
+    model, trace = predictor.parameters.model, PositionTrace()
+    streams = StreamChecks(model)
+    segments = AlignedLog(log, model, checks=streams)
+    efforts = validate_segments(predictor, trace.of(segments), log.source).efforts
+    checks = LogChecks(tuple(streams.findings(log.source)), spans=streams.spans)
+    stamp, position = np.concatenate(trace.stamps), np.concatenate(trace.positions)
+    stride = round(PROBE_PERIOD / TRACE_PERIOD)
+    found = _coverage(
+        log.source,
+        stamp[::stride],
+        position[::stride],
+        model.joint_names,
+        checks=checks,
+        is_checked=True,
+    )
+    window = predictor.settings.window or 0.0
+    forces = force_series(
+        efforts, model, trace, begin=found.begin, window=window, is_held_out=False
+    )
+    names = predictor.parameters.names
+    return ReportData(forces, found, ParameterSpread(names, np.zeros(0), np.zeros(len(names))))

@@ -3,10 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 
+import numpy as np
+
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.evaluation import (
+    Metrics,
     TrueMotion,
     environment_force,
     evaluate,
@@ -17,74 +20,78 @@ from symbid_ros.identification.intervals import summarise_intervals
 from symbid_ros.identification.realistic_prediction import RealisticMotion, evaluate_realistic
 from symbid_ros.identification.rigid_sensors import RigidSensors
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.wrist_sensors import with_wrist_sensors
 from symbid_ros.report.content import (
     PRIOR,
     TRUTH,
+    JointLimits,
     LinkErrors,
     MethodResult,
+    ParameterCorrelation,
     PredictionSeries,
     ReportContent,
     TruncationChoice,
 )
+from symbid_ros.report.robot_scene import robot_scene
+from symbid_ros.report.saved_results import ReportedResult
 from symbid_ros.signals.log import Log
 
-METHOD_TITLES = {
-    "ols": "OLS",
-    "wls_r": "WLS-R",
-    "wls_c": "WLS-C",
-    "wls_rc": "WLS-RC",
-    "map": "MAP",
-    "map_lmi": "MAP-LMI",
-}
 # WLS-RC with z chosen from the log, next to WLS-RC with z chosen from validation data.
 OWN_Z = "WLS-RC, own z"
 
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """True motion and parameters, with which estimates are compared.
+    """True motion and robot, with which estimates are compared.
 
     Attributes
     ----------
     motion : TrueMotion
         True motion of a validation log.
-    values : (p,) float64
-        True parameters.
+    model : RobotModel
+        The true robot.
     realistic : RealisticMotion or None
         Noisy log with ground truth, for predictions from the robot's own sensors.
     """
 
     motion: TrueMotion
-    values: FloatArray
+    model: RobotModel
     realistic: RealisticMotion | None = None
+
+    def values(self, result: ReportedResult) -> FloatArray:
+        """Return the true values (p,) of a result's parameters."""
+        model = with_wrist_sensors(self.model, result.estimate.wrist_sensors)
+        true = replace(result.parameters, model=model)
+        if true.names != result.parameters.names:
+            raise EstimateError(
+                f"{self.model.source}: its parameters are not those of the estimate; give the true "
+                "model of this robot",
+                "E512",
+            )
+        return true.values
 
 
 def compose(
-    estimates: Mapping[str, Estimate],
-    parameters: ParameterSet,
+    results: Mapping[str, ReportedResult],
     *,
     chosen: str,
     metadata: Mapping[str, str],
     ground_truth: GroundTruth | None = None,
-    deviation_factor: FloatArray | None = None,
     truncations: Mapping[tuple[str, str], Estimate] | None = None,
 ) -> ReportContent:
-    """Return the content of a report on one or several estimates of one robot.
+    """Return the content of a report on one or several results of one robot.
 
     Parameters
     ----------
-    estimates : mapping of str to Estimate
-        By label, in the order shown; all from one prior.
-    parameters : ParameterSet
-        The robot's parameters.
+    results : mapping of str to ReportedResult
+        By label, in the order shown. Their joint terms may differ.
     chosen : str
-        Label of the estimate shown in detail.
+        Label of the result shown in detail.
     metadata : mapping of str to str
         Describes data and processing.
     ground_truth : GroundTruth, optional
-        Without it the report has no errors and no predictions.
-    deviation_factor : (p, r) float64, optional
-        L of the chosen estimate's covariance L Lᵀ.
+        Without it the report has no errors against a truth.
     truncations : mapping of (str, str) to Estimate, optional
         Truncated estimates from the same rows, by method and source of z; shown only with
         ground truth.
@@ -92,67 +99,101 @@ def compose(
     Raises
     ------
     EstimateError
-        When an estimate has other parameters.
+        When the ground truth is of another robot.
     """
-    model = parameters.model
-    for label, estimate in estimates.items():
-        if estimate.names != parameters.names:
-            raise EstimateError(
-                f"{label}: its {len(estimate.names)} parameters are not the {len(parameters)} of "
-                f"{chosen}; report on estimates of one robot with the same joint terms",
-                "E750",
-            )
-    vectors = {PRIOR: estimates[chosen].prior}
-    vectors |= {label: estimate.value for label, estimate in estimates.items()}
+    shown = results[chosen]
+    model = shown.parameters.model
+    methods = [MethodResult(PRIOR, None, None)]
+    methods += [
+        MethodResult(label, one.estimate, None, one.summary, one.log)
+        for label, one in results.items()
+    ]
     if ground_truth is not None:
-        vectors[TRUTH] = ground_truth.values
+        methods.append(MethodResult(TRUTH, None, None))
     content = ReportContent(
         title=f"Identification of {model.name}",
         model=model.name,
-        methods=tuple(MethodResult(label, estimates.get(label), None) for label in vectors),
+        methods=tuple(methods),
         chosen=chosen,
         joint_names=model.joint_names,
         metadata=dict(metadata),
+        limits=joint_limits(model),
+        robot=robot_scene(
+            shown.parameters,
+            shown.estimate,
+            shown.summary.posture if shown.summary.is_mean_posture else None,
+            deviation_factor=shown.deviation_factor,
+        ),
+        spread=parameter_spread(shown.estimate, shown.deviations, shown.prior_std),
     )
     if ground_truth is None:
         return content
-    return _add_evaluation(
-        content,
-        parameters,
-        vectors,
-        ground_truth,
-        truncations=truncations or {},
-        deviation_factor=deviation_factor,
+    return _add_evaluation(content, results, ground_truth, truncations=truncations or {})
+
+
+def joint_limits(model: RobotModel) -> dict[str, JointLimits]:
+    """Return the position limits of the joints that move."""
+    return {
+        joint.name: JointLimits(joint.lower, joint.upper, joint.kind == "prismatic")
+        for joint in (model.joints[index] for index in model.moving_joints)
+    }
+
+
+def parameter_spread(
+    estimate: Estimate, deviations: FloatArray | None, prior_std: FloatArray | None
+) -> ParameterCorrelation | None:
+    """Return correlations of the parameters that were identified; None without covariance."""
+    if deviations is None or estimate.std is None:
+        return None
+    std = np.linalg.norm(deviations, axis=1)
+    kept = np.flatnonzero(std > 0)
+    scaled = deviations[kept] / std[kept, None]
+    return ParameterCorrelation(
+        tuple(estimate.names[index] for index in kept.tolist()),
+        np.clip(scaled @ scaled.T, -1.0, 1.0),
+        None if prior_std is None else prior_std,
     )
 
 
 def _add_evaluation(
     content: ReportContent,
-    parameters: ParameterSet,
-    vectors: Mapping[str, FloatArray],
+    results: Mapping[str, ReportedResult],
     ground_truth: GroundTruth,
     *,
     truncations: Mapping[tuple[str, str], Estimate],
-    deviation_factor: FloatArray | None,
 ) -> ReportContent:
     """Return the content with errors, predictions and intervals against the ground truth."""
-    # The ground truth has no wrench through wrist sensors.
-    rigid = RigidSensors.of(parameters)
-    parameters = rigid.parameters
-    vectors = {label: rigid.matrix @ values for label, values in vectors.items()}
-    if deviation_factor is not None:
-        deviation_factor = rigid.matrix @ deviation_factor
-    truth, motion = vectors[TRUTH], ground_truth.motion
-    candidates = dict(vectors)
-    candidates |= {
-        " ".join(key): rigid.matrix @ estimate.value for key, estimate in truncations.items()
+    motion, shown = ground_truth.motion, results[content.chosen]
+    errors: dict[str, Metrics] = {}
+    by_link: dict[str, FloatArray] = {}
+    # Results with equal parameters share the matrices of the motion.
+    for names in dict.fromkeys(one.estimate.names for one in results.values()):
+        alike = {label: one for label, one in results.items() if one.estimate.names == names}
+        first = next(iter(alike.values()))
+        own, true = RigidSensors.of(first.parameters), ground_truth.values(first)
+        candidates = {label: one.estimate.value for label, one in alike.items()}
+        if content.chosen in alike:
+            candidates |= {PRIOR: shown.estimate.prior, TRUTH: true}
+            candidates |= {" ".join(key): one.value for key, one in truncations.items()}
+        # The ground truth has no wrench through wrist sensors.
+        candidates = {label: own.matrix @ values for label, values in candidates.items()}
+        true = own.matrix @ true
+        errors |= evaluate(own.parameters, candidates, true, motion)
+        by_link |= {
+            label: link_errors(own.parameters, one, true) for label, one in candidates.items()
+        }
+    rigid = RigidSensors.of(shown.parameters)
+    parameters, truth = rigid.parameters, rigid.matrix @ ground_truth.values(shown)
+    vectors = {
+        PRIOR: rigid.matrix @ shown.estimate.prior,
+        content.chosen: rigid.matrix @ shown.estimate.value,
+        TRUTH: truth,
     }
-    errors = evaluate(parameters, candidates, truth, motion)
-    shown = {label: vectors[label] for label in (TRUTH, PRIOR, content.chosen)}
+    labels = [method.label for method in content.methods]
     intervals, realistic = None, {}
-    if deviation_factor is not None:
-        chosen = vectors[content.chosen]
-        intervals = summarise_intervals(parameters, chosen, deviation_factor, truth, motion)
+    if shown.deviation_factor is not None:
+        factor = rigid.matrix @ shown.deviation_factor
+        intervals = summarise_intervals(parameters, vectors[content.chosen], factor, truth, motion)
     if ground_truth.realistic is not None:
         compared = {label: vectors[label] for label in (PRIOR, content.chosen, TRUTH)}
         realistic = evaluate_realistic(parameters, compared, truth, ground_truth.realistic)
@@ -163,15 +204,12 @@ def _add_evaluation(
             replace(method, metrics=asdict(errors[method.label])) for method in content.methods
         ),
         predictions=tuple(
-            prediction_series(label, parameters, values, motion) for label, values in shown.items()
+            prediction_series(label, parameters, vectors[label], motion)
+            for label in (TRUTH, PRIOR, content.chosen)
         ),
         link_errors=LinkErrors(
             parameters.link_names,
-            {
-                label: link_errors(parameters, values, truth)
-                for label, values in vectors.items()
-                if label != TRUTH
-            },
+            {label: by_link[label] for label in labels if label != TRUTH},
         ),
         intervals=intervals,
         realistic={label: asdict(metrics) for label, metrics in realistic.items()},

@@ -9,6 +9,9 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.intervals import IntervalSummary
+from symbid_ros.identification.report_data import ReportData
+from symbid_ros.report.robot_scene import RobotScene
+from symbid_ros.report.robot_summary import RobotSummary
 
 PRIOR = "prior"
 TRUTH = "truth"
@@ -66,6 +69,36 @@ class MethodResult:
     label: str  # prior, truth or the title of the method, such as WLS-RC
     estimate: Estimate | None  # None for the prior and the truth
     metrics: dict[str, float] | None  # by Metric.key; None without ground truth
+    summary: RobotSummary | None = None  # None for the prior and the truth
+    log: ReportData | None = None  # what the result keeps of its log
+
+
+@dataclass(frozen=True)
+class JointLimits:
+    """Position limits of a joint, rad or m; infinite where the model sets none."""
+
+    lower: float
+    upper: float
+    is_prismatic: bool
+
+
+@dataclass(frozen=True)
+class ParameterCorrelation:
+    """Correlations of the identified parameters.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The q parameters that have a standard deviation.
+    correlation : (q, q) float64
+        From -1 to 1.
+    prior_std : (p,) float64 or None
+        Standard deviations of all parameters before the data; None if they are not saved.
+    """
+
+    names: tuple[str, ...]
+    correlation: FloatArray
+    prior_std: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -168,6 +201,12 @@ class ReportContent:
         By label, then by key of ``REALISTIC_METRICS``; empty without a noisy log.
     truncations : tuple of TruncationChoice
         z chosen without and with validation data, on the same rows.
+    limits : dict of str to JointLimits
+        Position limits of each joint that moves.
+    spread : ParameterCorrelation or None
+        Of the chosen method; None without covariance.
+    robot : RobotScene or None
+        The robot with the chosen method's parameters, in 3D.
     """
 
     title: str
@@ -181,6 +220,9 @@ class ReportContent:
     intervals: IntervalSummary | None = None
     realistic: dict[str, dict[str, float]] = field(default_factory=dict)
     truncations: tuple[TruncationChoice, ...] = ()
+    limits: dict[str, JointLimits] = field(default_factory=dict)
+    spread: ParameterCorrelation | None = None
+    robot: RobotScene | None = None
 
     def __post_init__(self) -> None:
         labels = [method.label for method in self.methods]
@@ -215,6 +257,16 @@ class ReportContent:
         return next(
             m.estimate for m in self.methods if m.label == self.chosen and m.estimate is not None
         )
+
+    @property
+    def shown(self) -> MethodResult:
+        """The chosen method."""
+        return next(method for method in self.methods if method.label == self.chosen)
+
+    @property
+    def results(self) -> tuple[MethodResult, ...]:
+        """Rows that are results, without prior and truth."""
+        return tuple(method for method in self.methods if method.estimate is not None)
 
     def metrics_of(self, label: str) -> dict[str, float] | None:
         """Return the metrics of the row with this label, None if it has none."""

@@ -1,6 +1,8 @@
 """Formatted rows of the chosen estimate: numbers of the verdict, links and parameters."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -14,15 +16,18 @@ from symbid_ros.estimation.verdict import (
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.formatting import ABSENT, fixed, shared_decimals, significant, with_std
 
+NOTHING: Mapping[str, float] = MappingProxyType({})
+
 
 @dataclass(frozen=True)
 class SummaryEntry:
-    """A number of the verdict with its name and meaning."""
+    """A number of the verdict with its name, its meaning and the page that explains it."""
 
     name: str
     value: str
     meaning: str
     is_alarm: bool = False
+    page: str = ""
 
 
 def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
@@ -33,8 +38,13 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
     scale, white, noise = verdict.prior_scale, verdict.whiteness, verdict.noise_share
     terms = estimate.describe_terms()
     return (
+        SummaryEntry("Method", estimate.method, "", page="theory.html"),
         SummaryEntry("Rows", describe_window(verdict, estimate.samples), ""),
-        *([SummaryEntry("Joint terms", terms, "; ".join(estimate.remarks))] if terms else []),
+        *(
+            [SummaryEntry("Joint terms", terms, "; ".join(estimate.remarks), page="options.html")]
+            if terms
+            else []
+        ),
         *_holdout_entries(estimate.holdout),
         SummaryEntry(
             "Effective parameters",
@@ -47,6 +57,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
             "factor on the prior’s standard deviations that fits the data best; alarm above "
             f"{verdict.largest_prior_scale:g}",
             is_alarm=scale > verdict.largest_prior_scale,
+            page="errors.html",
         ),
         *_mass_scale_entries(verdict),
         SummaryEntry(
@@ -55,6 +66,7 @@ def verdict_entries(estimate: Estimate) -> tuple[SummaryEntry, ...]:
             f"of the residuals, at most 1 for white noise; alarm above {SUSPICIOUS_WHITENESS:g} "
             "unless the unexplained force is small",
             is_alarm=verdict.is_coloured,
+            page="errors.html",
         ),
         *_unexplained_entries(verdict),
         SummaryEntry(
@@ -121,12 +133,16 @@ class LinkRow:
     name: str
     determined: str
     mass: str
+    com: str  # standard deviation of the centre of mass, mm
     gain: str
     share: float
 
 
-def link_rows(estimate: Estimate) -> tuple[LinkRow, ...]:
-    """Return the links in the model's order; empty if the method gives no verdict."""
+def link_rows(estimate: Estimate, com_std: Mapping[str, float] = NOTHING) -> tuple[LinkRow, ...]:
+    """Return the links in the model's order; empty if the method gives no verdict.
+
+    ``com_std`` has the standard deviation of each link's centre of mass, m.
+    """
     gains = estimate.verdict.link_gain if estimate.verdict is not None else {}
     largest = max(gains.values(), default=0.0)
     position = {name: index for index, name in enumerate(estimate.names)}
@@ -139,7 +155,9 @@ def link_rows(estimate: Estimate) -> tuple[LinkRow, ...]:
         std = 0.0 if estimate.std is None else float(estimate.std[own[0]])
         share = round(100 * gain / largest, 1) if largest > 0 else 0.0
         mass = with_std(float(estimate.value[own[0]]), std)
-        rows.append(LinkRow(link, count, mass, f"{gain:.1f}", share))
+        com = com_std.get(link)
+        text = ABSENT if com is None else significant(1e3 * com, 2)
+        rows.append(LinkRow(link, count, mass, text, f"{gain:.1f}", share))
     return tuple(rows)
 
 
@@ -185,7 +203,7 @@ def _group(estimate: Estimate, link: str, indices: list[int]) -> ParameterGroup:
     rows = tuple(_row(estimate, i, indices, link) for i in indices)
     parts = []
     if link and rows[0].name == PARAMETERS[0]:
-        parts.append(f"{rows[0].value} kg, prior {rows[0].prior} kg")
+        parts.append(f"{rows[0].value} kg, original {rows[0].prior} kg")
     if estimate.determined is not None:
         count = int(np.count_nonzero(estimate.determined[indices]))
         parts.append(f"{count} of {len(indices)} determined")
@@ -199,10 +217,13 @@ def _group(estimate: Estimate, link: str, indices: list[int]) -> ParameterGroup:
 
 def _row(estimate: Estimate, index: int, indices: list[int], link: str) -> ParameterRow:
     unit = estimate.units[index]
-    # The prior sets the decimals, so that a diverged estimate shows its true size.
-    alike = [estimate.prior[i] for i in indices if estimate.units[i] == unit]
-    decimals = shared_decimals(map(float, alike))
     std = None if estimate.std is None else float(estimate.std[index])
+    if std is not None and np.isfinite(std) and std > 0:
+        decimals = shared_decimals([std], 2)
+    else:
+        # The prior sets the decimals, so that a diverged estimate shows its true size.
+        alike = [estimate.prior[i] for i in indices if estimate.units[i] == unit]
+        decimals = shared_decimals(map(float, alike))
     determined = ABSENT
     if estimate.determined is not None:
         determined = "yes" if estimate.determined[index] else "no"

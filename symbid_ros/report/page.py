@@ -1,16 +1,21 @@
 """Report on one estimate, or a comparison of several, as a self-contained HTML page."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import jinja2
 
 from symbid_ros.atomic_write import write_text
+from symbid_ros.choices import TERMS
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.identification.report_data import ForceSeries
 from symbid_ros.report.content import (
     METRICS,
-    PRIOR,
     REALISTIC_METRICS,
+    MethodResult,
     ReportContent,
     best_labels,
 )
@@ -24,11 +29,26 @@ from symbid_ros.report.figures import (
     signal_panels,
     torque_signals,
 )
-from symbid_ros.report.formatting import significant, with_std
-from symbid_ros.report.plotting import Style, styles
+from symbid_ros.report.first_screen import describe_measured, error_bars, key_figures, recommend
+from symbid_ros.report.formatting import ABSENT, significant, with_std
+from symbid_ros.report.interactive import figure_css, figure_data, figure_script, script_json
+from symbid_ros.report.log_bars import joint_ranges, timeline
+from symbid_ros.report.log_figures import (
+    base_panels,
+    force_panels,
+    spectrum_panels,
+    speed_panels,
+)
+from symbid_ros.report.matrices import correlation_image, determined_matrices, largest_changes
+from symbid_ros.report.plotting import Style, colour_variable, styles
+from symbid_ros.report.robot_view import robot_view
+
+# Links to the pages that explain a section.
+DOCUMENTATION = "https://symbid-ros.github.io/symbid_ros"
 
 # In a direction of parameter space, such as "+0.72 base_link/m -0.37 link_0/mc_x".
 _COEFFICIENT = re.compile(r"([+-])(\d\S*) ")
+_UNIT = re.compile(r"(?<=[\d±]) (?=(?:%|±|mm|kg|Nm|N|s|bit)(?![\w.]))|(?<=±) ")
 
 
 @dataclass(frozen=True)
@@ -48,7 +68,10 @@ def write_report(content: ReportContent, path: Path) -> None:
 
 
 def render(content: ReportContent) -> str:
-    """Return the page as HTML without scripts and external resources."""
+    """Return the page as HTML without external resources.
+
+    Figures are static; a script in the page replaces those of the log by ones that can be zoomed.
+    """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("symbid_ros", "report"),
         autoescape=True,
@@ -60,28 +83,142 @@ def render(content: ReportContent) -> str:
         "significant": significant,
         "with_std": with_std,
         "unbroken": lambda direction: _COEFFICIENT.sub(_unbroken, direction),
+        "unbroken_units": lambda text: _UNIT.sub("\N{NO-BREAK SPACE}", text),
+        "variable": colour_variable,
     }
     errors = {method.label: method.metrics or {} for method in content.methods}
-    return environment.get_template("report.html").render(
-        content=content,
-        css=(Path(__file__).with_name("report.css")).read_text(encoding="utf-8"),
-        headline=headline(content),
-        verdict=content.estimate.verdict,
-        entries=verdict_entries(content.estimate),
-        links=link_rows(content.estimate),
-        metrics=METRICS if any(errors.values()) else (),
-        errors=errors,
-        best=best_labels(errors, METRICS),
-        realistic=REALISTIC_METRICS if content.realistic else (),
-        best_realistic=best_labels(content.realistic, REALISTIC_METRICS),
-        figures=_figures(content),
-        impossible={
-            method.label: impossible_links(method.estimate.consistent)
-            for method in content.methods
-            if method.estimate is not None
+    estimate, summary = content.estimate, content.shown.summary
+    com_std = {} if summary is None else summary.link_com_std
+    log = content.shown.log
+    prior_std = None if content.spread is None else content.spread.prior_std
+    data = figure_data(content)
+    robot = None if content.robot is None else robot_view(content.robot)
+    scripts = [figure_script()] if data else []
+    if robot is not None:
+        scripts.append(robot.script)
+    shown: dict[str, Any] = {
+        "content": content,
+        "docs": DOCUMENTATION,
+        "css": "\n".join([figure_css(), *([robot.style] if robot else []), own_css()]),
+        "subtitle": " · ".join(_subtitle(content)),
+        "recommendation": recommend(estimate),
+        "key_figures": key_figures(content),
+        "bars": error_bars(content.shown),
+        "robot_picture": robot.still_svg if robot else "",
+        "robot_view": robot.html if robot else "",
+        "verdict": estimate.verdict,
+        "measured": describe_measured(estimate),
+        "entries": verdict_entries(estimate),
+        "links": link_rows(estimate, com_std),
+        "has_com": bool(com_std),
+        "matrices": determined_matrices(estimate, prior_std),
+        "correlation": None if content.spread is None else correlation_image(content.spread),
+        "changes": largest_changes(estimate, prior_std),
+        "compared": compared_results(content.results),
+        "forces": None if log is None or log.forces is None else _forces(log.forces),
+        "log": None if log is None else log.coverage,
+        "timeline": None if log is None else timeline(log.coverage, log.forces),
+        "ranges": () if log is None else joint_ranges(log.coverage, content.limits),
+        "missing": _missing(content.shown),
+        "metrics": METRICS if any(errors.values()) else (),
+        "errors": errors,
+        "best": best_labels(errors, METRICS),
+        "realistic": REALISTIC_METRICS if content.realistic else (),
+        "best_realistic": best_labels(content.realistic, REALISTIC_METRICS),
+        "figures": _figures(content),
+        "impossible": {
+            result.label: impossible_links(result.estimate.consistent)
+            for result in content.results
+            if result.estimate is not None
         },
-        estimates={m.label: m.estimate for m in content.methods if m.estimate is not None},
-        groups=parameter_groups(content.estimate),
+        "estimates": {result.label: result.estimate for result in content.results},
+        "groups": parameter_groups(estimate),
+        "provenance": estimate.provenance,
+        "figure_json": script_json(data) if data else "",
+        "scripts": scripts,
+    }
+    return environment.get_template("report.html").render(shown, sections=_sections(shown))
+
+
+def own_css() -> str:
+    """Return the style that all pages share."""
+    return Path(__file__).with_name("report.css").read_text(encoding="utf-8")
+
+
+def _subtitle(content: ReportContent) -> tuple[str, ...]:
+    estimate, log = content.estimate, content.shown.log
+    parts = [content.model, content.chosen]
+    if log is not None:
+        parts.append(log.coverage.log)
+    if estimate.provenance is not None and estimate.provenance.date:
+        parts.append(estimate.provenance.date.partition("T")[0])
+    return tuple(parts)
+
+
+def _sections(shown: dict[str, Any]) -> tuple[tuple[str, str], ...]:
+    """Return anchors and titles of the sections that the page has."""
+    every: list[tuple[Any, str, str]] = [
+        (shown["compared"], "compared", "Side by side"),
+        (shown["robot_view"], "robot", "The robot"),
+        (shown["forces"], "forces", "Forces"),
+        (shown["metrics"], "methods", "Methods"),
+        *((True, figure.anchor, figure.title) for figure in shown["figures"]),
+        (shown["realistic"], "realistic", "From the robot’s own sensors"),
+        (shown["content"].truncations, "truncation", "Choice of z"),
+        (shown["verdict"], "data-summary", "What the data determine"),
+        (shown["log"], "log", "The log"),
+        (True, "possible", "Physical consistency"),
+        (True, "parameters", "Parameters"),
+        (True, "data", "Origin"),
+    ]
+    return tuple((anchor, title) for is_there, anchor, title in every if is_there)
+
+
+@dataclass(frozen=True)
+class ForcePanels:
+    """Static figures of measured and predicted forces."""
+
+    caption: str
+    base: str
+    force_panels: tuple[Panel, ...]
+    speed_panels: tuple[Panel, ...]
+    spectrum_panels: tuple[Panel, ...]
+    base_panels: tuple[Panel, ...]
+
+
+def _forces(forces: ForceSeries) -> ForcePanels:
+    seconds = significant(forces.stop - forces.start)
+    if forces.is_held_out:
+        what = (
+            f"The last {seconds} s of the log, predicted by a trial identification that left them "
+            "out."
+        )
+    else:
+        what = f"{seconds} s of a log, predicted by the identified model. It may have used them."
+    shown = forces.time[-1] - forces.time[0] if len(forces.time) else 0.0
+    if shown < 0.9 * (forces.stop - forces.start):
+        what += f" Shown are the {significant(float(shown))} s in which forces change most."
+    return ForcePanels(
+        f"{what} Errors have an axis of their own.",
+        "the base",
+        force_panels(forces),
+        speed_panels(forces),
+        spectrum_panels(forces),
+        base_panels(forces),
+    )
+
+
+def _missing(result: MethodResult) -> str:
+    """Return what a result without data of its log lacks, as HTML."""
+    if result.log is None:
+        what = "measured forces, errors, and the motion of the log"
+    elif result.log.forces is None:
+        what = "measured forces and errors, because the log is too short"
+    else:
+        return ""
+    return (
+        f"This result does not hold {what}. Identify the log again, or name a bag: "
+        "<code>symbid report RESULT --bag BAG</code>."
     )
 
 
@@ -140,24 +277,47 @@ def impossible_links(consistent: dict[str, bool]) -> tuple[str, ...]:
     return tuple(link for link, possible in consistent.items() if not possible)
 
 
-def headline(content: ReportContent) -> str:
-    """Return a one-line summary of the chosen method's numbers."""
-    estimate = content.estimate
-    clauses = []
-    metrics, prior = content.metrics_of(content.chosen), content.metrics_of(PRIOR)
-    key = "com_position_rmse_mm"
-    if metrics is not None and key in metrics:
-        error = metrics[key]
-        clause = f"CoM error {significant(error)} mm"
-        if prior is not None and key in prior:
-            relation = "better than" if error < prior[key] else "no better than"
-            clause += f", {relation} the prior’s {significant(prior[key])} mm"
-        clauses.append(clause)
-    if estimate.determined is not None:
-        clauses.append(
-            f"{int(estimate.determined.sum())} of {len(estimate.names)} parameters "
-            "determined by the data"
-        )
-    possible = len(estimate.consistent) - len(impossible_links(estimate.consistent))
-    clauses.append(f"{possible} of {len(estimate.consistent)} links physically possible")
-    return f"{content.chosen}: {'; '.join(clauses)}."
+@dataclass(frozen=True)
+class ComparedResults:
+    """Several results: a column for each, and rows of text."""
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def compared_results(results: Sequence[MethodResult]) -> ComparedResults | None:
+    """Return the table of several results; None for a single one."""
+    if len(results) < 2:
+        return None
+    columns: dict[str, list[str]] = {}
+    for result in results:
+        estimate, summary = result.estimate, result.summary
+        assert estimate is not None
+        held_out, verdict = estimate.holdout, estimate.verdict
+        alarms = ABSENT if verdict is None else str(len(verdict.alarms) or "none")
+        cells = {
+            "Error on data held out": ABSENT if held_out is None else held_out.summary,
+            "Alarms": alarms,
+            "Joint terms": estimate.describe_terms() or _named_terms(estimate) or "none",
+            "Measured combinations": describe_measured(estimate),
+        }
+        if summary is not None:
+            moving = "Total mass" if summary.is_floating else "Mass of the moving links"
+            cells[moving] = f"{with_std(summary.mass, summary.mass_std)} kg"
+            cells["Centre of mass"] = (
+                ", ".join(
+                    with_std(1e3 * value, 1e3 * std)
+                    for value, std in zip(summary.com, summary.com_std, strict=True)
+                )
+                + " mm"
+            )
+        for name, text in cells.items():
+            columns.setdefault(name, []).append(text)
+    labels = tuple(result.label for result in results)
+    return ComparedResults(labels, tuple((name, tuple(row)) for name, row in columns.items()))
+
+
+def _named_terms(estimate: Estimate) -> str:
+    """Return the joint terms that the user named."""
+    kinds = {name.rpartition("/")[2] for name in estimate.names}
+    return ", ".join(term for term in TERMS if term in kinds)

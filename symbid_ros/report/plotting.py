@@ -53,6 +53,7 @@ _RC = {
     # Joint names may contain $, which would start a formula.
     "text.parse_math": False,
     "font.size": 8.5,
+    "text.color": INK,
     "axes.labelcolor": INK,
     "axes.edgecolor": "#8a8a8a",
     "axes.linewidth": 0.6,
@@ -141,7 +142,13 @@ def scale_errors(axes: Axes, name: str, values: FloatArray, logarithmic_above: f
     axis.set_minor_locator(NullLocator())
 
 
+def colour_variable(colour: str) -> str:
+    """Return a colour, such as "#0072b2", as a CSS variable that dark pages set."""
+    return _COLOUR.sub(r"var(--c-\1, #\1)", colour)
+
+
 _XLINK = "{http://www.w3.org/1999/xlink}href"
+_COLOUR = re.compile(r"#([0-9a-f]{6})\b")
 _LONG_DECIMALS = re.compile(r"(\.\d\d)\d+")
 
 
@@ -192,6 +199,9 @@ def _make_local(element: ElementTree.Element, name: str, used: set[str]) -> None
         attributes["id"] = f"{name}-{identifier}"
     if attributes.get("href", "").startswith("#"):
         attributes["href"] = f"#{name}-{attributes['href'][1:]}"
+    if "style" in attributes:
+        # A dark page sets the variable.
+        attributes["style"] = colour_variable(attributes["style"])
     if "clip-path" in attributes:
         attributes["clip-path"] = attributes["clip-path"].replace("url(#", f"url(#{name}-")
     for key in ("d", "x", "y", "transform"):

@@ -15,7 +15,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.model.inertia import PARAMETERS
-from symbid_ros.report.compose import METHOD_TITLES
+from symbid_ros.report.saved_results import METHOD_TITLES
 from symbid_ros.study.plan import PriorSpread
 from symbid_ros.study.scores import METRICS, RANK, REFERENCE, Case, Scores
 

@@ -1,0 +1,300 @@
+"""What a reader sees first: whether to use the model, its mass, and its error on held-out data."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.identification.holdout import REPEATED
+from symbid_ros.identification.report_data import ReportData
+from symbid_ros.identification.validation import percent
+from symbid_ros.report.content import MethodResult, ReportContent
+from symbid_ros.report.formatting import ABSENT, significant, with_std
+from symbid_ros.report.robot_summary import RobotSummary
+
+# Bars that exceed this multiple of the third quartile are cut off.
+OUTLIER = 3.0
+# Bars that are shown at once; the rest is folded.
+BARS_SHOWN = 12
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """Whether to use a model.
+
+    Attributes
+    ----------
+    kind : {"good", "caution", "bad"}
+    sentence : str
+        The recommendation with its main figure.
+    remark : str
+        What limits it; may be empty.
+    """
+
+    kind: Literal["good", "caution", "bad"]
+    sentence: str
+    remark: str = ""
+
+
+def recommend(estimate: Estimate) -> Recommendation:
+    """Return whether to use a model, from its alarms and its error on held-out data."""
+    alarms = () if estimate.verdict is None else estimate.verdict.alarms
+    holdout = estimate.holdout
+    if alarms:
+        count = "1 alarm" if len(alarms) == 1 else f"{len(alarms)} alarms"
+        figure = f"; {change_on_held_out_data(estimate)}" if _is_tried(estimate) else ""
+        return Recommendation("bad", f"Do not use this model yet: {count}{figure}.")
+    calm = "" if estimate.verdict is None else "; no alarm"
+    if holdout is None or not _is_tried(estimate):
+        why = "" if holdout is None else f" ({holdout.summary})"
+        return Recommendation(
+            "caution",
+            f"Validate this model before you use it: no data were held out{calm}.",
+            f"Run symbid validate with a log that was not used{why}.",
+        )
+    figure = change_on_held_out_data(estimate)
+    repeats = (
+        "The motion repeats itself there, so other motions may be predicted worse."
+        if holdout.repeats >= REPEATED
+        else ""
+    )
+    if holdout.advice == "better":
+        return Recommendation("good", f"Use this model: {figure}{calm}.", repeats)
+    if holdout.advice == "equal":
+        return Recommendation(
+            "caution", f"This model hardly differs from the original: {figure}{calm}.", repeats
+        )
+    worse = "is worse than the original" if holdout.advice == "worse" else "is partly worse"
+    return Recommendation("bad", f"Do not use this model, it {worse}: {figure}{calm}.", repeats)
+
+
+def _is_tried(estimate: Estimate) -> bool:
+    return estimate.holdout is not None and estimate.holdout.seconds > 0
+
+
+def change_on_held_out_data(estimate: Estimate) -> str:
+    """Return the error on held-out data, such as "torque error on data held out 9 % → 1 %"."""
+    holdout = estimate.holdout
+    assert holdout is not None
+    if holdout.percent_before is None or holdout.percent_after is None:
+        return f"error on data held out {holdout.summary.partition(' on the last')[0]}"
+    what = "torque" if "torque" in holdout.summary else "force"
+    before, after = percent(holdout.percent_before), percent(holdout.percent_after)
+    return f"{what} error on data held out {before} → {after}"
+
+
+@dataclass(frozen=True)
+class KeyFigure:
+    """A main figure of the robot or the log."""
+
+    title: str
+    value: str  # one or several lines
+    note: str = ""
+
+    @property
+    def lines(self) -> list[str]:
+        """The lines of the value."""
+        return self.value.splitlines()
+
+
+def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
+    """Return mass, centre of mass, share of measured combinations, and length of the log."""
+    shown, estimate = content.shown, content.estimate
+    figures = []
+    if shown.summary is not None:
+        figures += [_mass(shown.summary), _com(shown.summary)]
+    if estimate.verdict is not None:
+        figures.append(
+            KeyFigure(
+                "Measured",
+                describe_measured(estimate),
+                "parameter combinations; all others keep their original values",
+            )
+        )
+    if shown.log is not None:
+        coverage = shown.log.coverage
+        used = float(np.sum(coverage.used[:, 1] - coverage.used[:, 0]))
+        figures.append(
+            KeyFigure("Log", f"{significant(used)} s used", _describe_findings(shown.log))
+        )
+    return tuple(figures)
+
+
+def describe_measured(estimate: Estimate) -> str:
+    """Return the number of measured combinations, as the terminal does."""
+    if estimate.verdict is None:
+        return ABSENT
+    count = len(estimate.names) - len(estimate.fixed)
+    return f"{len(estimate.verdict.directions)} of {count}"
+
+
+def _describe_findings(log: ReportData) -> str:
+    if not log.coverage.is_checked:
+        return "not checked"
+    count = len(log.coverage.findings)
+    if count == 0:
+        return "the doctor found no fault"
+    return "the doctor found 1 fault" if count == 1 else f"the doctor found {count} faults"
+
+
+def _mass(summary: RobotSummary) -> KeyFigure:
+    title = "Total mass" if summary.is_floating else "Mass of the moving links"
+    return KeyFigure(
+        title,
+        f"{with_std(summary.mass, summary.mass_std)} kg",
+        f"original {significant(summary.mass_before, 4)} kg",
+    )
+
+
+def _com(summary: RobotSummary) -> KeyFigure:
+    posture = "mean posture" if summary.is_mean_posture else "zero posture"
+    whose = "" if summary.is_floating else " of the moving links"
+    before = ", ".join(f"{1e3 * one:.1f}" for one in summary.com_before)
+    return KeyFigure(
+        f"Centre of mass{whose}",
+        "\n".join(
+            f"{axis} {with_std(1e3 * value, 1e3 * std)} mm"
+            for axis, value, std in zip("xyz", summary.com, summary.com_std, strict=True)
+        ),
+        f"in the base frame at the {posture}; original {before} mm".replace("-", "−"),
+    )
+
+
+@dataclass(frozen=True)
+class ErrorBar:
+    """Error at one coordinate before and after, as text and as bars.
+
+    Attributes
+    ----------
+    name : str
+    before, after : str
+        With the unit.
+    share_before, share_after : str
+        The same in percent of the measured force; empty if that is unknown.
+    width_before, width_after : float
+        Percent of the longest bar.
+    is_cut : bool
+        Whether the bar before is cut off.
+    """
+
+    name: str
+    before: str
+    after: str
+    share_before: str
+    share_after: str
+    width_before: float
+    width_after: float
+    is_cut: bool
+
+
+@dataclass(frozen=True)
+class ErrorBars:
+    """Bars with a common scale.
+
+    Attributes
+    ----------
+    bars : tuple of ErrorBar
+        The largest first.
+    scale : str
+        What full length means.
+    note : str
+        Where the errors come from.
+    """
+
+    bars: tuple[ErrorBar, ...]
+    scale: str
+    note: str
+
+    @property
+    def shown(self) -> tuple[ErrorBar, ...]:
+        """Bars that are always visible."""
+        return self.bars[:BARS_SHOWN]
+
+    @property
+    def folded(self) -> tuple[ErrorBar, ...]:
+        """The remaining bars."""
+        return self.bars[BARS_SHOWN:]
+
+
+def error_bars(result: MethodResult) -> ErrorBars | None:
+    """Return the error of each joint before and after, or of the base without joints."""
+    forces = None if result.log is None else result.log.forces
+    holdout = None if result.estimate is None else result.estimate.holdout
+    trial = "Last part of the log, predicted by a trial identification without it."
+    if forces is not None:
+        numbers = np.stack([forces.rmse_before, forces.rmse_after, forces.rms_measured], axis=1)
+        rows = [
+            ErrorRow(name, unit, *row)
+            for name, unit, row in zip(
+                forces.coordinates, forces.units, numbers.tolist(), strict=True
+            )
+            if np.isfinite(row[1])
+        ]
+        used = "On data that the identification used, or on the given bag."
+        return _scaled(rows, trial if forces.is_held_out else used)
+    if holdout is None or not holdout.coordinates:
+        return None
+    pairs = holdout.coordinates.items()
+    return _scaled([ErrorRow(name, "Nm", *pair, np.nan) for name, pair in pairs], trial)
+
+
+class ErrorRow(NamedTuple):
+    """RMS errors at one coordinate, and RMS of the measured force; NaN if that is unknown."""
+
+    name: str
+    unit: str
+    before: float
+    after: float
+    measured: float
+
+
+def _scaled(rows: Sequence[ErrorRow], note: str) -> ErrorBars | None:
+    """Return bars of the joints, or of the base without joints."""
+    rows = [row for row in rows if not row.name.startswith("base/")] or rows
+    if not rows:
+        return None
+    before, after, measured = (np.array([row[i] for row in rows]) for i in (2, 3, 4))
+    is_relative = bool(np.any(measured > 0))
+    scale = np.ones(len(rows))
+    if is_relative:
+        # A joint without load has no percentage; its bars are those of the least loaded joint.
+        least = float(np.min(measured[measured > 0]))
+        scale = np.where(measured > 0, measured, least) / 100
+    longest = robust_maximum(np.maximum(before, after) / scale)
+    bars = []
+    for row, size in zip(rows, scale.tolist(), strict=True):
+        name, unit, first, second, load = row
+        has_share = is_relative and load > 0
+        bars.append(
+            ErrorBar(
+                name,
+                f"{significant(first)} {unit}",
+                f"{significant(second)} {unit}",
+                percent(first / size) if has_share else "",
+                percent(second / size) if has_share else "",
+                _width(first / size, longest),
+                _width(second / size, longest),
+                bool(max(first, second) / size > longest * (1 + 1e-9)),
+            )
+        )
+    order = np.argsort(-np.maximum(before, after) / scale, kind="stable")
+    unit = "% of the joint’s measured torque" if is_relative else "Nm or N"
+    return ErrorBars(
+        tuple(bars[index] for index in order.tolist()), f"{significant(longest, 2)} {unit}", note
+    )
+
+
+def _width(value: float, longest: float) -> float:
+    return round(100 * min(value / longest, 1.0), 1) if longest > 0 else 0.0
+
+
+def robust_maximum(values: FloatArray) -> float:
+    """Return the largest value, or less if it exceeds most others by far."""
+    finite = np.sort(values[np.isfinite(values) & (values > 0)])
+    if not len(finite):
+        return 0.0
+    quartile = float(np.quantile(finite, 0.75))
+    return min(float(finite[-1]), OUTLIER * quartile)

@@ -1,0 +1,154 @@
+"""Bars of a real log: which times were used, and which positions and speeds occurred."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from symbid_ros.identification.report_data import QUANTILES, Coverage, ForceSeries
+from symbid_ros.report.content import JointLimits
+from symbid_ros.report.formatting import significant
+
+TICKS = 4
+# A bar this short, % of the width, would be invisible.
+LEAST_WIDTH = 0.3
+FAULT_TITLES = {"gap": "gap", "frozen": "frozen", "silent": "no messages"}
+_LOW, _HIGH = QUANTILES.index(0.05), QUANTILES.index(0.95)
+
+
+@dataclass(frozen=True)
+class TimeBar:
+    """A part of a row, in percent of the log."""
+
+    left: float
+    width: float
+    kind: str  # used, held-out, gap, frozen or silent
+    text: str
+
+
+@dataclass(frozen=True)
+class TimeRow:
+    """A row of the timeline."""
+
+    name: str
+    bars: tuple[TimeBar, ...]
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Which times of a log were used; ``ticks`` are positions in percent with their labels."""
+
+    rows: tuple[TimeRow, ...]
+    ticks: tuple[tuple[float, str], ...]
+
+
+def timeline(coverage: Coverage, forces: ForceSeries | None) -> Timeline:
+    """Return the used times, the held-out part, and the faults of each topic."""
+    ends = [coverage.duration, *(float(one["stop"]) for one in coverage.faults)]
+    length = max([*ends, 1e-9])
+
+    def bar(start: float, stop: float, kind: str, what: str) -> TimeBar:
+        start, stop = max(start, 0.0), min(stop, length)
+        left, width = 100 * start / length, 100 * (stop - start) / length
+        width = max(width, LEAST_WIDTH)
+        return TimeBar(
+            round(min(left, 100 - width), 2),
+            round(width, 2),
+            kind,
+            f"{what} from {start:.2f} to {stop:.2f} s",
+        )
+
+    rows = [
+        TimeRow(
+            "used",
+            tuple(bar(start, stop, "used", "used") for start, stop in coverage.used.tolist()),
+        )
+    ]
+    if forces is not None:
+        kind = "held-out" if forces.is_held_out else "shown"
+        rows.append(TimeRow(kind.replace("-", " "), (bar(forces.start, forces.stop, kind, kind),)))
+    topics = dict.fromkeys(one["stream"] for one in coverage.faults)
+    for topic in topics:
+        bars = tuple(
+            bar(one["start"], one["stop"], one["kind"], FAULT_TITLES.get(one["kind"], one["kind"]))
+            for one in coverage.faults
+            if one["stream"] == topic
+        )
+        rows.append(TimeRow(topic or "all topics", bars))
+    ticks = tuple(
+        (100 * index / TICKS, f"{length * index / TICKS:.3g} s") for index in range(TICKS + 1)
+    )
+    return Timeline(tuple(rows), ticks)
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """Positions and speeds of one joint, bars in percent.
+
+    Attributes
+    ----------
+    name : str
+    left, width : float
+        All positions, within the limits of the joint if it has any.
+    inner_left, inner_width : float
+        The middle 90 % of the time.
+    positions, speeds : str
+        The same in words.
+    speed_width : float
+        Largest speed in percent of the fastest joint's.
+    share : str
+        Part of the range between the limits; empty without limits.
+    """
+
+    name: str
+    left: float
+    width: float
+    inner_left: float
+    inner_width: float
+    positions: str
+    speeds: str
+    speed_width: float
+    share: str
+
+
+def joint_ranges(coverage: Coverage, limits: Mapping[str, JointLimits]) -> tuple[JointRange, ...]:
+    """Return positions and speeds visited by each joint that has limits, finite or not."""
+    known = [index for index, name in enumerate(coverage.joints) if name in limits]
+    fastest = {
+        kind: max(
+            (
+                float(coverage.speed[index, _HIGH])
+                for index in known
+                if limits[coverage.joints[index]].is_prismatic is kind
+            ),
+            default=0.0,
+        )
+        for kind in (False, True)
+    }
+    ranges = []
+    for index in known:
+        name = coverage.joints[index]
+        limit, position = limits[name], coverage.position[index]
+        first, last = float(position[0]), float(position[-1])
+        unit = "m" if limit.is_prismatic else "rad"
+        span = limit.upper - limit.lower
+        is_limited = bool(np.isfinite(span) and span > 0)
+        start = min(limit.lower, first) if is_limited else first
+        stop = max(limit.upper, last) if is_limited else last
+        scale = 100 / (stop - start) if stop > start else 0.0
+        low, high = float(position[_LOW]), float(position[_HIGH])
+        quick, quickest = float(coverage.speed[index, _HIGH]), fastest[limit.is_prismatic]
+        ranges.append(
+            JointRange(
+                name,
+                round(scale * (first - start), 1),
+                round(max(scale * (last - first), LEAST_WIDTH), 1),
+                round(scale * (low - start), 1),
+                round(max(scale * (high - low), LEAST_WIDTH), 1),
+                f"{significant(first)} to {significant(last)} {unit}".replace("-", "−"),
+                f"{significant(quick)} {unit}/s",
+                round(100 * quick / quickest, 1) if quickest > 0 else 0.0,
+                f"{100 * (last - first) / span:.0f} %" if is_limited else "",
+            )
+        )
+    return tuple(ranges)

@@ -1,0 +1,233 @@
+"""Figures of a real log: forces and errors over time, error spectra, errors against the speed."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.identification.report_data import ForceSeries
+from symbid_ros.report.figures import Panel
+from symbid_ros.report.formatting import significant
+from symbid_ros.report.plotting import Style, downsample, figure_style, inline_svg
+
+MEASURED, ORIGINAL, IDENTIFIED = "measured", "original model", "identified model"
+# The measured force is a wide line below the thin ones of the models.
+STYLES = {
+    MEASURED: Style("#3a3a3a", "-", 2.2, "|"),
+    ORIGINAL: Style("#d55e00", "-", 0.9, "^"),
+    IDENTIFIED: Style("#0072b2", "-", 1.1, "o"),
+}
+JOINTS_SHOWN = 6  # without script; with script every joint can be chosen
+POINTS = 500
+SPEED_BINS = 15
+FEWEST_IN_BIN = 8
+_TALL, _FLAT = (3.75, 2.9), (3.75, 2.05)
+
+
+def shown_joints(forces: ForceSeries) -> IntArray:
+    """Return the most loaded joints, in the model's order; the base without joints."""
+    joints = [
+        place
+        for place, name in enumerate(forces.coordinates)
+        if not name.startswith("base/") and bool(forces.has_rows[place])
+    ]
+    places = np.array(joints or np.flatnonzero(forces.has_rows).tolist(), dtype=np.int64)
+    load = np.nan_to_num(forces.rms_measured[places]) + forces.rmse_before[places]
+    return np.sort(places[np.argsort(-load, kind="stable")[:JOINTS_SHOWN]])
+
+
+def force_panels(forces: ForceSeries) -> tuple[Panel, ...]:
+    """Draw force and, on an axis of its own, error of the most loaded joints."""
+
+    def draw(figure: Figure, place: int) -> None:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+        for label, values in (
+            (MEASURED, forces.measured),
+            (ORIGINAL, forces.before),
+            (IDENTIFIED, forces.after),
+        ):
+            _line(upper, forces.time, values[:, place], label)
+        unit = forces.units[place]
+        upper.set_ylabel(f"{_kind(unit)} [{unit}]")
+        _draw_errors(lower, forces, place)
+        figure.align_ylabels([upper, lower])
+
+    return _panels(forces, shown_joints(forces), "force", _TALL, draw)
+
+
+def base_panels(forces: ForceSeries) -> tuple[Panel, ...]:
+    """Draw the error of each component of the wrench on a floating base."""
+    places = np.array(
+        [
+            place
+            for place, name in enumerate(forces.coordinates)
+            if name.startswith("base/") and forces.has_rows[place]
+        ],
+        dtype=np.int64,
+    )
+    return _panels(
+        forces,
+        places,
+        "base",
+        _FLAT,
+        lambda figure, place: _draw_errors(figure.add_subplot(), forces, place),
+    )
+
+
+def speed_panels(forces: ForceSeries) -> tuple[Panel, ...]:
+    """Draw the errors of the most loaded joints against their speed."""
+
+    def draw(figure: Figure, place: int) -> None:
+        axes = figure.add_subplot()
+        speed = forces.speed[:, place]
+        for label, errors in (
+            (ORIGINAL, forces.speed_before[:, place]),
+            (IDENTIFIED, forces.speed_after[:, place]),
+        ):
+            style = STYLES[label]
+            kept = slice(None, None, max(1, len(speed) // 300))
+            axes.plot(
+                speed[kept],
+                errors[kept],
+                linestyle="none",
+                marker=".",
+                markersize=2.2,
+                markeredgewidth=0,
+                alpha=0.45,
+                color=style.colour,
+            )
+            axes.plot(*binned_medians(speed, errors), color=style.colour, linewidth=1.6)
+        unit = forces.units[place]
+        axes.set_ylabel(f"error [{unit}]")
+        axes.set_xlabel(f"speed [{'rad/s' if unit == 'Nm' else 'm/s'}]")
+        _limit(axes, forces.speed_before[:, place], forces.speed_after[:, place])
+
+    places = [
+        place
+        for place in shown_joints(forces).tolist()
+        if np.isfinite(forces.speed[:, place]).any()
+    ]
+    return _panels(forces, places, "speed", _FLAT, draw)
+
+
+def spectrum_panels(forces: ForceSeries) -> tuple[Panel, ...]:
+    """Draw the amplitude spectra of the measured force and of both errors."""
+    if not len(forces.frequency):
+        return ()
+
+    def draw(figure: Figure, place: int) -> None:
+        axes = figure.add_subplot()
+        for label, power in (
+            (MEASURED, forces.power_measured),
+            (ORIGINAL, forces.power_before),
+            (IDENTIFIED, forces.power_after),
+        ):
+            style = STYLES[label]
+            amplitude = np.sqrt(power[:, place])
+            if np.any(amplitude > 0):
+                axes.plot(
+                    forces.frequency,
+                    np.where(amplitude > 0, amplitude, np.nan),
+                    color=style.colour,
+                    linewidth=style.width,
+                )
+        axes.set_yscale("log")
+        axes.minorticks_off()
+        axes.set_ylabel(f"density [{forces.units[place]}/√Hz]")
+        axes.set_xlabel("frequency [Hz]")
+        axes.margins(x=0)
+
+    return _panels(forces, shown_joints(forces), "spectrum", _FLAT, draw)
+
+
+def binned_medians(speed: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return speeds (B,) and medians (B,) of the error in bins with equally many rows.
+
+    Bins end at zero, where friction changes its sign.
+    """
+    used = np.isfinite(speed) & np.isfinite(error)
+    speed, error = speed[used], error[used]
+    parts: list[tuple[float, float]] = []
+    for side in (speed < 0, speed >= 0):
+        order = np.argsort(speed[side])
+        count = min(SPEED_BINS, len(order) // FEWEST_IN_BIN)
+        parts += [
+            (float(np.median(speed[side][part])), float(np.median(error[side][part])))
+            for part in (np.array_split(order, count) if count else ())
+        ]
+    if not parts:
+        return np.zeros(0), np.zeros(0)
+    middle, median = np.array(parts).T
+    return middle, median
+
+
+def _panels(
+    forces: ForceSeries,
+    places: Sequence[int] | IntArray,
+    name: str,
+    size: tuple[float, float],
+    draw: Callable[[Figure, int], None],
+) -> tuple[Panel, ...]:
+    panels = []
+    for place in map(int, places):
+        title, unit = forces.coordinates[place], forces.units[place]
+        before, after = forces.rmse_before[place], forces.rmse_after[place]
+        note = f"RMS error {significant(before)} → {significant(after)} {unit}"
+        with figure_style():
+            figure = Figure(figsize=size, layout="constrained")
+            draw(figure, place)
+            svg = inline_svg(figure, f"{name}-{place}", f"{title}. {note}")
+        panels.append(Panel(title, svg, note))
+    return tuple(panels)
+
+
+def _draw_errors(axes: Axes, forces: ForceSeries, place: int) -> None:
+    """Draw the errors of both models over time."""
+    errors = forces.measured[:, [place]] - np.stack(
+        [forces.before[:, place], forces.after[:, place]], axis=1
+    )
+    _line(axes, forces.time, errors[:, 0], ORIGINAL)
+    _line(axes, forces.time, errors[:, 1], IDENTIFIED)
+    axes.set_ylabel(f"error [{forces.units[place]}]")
+    axes.set_xlabel("time [s]")
+    _limit(axes, errors[:, 0], errors[:, 1])
+
+
+def _line(axes: Axes, time: FloatArray, values: FloatArray, label: str) -> None:
+    used = np.isfinite(values)
+    style = STYLES[label]
+    if used.any():
+        axes.plot(
+            *downsample(time[used], values[used], POINTS),
+            color=style.colour,
+            linewidth=style.width,
+            label=label,
+        )
+    axes.margins(x=0)
+    axes.yaxis.set_major_locator(MaxNLocator(4))
+
+
+def _limit(axes: Axes, *errors: FloatArray) -> None:
+    """Fit the axis to all errors but single outliers."""
+    limit = max(error_limit(one) for one in errors)
+    found = np.concatenate([one[np.isfinite(one)] for one in errors])
+    if limit > 0:
+        low, high = max(float(found.min()), -limit), min(float(found.max()), limit)
+        # Zero is always visible.
+        low, high = min(low, 0.0), max(high, 0.0)
+        axes.set_ylim(low - 0.06 * (high - low), high + 0.06 * (high - low))
+
+
+def error_limit(errors: FloatArray) -> float:
+    """Return the size up to which errors are shown."""
+    found = np.abs(errors[np.isfinite(errors)])
+    if not len(found):
+        return 0.0
+    return 1.1 * min(float(found.max()), 3 * float(np.quantile(found, 0.95)))
+
+
+def _kind(unit: str) -> str:
+    return "torque" if unit == "Nm" else "force"

@@ -1,0 +1,136 @@
+"""Results to report on, read from their folders."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import EstimateError
+from symbid_ros.estimation.estimate import Estimate, load_estimate
+from symbid_ros.identification.prediction import ForcePredictor, load_result_robot
+from symbid_ros.identification.report_data import ReportData, load_report_data
+from symbid_ros.identification.report_series import report_data_of
+from symbid_ros.identification.result_files import load_estimated_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.report.robot_summary import RobotSummary, summarise_robot
+from symbid_ros.signals.log import Log
+
+METHOD_TITLES = {
+    "ols": "OLS",
+    "wls_r": "WLS-R",
+    "wls_c": "WLS-C",
+    "wls_rc": "WLS-RC",
+    "map": "MAP",
+    "map_lmi": "MAP-LMI",
+}
+
+
+@dataclass(frozen=True)
+class ReportedResult:
+    """A result to show.
+
+    Attributes
+    ----------
+    estimate : Estimate
+    parameters : ParameterSet
+        Its p parameters.
+    deviation_factor : (p, r) float64 or None
+        L of the covariance L Lᵀ; None if the method gives none.
+    log : ReportData or None
+        What the result keeps of its log; None in results of live identification and of earlier
+        versions.
+    """
+
+    estimate: Estimate
+    parameters: ParameterSet
+    deviation_factor: FloatArray | None = None
+    log: ReportData | None = None
+
+    @property
+    def deviations(self) -> FloatArray | None:
+        """(p, r + 1) the same factor with the deviation of the gain that no residual shows."""
+        if self.deviation_factor is None:
+            return None
+        names = self.estimate.names
+        change = np.zeros(len(names))
+        if self.log is not None and set(self.log.spread.names) == set(names):
+            saved = dict(zip(self.log.spread.names, self.log.spread.scale_change, strict=True))
+            change = np.array([saved[name] for name in names])
+        both = np.concatenate([self.deviation_factor, change[:, None]], axis=1)
+        is_fixed = np.array([name in self.estimate.fixed for name in names])
+        return np.where(is_fixed[:, None], 0.0, both)
+
+    @property
+    def prior_std(self) -> FloatArray | None:
+        """(p,) standard deviations before the data; None if they are not saved."""
+        names = self.estimate.names
+        spread = None if self.log is None else self.log.spread
+        if spread is None or not len(spread.prior_std) or set(spread.names) != set(names):
+            return None
+        saved = dict(zip(spread.names, spread.prior_std, strict=True))
+        return np.array([saved[name] for name in names])
+
+    @property
+    def summary(self) -> RobotSummary:
+        """Mass and centre of mass of the robot."""
+        coverage = None if self.log is None else self.log.coverage
+        model = self.parameters.model
+        known = coverage is not None and coverage.joints == model.joint_names
+        return summarise_robot(
+            self.parameters,
+            self.estimate.value,
+            self.estimate.prior,
+            self.deviations,
+            coverage.mean_posture if coverage is not None and known else None,
+        )
+
+
+def load_result(folder: Path, model: RobotModel | None = None) -> ReportedResult:
+    """Read the folder of an identification.
+
+    Parameters
+    ----------
+    folder : Path
+    model : RobotModel, optional
+        The robot; by default that in the folder.
+
+    Raises
+    ------
+    SymbidError
+        When a file is missing, malformed or of another robot.
+    """
+    if model is None:
+        model = load_result_robot(folder, load_estimate(folder / "estimate.json"))
+    found = load_estimated_model(folder, model)
+    if found.estimate is None:
+        raise EstimateError(
+            f"{folder}: holds a prior; give the folder of an identification", "E556"
+        )
+    return ReportedResult(
+        found.estimate, found.parameters, found.deviation_factor, load_report_data(folder)
+    )
+
+
+def with_forces_of(result: ReportedResult, folder: Path, log: Log) -> ReportedResult:
+    """Return the result of a folder with the forces and the motion of another log.
+
+    Raises
+    ------
+    SymbidError
+        When the log is invalid, or of another robot.
+    """
+    data = report_data_of(ForcePredictor.load(folder), log)
+    if result.log is not None:
+        data = replace(data, spread=result.log.spread)
+    return replace(result, log=data)
+
+
+def labels(folders: Sequence[Path], estimates: Sequence[Estimate]) -> list[str]:
+    """Return a label for each result: its method, and its folder if methods repeat."""
+    titles = [METHOD_TITLES.get(one.method, one.method) for one in estimates]
+    if len(set(titles)) == len(titles):
+        return titles
+    return [f"{title}, {folder}" for title, folder in zip(titles, folders, strict=True)]
