@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,8 +11,11 @@ from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.intervals import IntervalSummary
 from symbid_ros.identification.report_data import ReportData
-from symbid_ros.report.robot_scene import RobotScene
 from symbid_ros.report.robot_summary import RobotSummary
+
+if TYPE_CHECKING:
+    # Loads libraries for meshes, which commands that only print a table do not need.
+    from symbid_ros.report.robot_scene import RobotScene
 
 PRIOR = "prior"
 TRUTH = "truth"
@@ -222,7 +226,7 @@ class ReportContent:
     truncations: tuple[TruncationChoice, ...] = ()
     limits: dict[str, JointLimits] = field(default_factory=dict)
     spread: ParameterCorrelation | None = None
-    robot: RobotScene | None = None
+    robot: "RobotScene | None" = None
 
     def __post_init__(self) -> None:
         labels = [method.label for method in self.methods]

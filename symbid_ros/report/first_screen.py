@@ -11,7 +11,7 @@ from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.identification.holdout import REPEATED
 from symbid_ros.identification.report_data import ReportData
 from symbid_ros.identification.validation import percent
-from symbid_ros.report.content import MethodResult, ReportContent
+from symbid_ros.report.content import PRIOR, MethodResult, ReportContent
 from symbid_ros.report.formatting import ABSENT, significant, with_std
 from symbid_ros.report.robot_summary import RobotSummary
 
@@ -114,6 +114,7 @@ def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
                 "parameter combinations; all others keep their original values",
             )
         )
+    figures += _error_against_truth(content)
     if shown.log is not None:
         coverage = shown.log.coverage
         used = float(np.sum(coverage.used[:, 1] - coverage.used[:, 0]))
@@ -121,6 +122,15 @@ def key_figures(content: ReportContent) -> tuple[KeyFigure, ...]:
             KeyFigure("Log", f"{significant(used)} s used", _describe_findings(shown.log))
         )
     return tuple(figures)
+
+
+def _error_against_truth(content: ReportContent) -> list[KeyFigure]:
+    key = "com_position_rmse_mm"
+    metrics, prior = content.metrics_of(content.chosen), content.metrics_of(PRIOR)
+    if metrics is None or key not in metrics:
+        return []
+    note = "" if prior is None else f"of the centre of mass; original {significant(prior[key])} mm"
+    return [KeyFigure("Error against the truth", f"{significant(metrics[key])} mm", note)]
 
 
 def describe_measured(estimate: Estimate) -> str:
@@ -207,6 +217,11 @@ class ErrorBars:
     bars: tuple[ErrorBar, ...]
     scale: str
     note: str
+
+    @property
+    def has_cut(self) -> bool:
+        """Whether a bar is cut off."""
+        return any(bar.is_cut for bar in self.bars)
 
     @property
     def shown(self) -> tuple[ErrorBar, ...]:

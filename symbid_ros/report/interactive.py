@@ -9,7 +9,12 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.report.content import ReportContent
-from symbid_ros.report.log_figures import binned_medians, error_limit, shown_joints
+from symbid_ros.report.log_figures import (
+    binned_medians,
+    force_range,
+    shown_error,
+    shown_joints,
+)
 
 _FOLDER = Path(__file__).parent
 _VENDOR = _FOLDER / "vendored"
@@ -21,7 +26,6 @@ def figure_data(content: ReportContent) -> dict[str, Any]:
     log = content.shown.log
     if log is not None and log.forces is not None:
         forces = log.forces
-        rest_before, rest_after = forces.measured - forces.before, forces.measured - forces.after
         amplitudes = [
             np.sqrt(power)
             for power in (forces.power_measured, forces.power_before, forces.power_after)
@@ -37,9 +41,8 @@ def figure_data(content: ReportContent) -> dict[str, Any]:
                     "measured": packed(forces.measured[:, place]),
                     "before": packed(forces.before[:, place]),
                     "after": packed(forces.after[:, place]),
-                    "limit": max(
-                        error_limit(rest_before[:, place]), error_limit(rest_after[:, place])
-                    ),
+                    "limit": shown_error(forces, place),
+                    "range": force_range(forces, place),
                     "spectra": [packed(one[:, place]) for one in amplitudes],
                     "speed": _speeds(forces.speed[:, place]),
                     "speedBefore": packed(forces.speed_before[:, place]),

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.identification.report_data import ForceSeries
@@ -52,6 +52,9 @@ def force_panels(forces: ForceSeries) -> tuple[Panel, ...]:
             _line(upper, forces.time, values[:, place], label)
         unit = forces.units[place]
         upper.set_ylabel(f"{_kind(unit)} [{unit}]")
+        low, high = force_range(forces, place)
+        if high > low:
+            upper.set_ylim(low, high)
         _draw_errors(lower, forces, place)
         figure.align_ylabels([upper, lower])
 
@@ -103,7 +106,12 @@ def speed_panels(forces: ForceSeries) -> tuple[Panel, ...]:
         unit = forces.units[place]
         axes.set_ylabel(f"error [{unit}]")
         axes.set_xlabel(f"speed [{'rad/s' if unit == 'Nm' else 'm/s'}]")
-        _limit(axes, forces.speed_before[:, place], forces.speed_after[:, place])
+        _limit(
+            axes,
+            shown_error(forces, place),
+            forces.speed_before[:, place],
+            forces.speed_after[:, place],
+        )
 
     places = [
         place
@@ -135,7 +143,8 @@ def spectrum_panels(forces: ForceSeries) -> tuple[Panel, ...]:
                     linewidth=style.width,
                 )
         axes.set_yscale("log")
-        axes.minorticks_off()
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_locator(NullLocator())
         axes.set_ylabel(f"density [{forces.units[place]}/√Hz]")
         axes.set_xlabel("frequency [Hz]")
         axes.margins(x=0)
@@ -193,7 +202,47 @@ def _draw_errors(axes: Axes, forces: ForceSeries, place: int) -> None:
     _line(axes, forces.time, errors[:, 1], IDENTIFIED)
     axes.set_ylabel(f"error [{forces.units[place]}]")
     axes.set_xlabel("time [s]")
-    _limit(axes, errors[:, 0], errors[:, 1])
+    _limit(axes, shown_error(forces, place), errors[:, 0], errors[:, 1])
+
+
+def force_range(forces: ForceSeries, place: int) -> tuple[float, float]:
+    """Return the range of forces shown: measured and identified, and the original if near."""
+    near = np.stack([forces.measured[:, place], forces.after[:, place]])
+    near = near[np.isfinite(near)]
+    far = forces.before[:, place]
+    far = far[np.isfinite(far)]
+    if not len(near) or not len(far):
+        return 0.0, 0.0
+    least, most = np.quantile(near, [0.002, 0.998]).tolist()
+    span = most - least
+    low, high = least, most
+    if least - span <= float(np.median(far)) <= most + span:
+        low = max(min(least, float(far.min())), least - span)
+        high = min(max(most, float(far.max())), most + span)
+    return low - 0.05 * (high - low), high + 0.05 * (high - low)
+
+
+def shown_error(forces: ForceSeries, place: int) -> float:
+    """Return the size of errors up to which an axis reaches.
+
+    Errors of the original model beyond the range of the measured force would hide all others.
+    """
+    measured = forces.measured[:, place]
+    measured = measured[np.isfinite(measured)]
+    before, after = (
+        error_limit(forces.measured[:, place] - one[:, place])
+        for one in (forces.before, forces.after)
+    )
+    return max(after, min(before, float(np.ptp(measured)) if len(measured) else 0.0))
+
+
+def has_hidden_errors(forces: ForceSeries) -> bool:
+    """Return whether errors of the original model exceed an axis."""
+    return any(
+        error_limit(forces.measured[:, place] - forces.before[:, place])
+        > 1.01 * shown_error(forces, place)
+        for place in np.flatnonzero(forces.has_rows).tolist()
+    )
 
 
 def _line(axes: Axes, time: FloatArray, values: FloatArray, label: str) -> None:
@@ -210,9 +259,8 @@ def _line(axes: Axes, time: FloatArray, values: FloatArray, label: str) -> None:
     axes.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def _limit(axes: Axes, *errors: FloatArray) -> None:
-    """Fit the axis to all errors but single outliers."""
-    limit = max(error_limit(one) for one in errors)
+def _limit(axes: Axes, limit: float, *errors: FloatArray) -> None:
+    """Fit the axis to the errors up to a limit."""
     found = np.concatenate([one[np.isfinite(one)] for one in errors])
     if limit > 0:
         low, high = max(float(found.min()), -limit), min(float(found.max()), limit)

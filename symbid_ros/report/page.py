@@ -1,7 +1,8 @@
 """Report on one estimate, or a comparison of several, as a self-contained HTML page."""
 
+import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from symbid_ros.report.log_bars import joint_ranges, timeline
 from symbid_ros.report.log_figures import (
     base_panels,
     force_panels,
+    has_hidden_errors,
     spectrum_panels,
     speed_panels,
 )
@@ -114,7 +116,7 @@ def render(content: ReportContent) -> str:
         "matrices": determined_matrices(estimate, prior_std),
         "correlation": None if content.spread is None else correlation_image(content.spread),
         "changes": largest_changes(estimate, prior_std),
-        "compared": compared_results(content.results),
+        "compared": None if any(errors.values()) else compared_results(content.results),
         "forces": None if log is None or log.forces is None else _forces(log.forces),
         "log": None if log is None else log.coverage,
         "timeline": None if log is None else timeline(log.coverage, log.forces),
@@ -198,8 +200,11 @@ def _forces(forces: ForceSeries) -> ForcePanels:
     shown = forces.time[-1] - forces.time[0] if len(forces.time) else 0.0
     if shown < 0.9 * (forces.stop - forces.start):
         what += f" Shown are the {significant(float(shown))} s in which forces change most."
+    what += " Errors have an axis of their own."
+    if has_hidden_errors(forces):
+        what += " Errors of the original model that exceed the measured force are cut off."
     return ForcePanels(
-        f"{what} Errors have an axis of their own.",
+        what,
         "the base",
         force_panels(forces),
         speed_panels(forces),
@@ -279,17 +284,31 @@ def impossible_links(consistent: dict[str, bool]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ComparedResults:
-    """Several results: a column for each, and rows of text."""
+    """Several results as text: a row for each, and the error of each joint.
+
+    Attributes
+    ----------
+    columns : tuple of str
+        Titles of what is compared.
+    rows : tuple of (str, tuple of str)
+        Label of each result and its values.
+    labels : tuple of str
+        Results that know the error of each joint.
+    joints : tuple of (str, tuple of (str, bool))
+        Name of each joint and, for these results, its error and whether it is the smallest.
+    """
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, tuple[str, ...]], ...]
+    labels: tuple[str, ...]
+    joints: tuple[tuple[str, tuple[tuple[str, bool], ...]], ...]
 
 
 def compared_results(results: Sequence[MethodResult]) -> ComparedResults | None:
     """Return the table of several results; None for a single one."""
     if len(results) < 2:
         return None
-    columns: dict[str, list[str]] = {}
+    rows, columns = [], dict[str, None]()
     for result in results:
         estimate, summary = result.estimate, result.summary
         assert estimate is not None
@@ -299,22 +318,37 @@ def compared_results(results: Sequence[MethodResult]) -> ComparedResults | None:
             "Error on data held out": ABSENT if held_out is None else held_out.summary,
             "Alarms": alarms,
             "Joint terms": estimate.describe_terms() or _named_terms(estimate) or "none",
-            "Measured combinations": describe_measured(estimate),
+            "Measured": describe_measured(estimate),
         }
         if summary is not None:
-            moving = "Total mass" if summary.is_floating else "Mass of the moving links"
-            cells[moving] = f"{with_std(summary.mass, summary.mass_std)} kg"
-            cells["Centre of mass"] = (
-                ", ".join(
-                    with_std(1e3 * value, 1e3 * std)
-                    for value, std in zip(summary.com, summary.com_std, strict=True)
-                )
-                + " mm"
-            )
-        for name, text in cells.items():
-            columns.setdefault(name, []).append(text)
-    labels = tuple(result.label for result in results)
-    return ComparedResults(labels, tuple((name, tuple(row)) for name, row in columns.items()))
+            cells["Mass"] = f"{with_std(summary.mass, summary.mass_std)} kg"
+        columns |= dict.fromkeys(cells)
+        rows.append((result.label, cells))
+    known = {
+        result.label: dict(zip(result.log.forces.coordinates, errors, strict=True))
+        for result in results
+        if result.log is not None and result.log.forces is not None
+        for errors in [result.log.forces.rmse_after.tolist()]
+    }
+    return ComparedResults(
+        tuple(columns),
+        tuple((label, tuple(cells.get(name, ABSENT) for name in columns)) for label, cells in rows),
+        tuple(known) if len(known) > 1 else (),
+        _joint_errors(known) if len(known) > 1 else (),
+    )
+
+
+def _joint_errors(
+    known: Mapping[str, Mapping[str, float]],
+) -> tuple[tuple[str, tuple[tuple[str, bool], ...]], ...]:
+    """Return the error at each coordinate that every result predicts, with the smallest marked."""
+    first = next(iter(known.values()))
+    joints = []
+    for name in first:
+        errors = [one.get(name, float("nan")) for one in known.values()]
+        if not name.startswith("base/") and all(map(math.isfinite, errors)):
+            joints.append((name, tuple((significant(e), e == min(errors)) for e in errors)))
+    return tuple(joints)
 
 
 def _named_terms(estimate: Estimate) -> str:

@@ -126,7 +126,8 @@
       const { unit, name } = place;
       const kind = unit === "Nm" ? "torque" : "force";
       const [measured, before, after] = [place.measured, place.before, place.after].map(numbers);
-      const minus = (one) => one.map((value, i) => (value === null ? null : measured[i] - value));
+      const minus = (one) => 
+        one.map((value, i) => (value === null || measured[i] === null ? null : measured[i] - value));
       const sync = { key: "time" };
       const upper = { ready: false, hooks: {} };
       const lower = { ready: false, hooks: {} };
@@ -138,7 +139,10 @@
         {
           hooks: upper.hooks,
           cursor: { sync },
-          scales: { x: { time: false } },
+          scales: {
+            x: { time: false },
+            y: { range: (_, min, max) => within(min, max, place.range) },
+          },
           axes: [axis("", 24), axis(`${kind} [${unit}]`, 52)],
           series: [
             { label: "time [s]", value: (_, value) => digits(value) },
@@ -174,6 +178,14 @@
       if (place.speed) shown.push(drawSpeed(place, unit));
       if (frequency.length) shown.push(drawSpectrum(place, unit));
       for (const box of document.querySelectorAll(".coordinate-name")) box.textContent = name;
+    }
+
+    // An original model that is far off does not set the axis.
+    function within(min, max, [low, high]) {
+      if (min === null) return [-1, 1];
+      if (high <= low) return [min, max];
+      const pad = 0.05 * (max - min);
+      return [Math.max(min - pad, low), Math.min(max + pad, high)];
     }
 
     // Unless the reader zooms, single outliers do not set the axis.

@@ -14,6 +14,7 @@ from symbid_ros.identification.realistic_prediction import RealisticMotion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.compose import GroundTruth, compose
 from symbid_ros.report.content import METRICS, PRIOR, REALISTIC_METRICS, TRUTH
+from symbid_ros.report.saved_results import ReportedResult
 
 COUNT = 6
 METADATA = {"Bag": "log"}
@@ -34,7 +35,7 @@ def ground_truth(parameters: ParameterSet) -> GroundTruth:
     samples = replace(samples, effort=samples.effort + owed)
     rotation = np.tile(np.eye(3), (COUNT, 1, 1))
     motion = TrueMotion(samples, rng.normal(size=(COUNT, 3)), rotation)
-    return GroundTruth(motion, parameters.values, RealisticMotion(samples, motion))
+    return GroundTruth(motion, parameters.model, RealisticMotion(samples, motion))
 
 
 def estimated(parameters: ParameterSet, factor: float, rank: int | None = None) -> Estimate:
@@ -63,12 +64,13 @@ def test_errors_are_relative_to_the_ground_truth(
 ) -> None:
     deviation = 0.1 * np.diag(parameters.values)
     content = compose(
-        {"A": estimated(parameters, 1.2), "B": estimated(parameters, 0.9)},
-        parameters,
+        {
+            "A": ReportedResult(estimated(parameters, 1.2), parameters),
+            "B": ReportedResult(estimated(parameters, 0.9), parameters, deviation),
+        },
         chosen="B",
         metadata=METADATA,
         ground_truth=ground_truth,
-        deviation_factor=deviation,
         truncations={("A", "itself"): estimated(parameters, 1.2, rank=3)},
     )
     assert [method.label for method in content.methods] == [PRIOR, "A", "B", TRUTH]
@@ -110,25 +112,43 @@ def test_errors_are_relative_to_the_ground_truth(
 
 
 def test_without_ground_truth_there_are_no_errors(parameters: ParameterSet) -> None:
-    content = compose(
-        {"A": estimated(parameters, 1.1)},
-        parameters,
-        chosen="A",
-        metadata=METADATA,
-        deviation_factor=np.eye(len(parameters)),
-    )
+    shown = ReportedResult(estimated(parameters, 1.1), parameters, np.eye(len(parameters)))
+    content = compose({"A": shown}, chosen="A", metadata=METADATA)
     assert [(m.label, m.metrics) for m in content.methods] == [(PRIOR, None), ("A", None)]
     judged = (content.predictions, content.link_errors, content.intervals)
     assert judged == (None, None, None)
     assert (content.realistic, content.truncations) == ({}, ())
 
 
-def test_estimates_of_different_parameters_raise_an_error(parameters: ParameterSet) -> None:
-    more = ParameterSet(parameters.model, ("viscous",))
-    with pytest.raises(EstimateError, match="B: its 32 parameters are not the 30 of A"):
-        compose(
-            {"A": estimated(parameters, 1.0), "B": estimated(more, 1.0)},
-            parameters,
-            chosen="A",
-            metadata=METADATA,
-        )
+def test_results_may_differ_in_joint_terms(
+    parameters: ParameterSet, ground_truth: GroundTruth
+) -> None:
+    rubbing = ParameterSet(parameters.model, ("viscous",))
+    viscous = estimated(rubbing, 1.0)
+    coefficient = 0.7
+    values = viscous.value.copy()
+    values[rubbing.inertial :] = coefficient
+    content = compose(
+        {
+            "A": ReportedResult(estimated(parameters, 1.2), parameters),
+            "B": ReportedResult(replace(viscous, value=values), rubbing),
+        },
+        chosen="A",
+        metadata=METADATA,
+        ground_truth=ground_truth,
+    )
+    errors = {method.label: method.metrics or {} for method in content.methods}
+    assert errors["A"]["parameter_error_pct"] == pytest.approx(20)
+    assert errors["B"]["parameter_error_pct"] == pytest.approx(0, abs=1e-9)
+    velocity = ground_truth.motion.samples.velocity
+    friction = coefficient * np.sqrt(np.mean(np.sum(velocity**2, axis=1)))
+    assert errors["B"]["torque_rmse"] == pytest.approx(friction)
+
+
+def test_the_truth_must_be_the_same_robot(
+    parameters: ParameterSet, ground_truth: GroundTruth
+) -> None:
+    other = replace(ground_truth, model=random_robot(2, links=5))
+    shown = ReportedResult(estimated(parameters, 1.0), parameters)
+    with pytest.raises(EstimateError, match="true model of this robot"):
+        compose({"A": shown}, chosen="A", metadata=METADATA, ground_truth=other)

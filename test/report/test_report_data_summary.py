@@ -51,8 +51,8 @@ class TestAlarms:
     def test_alarms_come_before_everything_else(self) -> None:
         page = Page(render(content_with_verdict(alarms=self.alarms)))
         text = text_of(page)
-        assert "2 alarms: do not trust these values yet." in text
-        assert "No alarm" not in text
+        assert "Do not use this model yet: 2 alarms." in text
+        assert "no alarm" not in text
         first_section = page.source.index("<section")
         assert all(
             text.index(alarm) < text.index("What the data determine") for alarm in self.alarms
@@ -60,16 +60,15 @@ class TestAlarms:
         assert page.source.index('class="alarms"') < page.source.index("<nav") < first_section
 
     def test_one_alarm_is_singular(self) -> None:
-        assert "1 alarm: do not" in text_of(
+        assert "not use this model yet: 1 alarm." in text_of(
             Page(render(content_with_verdict(alarms=self.alarms[:1])))
         )
 
     def test_a_page_without_alarms_says_so(self) -> None:
         page = Page(render(content_with_verdict()))
-        assert (
-            "No alarm: the model explains this log. 2 of 30 parameter combinations were measured."
-            in text_of(page)
-        )
+        text = text_of(page)
+        assert "no data were held out; no alarm." in text
+        assert "2 of 30 parameter combinations were measured" in text
         assert "alarms" not in page.attributes("class")
 
     def test_a_method_without_verdict_has_no_summary(self) -> None:
@@ -138,7 +137,7 @@ class TestDataSummary:
     def test_directions_keep_coefficient_and_parameter_on_one_line(self) -> None:
         directions = [text for text in self.page.text if "base_link/m" in text and "0.72" in text]
         assert directions == ["+0.72\xa0base_link/m −0.37\xa0link_0/mc_x"]
-        assert "Determined directions 2 of 30, best first" in text_of(self.page)
+        assert "Measured combinations 2 of 30, best first" in text_of(self.page)
 
 
 @pytest.fixture(scope="class")
@@ -183,12 +182,13 @@ class TestEvaluation:
 
     def test_navigation_lists_the_sections_in_order(self, evaluated_page: Page) -> None:
         sections = [a["id"] for tag, a in evaluated_page.elements if tag == "section"]
-        assert sections[:2] == ["methods", "data-summary"]
-        assert sections[-6:] == [
-            *("realistic", "truncation", "possible", "parameters", "residuals", "data")
+        assert sections == [
+            *("methods", "realistic", "truncation", "data-summary"),
+            *("possible", "parameters", "data"),
         ]
         links = [a["href"] for tag, a in evaluated_page.elements if tag == "a"]
-        assert links == [f"#{section}" for section in sections]
+        own = [link for link in links if link.startswith("#")]
+        assert own == [f"#{section}" for section in sections]
 
 
 @given(

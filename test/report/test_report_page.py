@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from report_pages import Page, content, estimate, metrics, series
+from report_pages import Page, content, estimate, series
 
 from symbid_ros.errors import EstimateError
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.report.content import LinkErrors, ReportContent
-from symbid_ros.report.page import render, write_report
+from symbid_ros.report.page import DOCUMENTATION, render, write_report
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module", params=[2, 29])
@@ -27,19 +29,29 @@ def page(joints: int) -> Page:
 
 class TestPage:
     def test_has_no_external_resources(self, page: Page) -> None:
-        targets = page.attributes("href") + page.attributes("src")
-        assert all(target.startswith("#") for target in targets)
-        assert not [tag for tag, _ in page.elements if tag in {"script", "link", "iframe", "img"}]
+        assert all(source.startswith("data:") for source in page.attributes("src"))
+        tags = {tag for tag, _ in page.elements}
+        assert not tags & {"iframe", "object", "embed"}
+        icons = [a["href"] for tag, a in page.elements if tag == "link"]
+        assert icons == ["data:,"]
+
+    def test_links_lead_to_the_page_or_to_the_documentation(self, page: Page) -> None:
+        documented = {path.stem for path in (ROOT / "docs").glob("*.md")}
+        for target in page.attributes("href"):
+            if target.startswith(DOCUMENTATION):
+                name = target.removeprefix(f"{DOCUMENTATION}/").partition("#")[0]
+                assert name.removesuffix(".html") in documented
+            else:
+                assert target.startswith("#") or target == "data:,"
 
     def test_styles_load_no_resources(self, page: Page) -> None:
         assert "@import" not in page.source
-        assert "http" not in page.source
         assert set(re.findall(r"url\((.)", page.source)) <= {"#"}
 
     def test_ids_are_unique_and_every_reference_has_its_target(self, page: Page) -> None:
         ids = page.attributes("id")
         assert len(ids) == len(set(ids))
-        references = {target[1:] for target in page.attributes("href")}
+        references = {target[1:] for target in page.attributes("href") if target[0] == "#"}
         clips = {m for a in page.attributes("clip-path") for m in re.findall(r"#([^)]+)", a)}
         assert references | clips <= set(ids)
 
@@ -64,12 +76,10 @@ class TestPage:
         assert page.row("WLS-RC")[1:] == ["0.500", "1.00", "1.50", "2.00", "2.50"]
         assert page.row("prior")[1:] == ["10.0", "20.0", "30.0", "40.0", "50.0"]
 
-    def test_headline_is_computed(self, page: Page, joints: int) -> None:
-        assert (
-            f"WLS-RC: CoM error 1.50 mm, better than the prior’s 30.0 mm; {5 * (joints + 1)} of "
-            f"{10 * (joints + 1)} parameters determined by the data; {joints + 1} of "
-            f"{joints + 1} links physically possible."
-        ) in page.text
+    def test_the_error_against_the_truth_is_a_key_figure(self, page: Page) -> None:
+        text = " ".join("".join(page.text).split())
+        assert "Error against the truth1.50 mm" in text
+        assert "of the centre of mass; original 30.0 mm" in text
 
     def test_parameters_are_those_of_the_estimate(self, page: Page, joints: int) -> None:
         shown = estimate(("base_link", *(f"link_{i}" for i in range(joints))), ())
@@ -78,7 +88,8 @@ class TestPage:
         for index, row in enumerate(rows):
             for text, vector in zip(row[1:4], (shown.value, shown.std, shown.prior), strict=True):
                 assert vector is not None
-                assert float(text) == pytest.approx(vector[index], abs=5.1e-4)
+                # The standard deviation has two digits, and all have its decimals.
+                assert float(text) == pytest.approx(vector[index], abs=0.051 * shown.std[index])
             assert row[5] == ("yes" if index % 2 == 0 else "no")
 
     def test_residuals_have_a_row_for_each_coordinate(self, page: Page, joints: int) -> None:
@@ -92,11 +103,17 @@ class TestWithoutTruth:
     def test_panels_and_their_navigation_are_absent(self) -> None:
         assert not [tag for tag, _ in self.page.elements if tag == "figure"]
         sections = [a["id"] for tag, a in self.page.elements if tag == "section"]
-        assert sections == ["possible", "parameters", "residuals", "data"]
-        assert self.page.attributes("href") == [f"#{section}" for section in sections]
+        assert sections == ["compared", "possible", "parameters", "data"]
+        own = [target for target in self.page.attributes("href") if target[0] == "#"]
+        assert own == [f"#{section}" for section in sections]
 
-    def test_headline_has_no_error(self) -> None:
-        assert "CoM error" not in "".join(self.page.text)
+    def test_there_is_no_error_against_a_truth(self) -> None:
+        assert "against the truth" not in "".join(self.page.text)
+
+    def test_what_an_earlier_result_lacks_and_how_to_get_it_is_said(self) -> None:
+        text = " ".join("".join(self.page.text).split())
+        assert "does not hold measured forces" in text
+        assert "symbid report RESULT --bag BAG" in text
 
 
 def changed(**fields: object) -> ReportContent:
@@ -117,7 +134,6 @@ def test_impossible_links_are_named() -> None:
     page = Page(render(changed(consistent={"base_link": True, "link_0": False, "link_1": True})))
     text = " ".join("".join(page.text).split())
     assert "impossible: link_0" in text
-    assert "2 of 3 links physically possible" in text
 
 
 def test_a_missing_value_is_a_dash() -> None:
@@ -142,16 +158,8 @@ def test_friction_has_a_group_of_its_own() -> None:
         )
     )
     assert page.row("joint_0/viscous")[1:5] == ["0.7000", "—", "1.0000", "Nm s/rad"]
-    assert sum(tag == "details" for tag, _ in page.elements) == 4
-
-
-def test_headline_reveals_a_method_worse_than_the_prior() -> None:
-    base = content(2)
-    worse = tuple(
-        replace(m, metrics=metrics(11.0)) if m.label == "WLS-RC" else m for m in base.methods
-    )
-    page = Page(render(replace(base, methods=worse, predictions=None, link_errors=None)))
-    assert "CoM error 33.0 mm, no better than the prior’s 30.0 mm" in "".join(page.text)
+    groups = [text for text in page.text if text in {"base_link", "link_0", "link_1", "Joints"}]
+    assert groups == ["base_link", "link_0", "link_1", "Joints"]
 
 
 def test_names_are_escaped() -> None:

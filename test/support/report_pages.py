@@ -1,16 +1,26 @@
 """A strict HTML parser for report pages, and small contents to render."""
 
 import html.parser
+from dataclasses import replace
 
 import numpy as np
 
-from symbid_ros.estimation.estimate import Estimate
+from symbid_ros.estimation.estimate import Estimate, HoldOut
 from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
+from symbid_ros.identification.report_data import (
+    QUANTILES,
+    Coverage,
+    ForceSeries,
+    ParameterSpread,
+    ReportData,
+)
 from symbid_ros.model.inertia import PARAMETERS, UNITS
 from symbid_ros.report.content import (
     METRICS,
+    JointLimits,
     LinkErrors,
     MethodResult,
+    ParameterCorrelation,
     PredictionSeries,
     ReportContent,
 )
@@ -71,7 +81,7 @@ class Page(html.parser.HTMLParser):
     def handle_data(self, data: str) -> None:
         if {"td", "th"} & set(self.open):
             self.rows[-1][-1] += data.strip()
-        if "style" not in self.open:
+        if not {"style", "script"} & set(self.open):
             self.text.append(data)
 
     def attributes(self, name: str) -> list[str]:
@@ -147,4 +157,94 @@ def content(joints: int, *, truth: bool = True) -> ReportContent:
         metadata={"Bag": "log", "Samples": "4321"},
         predictions=predictions if truth else None,
         link_errors=LinkErrors(links, errors) if truth else None,
+    )
+
+
+def report_data(names: tuple[str, ...], joints: tuple[str, ...], *, outlier: float = 1.0):
+    """Return data of a log with a gap, a finding, and errors of 10 % before and 1 % after.
+
+    The first joint's original error is ``outlier`` times as large.
+    """
+    rng = np.random.default_rng(3)
+    base = tuple(f"base/{k}_{a}" for k in ("moment", "force") for a in "xyz")
+    coordinates = (*base, *joints)
+    count = len(coordinates)
+    time = np.arange(20.0, 40.0, 0.04)
+    measured = 10 * np.sin(time[:, None] * np.linspace(0.5, 2.0, count))
+    before = measured - rng.normal(0, 1.0, measured.shape)
+    before[:, 6] -= outlier
+    after = measured - rng.normal(0, 0.1, measured.shape)
+    measured[5:9, 6] = np.nan
+    frequency = np.linspace(0.4, 12.5, 32)
+    speed = np.full_like(measured, np.nan)
+    speed[:, 6:] = np.cos(time[:, None] * np.linspace(0.5, 2.0, len(joints)))
+
+    def rms(values):
+        return np.sqrt(np.nanmean(values**2, axis=0))
+
+    forces = ForceSeries(
+        coordinates=coordinates,
+        units=("Nm",) * 3 + ("N",) * 3 + ("Nm",) * len(joints),
+        time=time,
+        measured=measured,
+        before=before,
+        after=after,
+        frequency=frequency,
+        power_measured=np.exp(-frequency)[:, None] * np.ones(count),
+        power_before=np.full((32, count), 0.1),
+        power_after=np.full((32, count), 0.001),
+        speed=speed,
+        speed_before=measured - before,
+        speed_after=measured - after,
+        rms_measured=rms(measured),
+        rmse_before=rms(measured - before),
+        rmse_after=rms(measured - after),
+        start=20.0,
+        stop=40.0,
+        is_held_out=True,
+    )
+    quantiles = np.linspace(-1.0, 1.0, len(QUANTILES)) * np.ones((len(joints), 1))
+    finding = {
+        "kind": "gap",
+        "stream": "/joint_states",
+        "severity": "warning",
+        "message": "/joint_states: 50 messages <are> missing in 1 gap",
+        "figures": {},
+    }
+    coverage = Coverage(
+        log="walk_bag",
+        begin=0,
+        used=np.array([[0.0, 12.0], [13.0, 40.0]]),
+        faults=({"kind": "gap", "stream": "/joint_states", "start": 12.0, "stop": 13.0},),
+        findings=(finding,),
+        is_checked=True,
+        joints=joints,
+        position=quantiles,
+        speed=np.abs(quantiles),
+        mean_posture=np.zeros(len(joints)),
+    )
+    spread = ParameterSpread(names, np.full(len(names), 0.2), np.zeros(len(names)))
+    return ReportData(forces, coverage, spread)
+
+
+def content_of_a_log(joints: int, *, outlier: float = 1.0, truth: bool = False) -> ReportContent:
+    """Return the content with the data of a log, a verdict and a check on held-out data."""
+    base = content(joints, truth=truth)
+    shown = base.estimate
+    log = report_data(shown.names, base.joint_names, outlier=outlier)
+    holdout = HoldOut(20.0, 10.0, 1.0, "better", 0.0, {}, "10 % → 1 % of the measured torque")
+    verdict = replace(VERDICT, link_gain=dict.fromkeys(shown.consistent, 3.0))
+    estimate = replace(shown, verdict=verdict, holdout=holdout, rank=None)
+    rng = np.random.default_rng(4)
+    factor = rng.normal(size=(len(shown.names), 40))
+    factor /= np.linalg.norm(factor, axis=1)[:, None]
+    return replace(
+        base,
+        methods=tuple(
+            replace(one, estimate=estimate, log=log) if one.label == base.chosen else one
+            for one in base.methods
+            if truth or one.label == base.chosen
+        ),
+        limits={name: JointLimits(-2.0, 2.0, False) for name in base.joint_names},
+        spread=ParameterCorrelation(shown.names, factor @ factor.T, log.spread.prior_std),
     )
