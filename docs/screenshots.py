@@ -1,7 +1,7 @@
 """Takes the screenshots of a report for the documentation.
 
-``python docs/screenshots.py result/report.html`` writes docs/images/report_light.png, report_dark.png
-and report_phone.png. It needs Chromium and the packages of requirements-dev.txt.
+``python docs/screenshots.py result/report.html`` writes report_light.png, report_dark.png and
+report_phone.png to docs/images/. It needs Chromium and the packages of requirements-dev.txt.
 """
 
 import argparse

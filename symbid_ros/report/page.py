@@ -161,8 +161,8 @@ def _sections(shown: dict[str, Any]) -> tuple[tuple[str, str], ...]:
     """Return anchors and titles of the sections that the page has."""
     every: list[tuple[Any, str, str]] = [
         (shown["compared"], "compared", "Side by side"),
-        (shown["robot_view"], "robot", "The robot"),
         (shown["forces"], "forces", "Forces"),
+        (shown["robot_view"], "robot", "The robot"),
         (shown["metrics"], "methods", "Methods"),
         *((True, figure.anchor, figure.title) for figure in shown["figures"]),
         (shown["realistic"], "realistic", "From the robot’s own sensors"),
