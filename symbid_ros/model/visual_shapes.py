@@ -86,8 +86,8 @@ def collision_shapes(model: RobotModel) -> VisualShapes:
 
 def _shapes(model: RobotModel, *, collision: bool) -> VisualShapes:
     path = Path(model.source)
-    read = _mjcf_shapes if is_mjcf(path) else _urdf_shapes
     try:
+        read = _mjcf_shapes if is_mjcf(path) else _urdf_shapes
         return read(model, path, collision=collision)
     except ModelError as error:
         return VisualShapes(remarks=(str(error),))
