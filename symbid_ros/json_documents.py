@@ -17,6 +17,7 @@ VERSIONS = {
     "bag_recovery": 1,
     "comparison": 1,
     "diagnosis": 1,
+    "difference": 1,
     "estimate": 1,
     "evaluation": 1,
     "plan": 1,

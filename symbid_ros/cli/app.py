@@ -16,6 +16,7 @@ from symbid_ros.cli.estimates import evaluate, identify, prior, report
 from symbid_ros.cli.excite import excite
 from symbid_ros.cli.flags import flag
 from symbid_ros.cli.init import init
+from symbid_ros.cli.install import apply, diff
 from symbid_ros.cli.simulate import simulate, udp_client
 from symbid_ros.cli.study import study
 from symbid_ros.cli.validate import compare, validate
@@ -41,6 +42,8 @@ COMMANDS = (
     identify,
     validate,
     compare,
+    diff,
+    apply,
     evaluate,
     report,
     study,

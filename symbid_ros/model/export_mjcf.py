@@ -192,7 +192,7 @@ def _inertial(phi: FloatArray) -> ET.Element:
 
 
 def updated_mjcf(
-    model: RobotModel, source: Path, folder: Path, name: str
+    model: RobotModel, source: Path, folder: Path, name: str, *, in_place: bool = False
 ) -> dict[PurePosixPath, str] | None:
     """Return the user's MJCF with the robot's inertias and joint terms, as files for ``folder``.
 
@@ -209,6 +209,8 @@ def updated_mjcf(
         Where the files will be saved.
     name : str
         Name of the main file there.
+    in_place : bool
+        Whether the texts will replace ``source`` and its included files.
 
     Returns
     -------
@@ -242,7 +244,7 @@ def updated_mjcf(
         if joint in after:
             _set_terms(files, as_element(element), before[joint], after[joint])
     _adjust_compilers(files, root, folder)
-    return files.texts(folder, name)
+    return files.texts(folder, name, in_place=in_place)
 
 
 class _Files:
@@ -265,14 +267,16 @@ class _Files:
     def editor(self, element: Element) -> XmlEditor:
         return self.editors[element.file]
 
-    def texts(self, folder: Path, name: str) -> dict[PurePosixPath, str]:
+    def texts(self, folder: Path, name: str, *, in_place: bool) -> dict[PurePosixPath, str]:
         """Return the edited texts by path in ``folder``, the main file first."""
         home = self.source.parent.resolve()
         places = {self.source: PurePosixPath(name)}
         for _, file in self._includes:
             place = PurePosixPath(file.relative_to(home).as_posix())
             # Replace neither another output nor one of the user's own files.
-            while place in places.values() or (folder / place).resolve() in self.editors:
+            while not in_place and (
+                place in places.values() or (folder / place).resolve() in self.editors
+            ):
                 place = place.with_stem(f"{place.stem}_identified")
             places[file] = place
         for include, file in self._includes:

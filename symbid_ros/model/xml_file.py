@@ -260,6 +260,38 @@ class XmlEditor:
         return line if not line.strip() else b""
 
 
+def with_comment(path: Path, text: str, mark: str, comment: str) -> str:
+    """Return a file's text with a comment as the first child of its root.
+
+    Parameters
+    ----------
+    path : Path
+        For messages.
+    text : str
+        As :meth:`XmlEditor.text` returns it.
+    mark : str
+        First word of the comment. An earlier comment that begins with it is replaced.
+    comment : str
+        Its other words. Characters that are not ASCII are written as references.
+    """
+    content = text.encode(errors="surrogateescape")
+    words = f"{mark} {comment}".replace("--", "- -").encode("ascii", "xmlcharrefreplace")
+    markup = b"<!-- " + words + b" -->"
+    earlier = re.search(rb"<!-- " + re.escape(mark.encode()) + rb"\s[^<>]*-->", content)
+    if earlier is not None:
+        start, stop = earlier.span()
+    else:
+        root = _Builder(path).root(content)
+        head = _HEAD.match(content, root.start)
+        if head is None or head[2].endswith(b"/>"):
+            return text  # an empty robot
+        start = stop = head.end()
+        blank = re.match(rb"\s*\n([ \t]*)", content[start:])
+        newline = b"\r\n" if b"\r\n" in content else b"\n"
+        markup = newline + (b"  " if blank is None else blank[1]) + markup
+    return (content[:start] + markup + content[stop:]).decode("utf-8", "surrogateescape")
+
+
 def is_editable(path: Path) -> bool:
     """Return whether the file's encoding contains ASCII, as every one except UTF-16 does."""
     return not read_bytes(path, MAX_BYTES).startswith(_UTF16)
