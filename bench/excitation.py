@@ -29,11 +29,11 @@ from symbid_ros.estimation.prior import consistent_prior
 from symbid_ros.excitation.optimizer import TrajectoryOptimizer
 from symbid_ros.excitation.options import ExciteOptions
 from symbid_ros.excitation.plan import ExcitationPlan, ExcitationProblem, excitation_problem
-from symbid_ros.excitation.rehearsal import draw_truth, effort_capacity
+from symbid_ros.excitation.rehearsal import draw_truth
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.simulation.joint_sensors import JointSensorOptions
 from symbid_ros.simulation.joint_trajectory import JointTrajectory
-from symbid_ros.simulation.tracking import TrackingSimulator
+from symbid_ros.simulation.tracking import TrackingSimulator, effort_capacity
 
 FloatArray = NDArray[np.float64]
 
@@ -54,7 +54,9 @@ def main() -> None:
     with threadpool_limits(1):
         started = time.perf_counter()
         optimizer = TrajectoryOptimizer(problem.design, seed=0)
-        plan = ExcitationPlan(problem, optimizer.run(chosen.starts, chosen.iterations))
+        best = optimizer.run(chosen.starts, chosen.iterations)
+        assert optimizer.random is not None
+        plan = ExcitationPlan(problem, best, optimizer.random)
         print(f"{given.robot}: designed in {time.perf_counter() - started:.0f} s\n")
         if "random" in given.parts:
             compare(plan, given.draws)
@@ -114,7 +116,7 @@ def rehearse(plan: ExcitationPlan, draws: int) -> None:
     print("| truth | rms of error/expected σ | of error/σ of the estimate | alarms |")
     print("|---|---|---|---|", flush=True)
     for seed in range(draws):
-        truth = draw_truth(robot, trajectory, percent=25, seed=seed, has_friction=True)
+        truth = draw_truth(robot, percent=25, seed=seed, has_friction=True)
         log = simulated_log(truth, robot, trajectory, problem.sensors, seed)
         found = sy.identify(robot, log, prior=prior, no_holdout=True)
         exact = true_values(truth)
@@ -151,7 +153,7 @@ def simulated_log(
         robot,
         trajectory,
         sensors=sensors,
-        capacity=effort_capacity(robot, trajectory),
+        capacity=effort_capacity(robot),
         seed=seed,
     )
     instants = [simulator.step() for _ in range(simulator.steps)]

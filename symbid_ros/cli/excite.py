@@ -64,11 +64,12 @@ def excite(
         try:
             optimizer.run(options.starts, options.iterations)
         except KeyboardInterrupt:
-            if optimizer.best is None:
+            if optimizer.best is None or optimizer.random is None:
                 raise
             is_complete = False
             console.print("interrupted: writing the best trajectory so far")
     assert optimizer.best is not None
-    plan = ExcitationPlan(problem, optimizer.best, is_complete)
+    assert optimizer.random is not None
+    plan = ExcitationPlan(problem, optimizer.best, optimizer.random, is_complete)
     write_plan(plan, out)
     print_plan(plan, out)

@@ -135,15 +135,14 @@ def _tracking_simulator(
     truth: TruthOptions,
     sensors: JointSensorOptions,
 ) -> "TrackingSimulator":
-    from symbid_ros.excitation.rehearsal import draw_truth, effort_capacity
+    from symbid_ros.excitation.rehearsal import draw_truth
     from symbid_ros.simulation.joint_trajectory import read_trajectory
-    from symbid_ros.simulation.tracking import TrackingSimulator
+    from symbid_ros.simulation.tracking import TrackingSimulator, effort_capacity
 
     motion = read_trajectory(trajectory, robot.measured_joint_names)
     return TrackingSimulator(
         draw_truth(
             robot,
-            motion,
             percent=truth.truth_percent,
             seed=truth.truth_seed,
             has_friction=options.friction,
@@ -151,7 +150,7 @@ def _tracking_simulator(
         robot,
         motion,
         sensors=sensors,
-        capacity=effort_capacity(robot, motion),
+        capacity=effort_capacity(robot),
         seed=None if options.ideal else options.noise_seed,
     )
 

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,17 @@ from symbid_ros.simulation.joint_trajectory import (
 
 PLAN_FILE, PAGE, PRIOR_FILE = "plan.json", "plan.html", "prior.json"
 BAG, GOAL_FILE = "trajectory_bag", "goal.yaml"
-FILES = TRAJECTORY_FILE, PLAN_FILE, PAGE, PRIOR_FILE, GOAL_FILE, BAG
+VALIDATION_FILE, VALIDATION_BAG = "validation.csv", "validation_bag"
+FILES = (
+    TRAJECTORY_FILE,
+    PLAN_FILE,
+    PAGE,
+    PRIOR_FILE,
+    GOAL_FILE,
+    BAG,
+    VALIDATION_FILE,
+    VALIDATION_BAG,
+)
 # Where ros2_control's joint_trajectory_controller listens.
 TOPIC = "/joint_trajectory_controller/joint_trajectory"
 CSV_RATE = 100.0  # Hz
@@ -53,6 +64,9 @@ def write_plan(plan: ExcitationPlan, out: Path) -> None:
         if plan.problem.prior is not None:
             plan.problem.prior.write(stage / PRIOR_FILE)
         _write_bag(plan, stage / BAG)
+        other = replace(plan, coefficients=plan.validation)
+        write_text(stage / VALIDATION_FILE, csv_text(other))
+        _write_bag(other, stage / VALIDATION_BAG)
 
 
 def csv_text(plan: ExcitationPlan) -> str:

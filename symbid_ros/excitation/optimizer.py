@@ -16,6 +16,7 @@ import numpy as np
 from scipy.sparse import csc_array, eye_array, kron, vstack
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.errors import OptionError
 from symbid_ros.excitation.clearance import Clearance
 from symbid_ros.excitation.fourier import FourierSeries
 from symbid_ros.excitation.limits import JointLimits
@@ -118,7 +119,7 @@ class TrajectoryOptimizer:
     """Finds the coefficients with the largest expected gain within the limits.
 
     ``best`` always holds the best feasible coefficients so far, so that an interrupted search has
-    a result.
+    a result, and ``random`` the best random ones.
 
     Parameters
     ----------
@@ -136,6 +137,7 @@ class TrajectoryOptimizer:
         self._random = np.random.default_rng(seed)
         self._report = report
         self.best: FloatArray | None = None
+        self.random: FloatArray | None = None
         self.best_gain = -np.inf
         self._basis = design.series.basis(design.time)
         self._shape = (design.series.size, len(design.limits.names))
@@ -157,15 +159,27 @@ class TrajectoryOptimizer:
         ----------
         starts, iterations : int
             Number of starts, and of iterations of each.
+
+        Raises
+        ------
+        OptionError
+            When no random trajectory keeps the limits.
         """
         candidates = [each for _ in range(CANDIDATES * starts) if (each := self.draw()) is not None]
         candidates.append(self._at_rest())
-        for each in candidates:
-            self._keep(each)
         candidates.sort(key=self.design.gain, reverse=True)
+        self.random = candidates[0]
+        for each in candidates[:starts]:
+            self._keep(each)
+        if self.best is None:
+            raise OptionError(
+                f"{self.design.expected.joints.model.source}: no random motion keeps the limits "
+                "and distances; check the collision shapes, or give a lower `floor`, a smaller "
+                "`clearance` or `no_collision`",
+                "E584",
+            )
         for number, start in enumerate(candidates[:starts], start=1):
             self._climb(start, number, starts, iterations)
-        assert self.best is not None
         return self.best
 
     def _climb(self, start: FloatArray, number: int, starts: int, iterations: int) -> None:

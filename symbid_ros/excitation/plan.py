@@ -23,14 +23,14 @@ from symbid_ros.identification.result_files import load_estimated_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.simulation.joint_sensors import JointSensorOptions
-from symbid_ros.simulation.tracking import effort_std, position_std
+from symbid_ros.simulation.tracking import effort_capacity, effort_std, position_std
 
 DESIGN_TERMS = "viscous", "coulomb", "armature", "offset"
 DEFAULT_TERMS = "viscous", "coulomb", "armature"
 # Window whose rows are expected, s: the noise of positions enters through their second derivative.
 WINDOW = 0.161
 SAMPLES_PER_HARMONIC = 20
-POSTURES = 200  # random ones, for mean inertias and for the efforts of drives without a limit
+POSTURES = 200  # random ones, for mean inertias and for pairs of links that are always close
 
 
 @dataclass(frozen=True)
@@ -99,12 +99,15 @@ class ExcitationPlan:
     problem : ExcitationProblem
     coefficients : (m, D) float64
         Of the Fourier series of each joint that moves.
+    validation : (m, D) float64
+        Of another, random trajectory within the limits, to validate the result.
     is_complete : bool
         Whether the search ended by itself.
     """
 
     problem: ExcitationProblem
     coefficients: FloatArray
+    validation: FloatArray
     is_complete: bool = True
 
     @property
@@ -192,7 +195,7 @@ def excitation_problem(
     series = FourierSeries(options.period, options.harmonics)
     expected = ExpectedInformation(parameters, values, factor, np.ones(robot.dof), joints)
     postures = _random_postures(joints, used)
-    capacity, remarks = _capacity(robot, limits, expected, postures)
+    capacity, remarks = _capacity(robot, limits)
     limits = replace(limits, assumed=(*limits.assumed, *remarks))
     precision = _precision(robot, sensors, capacity, expected, postures)
     clearance, unchecked = _clearance(parameters.model, options, joints, postures)
@@ -296,24 +299,17 @@ def _random_postures(joints: DrivenJoints, limits: JointLimits) -> FloatArray:
     return np.asarray(limits.centre + shares * limits.half_width)
 
 
-def _capacity(
-    robot: RobotModel, limits: JointLimits, expected: ExpectedInformation, postures: FloatArray
-) -> tuple[FloatArray, tuple[str, ...]]:
+def _capacity(robot: RobotModel, limits: JointLimits) -> tuple[FloatArray, tuple[str, ...]]:
     """Return the largest effort (J,) of each joint, and remarks about those without a limit."""
-    motion = np.zeros((3, *postures.shape))
-    motion[0] = postures
-    torque = np.abs(expected.rows(motion) @ expected.values).max(axis=0)
-    capacity = np.array([joint.effort for joint in robot.joints])
+    capacity = effort_capacity(robot)
+    remarks = []
     for name, effort in zip(limits.names, limits.effort.tolist(), strict=True):
-        capacity[robot.joint_names.index(name)] = effort
-    guessed = ~np.isfinite(capacity) | (capacity <= 0)
-    capacity[guessed] = np.maximum(2 * torque[guessed], 0.1 * torque.max())
-    remarks = tuple(
-        f"{robot.joint_names[index]}: noise of efforts as for a drive of {capacity[index]:.3g}"
-        for index in np.flatnonzero(guessed)
-        if robot.joint_names[index] in limits.names
-    )
-    return capacity, remarks
+        place = robot.joint_names.index(name)
+        if np.isfinite(effort):
+            capacity[place] = effort
+        else:
+            remarks.append(f"{name}: noise of efforts as for a drive of {capacity[place]:.3g}")
+    return capacity, tuple(remarks)
 
 
 def _precision(

@@ -6,8 +6,10 @@ import mujoco
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
+from symbid_ros.dynamics.regressor import Samples, equation_of_motion
 from symbid_ros.errors import SimulationError
 from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.simulation.joint_sensors import JointSensorOptions
 from symbid_ros.simulation.joint_trajectory import JointTrajectory
@@ -18,6 +20,8 @@ from symbid_ros.simulation.simulator import WrenchSensor
 from symbid_ros.simulation.systematic_errors import SampleRates
 
 PERIOD = 1e-3  # s
+POSTURES = 200
+UNLIMITED = np.pi / 2  # range of a joint without limits, to both sides
 # Feedback of the computed-torque controller: 5 Hz, critically damped.
 STIFFNESS, DAMPING = 1000.0, 63.0  # 1/s² and 1/s
 SETTLING_TIME = 1.0  # s, in which the feedback settles at the start of the trajectory
@@ -37,6 +41,41 @@ def position_std(sensors: JointSensorOptions, robot: RobotModel) -> FloatArray:
 def effort_std(sensors: JointSensorOptions, capacity: FloatArray) -> FloatArray:
     """Return the deviations (J,) of the noise of efforts from the largest efforts (J,), Nm or N."""
     return np.asarray(sensors.effort_noise / 100 * capacity)
+
+
+def static_torques(robot: RobotModel) -> FloatArray:
+    """Return the torques (N, J) that hold a robot on a fixed base in random postures, Nm or N.
+
+    The postures are the same in every call. A joint without limits turns by up to 90 degrees.
+    """
+    low, high = (
+        np.array([getattr(joint, side) for joint in robot.joints]) for side in ("lower", "upper")
+    )
+    low, high = np.maximum(low, -UNLIMITED), np.minimum(high, UNLIMITED)
+    shares = np.random.default_rng(0).uniform(size=(POSTURES, len(low)))
+    rest, base = np.zeros((POSTURES, len(low))), np.zeros((POSTURES, 3))
+    plain = ParameterSet(without_drive_terms(robot))
+    samples = Samples(
+        stamp=np.arange(POSTURES, dtype=np.int64),
+        position=robot.apply_mimics(low + shares * (high - low)),
+        velocity=rest,
+        acceleration=rest,
+        effort=rest,
+        base_angular_velocity=base,
+        base_angular_acceleration=base,
+        base_specific_force=base - robot.gravity,
+        wrenches=np.zeros((POSTURES, 0, 6)),
+        wrench_frames=(),
+    )
+    return np.asarray(equation_of_motion(plain, samples).K @ plain.values)
+
+
+def effort_capacity(robot: RobotModel) -> FloatArray:
+    """Return the largest effort (J,) of joints: the limit, or twice what gravity may demand."""
+    limits = np.array([joint.effort for joint in robot.joints])
+    needed = np.abs(static_torques(robot)).max(axis=0)
+    guess = np.maximum(2 * needed, 0.1 * needed.max())
+    return np.where(np.isfinite(limits) & (limits > 0), limits, guess)
 
 
 def without_drive_terms(robot: RobotModel) -> RobotModel:

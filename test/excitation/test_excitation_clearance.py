@@ -86,7 +86,7 @@ def test_a_designed_trajectory_keeps_coals_distances_and_the_floor():
     problem = excitation_problem(arm, options, JointSensorOptions())
     optimizer = TrajectoryOptimizer(problem.design, seed=0)
     optimizer.run(starts=1, iterations=8)
-    plan = ExcitationPlan(problem, optimizer.best)
+    plan = ExcitationPlan(problem, optimizer.best, optimizer.random)
     assert options.clearance * 0.999 <= plan.closest[0] < options.clearance + SCALE
     model = pinocchio.buildModelFromUrdf(str(path))
     folders = [str(Path(path).parents[4])]

@@ -45,7 +45,7 @@ def optimizer(problem):
 
 @pytest.fixture(scope="module")
 def plan(problem, optimizer):
-    return ExcitationPlan(problem, optimizer.best)
+    return ExcitationPlan(problem, optimizer.best, optimizer.random)
 
 
 def pinocchio_torques(path, names, motion):
@@ -138,7 +138,7 @@ def test_the_expected_covariance_is_that_of_rows_with_the_stated_noise(problem, 
     arm = plan.joints.model
     options = replace(problem.options, joint_terms=("none",))
     ideal = excitation_problem(arm, options, JointSensorOptions(position_noise=0.0))
-    found = ExcitationPlan(ideal, plan.coefficients)
+    found = ExcitationPlan(ideal, plan.coefficients, plan.validation)
     time = np.arange(round(12.0 * SENSORS.rate)) / SENSORS.rate
     K = ideal.design.expected.rows(plan.motion(time))
     std = 1e-3 * ideal.limits.effort
@@ -152,7 +152,7 @@ def test_the_expected_covariance_is_that_of_rows_with_the_stated_noise(problem, 
 
 def test_more_seconds_and_earlier_information_leave_less_to_learn(arm, problem, plan):
     longer = excitation_problem(arm, replace(problem.options, seconds=48.0), SENSORS)
-    std = ExcitationPlan(longer, plan.coefficients).std
+    std = ExcitationPlan(longer, plan.coefficients, plan.validation).std
     assert np.all(std <= plan.std * (1 + 1e-9))
     # Well determined parameters improve with the square root of time.
     assert np.min(std / plan.std) == pytest.approx(0.5, abs=0.02)

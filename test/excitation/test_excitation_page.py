@@ -19,7 +19,8 @@ def plan():
     options = ExciteOptions(period=5.0, seconds=10.0, harmonics=2)
     problem = excitation_problem(arm, options, JointSensorOptions())
     optimizer = TrajectoryOptimizer(problem.design, seed=0)
-    return ExcitationPlan(problem, optimizer.run(starts=1, iterations=2))
+    optimizer.run(starts=1, iterations=2)
+    return ExcitationPlan(problem, optimizer.best, optimizer.random)
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,12 @@ import pytest
 from documented_robots import ur5_urdf
 
 from symbid_ros.errors import SimulationError
-from symbid_ros.excitation.rehearsal import draw_truth, effort_capacity
+from symbid_ros.excitation.rehearsal import draw_truth
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.load import load_model
 from symbid_ros.simulation.joint_sensors import JointSensorOptions
 from symbid_ros.simulation.joint_trajectory import JointTrajectory, read_trajectory
-from symbid_ros.simulation.tracking import TrackingSimulator
+from symbid_ros.simulation.tracking import TrackingSimulator, effort_capacity
 
 NAMES = "shoulder_lift_joint", "elbow_joint", "wrist_2_joint"
 TIME = np.linspace(0, 3.0, 301)
@@ -31,7 +31,7 @@ def trajectory():
 
 def run(arm, truth, trajectory, **options):
     sensors = JointSensorOptions(rate=500.0)
-    capacity = effort_capacity(arm, trajectory)
+    capacity = effort_capacity(arm)
     simulator = TrackingSimulator(
         truth, arm, trajectory, sensors=sensors, capacity=capacity, **options
     )
@@ -43,7 +43,7 @@ def column(instants, name):
 
 
 def test_efforts_are_mujocos_inverse_dynamics_of_the_true_robot(arm, trajectory):
-    truth = draw_truth(arm, trajectory, percent=25, seed=1, has_friction=False)
+    truth = draw_truth(arm, percent=25, seed=1, has_friction=False)
     instants = run(arm, truth, trajectory, seed=None)
     model = mujoco.MjModel.from_xml_string(mjcf_text(truth))
     data = mujoco.MjData(model)
@@ -55,7 +55,7 @@ def test_efforts_are_mujocos_inverse_dynamics_of_the_true_robot(arm, trajectory)
 
 
 def test_drives_have_friction_and_armature(arm, trajectory):
-    truth = draw_truth(arm, trajectory, percent=0, seed=1, has_friction=True)
+    truth = draw_truth(arm, percent=0, seed=1, has_friction=True)
     instants = run(arm, truth, trajectory, seed=None)
     model = mujoco.MjModel.from_xml_string(mjcf_text(arm))
     data = mujoco.MjData(model)
@@ -82,7 +82,7 @@ def test_drives_have_friction_and_armature(arm, trajectory):
 
 
 def test_the_robot_follows_although_its_model_is_wrong(arm, trajectory):
-    truth = draw_truth(arm, trajectory, percent=25, seed=2, has_friction=True)
+    truth = draw_truth(arm, percent=25, seed=2, has_friction=True)
     instants = run(arm, truth, trajectory, seed=3)
     time = column(instants, "stamp") * 1e-9
     wanted = trajectory.at(time)[0]
