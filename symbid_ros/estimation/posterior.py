@@ -81,6 +81,8 @@ class Posterior:
     excess_score : (p, k) float64 or None
         N: correlation of the residuals in time adds the covariance N Nᵀ to the score, see
         :mod:`symbid_ros.estimation.sandwich`. None without such correlation.
+    other_models : (p, k) float64 or None
+        N: models that explain the data as well add the covariance N Nᵀ.
     """
 
     mean: FloatArray
@@ -92,6 +94,7 @@ class Posterior:
     chosen_scale: float = 1.0
     is_scaled: bool = False
     excess_score: FloatArray | None = None
+    other_models: FloatArray | None = None
 
     @cached_property
     def independent_factor(self) -> FloatArray:
@@ -106,9 +109,14 @@ class Posterior:
     def deviation_factor(self) -> FloatArray:
         """L (p, p) with covariance L Lᵀ."""
         factor = self.independent_factor
-        if self.excess_score is None:
+        parts = [factor]
+        if self.excess_score is not None:
+            parts.append(factor @ (factor.T @ self.excess_score))
+        if self.other_models is not None:
+            parts.append(self.other_models)
+        if len(parts) == 1:
             return factor
-        wide = np.concatenate([factor, factor @ (factor.T @ self.excess_score)], axis=1)
+        wide = np.concatenate(parts, axis=1)
         triangle = np.asarray(np.linalg.qr(wide.T, mode="r"), dtype=np.float64)
         return triangle.T
 

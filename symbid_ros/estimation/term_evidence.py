@@ -1,4 +1,4 @@
-"""Evidence for joint terms: backward elimination, and cross-validation by groups of seconds.
+"""Evidence for joint terms: which the data resolve, and cross-validation by groups of seconds.
 
 Both work on the Gaussian posterior of all candidates together, so that no term needs a solve of
 its own.
@@ -14,9 +14,8 @@ from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 
-# Log Bayes factor from which a term is chosen, and below which a chosen one is given up again, so
-# that a live choice does not alternate.
-ENTER, LEAVE = 2.0, 0.5
+# Log Bayes factor from which the evidence alone supports an armature.
+SUPPORTED = 2.0
 # Correlation from which two terms of a joint cannot be told apart.
 INSEPARABLE = 0.995
 # Smallest share of a joint's information that is left when a group of rows is left out.
@@ -34,12 +33,12 @@ LEAST_COUPLED = 0.5
 FRICTION: tuple[Term, ...] = ("viscous", "coulomb")
 
 
-class Elimination:
-    """Removes the least supported term, again and again, from a Gaussian over the terms."""
+class CandidateTerms:
+    """What a Gaussian with all candidate terms free tells about each of them."""
 
     def __init__(self, found: Posterior, parameters: ParameterSet, terms: IntArray) -> None:
         factor = found.deviation_factor[terms]
-        self.left = terms
+        self._terms = terms
         self._mean, self._covariance = found.mean[terms], factor @ factor.T
         precision = found.factor[:, terms]
         self._without_links = np.linalg.inv(precision.T @ precision).diagonal()
@@ -53,18 +52,18 @@ class Elimination:
         Friction that depends on the load, which may resemble all other terms together, is fixed.
         """
         covariance = self._covariance
-        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
+        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self._terms]
         fixed = np.array([kind == "load" for kind in kinds], dtype=bool)
         if fixed.any():
             gain = np.linalg.solve(covariance[np.ix_(fixed, fixed)], covariance[fixed])
             covariance = covariance - covariance[:, fixed] @ gain
         std = np.sqrt(np.where(fixed, self._covariance.diagonal(), covariance.diagonal()))
         correlation = np.abs(covariance / np.outer(std, std))
-        wide = std > 0.1 * self._prior.std[self.left]
+        wide = std > 0.1 * self._prior.std[self._terms]
         pairs = np.argwhere(np.triu(correlation > INSEPARABLE, 1) & np.outer(wide, wide))
-        joints = [self._parameters.names[i].rpartition("/")[0] for i in self.left]
+        joints = [self._parameters.names[i].rpartition("/")[0] for i in self._terms]
         return tuple(
-            (int(self.left[one]), int(self.left[two]))
+            (int(self._terms[one]), int(self._terms[two]))
             for one, two in pairs
             if joints[one] == joints[two]
         )
@@ -72,9 +71,9 @@ class Elimination:
     @property
     def armatures(self) -> BoolArray:
         """Which terms are armatures of joints."""
-        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
+        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self._terms]
         is_armature = np.array([kind == "armature" for kind in kinds], dtype=bool)
-        return np.asarray(is_armature & (self.left < self._parameters.first_coupled))
+        return np.asarray(is_armature & (self._terms < self._parameters.first_coupled))
 
     def mixed(self) -> BoolArray:
         """Return which terms are armatures that would be known far better if the links were."""
@@ -86,42 +85,25 @@ class Elimination:
 
         In the rows of their joint alone, inertias replace them; the other rows tell them apart.
         """
-        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self.left]
+        kinds = [self._parameters.names[i].rpartition("/")[2] for i in self._terms]
         is_offset = np.array([kind == "offset" for kind in kinds], dtype=bool)
         variance = self._covariance.diagonal()
         return np.asarray(is_offset & (self._without_links < (1 - MIXED) * variance))
 
     def ambiguous(self) -> BoolArray:
         """Return which terms are mixed armatures that the evidence alone does not support."""
-        return np.asarray(self.mixed() & (self._log_bayes_factors() < ENTER))
+        return np.asarray(self.mixed() & (self._log_bayes_factors() < SUPPORTED))
 
     def resolved(self) -> BoolArray:
         """Return which terms are armatures whose presence the log tells."""
         std = np.sqrt(self._covariance.diagonal())
-        is_known = std < UNRESOLVED * self._prior.std[self.left]
+        is_known = std < UNRESOLVED * self._prior.std[self._terms]
         return np.asarray(self.armatures & is_known & ~self.ambiguous())
 
     def unresolved(self) -> BoolArray:
         """Return which terms are armatures that the data cannot tell from the links' inertias."""
         std = np.sqrt(self._covariance.diagonal())
-        return np.asarray(self.mixed() & (std > UNRESOLVED * self._prior.std[self.left]))
-
-    def run(self, kept: set[int], kept_before: set[int]) -> None:
-        """Remove terms until all that are left are supported; ``kept`` are never removed."""
-        while len(self.left):
-            factors = self._log_bayes_factors()
-            least = np.array([LEAVE if i in kept_before else ENTER for i in self.left])
-            margin = factors - least
-            margin[[i in kept for i in self.left]] = np.inf
-            worst = int(np.argmin(margin))
-            if margin[worst] >= 0:
-                return
-            self._remove(worst)
-
-    def fix(self, terms: set[int]) -> None:
-        """Fix terms at their prior means."""
-        for term in terms & set(self.left.tolist()):
-            self._remove(int(np.flatnonzero(self.left == term)[0]))
+        return np.asarray(self.mixed() & (std > UNRESOLVED * self._prior.std[self._terms]))
 
     def _log_bayes_factors(self) -> FloatArray:
         """Return the log Bayes factor of each term, free against fixed at the prior's mean.
@@ -129,22 +111,12 @@ class Elimination:
         For z posterior deviations between estimate and prior mean, it is the largest over the
         prior deviations that are possible, (z² - 1 - ln z²)/2.
         """
-        shift = self._mean - self._prior.mean[self.left]
+        shift = self._mean - self._prior.mean[self._terms]
         # A negative friction or armature is impossible, so its size supports nothing.
-        impossible = (self._mean < 0) & (shift < 0) & self._nonnegative[self.left]
+        impossible = (self._mean < 0) & (shift < 0) & self._nonnegative[self._terms]
         square = np.where(impossible, 0.0, shift**2 / self._covariance.diagonal())
         square = np.maximum(square, 1.0)
         return np.asarray((square - 1 - np.log(square)) / 2)
-
-    def _remove(self, index: int) -> None:
-        """Condition on a term at its prior mean."""
-        covariance = self._covariance
-        gain = covariance[:, index] / covariance[index, index]
-        shift = self._mean[index] - self._prior.mean[self.left[index]]
-        self._mean = np.delete(self._mean - gain * shift, index)
-        covariance = covariance - np.outer(gain, covariance[index])
-        self._covariance = np.delete(np.delete(covariance, index, 0), index, 1)
-        self.left = np.delete(self.left, index)
 
 
 def cross_validated(
@@ -173,6 +145,9 @@ def cross_validated(
             continue
         while True:
             terms = [i for i in sorted(own) if free[i] and i not in kept]
+            if any(parameters.names[i].endswith("/stribeck") for i in terms):
+                # Stribeck friction is by how much friction exceeds Coulomb's.
+                terms = [i for i in terms if not parameters.names[i].endswith("/coulomb")]
             if not terms:
                 break
             loss = _LeftOut(found, free, groups, part)

@@ -67,6 +67,7 @@ def find_couplings(solver: Solver, dataset: Dataset) -> tuple[Coupling, ...]:
         prior=prior,
         pseudo_measurements=None,
         choice=None,
+        term_deviations=None,
         stored=None,
     )
     candidates = np.ones(len(parameters), bool)

@@ -3,11 +3,8 @@
 The rows contain the columns of all candidates, so every choice is made on the same rows. A term
 is chosen if
 
-- the evidence prefers it to zero. With the other parameters marginalised, the log Bayes factor of
-  "free" against "fixed" is the log ratio of the prior's to the posterior's density at the fixed
-  value (Savage and Dickey; Dickey 1971, Ann. Math. Statist. 42(1)). The prior's deviation is the
-  one that makes the data most probable (empirical Bayes). Terms are removed one by one, the least
-  supported first. Residuals that are correlated in time count as fewer rows;
+- the best set of its joint's terms contains it (:mod:`symbid_ros.estimation.term_sets`), with the
+  other parameters marginalised. Residuals that are correlated in time count as fewer rows;
 - it predicts rows of its joint that were left out, by groups of seconds, better than the other
   terms do alone.
 
@@ -31,7 +28,8 @@ from symbid_ros.estimation.information import random_motions
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior, posterior
 from symbid_ros.estimation.prior import Prior
-from symbid_ros.estimation.term_evidence import Elimination, cross_validated
+from symbid_ros.estimation.term_evidence import CandidateTerms, cross_validated
+from symbid_ros.estimation.term_sets import TermSets
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.window_comparison import WindowComparison
 from symbid_ros.model.coupling import Coupling
@@ -65,12 +63,16 @@ class TermChoice:
         that hardly moved.
     slips : bool
         Whether only rows of slipping joints are used.
+    deviations : (p + s, k) float64 or None
+        N: other sets of terms that explain the data as well add the covariance N Nᵀ of all
+        unknowns.
     """
 
     parameters: ParameterSet
     free: BoolArray
     remarks: tuple[str, ...] = ()
     slips: bool = False
+    deviations: FloatArray | None = None
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -117,14 +119,16 @@ class TermChoice:
         observations = self.rows(problem.observations)
         prior = fixed_prior(problem.prior, self.free)
         if all_columns:
-            return replace(problem, observations=observations, prior=prior)
+            return replace(
+                problem, observations=observations, prior=prior, term_deviations=self.deviations
+            )
         parameters = replace(
             self.parameters, terms=self.terms, candidates=False, couplings=self.couplings
         )
         names = (*parameters.names, *problem.sensor_names)
+        kept = [problem.prior.names.index(name) for name in names]
         measurements = problem.pseudo_measurements
         if measurements is not None:
-            kept = [problem.prior.names.index(name) for name in names]
             measurements = replace(measurements, rows=measurements.rows[:, kept])
         return replace(
             problem,
@@ -133,6 +137,7 @@ class TermChoice:
             parameters=parameters,
             prior=prior.marginal(names),
             pseudo_measurements=measurements,
+            term_deviations=None if self.deviations is None else self.deviations[kept],
             calibrated_rows=problem.calibrated_rows
             and _restricted(problem.calibrated_rows, parameters),
         )
@@ -267,13 +272,18 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
         for term, column in coupled.items():
             slipping[column] = term in SLIDING_TERMS
     everything = np.ones(len(parameters), bool)
+    for columns in parameters.term_columns.values():
+        # They act on the leader's row alone, like the leader's own terms.
+        everything[columns] = ~np.isin(parameters.joints, list(parameters.model.followers))
     selections = []
     # With friction in the model file, a joint may stick even if no joint of the log slips.
     if _any_slips(problem.observations, parameters) or np.any(stated & slipping):
         selections.append(_Selection.of(problem, everything, stated, previous, slips=True))
     slips = any(bool(np.any(one.free & slipping)) for one in selections)
     if not slips:
-        selections.append(_Selection.of(problem, ~slipping, stated, previous, slips=False))
+        selections.append(
+            _Selection.of(problem, everything & ~slipping, stated, previous, slips=False)
+        )
     last = selections[-1]
     return TermChoice(
         parameters,
@@ -285,6 +295,7 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
             *_inseparable(selections[0].inseparable, parameters, last.free),
         ),
         slips,
+        last.deviations,
     )
 
 
@@ -323,11 +334,21 @@ def candidate_posterior(
     return found, chosen
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Selection:
-    """Backward elimination of terms on one set of rows."""
+    """The best set of terms on one set of rows.
+
+    Attributes
+    ----------
+    free : (p,) bool
+    deviations : (p + s, k) float64
+        Of all unknowns, due to other sets that explain the data as well.
+    inseparable : tuple of tuple of int
+        Pairs of terms that the data do not tell apart.
+    """
 
     free: BoolArray
+    deviations: FloatArray
     inseparable: tuple[tuple[int, int], ...]
 
     @classmethod
@@ -345,33 +366,30 @@ class _Selection:
         is_term = np.zeros(len(parameters), bool)
         is_term[parameters.inertial : parameters.sensor_offsets.start] = True
         terms = np.flatnonzero(candidates & is_term)
-        elimination = Elimination(found, parameters, terms)
-        inseparable = elimination.inseparable()
+        evidence = CandidateTerms(found, parameters, terms)
         of_file = set(terms[stated[terms]].tolist())
-        unresolved = set(terms[elimination.unresolved()].tolist())
-        ambiguous = set(terms[elimination.ambiguous()].tolist()) - of_file
-        resolved = terms[elimination.resolved()].tolist()
+        unresolved = set(terms[evidence.unresolved()].tolist())
+        ambiguous = set(terms[evidence.ambiguous()].tolist()) - of_file
+        resolved = terms[evidence.resolved()].tolist()
         # In its own rows the links can replace a mixed armature or an offset, so these cannot
         # judge it.
-        replaced = set(terms[elimination.mixed() | elimination.hidden_offsets()].tolist())
+        replaced = set(terms[evidence.mixed() | evidence.hidden_offsets()].tolist())
         before = set() if previous is None else set(np.flatnonzero(previous.free).tolist())
 
-        def selected(kept: set[int], fixed: set[int]) -> BoolArray:
-            elimination = Elimination(found, parameters, terms)
-            elimination.fix(fixed)
-            elimination.run(kept, before)
+        def selected(kept: set[int], fixed: set[int]) -> tuple[BoolArray, FloatArray]:
+            sets = TermSets(found, parameters, terms, kept=kept, fixed=fixed, before=before)
             free = ~is_term
-            free[elimination.left] = True
-            if chosen.groups is None:
-                return free
-            return cross_validated(free, kept | replaced, found, chosen, parameters)
+            free[sets.best()] = True
+            if chosen.groups is not None:
+                free = cross_validated(free, kept | replaced, found, chosen, parameters)
+            return free, sets.deviations(np.flatnonzero(free))
 
-        free = selected(of_file | (ambiguous if resolved else unresolved), set())
+        free, deviations = selected(of_file | (ambiguous if resolved else unresolved), set())
         # The drives of a robot are alike: if those that the log resolves have no armature, the
         # others have none either.
         if ambiguous and 2 * np.count_nonzero(free[resolved]) < len(resolved):
-            free = selected(of_file, ambiguous)
-        return cls(free, inseparable)
+            free, deviations = selected(of_file, ambiguous)
+        return cls(free, deviations, evidence.inseparable())
 
 
 def rows_of(observations: Sequence[Observations], *, slips: bool) -> tuple[Observations, ...]:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import Criterion
 from symbid_ros.diagnosis.forces import MAX_UNEXPLAINED
 from symbid_ros.errors import DataError
@@ -67,6 +68,8 @@ class Problem:
         The data with the columns of all candidate terms, for later runs; None if they are the same.
     choice : TermChoice or None
         The joint terms that the data asked for; None if the user named them.
+    term_deviations : (p + s, k) float64 or None
+        N: other sets of joint terms that explain the data as well add the covariance N Nᵀ.
     remarks : tuple of str
         What the log cannot tell about the scale of efforts.
     force_scale_std : float or None
@@ -85,6 +88,7 @@ class Problem:
     calibrated_rows: CalibratingRows | None = None
     stored: tuple[Observations, ...] | None = None
     choice: "TermChoice | None" = None
+    term_deviations: FloatArray | None = None
     remarks: tuple[str, ...] = ()
     force_scale_std: float | None = None
 

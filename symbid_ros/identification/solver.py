@@ -99,7 +99,8 @@ class Solver:
     chosen : Observations
         With the most informative window length.
     posterior : Posterior
-        From these; its covariance allows for residuals that are correlated in time.
+        From these; its covariance allows for residuals that are correlated in time, and for other
+        sets of joint terms that explain the data as well.
     """
 
     problem: Problem
@@ -111,7 +112,7 @@ class Solver:
         """Choose the most informative window length and compute its posterior."""
         best, near = WindowComparison(problem).finish()
         found = solve_window(problem, best, near, CONVERGED)
-        return cls(problem, best, with_correlated_residuals(found, best))
+        return cls(problem, best, _with_all_errors(problem, found, best))
 
     @classmethod
     def approximate(
@@ -119,7 +120,7 @@ class Solver:
     ) -> "Solver":
         """Solve one window length to a hundredth of a standard deviation, from a near start."""
         found = solve_window(problem, chosen, start, COMPARABLE, approximate=True)
-        return cls(problem, chosen, with_correlated_residuals(found, chosen))
+        return cls(problem, chosen, _with_all_errors(problem, found, chosen))
 
     @property
     def whiteness(self) -> float:
@@ -382,6 +383,12 @@ class Solver:
         if problem.choice is not None:
             return problem.choice.remarks
         return joints_without_rows(self.chosen, problem.parameters)
+
+
+def _with_all_errors(problem: Problem, found: Posterior, chosen: Observations) -> Posterior:
+    """Return the posterior with the covariance of all errors that the data show."""
+    found = with_correlated_residuals(found, chosen)
+    return replace(found, other_models=problem.term_deviations)
 
 
 def _load_reference(parameters: ParameterSet) -> dict[str, float]:
