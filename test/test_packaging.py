@@ -28,6 +28,7 @@ EXECUTABLES = {
     "balance_controller",
     "identifier",
     "monitor",
+    "web_monitor",
     "player",
 }
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

@@ -17,6 +17,7 @@ from symbid_ros.cli.excite import excite
 from symbid_ros.cli.flags import flag
 from symbid_ros.cli.init import init
 from symbid_ros.cli.install import apply, diff
+from symbid_ros.cli.live import live
 from symbid_ros.cli.simulate import simulate, udp_client
 from symbid_ros.cli.study import study
 from symbid_ros.cli.validate import compare, validate
@@ -40,6 +41,7 @@ COMMANDS = (
     prior,
     init,
     identify,
+    live,
     validate,
     compare,
     diff,

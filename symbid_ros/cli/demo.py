@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from symbid_ros.atomic_write import clear_folder
+from symbid_ros.cli.live import WebPort, start_page
 from symbid_ros.cli.processes import NodeProcess, private_graph
 from symbid_ros.simulation.options import SimulateOptions
 
@@ -33,6 +34,15 @@ def demo(
         bool,
         typer.Option("--online", help="Identify while the robot moves and show the estimate."),
     ] = False,
+    web: Annotated[
+        bool,
+        typer.Option(
+            "--web",
+            help="With --online: show a page in the browser, with the robot in 3D, and attach a "
+            "payload to a thigh during the motion.",
+        ),
+    ] = False,
+    port: WebPort = 8377,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the folder of an earlier demo.")
     ] = False,
@@ -44,6 +54,9 @@ def demo(
     prepare_folder(out, overwrite=overwrite)
     model = config_file("symbitron.xml")
     draw_demo_prior(out, model, percent, seed)
+    if web:
+        demonstrate_payload(out, model, moves, seed, port, console)
+        return
     demonstrate = demonstrate_online if online else demonstrate_offline
     demonstrate(out, model, moves, seed, console)
     console.print(f"\nThe report is [bold]{out}/report.html[/bold]; its inputs are in {out}/.")
@@ -278,13 +291,8 @@ def _identify_online(
     out: Path, model: Path, moves: int, seed: int, console: Console
 ) -> dict[str, str]:
     """Run the nodes until the motion ends and the estimate is saved."""
-    from symbid_ros.simulation.simulator import Simulator
-
     motion = {"scenario": "smooth", "moves": moves, "motion_seed": MOTION_SEED, "noise_seed": seed}
-    simulator = Simulator(
-        SimulateOptions("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
-    )
-    seconds = simulator.steps * simulator.period_ns * 1e-9
+    seconds = _duration(moves, seed)
     console.print(f"The robot moves for {seconds:.0f} s. Ctrl-C stops the demo.\n")
     logs = out / "log"
     logs.mkdir()
@@ -328,6 +336,63 @@ def _identify_online(
         "Identified live": f"{identified['solves']} estimates, the last of {received} messages, "
         f"{missing} missing by stamp",
     }
+
+
+# What the robot carries in the demo with a page, from a share of the motion on.
+PAYLOAD: dict[str, object] = {
+    "payload_link": "L_thigh",
+    "payload_mass": 3.0,
+    "payload_position": [0.2, 0.0, 0.05],
+}
+PAYLOAD_SHARE = 0.4
+MEMORY = 10.0  # s in which the weight of data falls to 1/e, so that the estimate follows
+
+
+def demonstrate_payload(
+    out: Path, model: Path, moves: int, seed: int, port: int, console: Console
+) -> None:
+    """Identify online with a page in the browser, while a payload is attached to the robot."""
+    motion = {"scenario": "smooth", "moves": moves, "motion_seed": MOTION_SEED, "noise_seed": seed}
+    seconds = _duration(moves, seed)
+    fastened = round(PAYLOAD_SHARE * seconds, 1)
+    logs = out / "log"
+    logs.mkdir()
+    common = {"model": str(model), "prior": str(out / "prior.json")}
+    parameters = common | {"mode": "online", "out": str(out / "online"), "memory": MEMORY}
+    load = PAYLOAD | {"payload_time": fastened}
+    awaited = {"wait_for_subscribers": True, "subscribers": 1}
+    console.print(
+        f"The robot moves for {seconds:.0f} s. After {fastened:.0f} s a payload of 3 kg is "
+        "attached to L_thigh. Ctrl-C stops the demo.\n"
+    )
+    with (
+        private_graph() as graph,
+        NodeProcess(
+            "identifier", parameters, graph, logs / "identifier.log", file="identifier.yaml"
+        ) as identifier,
+        start_page(common | {"port": port}, graph, logs, console) as page,
+        NodeProcess("monitor", {}, graph, logs / "monitor.log", is_shown=True) as monitor,
+        NodeProcess(
+            "mujoco_bridge", motion | awaited | load, graph, logs / "bridge.log", file="bridge.yaml"
+        ) as bridge,
+    ):
+        while not bridge.wait(POLL):
+            for other in (identifier, page, monitor):
+                other.require_running()
+        bridge.finish()
+        summary = identifier.finish(stop=True, patience=SAVING_TIME)
+        monitor.stop()
+    console.print(f"\n{summary.get('saved', '')}", soft_wrap=True, markup=False)
+
+
+def _duration(moves: int, seed: int) -> float:
+    """Return the duration of the motion, s."""
+    from symbid_ros.simulation.simulator import Simulator
+
+    simulator = Simulator(
+        SimulateOptions("smooth", moves=moves, motion_seed=MOTION_SEED, noise_seed=seed)
+    )
+    return simulator.steps * simulator.period_ns * 1e-9
 
 
 def _report(

@@ -105,6 +105,21 @@ class NodeProcess:
         if not self.running:
             raise self._failure()
 
+    def first_line(self) -> str:
+        """Wait for the first line that the node prints, and return it.
+
+        Raises
+        ------
+        SymbidError
+            If the node ended before; the message holds its last line of output.
+        """
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline().decode().strip()
+        if not line:
+            self._process.wait(STOPPING_TIME)
+            raise self._failure()
+        return line
+
     def wait(self, timeout: float) -> bool:
         """Wait up to ``timeout`` seconds for the process to end; return whether it has ended."""
         try:

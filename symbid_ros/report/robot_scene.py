@@ -46,8 +46,6 @@ class SceneLink:
         Pose in the base's frame.
     determined : int or None
         Number of its ten parameters that the data determine; None if the method cannot tell.
-    is_possible : bool
-        Whether a rigid body can have the identified inertia.
     before, after : InertiaBox or None
         Inertia in the prior and in the estimate; None if no rigid body has it.
     com_before, com_after : (3,) float64 or None
@@ -63,7 +61,6 @@ class SceneLink:
     rotation: FloatArray
     position: FloatArray
     determined: int | None
-    is_possible: bool
     before: InertiaBox | None
     after: InertiaBox | None
     com_before: FloatArray | None
@@ -103,12 +100,12 @@ class RobotScene:
         """Return the scene as JSON, lengths in m and quaternions scalar last."""
         return {
             "name": self.name,
-            "up": _rounded(self.up),
+            "up": rounded(self.up),
             "deviations": SHOWN_DEVIATIONS,
             "parameters": len(PARAMETERS),
             "links": [link_document(link) for link in self.links],
             "meshes": [_mesh_document(mesh) for mesh in self.meshes],
-            "com": {"before": _rounded(self.com_before), "after": _rounded(self.com_after)},
+            "com": {"before": rounded(self.com_before), "after": rounded(self.com_after)},
             "remarks": list(self.remarks),
         }
 
@@ -150,18 +147,25 @@ def robot_scene(
             parent = model.joints[parent - 1].parent
             if parent in place:
                 break
-        covariance = link_covariance(estimate, 10 * index, deviation_factor)
+        own = slice(10 * index, 10 * index + 10)
+        shown = scene_link(
+            parameters.link_names[index],
+            estimate.prior[own],
+            estimate.value[own],
+            link_covariance(estimate, own.start, deviation_factor),
+            None if estimate.determined is None else int(estimate.determined[own].sum()),
+        )
         links.append(
             replace(
-                _scene_link(estimate, parameters.link_names[index], 10 * index, covariance),
+                shown,
                 parent=place.get(parent, -1) if link else -1,
                 rotation=rotations[link],
                 position=positions[link],
             )
         )
-    own = parameters.links
-    before, after = (
-        total_com(parameters.link_phi(values), rotations[own], positions[own])
+    kept = parameters.links
+    com_before, com_after = (
+        total_com(parameters.link_phi(values), rotations[kept], positions[kept])
         for values in (estimate.prior, estimate.value)
     )
     return RobotScene(
@@ -173,8 +177,8 @@ def robot_scene(
             for mesh in meshes
             if mesh.link in place
         ),
-        before,
-        after,
+        com_before,
+        com_after,
         remarks,
     )
 
@@ -196,20 +200,33 @@ def _up(model: RobotModel) -> FloatArray:
     return -model.gravity / size if size > 0 else np.array([0.0, 0.0, 1.0])
 
 
-def _scene_link(
-    estimate: Estimate, name: str, first: int, covariance: FloatArray | None
+def scene_link(
+    name: str,
+    before: FloatArray,
+    after: FloatArray,
+    covariance: FloatArray | None,
+    determined: int | None,
 ) -> SceneLink:
-    """Return a link at the base's origin; its mass is the estimate's parameter ``first``."""
-    own = slice(first, first + 10)
-    before, after = estimate.prior[own], estimate.value[own]
+    """Return a link at the base's origin.
+
+    Parameters
+    ----------
+    name : str
+        Name of the link.
+    before, after : (10,) float64
+        Its parameters in the prior and in the estimate.
+    covariance : (10, 10) float64 or None
+        Covariance of the estimate.
+    determined : int or None
+        Number of parameters that the data determine.
+    """
     has_com = after[0] > 0
     return SceneLink(
         name=name,
         parent=-1,
         rotation=np.eye(3),
         position=np.zeros(3),
-        determined=None if estimate.determined is None else int(estimate.determined[own].sum()),
-        is_possible=estimate.consistent.get(name, True),
+        determined=determined,
         before=inertia_box(before),
         after=inertia_box(after),
         com_before=com_from_phi(before)[1] if before[0] > 0 else None,
@@ -258,19 +275,18 @@ def link_document(link: SceneLink) -> dict[str, Any]:
     return {
         "name": link.name,
         "parent": link.parent,
-        "position": _rounded(link.position),
-        "quaternion": _quaternion(link.rotation),
+        "position": rounded(link.position),
+        "quaternion": quaternion_document(link.rotation),
         "determined": link.determined,
         "colour": link_colour(link.determined),
-        "possible": link.is_possible,
         "before": _box_document(link.before),
         "after": _box_document(link.after),
         "com": {
-            key: None if com is None else _rounded(com)
+            key: None if com is None else rounded(com)
             for key, com in (("before", link.com_before), ("after", link.com_after))
         },
         "uncertainty": ellipsoid
-        and {"quaternion": _quaternion(ellipsoid.rotation), "std": _rounded(ellipsoid.std)},
+        and {"quaternion": quaternion_document(ellipsoid.rotation), "std": rounded(ellipsoid.std)},
         "numbers": [list(row) for row in link.numbers],
     }
 
@@ -280,9 +296,9 @@ def _box_document(box: InertiaBox | None) -> dict[str, Any] | None:
         return None
     return {
         "mass": float(f"{box.mass:.6g}"),
-        "com": _rounded(box.com),
-        "quaternion": _quaternion(box.rotation),
-        "size": _rounded(box.size),
+        "com": rounded(box.com),
+        "quaternion": quaternion_document(box.rotation),
+        "size": rounded(box.size),
     }
 
 
@@ -295,7 +311,7 @@ def _mesh_document(mesh: LinkMesh) -> dict[str, Any]:
     wide = len(vertices) > 0xFFFF
     return {
         "link": mesh.link,
-        "centre": _rounded(centre),
+        "centre": rounded(centre),
         "scale": scale,
         "vertices": base64.b64encode(vertices.tobytes()).decode(),
         "faces": base64.b64encode(mesh.faces.astype("<u4" if wide else "<u2").tobytes()).decode(),
@@ -303,10 +319,11 @@ def _mesh_document(mesh: LinkMesh) -> dict[str, Any]:
     }
 
 
-def _quaternion(rotation: FloatArray) -> list[float]:
-    return _rounded(np.roll(quaternion_from_rotation(rotation), -1))
+def quaternion_document(rotation: FloatArray) -> list[float]:
+    """Return the quaternion of a rotation (3, 3), scalar last, as JSON."""
+    return rounded(np.roll(quaternion_from_rotation(rotation), -1))
 
 
-def _rounded(numbers: FloatArray) -> list[float]:
+def rounded(numbers: FloatArray) -> list[float]:
     """Return numbers to a micrometre or microradian, which no picture shows."""
     return [float(f"{number:.6f}") + 0.0 for number in numbers]

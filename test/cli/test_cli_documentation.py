@@ -53,7 +53,10 @@ PROGRAMS = [
     "rosdep",
     "git",
 ]
-NODES = {"mujoco_bridge", "balance_controller", "recorder", "player", "identifier", "monitor"}
+NODES = {
+    *("mujoco_bridge", "balance_controller", "recorder", "player", "identifier", "monitor"),
+    "web_monitor",
+}
 NOT_RUN = {
     r"symbid demo\b": "runs for a minute; test_cli_demo.py and test_cli_online_demo.py run it",
     r"symbid .*(plan|rehears)": "searches for a minute; test_cli_rehearsal.py runs these",

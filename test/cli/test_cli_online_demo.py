@@ -60,6 +60,19 @@ def test_the_estimates_converge_and_are_reported(symbid, tmp_path: Path) -> None
     assert f"{out}/report.html" in ended.stdout.replace("\n", "")
 
 
+def test_the_page_is_offered_while_a_payload_is_attached(symbid, tmp_path: Path) -> None:
+    out = tmp_path / "demo"
+    ended = symbid("demo", "--online", "--web", "--port", 0, "--moves", 1, "--out", out)
+    assert ended.returncode == 0, ended.stderr
+    assert re.search(r"Open http://127\.0\.0\.1:\d+/\?token=\S+", ended.stdout)
+    saved = json.loads((out / "online" / "estimate.json").read_text())["parameters"]
+    total = sum(entry["value"] for name, entry in saved.items() if name.endswith("/m"))
+    truth = ParameterSet(load_model(config_file("symbitron.xml")))
+    true_total = truth.link_phi(truth.values)[:, 0].sum()
+    # The estimate follows the payload of 3 kg while older data are forgotten.
+    assert true_total + 0.5 < total < true_total + 3.2
+
+
 class Demo:
     """A demo that runs, and the processes that it has started."""
 

@@ -24,7 +24,10 @@ from symbid_ros.ros.launch_arguments import (
 from symbid_ros.ros.parameters import ParameterError, declare
 
 ROOT = Path(__file__).parents[2]
-NODES = ("mujoco_bridge", "balance_controller", "recorder", "player", "identifier", "monitor")
+NODES = (
+    *("mujoco_bridge", "balance_controller", "recorder", "player", "identifier", "monitor"),
+    "web_monitor",
+)
 # Parameters with the same meaning in several nodes.
 SHARED = {
     "bag": {"player", "identifier"},  # the input

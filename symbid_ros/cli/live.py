@@ -1,0 +1,136 @@
+"""``symbid live``: identify a running robot from its topics, shown in terminal and browser."""
+
+import os
+import tempfile
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from symbid_ros.cli.flags import BaseKind, Robot, require_model, with_flags
+from symbid_ros.cli.processes import NodeProcess
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.options import options_of
+
+POLL = 0.2  # s
+SAVING_TIME = 120.0  # s; a slow machine may lag behind
+
+WebPage = Annotated[
+    bool, typer.Option("--web", help="Also show a page in the browser, with the robot in 3D.")
+]
+WebPort = Annotated[
+    int, typer.Option(min=0, max=65535, help="Port of the page; 0: any that is free.")
+]
+
+
+@with_flags
+def live(
+    *,
+    model: Annotated[
+        Path | None, typer.Argument(help="Robot model, URDF or MJCF.", show_default=False)
+    ] = None,
+    robot: Robot = None,
+    base: BaseKind = "auto",
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the result, which is written at the end and by Save."),
+    ] = None,
+    memory: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            metavar="<s>",
+            help="Seconds in which the weight of data falls to 1/e, so that the estimate follows "
+            "changes; 0: data are never forgotten.",
+        ),
+    ] = 0.0,
+    web: WebPage = False,
+    host: Annotated[
+        str,
+        typer.Option(help="Address of the page; any but 127.0.0.1 lets other machines open it."),
+    ] = "127.0.0.1",
+    port: WebPort = 8377,
+    options: IdentifyOptions,
+    log: LogOptions,
+) -> None:
+    """Identify a running robot from its ROS 2 topics, until Ctrl-C.
+
+    It starts the nodes identifier and monitor, and with --web also web_monitor, in the ROS domain
+    of this terminal.
+    """
+    from symbid_ros.model.load import load_model
+    from symbid_ros.shutdown import exit_on_signals
+
+    path = require_model(model)
+    load_model(path, base)  # an error is better shown here than in the log of a node
+    exit_on_signals()
+    console = Console()
+    logs = Path(tempfile.mkdtemp(prefix="symbid_live_"))
+    common: dict[str, object] = {"model": str(path.resolve()), "base": base}
+    parameters = common | given_parameters(options, log)
+    parameters |= {"mode": "online", "memory": memory}
+    if out is not None:
+        parameters["out"] = str(out.resolve())
+    page = common | {"host": host, "port": port} | page_prior(options)
+    environment = dict(os.environ)
+    with ExitStack() as nodes:
+        identifier = nodes.enter_context(
+            NodeProcess("identifier", parameters, environment, logs / "identifier.log")
+        )
+        others = []
+        if web:
+            others.append(nodes.enter_context(start_page(page, environment, logs, console)))
+        monitor = NodeProcess("monitor", {}, environment, logs / "monitor.log", is_shown=True)
+        others.append(nodes.enter_context(monitor))
+        try:
+            while True:
+                for node in (identifier, *others):
+                    node.require_running()
+                time.sleep(POLL)
+        except KeyboardInterrupt:
+            summary = identifier.finish(stop=True, patience=SAVING_TIME)
+            monitor.stop()
+    console.print(f"\n{summary.get('saved', 'nothing saved; give --out to keep the result')}")
+
+
+def start_page(
+    parameters: Mapping[str, object], environment: Mapping[str, str], logs: Path, console: Console
+) -> NodeProcess:
+    """Start the node web_monitor, print the address of its page and return the node."""
+    node = NodeProcess("web_monitor", parameters, environment, logs / "web_monitor.log")
+    try:
+        address = node.first_line()
+    except BaseException:
+        node.__exit__()
+        raise
+    console.print(f"Open {address}\n", soft_wrap=True, markup=False)
+    return node
+
+
+def page_prior(options: IdentifyOptions) -> dict[str, object]:
+    """Return the parameter of web_monitor for the prior that the identification starts from."""
+    return {} if options.prior is None else {"prior": str(Path(options.prior).resolve())}
+
+
+def given_parameters(*groups: Any) -> dict[str, object]:
+    """Return the options that differ from their defaults, as parameters of the identifier."""
+    given: dict[str, object] = {}
+    for group in groups:
+        for option in options_of(type(group)):
+            value = getattr(group, option.name)
+            if value != getattr(type(group)(), option.name):
+                given[option.name] = _as_parameter(value)
+    return given
+
+
+def _as_parameter(value: Any) -> object:
+    if isinstance(value, Path):
+        return str(value.resolve())
+    if isinstance(value, tuple):
+        return [_as_parameter(one) for one in value]
+    return value

@@ -1,0 +1,67 @@
+"""`symbid live`: its nodes, its page, and how it ends."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from symbid_ros.cli.live import given_parameters
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.package_paths import config_file
+
+DEADLINE = 300.0  # s; only a hang takes longer
+MODEL = config_file("symbitron.urdf")
+
+
+def test_options_become_parameters_of_the_node(tmp_path) -> None:
+    options = IdentifyOptions(prior=tmp_path / "prior.json", joint_terms=("none",), total_mass=40.0)
+    given = given_parameters(options, LogOptions(frame_prefix="robot1/"))
+    assert json.loads(json.dumps(given)) == {
+        "prior": str(tmp_path / "prior.json"),
+        "joint_terms": ["none"],
+        "total_mass": 40.0,
+        "frame_prefix": "robot1/",
+    }
+    assert given_parameters(IdentifyOptions(), LogOptions()) == {}
+
+
+def test_a_wrong_model_is_reported_before_any_node_starts(symbid_here, tmp_path) -> None:
+    missing = symbid_here("live", tmp_path / "missing.urdf")
+    assert missing.returncode == 2
+    assert "E101" in missing.stderr
+    assert "E501" in symbid_here("live").stderr
+
+
+@pytest.mark.usefixtures("domain")
+def test_without_a_robot_it_waits_with_its_page_until_ctrl_c() -> None:
+    command = [Path(sys.executable).parent / "symbid", "live", MODEL, "--web", "--port", "0"]
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=dict(os.environ),
+        start_new_session=True,
+    )
+    try:
+        line = process.stdout.readline()
+        address = re.search(r"http://127\.0\.0\.1:\d+/\?token=\S+", line)
+        assert address, line
+        with urllib.request.urlopen(address[0], timeout=DEADLINE) as page:
+            assert "symbitron" in page.read().decode()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=DEADLINE)
+    finally:
+        if process.poll() is None:
+            process.terminate()
+            process.communicate()
+    assert process.returncode == 2
+    (failure,) = err.splitlines()
+    assert "stopped without an estimate" in failure
