@@ -160,7 +160,6 @@
         link.group.quaternion.fromArray(data.quaternion);
         if (link.body) {
           link.body.material.color.set(data.colour);
-          link.body.material.emissive.set(data.changed ? 0x7a2a00 : 0x000000);
         }
         for (const key of ["before", "after"]) {
           const box = data[key];

@@ -24,6 +24,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.formatting import with_std
 from symbid_ros.report.inertia_shapes import total_com
 from symbid_ros.report.live_page import live_page
+from symbid_ros.report.palette import CHANGED_COLOUR
 from symbid_ros.report.robot_scene import (
     SHOWN_DEVIATIONS,
     base_poses,
@@ -33,6 +34,7 @@ from symbid_ros.report.robot_scene import (
     scene_link,
 )
 from symbid_ros.ros.endpoints import latched_qos, reliable_qos
+from symbid_ros.ros.identifier_parameters import model_of
 from symbid_ros.ros.monitor_messages import (
     PublishedLink,
     RobotEstimate,
@@ -61,7 +63,7 @@ PARAMETERS = (
         choices=("auto", "floating", "fixed"),
     ),
     Parameter("prior", "", "The identifier's prior.json; empty: the values of the model."),
-    Parameter("joint_topic", "joint_states", "Topic of the joint states, for the posture shown."),
+    Parameter("posture_topic", "joint_states", "Topic of the joint states that pose the robot."),
     Parameter(
         "host",
         LOOPBACK,
@@ -76,7 +78,7 @@ class WebMonitor:
 
     def __init__(self, node: Node, values: dict[str, Any]) -> None:
         self._identifier: str = node.resolve_topic_name(values["identifier"])
-        model = load_model(Path(values["model"]), values["base"])
+        model = load_model(*model_of(values))
         self._parameters = ParameterSet(model)
         given = values["prior"]
         self._prior = (
@@ -89,7 +91,7 @@ class WebMonitor:
         self._history: deque[dict[str, Any]] = deque(maxlen=HISTORY)
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._changed = Event()
-        self._joints = DecodedSubscription(node, values["joint_topic"], JOINT_STATE, 1)
+        self._joints = DecodedSubscription(node, values["posture_topic"], JOINT_STATE, 1)
         node.create_subscription(
             DiagnosticArray, f"{self._identifier}/estimate", self._on_estimate, latched_qos()
         )
@@ -249,7 +251,10 @@ class WebMonitor:
             shown = replace(
                 shown, parent=own.parent, rotation=rotations[place], position=positions[place]
             )
-            links.append(link_document(shown) | {"changed": own.name in changed})
+            document = link_document(shown)
+            if own.name in changed:
+                document["colour"] = CHANGED_COLOUR
+            links.append(document)
         own_links = self._parameters.links
         poses = rotations[own_links], positions[own_links]
         return {
@@ -268,7 +273,9 @@ class WebMonitor:
         parts = ["waiting for an estimate"]
         if estimate is not None:
             known = estimate.determined
-            parts = [] if known is None else [f"{known} of {estimate.parameters} determined"]
+            parts = (
+                [] if known is None else [f"{known} of {estimate.parameters} parameters determined"]
+            )
             for key, text in (("age", "{:.1f} s old"), ("samples", "{:.0f} rows")):
                 if math.isfinite(number := status.number(key)):
                     parts.append(text.format(number))

@@ -31,10 +31,13 @@ NODES = (
 # Parameters with the same meaning in several nodes.
 SHARED = {
     "bag": {"player", "identifier"},  # the input
+    "base": {"identifier", "web_monitor"},
     "clock_rate": {"mujoco_bridge", "player"},
-    "model": {"mujoco_bridge", "identifier"},
+    "identifier": {"monitor", "web_monitor"},
+    "model": {"mujoco_bridge", "identifier", "web_monitor"},
     "motion_seed": {"mujoco_bridge", "balance_controller"},
     "moves": {"mujoco_bridge", "balance_controller"},
+    "prior": {"identifier", "web_monitor"},
     "scenario": {"mujoco_bridge", "balance_controller"},
     "wait_for_subscribers": {"mujoco_bridge", "player"},
 }
@@ -172,7 +175,7 @@ def test_an_argument_that_is_not_of_its_type_is_refused_by_name(node, name, text
         node_arguments(node, {name: text})
 
 
-@pytest.mark.parametrize("node", [node for node in NODES if node != "monitor"])
+@pytest.mark.parametrize("node", list(FILES))
 def test_the_parameter_file_states_the_nodes_own_defaults(node: str) -> None:
     text = (ROOT / "config" / FILES[node]).read_text()
     assert text == parameter_file(node), "run python -m symbid_ros.ros.launch_arguments"
