@@ -50,7 +50,7 @@ class Options(SphinxDirective):
             command = command.commands[name]
         groups: dict[str, list[tuple[str, ...]]] = defaultdict(list)
         for option in command.params:
-            if option.param_type_name != "option" or option.name == "help":
+            if option.param_type_name != "option" or option.name in ("help", "verbose", "quiet"):
                 continue
             flags = " ".join(f"`{flag}`" for flag in option.opts)
             shown = option.default

@@ -55,6 +55,7 @@ FREE = {
     "errors",
     "json_documents",
     "package_paths",
+    "progress",
     "user_files",
 }
 ROS_LIBRARIES = {

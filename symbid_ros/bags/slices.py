@@ -17,6 +17,7 @@ from symbid_ros.messages.layout import ByteArray
 from symbid_ros.messages.sensor_streams import build_streams, group_joints, read_stamps
 from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
 from symbid_ros.messages.types import read_leading_stamp, read_stamp
+from symbid_ros.progress import report
 from symbid_ros.signals.alignment import LONGEST_MARGIN, resampling_margin
 from symbid_ros.signals.defects import (
     ALWAYS,
@@ -63,10 +64,12 @@ def iterate_slices(
         When a bag or its messages are unusable.
     """
     source = join_names(bags)
-    slicer = _Slicer(
-        source, TopicSelector(source, topics, count_messages(bags)).select(), span, part
-    )
+    counts = count_messages(bags)
+    slicer = _Slicer(source, TopicSelector(source, topics, counts).select(), span, part)
+    total, done = sum(counts.values()), 0
     for block in read_blocks(bags):
+        report(f"reading {source}", done / total)
+        done += sum(map(len, block.spans.values()))
         slicer.add(block)
         yield from slicer.complete_slices()
         if slicer.is_done:

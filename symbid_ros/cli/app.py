@@ -21,6 +21,7 @@ from symbid_ros.cli.live import live
 from symbid_ros.cli.simulate import simulate, udp_client
 from symbid_ros.cli.study import study
 from symbid_ros.cli.validate import compare, validate
+from symbid_ros.cli.verbosity import with_verbosity
 from symbid_ros.errors import SymbidError
 from symbid_ros.options import spelled
 from symbid_ros.package_paths import package_version
@@ -28,7 +29,7 @@ from symbid_ros.package_paths import package_version
 app = typer.Typer(
     help="Identify the inertial and friction parameters of a robot from ROS 2 bags.",
     no_args_is_help=True,
-    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
@@ -53,7 +54,7 @@ COMMANDS = (
 )
 
 for command in COMMANDS:
-    app.command(command.__name__.replace("_", "-"))(command)
+    app.command(command.__name__.replace("_", "-"))(with_verbosity(command))
 app.add_typer(bag, name="bag")
 
 
@@ -116,10 +117,12 @@ def _command() -> Any:
     return command
 
 
-def _hide_types_of_flags(command: Any) -> None:
+def _hide_types_of_flags(command: Any, parent: Any = None) -> None:
     """Keep --help from showing <bool> beside options that take no value."""
-    for option in command.get_params(command.context_class(command)):
+    # The context decides how help is asked for, which the command remembers.
+    context = command.context_class(command, parent=parent, **command.context_settings)
+    for option in command.get_params(context):
         if getattr(option, "is_flag", False):
             option.metavar = ""
     for subcommand in getattr(command, "commands", {}).values():
-        _hide_types_of_flags(subcommand)
+        _hide_types_of_flags(subcommand, context)

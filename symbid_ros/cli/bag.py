@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from symbid_ros.cli.flags import BaseKind, Robot, with_flags
+from symbid_ros.cli.verbosity import progress_shown, with_verbosity
 from symbid_ros.identification.contact_options import ContactOptions
 from symbid_ros.messages.log_options import LogOptions
 
@@ -20,6 +21,7 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 
 
 @app.command()
+@with_verbosity
 def info(bag: Bag, as_json: Json = False) -> None:
     """Show files, topics and times of a bag, complete or interrupted."""
     from symbid_ros.bags import bag_info
@@ -33,6 +35,7 @@ def info(bag: Bag, as_json: Json = False) -> None:
 
 
 @app.command()
+@with_verbosity
 def recover(
     bag: Bag,
     out: Annotated[
@@ -61,6 +64,7 @@ def recover(
 
 
 @app.command()
+@with_verbosity
 @with_flags
 def doctor(
     *,
@@ -91,7 +95,8 @@ def doctor(
     from symbid_ros.offline.bags import load_bag
 
     loaded = None if model is None else with_contact_options(load_model(model, base), contacts)
-    found = diagnose(load_bag(bags, loaded, log), loaded)
+    with progress_shown():
+        found = diagnose(load_bag(bags, loaded, log), loaded)
     print_verdict(found, as_json=as_json)
     if found.severity:
         raise typer.Exit(int(found.severity))

@@ -16,6 +16,7 @@ from symbid_ros.cli.flags import (
     require_model,
     with_flags,
 )
+from symbid_ros.cli.verbosity import progress_shown
 from symbid_ros.errors import EstimateError, PriorError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
@@ -93,8 +94,9 @@ def identify(
 
     require_no_files(out, RESULT_FILES, overwrite=overwrite)
     request = BagRequest(tuple(bags), require_model(model), options, log, base)
-    problem = request.load(out)
-    found = identify_with_holdout(problem)
+    with progress_shown():
+        problem = request.load(out)
+        found = identify_with_holdout(problem)
     found = request.attributed(found, command_line(), () if robot is None else (robot,))
     write_identification(found, problem.parameters, out)
     print_estimate(found.estimate, out)
@@ -214,6 +216,7 @@ def report(
     from symbid_ros.atomic_write import check_output_file
     from symbid_ros.model.load import load_model
     from symbid_ros.offline.bags import load_bag, read_realistic_motion, read_true_motion
+    from symbid_ros.progress import report as step
     from symbid_ros.report.compose import GroundTruth, compose, describe_estimate, describe_log
     from symbid_ros.report.page import write_report
     from symbid_ros.report.saved_results import labels, load_result, with_forces_of
@@ -225,30 +228,36 @@ def report(
     folders = list(dict.fromkeys(folders))
     out = folders[-1] / "report.html" if out is None else out
     check_output_file(out)
-    loaded = None if model is None else load_model(model, base)
-    found = [load_result(folder, loaded) for folder in folders]
-    shown = found[-1]
-    recording = load_bag(bag, shown.parameters.model, log) if bag else None
-    ground_truth = None
-    if recording is not None and truth is None:
-        found = [
-            with_forces_of(one, folder, recording)
-            for folder, one in zip(folders, found, strict=True)
-        ]
-    elif bag and truth is not None:
-        true_robot = load_model(truth, base)
-        internal = shown.parameters.model.wrist_sensors
-        noisy = (
-            read_realistic_motion(realistic, true_robot, internal=internal) if realistic else None
+    with progress_shown():
+        loaded = None if model is None else load_model(model, base)
+        found = [load_result(folder, loaded) for folder in folders]
+        shown = found[-1]
+        recording = load_bag(bag, shown.parameters.model, log) if bag else None
+        ground_truth = None
+        if recording is not None and truth is None:
+            found = [
+                with_forces_of(one, folder, recording)
+                for folder, one in zip(folders, found, strict=True)
+            ]
+        elif bag and truth is not None:
+            true_robot = load_model(truth, base)
+            internal = shown.parameters.model.wrist_sensors
+            noisy = (
+                read_realistic_motion(realistic, true_robot, internal=internal)
+                if realistic
+                else None
+            )
+            ground_truth = GroundTruth(
+                read_true_motion(bag, true_robot, internal), true_robot, noisy
+            )
+        names = labels(folders, [one.estimate for one in found])
+        metadata = {} if recording is None else describe_log(recording)
+        step("drawing the report")
+        content = compose(
+            dict(zip(names, found, strict=True)),
+            chosen=names[-1],
+            metadata=metadata | describe_estimate(shown.estimate),
+            ground_truth=ground_truth,
         )
-        ground_truth = GroundTruth(read_true_motion(bag, true_robot, internal), true_robot, noisy)
-    names = labels(folders, [one.estimate for one in found])
-    metadata = {} if recording is None else describe_log(recording)
-    content = compose(
-        dict(zip(names, found, strict=True)),
-        chosen=names[-1],
-        metadata=metadata | describe_estimate(shown.estimate),
-        ground_truth=ground_truth,
-    )
-    write_report(content, out)
+        write_report(content, out)
     typer.echo(f"wrote {out}")

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from symbid_ros.cli.flags import BaseKind, ModelOrRobot, Robot, require_model, with_flags
+from symbid_ros.cli.verbosity import shows_progress
 from symbid_ros.excitation.options import ExciteOptions
 from symbid_ros.simulation.joint_sensors import JointSensorOptions
 
@@ -47,7 +48,7 @@ def excite(
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     is_complete = True
     with Progress(
-        *columns, console=console, transient=True, disable=not console.is_terminal
+        *columns, console=console, transient=True, disable=not shows_progress(console)
     ) as bar:
         task = bar.add_task("searching", total=options.starts * options.iterations)
 

@@ -26,8 +26,9 @@ def diff(
 ) -> None:
     """Show what an identification changed: each link's mass, centre of mass and inertia.
 
-    Before: the original robot. After: the identified one, with standard deviations. Changes of more
-    than two standard deviations are bold.
+    The original robot before, the identified one after, with standard deviations.
+
+    Changes of more than two standard deviations are bold.
     """
     from symbid_ros.identification.link_changes import robot_change
 

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from symbid_ros.cli.flags import BaseKind, ModelOrRobot, Robot, require_model, with_flags
+from symbid_ros.cli.verbosity import shows_progress
 from symbid_ros.errors import OptionError
 from symbid_ros.options import options_of
 from symbid_ros.shutdown import stop_on_signals
@@ -84,7 +85,7 @@ def simulate(
         true_model = true_model or out.with_name(f"{out.name}_truth.xml")
     clear_folder(out, _is_simulated_bag, "a bag", overwrite=overwrite)
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    with Progress(console=console, transient=True, disable=not shows_progress(console)) as progress:
         what = options.scenario if trajectory is None else trajectory
         task = progress.add_task(f"simulating {what}", total=simulator.steps)
         counts = record(

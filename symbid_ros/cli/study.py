@@ -16,6 +16,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from symbid_ros.cli.verbosity import shows_progress
+
 # Tasks take up to a minute, so the remaining time is estimated from many of them, s.
 SPEED_PERIOD = 300.0
 
@@ -62,7 +64,7 @@ def study(
         Progress(
             *columns,
             console=console,
-            disable=not console.is_terminal,
+            disable=not shows_progress(console),
             speed_estimate_period=SPEED_PERIOD,
         ) as progress,
         worker_pool(workers or min(8, os.cpu_count() or 1)) as pool,

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from symbid_ros.cli.flags import Robot, with_flags
+from symbid_ros.cli.verbosity import progress_shown
 from symbid_ros.errors import SymbidError
 from symbid_ros.messages.log_options import LogOptions
 
@@ -48,7 +49,8 @@ def validate(
         raise SymbidError(
             f"{predictions}: exists; choose another --predictions, or remove it", "E551"
         )
-    found = judge(result, load_bag(bag, options=log))
+    with progress_shown():
+        found = judge(result, load_bag(bag, options=log))
     if predictions is not None:
         write_predictions(found.efforts, predictions)
     if as_json:
@@ -78,7 +80,8 @@ def compare(
     from symbid_ros.identification.validation import compare as rank
     from symbid_ros.offline.bags import load_bag
 
-    found = rank(results, load_bag(bag, options=log))
+    with progress_shown():
+        found = rank(results, load_bag(bag, options=log))
     if as_json:
         typer.echo(json.dumps(found.document(), indent=1))
     else:

@@ -23,6 +23,7 @@ from symbid_ros.identification.report_series import (
 )
 from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import describe_change, validate_segments
+from symbid_ros.progress import report
 from symbid_ros.signals.segments import Segment, split
 from symbid_ros.signals.weak_form import WINDOWS
 
@@ -48,10 +49,12 @@ def identify_with_holdout(problem: LoadedProblem) -> Identification:
     SymbidError
         When the log cannot be identified.
     """
+    report("solving")
     found = problem.with_provenance(explained(problem, problem.solve()))
     log = coverage(problem)
     checked, forces = None, None
     if not problem.options.no_holdout:
+        report("holding out the end of the log")
         try:
             checked, forces = _hold_out(problem, found.window, log.begin)
         except SymbidError as error:

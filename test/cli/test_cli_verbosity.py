@@ -1,0 +1,114 @@
+"""Flags that every command has, progress on terminals, and completion in shells."""
+
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from symbid_ros.cli.app import app
+from symbid_ros.progress import report, reported_to
+
+SYMBID = Path(sys.executable).parent / "symbid"
+
+
+def commands(command, name="symbid"):
+    """Return the words of every command and group."""
+    below = getattr(command, "commands", {})
+    return [
+        tuple(name.split()),
+        *(words for key, one in below.items() for words in commands(one, f"{name} {key}")),
+    ]
+
+
+@pytest.mark.parametrize("words", commands(typer.main.get_command(app)), ids=" ".join)
+def test_every_command_has_short_flags(symbid_here, words) -> None:
+    shown = symbid_here(*words[1:], "-h")
+    assert (shown.returncode, shown.stderr) == (0, "")
+    assert shown.stdout == symbid_here(*words[1:], "--help").stdout
+    if words not in (("symbid",), ("symbid", "bag")):
+        assert "--verbose -v" in " ".join(shown.stdout.split())
+        assert "--quiet" in shown.stdout
+
+
+def test_verbose_names_steps_and_quiet_leaves_warnings_out(symbid_here, short, tmp_path) -> None:
+    plain = symbid_here("bag", "doctor", short)
+    assert plain.stderr == ""  # no progress when piped
+    steps = symbid_here("bag", "doctor", short, "-v")
+    assert f"reading {short}" in "".join(steps.stderr.split("\n")).replace("  ", "")
+    assert steps.stdout == plain.stdout
+    assert symbid_here("bag", "doctor", short, "-q").stdout == plain.stdout
+    assert symbid_here("bag", "doctor", short).stderr == ""  # flags end with their command
+
+    robot = tmp_path / "massless.urdf"
+    robot.write_text(
+        '<robot name="r"><link name="world"/><link name="arm"/><joint name="j" type="continuous">'
+        '<parent link="world"/><child link="arm"/></joint></robot>'
+    )
+    words = "prior", "--model", robot, "--percent", 5, "--out", tmp_path / "prior.json"
+    assert "have no mass" in " ".join(symbid_here(*words).stderr.split())
+    assert symbid_here(*words, "-q").stderr == ""
+
+
+@pytest.mark.parametrize(("flags", "is_shown"), [((), True), (("--quiet",), False)])
+def test_progress_is_shown_on_a_terminal(short, flags, is_shown) -> None:
+    main, terminal = pty.openpty()
+    words = [SYMBID, "bag", "doctor", short, *flags]
+    environment = {**os.environ, "COLUMNS": "200", "TERM": "xterm"}
+    with subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=terminal, env=environment, text=True
+    ) as process:
+        os.close(terminal)
+        shown = b""
+        while True:
+            try:
+                part = os.read(main, 1 << 16)
+            except OSError:  # Linux reports the end of a terminal so
+                break
+            if not part:
+                break
+            shown += part
+        assert process.stdout is not None
+        printed = process.stdout.read()
+    os.close(main)
+    assert "clean" in printed
+    assert (b"reading" in shown and b"left" in shown) == is_shown
+
+
+def test_progress_reaches_the_listener_alone() -> None:
+    heard: list[tuple[str, float | None]] = []
+    report("before", 0.5)
+    with reported_to(lambda step, share: heard.append((step, share))):
+        report("reading", 0.25)
+        report("solving")
+    report("after")
+    assert heard == [("reading", 0.25), ("solving", None)]
+
+
+def test_bash_completes_commands_and_options() -> None:
+    script = (
+        f"source <(env _SYMBID_COMPLETE=source_bash {SYMBID}); "
+        f"COMP_WORDS=({SYMBID} iden); COMP_CWORD=1; _symbid_completion {SYMBID}; "
+        'echo "${COMPREPLY[@]}"; '
+        f"COMP_WORDS=({SYMBID} identify --joint-te); COMP_CWORD=2; _symbid_completion {SYMBID}; "
+        'echo "${COMPREPLY[@]}"'
+    )
+    ended = subprocess.run(["bash", "-c", script], capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == ["identify", "--joint-terms"]
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_get_a_script_and_completions(shell) -> None:
+    def asked(instruction: str, **variables: str) -> str:
+        environment = {**os.environ, "_SYMBID_COMPLETE": instruction, **variables}
+        ended = subprocess.run(
+            [SYMBID], env=environment, capture_output=True, text=True, check=False
+        )
+        return ended.stdout
+
+    assert "symbid" in asked(f"source_{shell}")
+    words = {"_TYPER_COMPLETE_ARGS": "symbid val", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+    assert "validate" in asked(f"complete_{shell}", **words)
