@@ -24,6 +24,7 @@ from symbid_ros.ros.estimate_topics import EstimateTopics
 from symbid_ros.ros.web_monitor import PARAMETERS, WebMonitor
 
 MODEL = config_file("symbitron.xml")
+DEADLINE = 200_000  # ms; only a hang takes longer
 ALARM = "L_thigh has changed since 15.0 s: +3.00 ± 0.10 kg"
 
 
@@ -110,6 +111,7 @@ def test_the_page_follows_the_identifier(browser, live) -> None:
     identifier, address = live
     with browser.page(address, DESKTOP) as page:
         tab = page.tab
+        tab.set_default_timeout(DEADLINE)
         assert "waiting" in tab.inner_text("#state")
         thigh = tab.locator(".mass[data-link=L_thigh]")
         for second in range(1, 5):
@@ -132,6 +134,7 @@ def test_the_robot_moves_with_its_joint_states(browser, live) -> None:
     identifier, address = live
     knee = "() => document.querySelector('.robot-view').robotView.links[3].group.position.toArray()"
     with browser.page(address) as page:
+        page.tab.set_default_timeout(DEADLINE)
         before = page.tab.evaluate(knee)
         while page.tab.evaluate(knee) == before:
             identifier.move(0.4)
@@ -141,10 +144,12 @@ def test_the_robot_moves_with_its_joint_states(browser, live) -> None:
 def test_a_page_that_is_opened_late_shows_the_history(browser, live) -> None:
     identifier, address = live
     with browser.page(address) as page:
+        page.tab.set_default_timeout(DEADLINE)
         for second in (1, 2, 3):
             identifier.publish(second, float(second))
             page.tab.locator(".mass[data-link=L_thigh]").get_by_text(f"{second}.00 ±").wait_for()
     with browser.page(address, PHONE, dark=True) as page:
+        page.tab.set_default_timeout(DEADLINE)
         page.tab.wait_for_selector(".mass[data-link=L_thigh] .line[d*=L]")
         line = page.tab.locator(".mass[data-link=L_thigh] .line").get_attribute("d")
         assert line.count("L") == 2
@@ -154,8 +159,9 @@ def test_a_page_that_is_opened_late_shows_the_history(browser, live) -> None:
 def test_buttons_call_the_identifier(browser, live) -> None:
     identifier, address = live
     with browser.page(address) as page:
-        identifier.publish(1, 5.0)
         tab, thigh = page.tab, page.tab.locator(".mass[data-link=L_thigh]")
+        tab.set_default_timeout(DEADLINE)
+        identifier.publish(1, 5.0)
         thigh.get_by_text("5.00 ±").wait_for()
         tab.on("dialog", lambda dialog: dialog.accept())
         for name, answer in (
