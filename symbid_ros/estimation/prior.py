@@ -19,6 +19,7 @@ from symbid_ros.estimation.prior_std import (
     is_stated,
     percent_floor,
     percent_std,
+    term_scale,
 )
 from symbid_ros.json_documents import versioned
 from symbid_ros.model.inertia import phi_from_pseudo_inertia, pseudo_inertia
@@ -32,6 +33,9 @@ Kind = Literal["percent", "absolute", "consistent"]
 DEFAULT_PERCENT = 25.0
 # Smallest share of a deviation that must remain given all parameters before it.
 _CERTAINTY = 1e-10
+
+# Variance that each parameter keeps if all others of its link are known, of its floor.
+REGULARIZATION = 1e-6
 
 # A billionth of the moment of inertia of a gram within a millimetre, 1e-9 kg m².
 LEAST_STD = 1e-18
@@ -204,7 +208,8 @@ def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT)
 
     Every mass moment of a link is uniform within ± ``percent`` %, as drawn by :func:`draw_prior`
     with "consistent". Unlike with :func:`model_prior`, a zero in the file is as uncertain as the
-    link's extent allows. Joint terms are those of :func:`model_prior`.
+    link's extent allows. Joint terms have the deviations of unknown ones, because files
+    often state placeholders.
 
     Raises
     ------
@@ -213,11 +218,15 @@ def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT)
     """
     prior = model_prior(parameters, percent)
     variances = np.diag(prior.std**2)
+    terms = np.arange(parameters.inertial, len(parameters))
+    variances[terms, terms] = np.maximum(prior.std[terms], term_scale(parameters)) ** 2
     floor = percent_floor(parameters, percent) ** 2
     for index, phi in enumerate(parameters.link_phi(parameters.values)):
         own = slice(10 * index, 10 * index + 10)
-        # A link without mass or extent has no covariance of its own.
-        variances[own, own] = body_covariance(phi, percent) + np.diag(floor[own])
+        covariance = body_covariance(phi, percent)
+        # A link without mass or extent has no covariance of its own, a thin one a singular one.
+        missing = np.maximum(floor[own] - np.diag(covariance), REGULARIZATION * floor[own])
+        variances[own, own] = covariance + np.diag(missing)
     scale = np.sqrt(np.diag(variances))
     factor = scale[:, None] * np.linalg.cholesky(variances / np.outer(scale, scale))
     return replace(prior, kind=f"model, consistent {percent:g}", std=scale, factor=factor)

@@ -33,7 +33,7 @@ def percent_std(parameters: ParameterSet, mean: FloatArray, percent: float) -> F
     uniform = percent / 100 * np.abs(mean) / np.sqrt(3)
     std: FloatArray = np.maximum(uniform, percent_floor(parameters, percent))
     joints = slice(parameters.inertial, None)
-    std[joints] = np.where(is_stated(parameters)[joints], std[joints], _term_scale(parameters))
+    std[joints] = np.where(is_stated(parameters)[joints], std[joints], term_scale(parameters))
     _widen_beyond_sensors(std, parameters)
     return std
 
@@ -42,7 +42,7 @@ def absolute_std(parameters: ParameterSet, amount: float) -> FloatArray:
     """Return the deviation of a uniform ± amount for the values that the file gives."""
     std = np.full(len(parameters), amount / np.sqrt(3))
     joints = slice(parameters.inertial, None)
-    std[joints] = np.where(is_stated(parameters)[joints], std[joints], _term_scale(parameters))
+    std[joints] = np.where(is_stated(parameters)[joints], std[joints], term_scale(parameters))
     _widen_beyond_sensors(std, parameters)
     return std
 
@@ -107,7 +107,7 @@ def percent_floor(parameters: ParameterSet, percent: float) -> FloatArray:
     """
     unit = _FLOOR * percent / 100 / np.sqrt(3)
     floor = np.empty(len(parameters))
-    floor[parameters.inertial :] = unit * _term_scale(parameters)
+    floor[parameters.inertial :] = unit * term_scale(parameters)
     for index, phi in enumerate(parameters.link_phi(parameters.values)):
         mass, extent = abs(phi[0]) or _BARE_MASS, link_extent(phi) or _BARE_EXTENT
         scale = np.repeat([mass, mass * extent, mass * extent**2], [1, 3, 6])
@@ -138,8 +138,8 @@ def is_stated(parameters: ParameterSet) -> BoolArray:
     return stated
 
 
-def _term_scale(parameters: ParameterSet) -> FloatArray:
-    """Return the deviations of joint terms that the model file does not give, and of offsets."""
+def term_scale(parameters: ParameterSet) -> FloatArray:
+    """Return the deviations of joint terms about which nothing is known, and of offsets."""
     joints = parameters.model.joints
     pairs = [(term, joints[place]) for term in parameters.terms for place in parameters.joints]
     for coupling, terms in parameters.coupling_columns.items():

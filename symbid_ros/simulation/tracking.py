@@ -20,6 +20,9 @@ from symbid_ros.simulation.simulator import WrenchSensor
 from symbid_ros.simulation.systematic_errors import SampleRates
 
 PERIOD = 1e-3  # s
+TOLERANCE = 1e-3  # rad or m, by which a joint may exceed its range; end stops are soft
+LARGEST_DECAY = 0.5  # of a joint's speed by its damping within one step
+MOST_SUBSTEPS = 50
 POSTURES = 200
 UNLIMITED = np.pi / 2  # range of a joint without limits, to both sides
 # Feedback of the computed-torque controller: 5 Hz, critically damped.
@@ -107,8 +110,9 @@ def with_drive_terms(
 class TrackingSimulator:
     """A robot on a fixed base whose drives follow a trajectory.
 
-    MuJoCo simulates the true robot at 1 kHz. A computed-torque controller with another model of it
-    commands the drives. Its feedback uses the true state; the sensors are noisy.
+    MuJoCo simulates the true robot. A computed-torque controller at 1 kHz commands the drives. It
+    knows the drives' friction and armature, but has another model of the links. Its feedback uses
+    the true state; the sensors are noisy.
 
     It has the interface of :class:`symbid_ros.simulation.simulator.Simulator`, so that the same
     function records its bag.
@@ -118,7 +122,7 @@ class TrackingSimulator:
     truth : RobotModel
         The true robot, with its friction and armature.
     controller_model : RobotModel
-        The robot as the controller knows it.
+        The robot whose links the controller knows.
     trajectory : JointTrajectory
         Joints that it does not contain stay at their initial position.
     sensors : JointSensorOptions
@@ -157,10 +161,14 @@ class TrackingSimulator:
         self.period_ns = round(self._every * PERIOD * 1e9)
         self.steps = int(trajectory.duration / PERIOD) // self._every
         self._plant = _compile(truth, is_true=True)
-        self._controller = _compile(controller_model, is_true=False)
+        self._substeps = _substeps(self._plant, truth)
+        self._plant.opt.timestep = PERIOD / self._substeps
+        self._controller = _compile(replace(controller_model, joints=truth.joints), is_true=False)
+        self._damping = self._controller.dof_damping.copy()
+        self._controller.dof_damping[:] = 0.0  # compensated for the reference, not for the state
         self._data = mujoco.MjData(self._plant)
         self._inverse = mujoco.MjData(self._controller)
-        self._friction = np.array([joint.friction_loss for joint in controller_model.joints])
+        self._friction = np.array([joint.friction_loss for joint in truth.joints])
         efforts = np.array([joint.effort for joint in truth.joints])
         self._largest = np.where([joint.mimic is None for joint in truth.joints], efforts, np.inf)
         self._truth = truth
@@ -216,8 +224,11 @@ class TrackingSimulator:
         torque = self._torques(max(self._step, 0))
         data.qfrc_applied[:] = torque
         mujoco.mj_step2(plant, data)
+        acceleration = data.qacc.copy()
+        for _ in range(self._substeps - 1):
+            mujoco.mj_step(plant, data)
         self._step += 1
-        return _MotionInstant(position, velocity, data.qacc.copy(), torque)
+        return _MotionInstant(position, velocity, acceleration, torque)
 
     def _torques(self, step: int) -> FloatArray:
         """Return the computed torques (J,) for the current state, within the joints' limits."""
@@ -228,13 +239,15 @@ class TrackingSimulator:
             acceleration + STIFFNESS * (position - data.qpos) + DAMPING * (velocity - data.qvel)
         )
         mujoco.mj_inverse(self._controller, inverse)
-        torque = inverse.qfrc_inverse + self._friction * np.tanh(velocity / COULOMB_SPEED)
+        torque = inverse.qfrc_inverse + self._damping * velocity
+        torque += self._friction * np.tanh(velocity / COULOMB_SPEED)
         self._truth.fold_followers(torque[None])
         return np.asarray(np.clip(torque, -self._largest, self._largest))
 
     def _instant(self, motion: "_MotionInstant") -> Instant:
         for index, joint in enumerate(self._truth.joints):
-            if not joint.lower <= motion.position[index] <= joint.upper:
+            position = motion.position[index]
+            if not joint.lower - TOLERANCE <= position <= joint.upper + TOLERANCE:
                 raise RobotFailureError(
                     f"joint {joint.name} left its range",
                     self._step * PERIOD,
@@ -275,6 +288,28 @@ class _MotionInstant:
     velocity: FloatArray
     acceleration: FloatArray
     torque: FloatArray
+
+
+def _substeps(model: mujoco.MjModel, robot: RobotModel) -> int:
+    """Return the number of steps of a period in which explicit damping is stable.
+
+    Raises
+    ------
+    SimulationError
+        When the damping of a joint is out of proportion to its inertia.
+    """
+    rate = model.dof_damping / model.dof_M0
+    fastest = int(np.argmax(rate))
+    substeps = int(np.ceil(rate[fastest] * PERIOD / LARGEST_DECAY))
+    if substeps > MOST_SUBSTEPS:
+        joint = robot.joints[fastest]
+        raise SimulationError(
+            f"{robot.source}: the damping {joint.damping:g} of joint {joint.name} is out of "
+            f"proportion to its inertia {model.dof_M0[fastest]:.2g} kg m^2, so it cannot be "
+            "simulated; correct the file, or give `friction` for a drive that fits the robot",
+            "E684",
+        )
+    return max(1, substeps)
 
 
 def _compile(robot: RobotModel, *, is_true: bool) -> mujoco.MjModel:

@@ -1,5 +1,7 @@
 """A robot that follows a trajectory: its log obeys the equation of motion of the true robot."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -141,3 +143,26 @@ def test_a_missing_trajectory_and_a_floating_base_are_refused(tmp_path, trajecto
             seed=None,
         )
     assert error.value.code == "E682"
+
+
+def with_damping(arm, damping):
+    joints = tuple(replace(joint, damping=damping) for joint in arm.joints)
+    return replace(arm, joints=joints)
+
+
+@pytest.mark.parametrize("has_friction", [False, True])
+def test_light_joints_follow_although_the_file_states_placeholders(arm, trajectory, has_friction):
+    stated = with_damping(arm, 1.0)
+    truth = draw_truth(stated, percent=25, seed=1, has_friction=has_friction)
+    instants = run(stated, truth, trajectory, seed=None)
+    time = column(instants, "stamp") * 1e-9
+    places = [arm.joint_names.index(name) for name in NAMES]
+    error = column(instants, "true_position")[:, places] - trajectory.at(time)[0]
+    assert np.abs(error).max() < 0.1
+
+
+def test_damping_out_of_proportion_is_refused(arm, trajectory):
+    stated = with_damping(arm, 1e4)
+    with pytest.raises(SimulationError, match="out of proportion") as error:
+        run(stated, stated, trajectory, seed=None)
+    assert error.value.code == "E684"
