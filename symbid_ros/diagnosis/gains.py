@@ -26,6 +26,8 @@ GAIN_STD, DELAY_STD = 2.0, 0.1
 PINNED = 1e-6  # standard deviation of unknowns that are held at their prior
 # Residuals up to this multiple of the smallest ones, at the same scale, count as explained.
 EXPLAINED = 2.0
+# Residuals below this share of the load are explained too: friction near rest leaves as much.
+SMALL_SHARE = 0.1
 # Residuals above this share of the load are not explained.
 LARGEST_SHARE = 0.25
 # Relative deviation of the total mass.
@@ -213,6 +215,7 @@ def estimate_gains(problem: GainProblem) -> GainEstimate:
     shrunk = problem.mass_ratio(solutions[0][0])
     anchored = solutions[1][2]
     is_explained = anchored <= EXPLAINED**2 * solutions[0][2] / shrunk**2
+    is_explained |= anchored <= (SMALL_SHARE * scale) ** 2
     is_explained &= anchored <= (LARGEST_SHARE * scale) ** 2
     at, deviation, left = solutions[int(np.all(is_explained))]
     found = estimate_of(problem, at, deviation, left)

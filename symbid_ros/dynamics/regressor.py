@@ -33,6 +33,8 @@ UNIT_PSEUDO_INERTIA = pseudo_inertia(np.eye(10)).reshape(10, 16)
 
 # Below this speed, rad/s or m/s, a joint may stick, and static friction balances the other forces.
 COULOMB_SPEED = 0.02
+# Speed below which the column of Coulomb friction is a ramp.
+COULOMB_RAMP = 0.004
 # Speed at which Stribeck friction has fallen to 1/e: revolute joints rad/s, prismatic joints m/s.
 STRIBECK_SPEED = 0.2, 0.02
 
@@ -140,12 +142,13 @@ def is_slipping(velocity: FloatArray) -> BoolArray:
 
 
 def coulomb_column(velocity: FloatArray) -> FloatArray:
-    """Return sign(q̇) (N, J) of Eq. 2.49, with a linear ramp below ``COULOMB_SPEED``.
+    """Return sign(q̇) (N, J) of Eq. 2.49, with a linear ramp below ``COULOMB_RAMP``.
 
     Without the ramp, noise about zero speed would switch the friction's sign. The ramp does not
-    model stiction.
+    model stiction. It ends far below ``COULOMB_SPEED``: a window of a slipping joint may contain a
+    few slower samples, and a column of less than one there would bias the friction.
     """
-    column: FloatArray = np.clip(velocity / COULOMB_SPEED, -1.0, 1.0)
+    column: FloatArray = np.clip(velocity / COULOMB_RAMP, -1.0, 1.0)
     return column
 
 

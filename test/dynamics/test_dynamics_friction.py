@@ -11,6 +11,7 @@ from random_robots import CONFIG, random_robot, random_samples, with_drives
 
 from symbid_ros.choices import TERMS as ALL_TERMS
 from symbid_ros.dynamics.regressor import (
+    COULOMB_RAMP,
     COULOMB_SPEED,
     coulomb_column,
     equation_of_motion,
@@ -147,8 +148,8 @@ speeds = st.floats(-1e3, 1e3, allow_nan=False)
 def test_the_coulomb_column_is_the_sign_of_a_joint_that_slips(speed):
     column, slipping = coulomb_column(np.array([[speed]])), is_slipping(np.array([[speed]]))
     assert slipping == (abs(speed) >= COULOMB_SPEED)
-    if slipping:
+    if abs(speed) >= COULOMB_RAMP:
         assert column == np.sign(speed)
     else:
-        assert column == pytest.approx(speed / COULOMB_SPEED)
+        assert column == pytest.approx(speed / COULOMB_RAMP)
     assert coulomb_column(np.array([[-speed]])) == -column
