@@ -11,6 +11,7 @@ efforts, IMU and foot sensors are noisy; efforts by 0.1 % of a joint's largest e
 - prior, default, by hand: RMS error of the torque on another motion, relative to the torque's RMS,
   while a joint moves faster than 0.05 rad/s, where Coulomb friction is defined. By hand: the terms
   that the robot has are named
+- expected: the error that the standard deviations of `by hand` imply, what noise and prior allow
 - ratio: of the prior's error to the default's
 - covered: share of determined parameters, joint terms included, inside their 90 % interval
 """
@@ -75,6 +76,7 @@ class Trial:
     prior: float
     default: float
     by_hand: float
+    expected: float
     errors: FloatArray
     alarms: tuple[str, ...]
 
@@ -88,8 +90,10 @@ def main() -> None:
     options.add_argument("--seconds", type=float, default=60.0)
     given = options.parse_args()
     logging.disable(logging.WARNING)
-    print("| robot | friction | prior % | default % | by hand % | ratio | covered | alarms |")
-    print("|---|---|---|---|---|---|---|---|", flush=True)
+    columns = "robot", "friction", "prior %", "default %", "by hand %", "expected %", "ratio"
+    columns = *columns, "covered", "alarms"
+    print(f"| {' | '.join(columns)} |")
+    print(len(columns) * "|---" + "|", flush=True)
     with threadpool_limits(1):
         for name in given.robots:
             for friction in given.friction:
@@ -102,16 +106,16 @@ def main() -> None:
 
 def table_row(name: str, friction: str, trials: list[Trial]) -> str:
     """Return the geometric means of the errors, and pooled coverage."""
-    prior, default, by_hand = (
+    prior, default, by_hand, expected = (
         float(np.exp(np.mean([np.log(getattr(one, field)) for one in trials])))
-        for field in ("prior", "default", "by_hand")
+        for field in ("prior", "default", "by_hand", "expected")
     )
     errors = np.concatenate([one.errors for one in trials])
     covered = np.mean(np.abs(errors) < HALF_WIDTH)
     alarms = "; ".join(sorted({alarm[:60] for one in trials for alarm in one.alarms})) or "none"
     return (
         f"| {name} | {friction} | {100 * prior:.2g} | {100 * default:.2g} | {100 * by_hand:.2g} | "
-        f"{prior / default:.0f} | {covered:.2f} | {alarms} |"
+        f"{100 * expected:.2g} | {prior / default:.0f} | {covered:.2f} | {alarms} |"
     )
 
 
@@ -150,6 +154,7 @@ def trial(name: str, friction: str, seed: int, seconds: float) -> Trial:
         error(torque(model, other)),
         error(predicted(found, other)),
         error(predicted(by_hand, other)),
+        float(np.sqrt(np.mean(variance(by_hand, other)[slips])) / scale),
         scores(found, truth),
         found.alarms,
     )
@@ -371,6 +376,14 @@ def predicted(found: sy.Result, motion: Samples) -> FloatArray:
     """Return the torques (N, J) that an identified robot needs."""
     rows = equation_of_motion(found._parameters, motion)
     return (rows.K @ found.estimate.value - rows.y)[:, -motion.position.shape[1] :]
+
+
+def variance(found: sy.Result, motion: Samples) -> FloatArray:
+    """Return the variances (N, J) of these torques."""
+    factor = found._identification.deviation_factor
+    assert factor is not None
+    K = equation_of_motion(found._parameters, motion).K[:, -motion.position.shape[1] :]
+    return np.sum((K @ factor) ** 2, axis=2)
 
 
 def scores(found: sy.Result, truth: sy.RobotModel) -> FloatArray:
