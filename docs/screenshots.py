@@ -16,7 +16,7 @@ sys.path.insert(0, str(ROOT / "test" / "support"))
 
 from browser import DESKTOP, PHONE, find_chromium, started_browser  # noqa: E402
 
-COLOURS = 96
+COLOURS = 200
 # Name, width of the window, dark or light, and height of the picture, px.
 SHOTS = (
     ("light", DESKTOP, False, 1350),

@@ -137,6 +137,9 @@ def scale_errors(axes: Axes, name: str, values: FloatArray, logarithmic_above: f
     if spread < 100.0:
         # Whole decades alone would give at most one tick label.
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    else:
+        # Labels of more decades would touch each other on phones.
+        axis.set_major_locator(LogLocator(numticks=5))
     axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:,.10g}"))
     # Minor ticks are invisible in this style and take most of the drawing time.
     axis.set_minor_locator(NullLocator())

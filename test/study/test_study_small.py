@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import DESKTOP, PHONE
 from small_study import PLAN, SmallStudy, symbid
 
 from symbid_ros.bags import bag_log
@@ -289,3 +290,9 @@ def test_controller_tracks_best_with_the_best_model(small: SmallStudy):
     assert ours < truth + 1.0
     assert rows["OLS"]["Stood"] == "0 of 1"
     assert "not positive definite" in rows["OLS"]["Ended by"]
+
+
+@pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (PHONE, True)])
+def test_page_fits_screens_and_has_no_problem(small: SmallStudy, browser, width, dark):
+    with browser.page(small.out / "report.html", width, dark=dark) as page:
+        assert page.problems == page.requests == page.overflow == []

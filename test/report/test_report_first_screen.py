@@ -1,0 +1,129 @@
+"""The first sentence follows from alarms and held-out data; bars have a scale that fits most."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from report_pages import VERDICT, content, content_of_a_log
+
+from symbid_ros.estimation.estimate import HoldOut
+from symbid_ros.report.content import MethodResult
+from symbid_ros.report.first_screen import (
+    error_bars,
+    key_figures,
+    recommend,
+    robust_maximum,
+)
+
+ALARM = "the residuals are not white noise"
+
+
+def estimate(advice="better", *, alarms=(), **fields):
+    summary = "9.4 % → 1.2 % of the measured torque on the last 34 s"
+    holdout = HoldOut(34.0, 9.4, 1.2, advice, 0.1, {}, summary)
+    verdict = replace(VERDICT, alarms=alarms)
+    return replace(
+        content(2, truth=False).estimate, holdout=replace(holdout, **fields), verdict=verdict
+    )
+
+
+class TestRecommendation:
+    @pytest.mark.parametrize(
+        ("advice", "kind", "start"),
+        [
+            ("better", "good", "Use this model: "),
+            ("equal", "caution", "This model hardly differs from the original: "),
+            ("worse", "bad", "Do not use this model, it is worse than the original: "),
+            ("mixed", "bad", "Do not use this model, it is partly worse: "),
+        ],
+    )
+    def test_follows_the_advice_on_held_out_data(self, advice, kind, start):
+        found = recommend(estimate(advice))
+        figure = "torque error on data held out 9.4 % → 1.2 %; no alarm."
+        assert (found.kind, found.sentence, found.remark) == (kind, start + figure, "")
+
+    def test_an_alarm_comes_first(self):
+        found = recommend(estimate(alarms=(ALARM,)))
+        assert found.kind == "bad"
+        assert found.sentence == (
+            "Do not use this model yet: 1 alarm; torque error on data held out 9.4 % → 1.2 %."
+        )
+        assert "2 alarms" in recommend(estimate(alarms=(ALARM, ALARM))).sentence
+
+    def test_a_motion_that_repeats_itself_limits_the_advice(self):
+        found = recommend(estimate(repeats=0.95))
+        assert found.kind == "good"
+        assert "repeats itself" in found.remark
+
+    @pytest.mark.parametrize("tried", [False, True])
+    def test_without_held_out_data_validation_is_advised(self, tried):
+        reason = "no part of the log: too short"
+        shown = estimate("none", seconds=0.0, summary=reason)
+        found = recommend(shown if tried else replace(shown, holdout=None))
+        assert found.kind == "caution"
+        assert "symbid validate" in found.remark
+        assert (reason in found.remark) is tried
+
+    def test_forces_on_a_base_are_called_so(self):
+        summary = "9.4 % → 1.2 % of the measured force on the base on the last 34 s"
+        assert "force error on data held out" in recommend(estimate(summary=summary)).sentence
+
+
+class TestErrorBars:
+    def test_errors_are_in_percent_of_the_measured_torque(self):
+        shown = content_of_a_log(4).shown
+        forces = shown.log.forces
+        bars = {bar.name: bar for bar in error_bars(shown).bars}
+        assert set(bars) == {"joint_0", "joint_1", "joint_2", "joint_3"}
+        for name, bar in bars.items():
+            place = forces.coordinates.index(name)
+            percent = 100 * forces.rmse_after[place] / forces.rms_measured[place]
+            assert float(bar.share_after.removesuffix(" %")) == pytest.approx(percent, rel=0.06)
+            assert bar.width_after < bar.width_before <= 100
+
+    def test_an_outlier_is_cut_and_the_others_stay_visible(self):
+        found = error_bars(content_of_a_log(8, outlier=1e5).shown)
+        first, *others = found.bars
+        assert (first.name, first.is_cut, first.width_before) == ("joint_0", True, 100)
+        assert found.has_cut
+        assert all(bar.width_before > 20 and not bar.is_cut for bar in others)
+
+    def test_the_largest_come_first_and_many_are_folded(self):
+        found = error_bars(content_of_a_log(29).shown)
+        widths = [bar.width_before for bar in found.bars]
+        assert widths == sorted(widths, reverse=True)
+        assert (len(found.shown), len(found.folded)) == (12, 17)
+
+    def test_results_of_earlier_versions_have_errors_without_percentage(self):
+        coordinates = {"base/force_z": (9.0, 3.0), "knee": (4.0, 1.0), "hip": (2.0, 0.5)}
+        shown = MethodResult("MAP", estimate(coordinates=coordinates), None)
+        knee, hip = error_bars(shown).bars
+        assert (knee.name, knee.before, knee.after, knee.share_after) == (
+            *("knee", "4.00 Nm", "1.00 Nm"),
+            "",
+        )
+        assert (knee.width_before, hip.width_before, hip.width_after) == (100, 50, 12.5)
+
+    def test_a_joint_without_load_has_no_percentage(self):
+        shown = content_of_a_log(3).shown
+        forces = shown.log.forces
+        loads = forces.rms_measured.copy()
+        loads[-1] = 0.0
+        log = replace(shown.log, forces=replace(forces, rms_measured=loads))
+        bars = {bar.name: bar for bar in error_bars(replace(shown, log=log)).bars}
+        assert bars["joint_2"].share_after == ""
+        assert 0 < bars["joint_2"].width_after < 100
+
+
+def test_the_robust_maximum_ignores_few_large_values():
+    values = np.array([1.0, 2.0, 3.0, 2.0, 1.0, 1e6, np.nan])
+    assert 3.0 <= robust_maximum(values) < 10.0
+    assert robust_maximum(np.array([1.0, 2.0])) == 2.0
+    assert robust_maximum(np.array([np.nan, 0.0])) == 0.0
+
+
+def test_key_figures_name_what_was_measured_and_what_the_doctor_found():
+    figures = {one.title: one for one in key_figures(content_of_a_log(4))}
+    assert figures["Measured"].value == "2 of 50"
+    assert figures["Log"].value == "39.0 s used"
+    assert figures["Log"].note == "the doctor found 1 fault"

@@ -1,0 +1,96 @@
+"""Bars of time, position and speed are where the log has them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from report_pages import content_of_a_log
+
+from symbid_ros.identification.report_data import QUANTILES
+from symbid_ros.report.content import JointLimits
+from symbid_ros.report.log_bars import joint_ranges, timeline
+from symbid_ros.report.log_figures import (
+    ORIGINAL,
+    STYLES,
+    binned_medians,
+    error_limit,
+    force_panels,
+    force_range,
+    shown_error,
+    shown_joints,
+)
+
+
+@pytest.fixture(scope="module")
+def log():
+    return content_of_a_log(4).shown.log
+
+
+def test_the_timeline_shows_used_times_the_held_out_part_and_faults(log):
+    rows = {row.name: row.bars for row in timeline(log.coverage, log.forces).rows}
+    assert [(bar.left, bar.width) for bar in rows["used"]] == [(0, 30), (32.5, 67.5)]
+    assert [(bar.left, bar.width) for bar in rows["held out"]] == [(50, 50)]
+    (fault,) = rows["/joint_states"]
+    assert (fault.kind, fault.left, fault.width) == ("gap", 30, 2.5)
+    assert fault.text == "gap from 12.00 to 13.00 s"
+
+
+def test_a_short_fault_stays_visible_and_inside(log):
+    fault = {"kind": "frozen", "stream": "/imu", "start": 39.999, "stop": 40.0}
+    coverage = replace(log.coverage, faults=(fault,))
+    (bar,) = timeline(coverage, None).rows[-1].bars
+    assert bar.width >= 0.3
+    assert bar.left + bar.width <= 100.001
+
+
+def test_positions_are_shown_within_the_limits_of_the_joint(log):
+    limits = {"joint_0": JointLimits(-2.0, 2.0, False), "joint_2": JointLimits(-np.inf, 9, True)}
+    turning, sliding = joint_ranges(log.coverage, limits)
+    assert (turning.left, turning.width, turning.share) == (25, 50, "50 %")
+    edge = np.linspace(-1, 1, len(QUANTILES))[QUANTILES.index(0.05)]
+    assert turning.inner_left == pytest.approx(100 * (edge + 2) / 4, abs=0.06)
+    assert turning.positions == "−1.00 to 1.00 rad"
+    assert (sliding.left, sliding.width, sliding.share) == (0, 100, "")
+    assert sliding.speeds.endswith("m/s")
+
+
+class TestAxes:
+    def test_errors_beyond_the_measured_force_do_not_set_the_axis(self):
+        forces = content_of_a_log(3, outlier=1e5).shown.log.forces
+        place = forces.coordinates.index("joint_0")
+        measured = np.ptp(forces.measured[:, place][np.isfinite(forces.measured[:, place])])
+        assert shown_error(forces, place) <= measured
+        low, high = force_range(forces, place)
+        assert high - low < 1.3 * measured
+        assert forces.coordinates[place] in {panel.title for panel in force_panels(forces)}
+
+    def test_single_outliers_are_cut(self):
+        errors = np.ones(1000)
+        errors[3] = 1e6
+        assert error_limit(errors) < 5
+
+    def test_the_most_loaded_joints_are_shown_in_order(self):
+        forces = content_of_a_log(9).shown.log.forces
+        loads = forces.rms_measured.copy()
+        loads[[7, 14]] = 100.0
+        shown = shown_joints(replace(forces, rms_measured=loads)).tolist()
+        assert len(shown) == 6
+        assert {7, 14} <= set(shown)
+        assert shown == sorted(shown)
+        assert min(shown) >= 6
+
+
+def test_medians_show_the_step_of_coulomb_friction():
+    rng = np.random.default_rng(0)
+    speed = rng.uniform(-1, 1, 2000)
+    error = 3.0 * np.sign(speed) + rng.normal(0, 0.3, 2000)
+    error[::50] = 1e4
+    middle, median = binned_medians(speed, error)
+    np.testing.assert_allclose(median, 3.0 * np.sign(middle), atol=0.2)
+    assert np.all(np.diff(middle) > 0)
+    assert STYLES[ORIGINAL].colour == "#d55e00"
+
+
+def test_without_rows_there_is_no_median():
+    middle, median = binned_medians(np.full(4, np.nan), np.zeros(4))
+    assert len(middle) == len(median) == 0
