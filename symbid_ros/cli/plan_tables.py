@@ -32,7 +32,7 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
         *(f"assumed: {each}" for each in plan.problem.limits.assumed),
         *filter(None, [closest_links(plan)]),
         *(f"not checked: {spelled(each, flag)}" for each in plan.problem.unchecked),
-        f"wrote {out}/: {', '.join(FILES)}",
+        f"wrote {out}/: {', '.join(name for name in FILES if (out / name).exists())}",
     ]
     for line in lines:
         console.print(Text(line), soft_wrap=True)

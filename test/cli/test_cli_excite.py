@@ -113,6 +113,23 @@ def _prior(symbid_here, folder) -> Path:
     return path
 
 
+def test_an_earlier_result_is_planned_for(planned, symbid_here, tmp_path):
+    """The next trajectory starts from what is known, and the identification from its data."""
+    folder, _ = planned
+    bag, result, plan = (tmp_path / name for name in ("bag", "result", "plan"))
+    symbid_here("simulate", *ARM, "--trajectory", folder, "--friction", "--out", bag)
+    terms = "--joint-terms", "viscous,coulomb,armature"
+    symbid_here("identify", bag, *ARM, *terms, "--prior", folder / "prior.json", "--out", result)
+    done = symbid_here("excite", *ARM, *QUICK, "--information", result, "--out", plan)
+    assert (done.returncode, "prior.json" in done.stdout) == (0, False)
+    found = json.loads((result / "estimate.json").read_text())["parameters"]
+    next_plan = json.loads((plan / "plan.json").read_text())["parameters"]
+    assert set(next_plan) == set(found)
+    for name, each in next_plan.items():
+        assert each["std_before"] == pytest.approx(found[name]["std"], rel=0.05) or "/m" in name
+        assert each["std_expected"] <= each["std_before"]
+
+
 def test_options_of_scenarios_and_trajectories_are_not_mixed(planned, symbid_here, tmp_path):
     folder, _ = planned
     done = symbid_here(
