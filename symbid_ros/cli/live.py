@@ -13,6 +13,7 @@ from rich.console import Console
 
 from symbid_ros.cli.flags import BaseKind, Robot, require_model, with_flags
 from symbid_ros.cli.processes import NodeProcess
+from symbid_ros.errors import SymbidError
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.options import options_of
@@ -78,23 +79,27 @@ def live(
         parameters["out"] = str(out.resolve())
     page = common | {"host": host, "port": port} | page_prior(options)
     environment = dict(os.environ)
-    with ExitStack() as nodes:
-        identifier = nodes.enter_context(
-            NodeProcess("identifier", parameters, environment, logs / "identifier.log")
-        )
-        others = []
-        if web:
-            others.append(nodes.enter_context(start_page(page, environment, logs, console)))
-        monitor = NodeProcess("monitor", {}, environment, logs / "monitor.log", is_shown=True)
-        others.append(nodes.enter_context(monitor))
+    with (
+        NodeProcess("identifier", parameters, environment, logs / "identifier.log") as identifier,
+        ExitStack() as others,
+    ):
         try:
+            shown = [identifier]
+            if web:
+                shown.append(others.enter_context(start_page(page, environment, logs, console)))
+            monitor = NodeProcess("monitor", {}, environment, logs / "monitor.log", is_shown=True)
+            shown.append(others.enter_context(monitor))
             while True:
-                for node in (identifier, *others):
+                for node in shown:
                     node.require_running()
                 time.sleep(POLL)
         except KeyboardInterrupt:
-            summary = identifier.finish(stop=True, patience=SAVING_TIME)
-            monitor.stop()
+            try:
+                summary = identifier.finish(stop=True, patience=SAVING_TIME)
+            except SymbidError:
+                if identifier.was_interrupted:  # there was nothing to save yet
+                    raise KeyboardInterrupt from None
+                raise
     console.print(f"\n{summary.get('saved', 'nothing saved; give --out to keep the result')}")
 
 

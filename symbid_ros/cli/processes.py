@@ -100,6 +100,11 @@ class NodeProcess:
         """Whether the process is running."""
         return self._process.poll() is None
 
+    @property
+    def was_interrupted(self) -> bool:
+        """Whether a signal ended the process while it was starting."""
+        return self._process.poll() in (128 + signal.SIGINT, -signal.SIGINT)
+
     def require_running(self) -> None:
         """Raise SymbidError with the node's last line of output if it has ended."""
         if not self.running:

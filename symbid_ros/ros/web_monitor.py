@@ -63,7 +63,11 @@ PARAMETERS = (
         choices=("auto", "floating", "fixed"),
     ),
     Parameter("prior", "", "The identifier's prior.json; empty: the values of the model."),
-    Parameter("posture_topic", "joint_states", "Topic of the joint states that pose the robot."),
+    Parameter(
+        "posture_topic",
+        "joint_states",
+        "Topic of the joint states that pose the robot, with the model's joints and signs.",
+    ),
     Parameter(
         "host",
         LOOPBACK,

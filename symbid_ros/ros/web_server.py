@@ -10,9 +10,9 @@ import secrets
 import socket
 import sys
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from ipaddress import ip_address
 from queue import Empty, Full, Queue
 from threading import Lock, Thread
 from urllib.parse import parse_qs, urlencode, urlsplit
@@ -20,6 +20,7 @@ from urllib.parse import parse_qs, urlencode, urlsplit
 from symbid_ros.errors import SymbidError
 
 LOOPBACK = "127.0.0.1"
+WILDCARDS = "", "0.0.0.0"  # all addresses of the machine
 TOKEN_HEADER = "X-Symbid-Token"
 MOST_LISTENERS = 16
 # Events that wait for a slow browser; when they are full, it is disconnected and connects anew.
@@ -78,17 +79,20 @@ class WebServer:
     @property
     def address(self) -> str:
         """The address to open, with its token."""
-        name = LOOPBACK if self.host in ("", "0.0.0.0") else self.host
-        name = f"[{name}]" if ":" in name else name
+        name = LOOPBACK if self.host in WILDCARDS else self.host
         return f"http://{name}:{self.port}/?{urlencode({'token': self.token})}"
 
-    @property
-    def names(self) -> set[str]:
-        """The values of ``Host`` under which the page may be opened."""
-        own = {self.host, LOOPBACK, "localhost", "[::1]"}
-        if self.host in ("", "0.0.0.0", "::"):
-            own |= {socket.gethostname(), socket.getfqdn(), *_own_addresses()}
-        return {f"{name}:{self.port}" for name in own}
+    def is_own_name(self, host: str) -> bool:
+        """Return whether a ``Host`` header means this server.
+
+        If it listens on all addresses, so does every address: only a name can be rebound.
+        """
+        name, _, port = host.rpartition(":")
+        if port != str(self.port):
+            return False
+        if name in (self.host, LOOPBACK, "localhost"):
+            return True
+        return self.host in WILDCARDS and (name == socket.gethostname() or _is_address(name))
 
     def publish(self, event: str, document: object) -> None:
         """Send an event to all listeners."""
@@ -183,7 +187,7 @@ def _handler_of(owner: WebServer) -> type[BaseHTTPRequestHandler]:
         def _refuses(self, given: str) -> bool:
             """Answer a request that may come from another site; return whether it did."""
             host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
-            is_own = host in owner.names and origin in (None, f"http://{host}")
+            is_own = owner.is_own_name(host) and origin in (None, f"http://{host}")
             # A comparison in constant time accepts only bytes for texts beyond ASCII.
             if is_own and secrets.compare_digest(given.encode(), owner.token.encode()):
                 return False
@@ -245,7 +249,9 @@ def _handler_of(owner: WebServer) -> type[BaseHTTPRequestHandler]:
     return Handler
 
 
-def _own_addresses() -> list[str]:
-    with suppress(OSError):
-        return list(dict.fromkeys(socket.gethostbyname_ex(socket.gethostname())[2]))
-    return []
+def _is_address(name: str) -> bool:
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True

@@ -56,6 +56,10 @@ def test_without_a_robot_it_waits_with_its_page_until_ctrl_c() -> None:
         assert address, line
         with urllib.request.urlopen(address[0], timeout=DEADLINE) as page:
             assert "symbitron" in page.read().decode()
+        events = address[0].replace("/?", "/events?")
+        with urllib.request.urlopen(events, timeout=DEADLINE) as stream:
+            # The identifier reports what it waits for.
+            assert any(b"no sensor topics yet" in line for line in stream)
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=DEADLINE)
     finally:

@@ -70,6 +70,22 @@ def test_other_names_of_this_machine_are_refused(server, host) -> None:
     assert answer.status == 403
 
 
+def test_on_all_addresses_only_foreign_names_are_refused() -> None:
+    server = WebServer("0.0.0.0", 0, str, dict, {})
+    try:
+        assert server.address.startswith(f"http://127.0.0.1:{server.port}/")
+        for host, allowed in (
+            ("192.168.1.5", True),
+            ("localhost", True),
+            (socket.gethostname(), True),
+            ("evil.example", False),
+        ):
+            assert server.is_own_name(f"{host}:{server.port}") is allowed
+            assert not server.is_own_name(f"{host}:{server.port + 1}")
+    finally:
+        server.close()
+
+
 def test_actions_need_token_and_own_origin(server, calls) -> None:
     own = {TOKEN_HEADER: server.token, "Origin": f"http://127.0.0.1:{server.port}"}
     for headers in (
