@@ -14,8 +14,10 @@ from symbid_ros.bags.slices import DEFAULT_SELECTION, iterate_slices
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.messages.decoder import TopicDecoder
 from symbid_ros.messages.sensor_streams import read_field, read_stamps
+from symbid_ros.messages.static_transforms import is_static, static_transforms
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
 from symbid_ros.messages.types import ACCEL, ODOMETRY, TRAJECTORY
+from symbid_ros.model.fixed_frames import FixedTransform
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import DefectCounts, kept_in_order
 from symbid_ros.signals.log import Log
@@ -53,7 +55,34 @@ def bag_log(
         count_messages(bags)
         return bag_log(bags, model, topics)
 
-    return Log(join_names(bags), tuple(bags), _read=read, _open=other)
+    def frames() -> tuple[FixedTransform, ...]:
+        mapping = topics.mapping
+        return tuple(
+            replace(one, parent=mapping.frame(one.parent), child=mapping.frame(one.child))
+            for one in read_static_transforms(bags)
+        )
+
+    return Log(join_names(bags), tuple(bags), _read=read, _open=other, _frames=frames)
+
+
+def read_static_transforms(bags: Sequence[Path]) -> tuple[FixedTransform, ...]:
+    """Read the transforms of fixed frames; of a transform that is sent again, the last one.
+
+    Reading ends when all messages of these topics have been found, usually near the beginning.
+    """
+    left = sum(count for topic, count in count_messages(bags).items() if is_static(topic))
+    found: dict[tuple[str, str], FixedTransform] = {}
+    blocks = read_blocks(bags) if left else ()
+    for block in blocks:
+        for topic, spans in block.spans.items():
+            if is_static(topic):
+                left -= len(spans)
+                for start, size in spans.tolist():
+                    payload = block.data[start : start + size].tobytes()
+                    found |= {(one.parent, one.child): one for one in static_transforms(payload)}
+        if left <= 0:
+            break
+    return tuple(found.values())
 
 
 def read_streams(bags: Sequence[Path], topics: TopicSelection = DEFAULT_SELECTION) -> Streams:

@@ -33,7 +33,7 @@ def diagnose(log: Log, model: RobotModel | None = None) -> Diagnosis:
     BagError
         When no bag is given, or the bag lacks the topics.
     """
-    diagnoser = _LogDiagnoser(model)
+    diagnoser = _LogDiagnoser(model and log.applied_to(model))
     try:
         for piece in log.slices(SPAN, warn=False):
             diagnoser.take(piece)

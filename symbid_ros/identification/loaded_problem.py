@@ -199,6 +199,7 @@ def load_problem(
         When a file, the data or an option is invalid.
     """
     options = options or IdentifyOptions()
+    robot = log.applied_to(robot)
     parameters = load_parameters(robot, options)
     prior = choose_prior(options, parameters)
     parameters = with_load_reference(parameters, prior, options)

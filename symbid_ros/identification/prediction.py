@@ -21,6 +21,7 @@ from symbid_ros.identification.solver import Identification
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.log import Log
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_errors import (
     ALL_KINDS,
@@ -166,6 +167,11 @@ class ForcePredictor:
             settings=settings,
             seconds=_seconds(load_archive(folder / "information.npz")),
         )
+
+    def with_frames_of(self, log: Log) -> "ForcePredictor":
+        """Return the predictor with the frames that a log says are fixed to the robot's links."""
+        model = log.applied_to(self.parameters.model)
+        return replace(self, parameters=replace(self.parameters, model=model))
 
     @property
     def original(self) -> FloatArray:

@@ -254,7 +254,7 @@ def validate(result: Result | str | Path, log: Log) -> Validation:
     SymbidError
         When a file of the result, or the log, is invalid or belongs to another robot.
     """
-    predictor = _predictor(result)
+    predictor = _predictor(result).with_frames_of(log)
     return validate_segments(predictor, AlignedLog(log, predictor.parameters.model), log.source)
 
 
@@ -283,7 +283,7 @@ def compare(results: Sequence[Result | str | Path], log: Log) -> Comparison:
     SymbidError
         When a file of a result, or the log, is invalid or belongs to another robot.
     """
-    predictors = [_predictor(result) for result in results]
+    predictors = [_predictor(result).with_frames_of(log) for result in results]
     first = predictors[0]
     lengths = [one.settings.window for one in predictors if one.settings.filter == "weak"]
     window = max((length for length in lengths if length), default=WINDOW)

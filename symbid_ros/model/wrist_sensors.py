@@ -14,6 +14,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import ModelError
 from symbid_ros.model.bodies import Body, BodyJoint, assemble
+from symbid_ros.model.fixed_frames import with_frames_of
 from symbid_ros.model.inertia import transform_phi
 from symbid_ros.model.tree import Frame, Joint, RobotModel
 
@@ -87,7 +88,8 @@ def with_wrist_sensors(model: RobotModel, sensors: Sequence[str]) -> RobotModel:
     divided = assemble(
         model.name, bodies, floating=model.floating, gravity=model.gravity, source=model.source
     )
-    return replace(_with_values_of(divided, model), bodies=model.bodies)
+    divided = replace(_with_values_of(divided, model), bodies=model.bodies)
+    return with_frames_of(divided, model)
 
 
 def _insert(

@@ -178,6 +178,7 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     has_imu = any(topic.msgtype == IMU for topic in topics)
     if base == "auto" and robot.floating and not has_imu:
         robot = load_model(model, "fixed")
+    robot = bag_log(bags).applied_to(robot)
     setup = RobotSetup(model.absolute(), "floating" if robot.floating else "fixed")
     inspector = _Inspector(tuple(bags), robot, tuple(topics), setup)
     inspector.match_joints()

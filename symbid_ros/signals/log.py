@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
+from symbid_ros.model.fixed_frames import FixedTransform, with_fixed_frames
 from symbid_ros.model.tree import ON_LINK, RobotModel
 from symbid_ros.signals.alignment import resampling_margin
 from symbid_ros.signals.base_pose import PoseStream
@@ -49,6 +50,19 @@ class Log:
     _open: "Callable[[tuple[Path, ...]], Log] | None" = field(
         default=None, repr=False, kw_only=True
     )
+    _frames: Callable[[], tuple[FixedTransform, ...]] = field(
+        default=tuple, repr=False, kw_only=True
+    )
+
+    def applied_to(self, robot: RobotModel) -> RobotModel:
+        """Return a robot with the frames that the log says are fixed to its links.
+
+        Raises
+        ------
+        BagError
+            When a bag is missing or damaged.
+        """
+        return with_fixed_frames(robot, self._frames())
 
     def slices(self, span: int | None = None, *, warn: bool = True) -> Iterator[Slice]:
         """Yield the measurements in slices that end at multiples of ``span``.
