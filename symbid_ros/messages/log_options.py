@@ -44,7 +44,7 @@ class LogOptions:
     pose_topic: tuple[str, ...] = option(
         (),
         "Odometry or PoseStamped topic with the pose of a floating robot in the world, as from "
-        "motion capture, in place of an IMU or beside it. For bags only.",
+        "motion capture, in place of an IMU or beside it.",
         group=GROUP,
     )
     pose_frame: str = option(

@@ -55,6 +55,8 @@ class BlockScheduler:
         )
         self._model = model
         self._lag = round(lag * 1e9)
+        # Poses are low-passed and differentiated, so more of them are needed.
+        self._least_margin = LONGEST_MARGIN if selected.poses else 0
         self._period: float | None = None  # of the joint states, ns; None until enough arrived
         self._open_from: int | None = None
         self._unread_from: int | None = None
@@ -100,6 +102,8 @@ class BlockScheduler:
         while self._unread_ends:
             yield self._unread_ends.popleft()
         until = self.streams.complete_until
+        if until is not None:
+            until -= self._least_margin
         while until is not None and (bounds := self._open_bounds()) is not None:
             start = max(bounds[0], self._unread_from or bounds[0])
             end = start // (length := bounds[1] - bounds[0]) * length + length
@@ -107,7 +111,7 @@ class BlockScheduler:
             if stop - start < (0 if stop == end else self._shortest_partial_block()):
                 return
             self._unread_from = stop
-            yield self._align(start, stop, stop)
+            yield self._align(start, stop, stop + self._least_margin)
 
     def _keep_unread_end(self, block: TimeSpan) -> None:
         start = max(block.start, self._unread_from or block.start)
@@ -153,13 +157,16 @@ class BlockScheduler:
         if newest is None or newest < stop:
             return None
         buffers = self.streams.buffers.values()
-        margin = resampling_margin(buffer.stamps for buffer in buffers)
+        margin = max(self._least_margin, resampling_margin(buffer.stamps for buffer in buffers))
         is_complete = complete is not None and complete >= stop + margin
         return margin if is_complete or newest >= stop + max(self._lag, margin) else None
 
     def _align(self, start: int, stop: int, messages_until: int) -> TimeSpan:
         try:
-            margin = resampling_margin(each.stamps for each in self.streams.buffers.values())
+            margin = max(
+                self._least_margin,
+                resampling_margin(each.stamps for each in self.streams.buffers.values()),
+            )
             streams = self.streams.between(start - margin, messages_until)
             segments = align_checked(streams, self._model)
         except SymbidError as error:

@@ -138,7 +138,8 @@ class OnlineIdentification:
         self.lost_blocks = self.clock_jumps = 0
         model = self._parameters.model
         self.checks = {
-            topic: MessageCheck(topic, model, selected.mapping) for topic in selected.all
+            topic: MessageCheck(topic, model, selected.mapping, is_tracked=bool(selected.poses))
+            for topic in selected.all
         }
         self._posterior: Posterior | None = None
         self._choice: TermChoice | None = None

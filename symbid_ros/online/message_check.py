@@ -7,8 +7,8 @@ from symbid_ros.errors import DataError
 from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.sensor_mapping import SAME, SensorMapping
 from symbid_ros.messages.single_message import MessagePattern, SingleMessageDecoder
-from symbid_ros.messages.topics import Topic
-from symbid_ros.messages.types import IMU, JOINT_STATE, NANO, WRENCH
+from symbid_ros.messages.topics import POSES, Topic
+from symbid_ros.messages.types import IMU, JOINT_STATE, NANO, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import CLOCK_JUMP, seconds
 
@@ -22,6 +22,8 @@ VALUES = {
     JOINT_STATE: ("position", "velocity", "effort"),
     IMU: ("angular_velocity", "linear_acceleration"),
     WRENCH: ("wrench.force", "wrench.torque"),
+    POSE: ("pose.position", "pose.orientation"),
+    ODOMETRY: ("pose.pose.position", "pose.pose.orientation"),
 }
 MAX_PATTERNS = 8  # layouts of a topic's messages that are decoded quickly
 MAX_NAMES = 3  # of another robot's joints, in a warning
@@ -41,6 +43,8 @@ class MessageCheck:
         The robot's joints and frames.
     mapping : SensorMapping
         Names of joints and frames in the messages.
+    is_tracked : bool
+        Whether the robot's pose is measured, so that wrenches may be given in axes of the world.
 
     Attributes
     ----------
@@ -52,12 +56,21 @@ class MessageCheck:
         ``header.frame_id`` of the topic's sensor; None before its first message.
     """
 
-    def __init__(self, topic: Topic, model: RobotModel, mapping: SensorMapping = SAME) -> None:
+    def __init__(
+        self,
+        topic: Topic,
+        model: RobotModel,
+        mapping: SensorMapping = SAME,
+        *,
+        is_tracked: bool = False,
+    ) -> None:
         self._topic = topic
         self._messages = SingleMessageDecoder(topic)
         self._patterns: list[MessagePattern] = []
         self._joints = mapping.recorded_joints(model.measured_joint_names)
         self._frames, self._mapping = known_frames(model), mapping
+        # A pose is given in a frame of the world, which the model does not know.
+        self._takes_any_frame = topic.msgtype in POSES or (is_tracked and topic.msgtype == WRENCH)
         self._last: int | None = None
         self._held: tuple[int, bytes] | None = None
         self._warned = float("-inf")
@@ -124,7 +137,8 @@ class MessageCheck:
         if self._topic.msgtype == JOINT_STATE:
             return self._joint_rejection_reason(layout.text["name"])
         frame = layout.text["header.frame_id"][0]
-        if self.frame is None and self._mapping.frame(frame) in self._frames:
+        is_known = self._takes_any_frame or self._mapping.frame(frame) in self._frames
+        if self.frame is None and is_known:
             self.frame = frame
         if frame == self.frame:
             return ""

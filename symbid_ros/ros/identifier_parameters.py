@@ -130,11 +130,6 @@ def identify_options(values: Mapping[str, Any]) -> IdentifyOptions:
 def log_options(values: Mapping[str, Any]) -> LogOptions:
     """Return the topics and the part of a recording to read."""
     given = _without_unset(values)
-    if is_online(values) and given_texts(values["pose_topic"]):
-        raise ParameterError(
-            "parameter pose_topic: read from bags only; give -p bag:=[PATH], or publish an Imu",
-            "E801",
-        )
     for name in ("imu_topic", "wrench_topic"):
         given[name] = given_texts(values[name]) or given_texts(values[f"{name}s"])
     return options_from(LogOptions, given)

@@ -10,8 +10,14 @@ from rclpy.node import Node
 from symbid_ros.errors import DataError
 from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.single_message import SingleMessageDecoder
-from symbid_ros.messages.topics import SelectedTopics, Topic, TopicSelection, TopicSelector
-from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, WRENCH
+from symbid_ros.messages.topics import (
+    POSES,
+    SelectedTopics,
+    Topic,
+    TopicSelection,
+    TopicSelector,
+)
+from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.message_check import known_frames
 from symbid_ros.ros.raw_subscription import PolledGroup, RawSubscription, subscribe
@@ -43,7 +49,7 @@ class RobotTopics:
     def named(self) -> frozenset[str]:
         """Topics that identification waits for."""
         chosen = self.selection
-        sensors = chosen.joints or (), chosen.imus or (), chosen.wrenches or ()
+        sensors = chosen.joints or (), chosen.imus or (), chosen.wrenches or (), chosen.poses
         return frozenset(name for names in (*sensors, chosen.mapping.flagged) for name in names)
 
 
@@ -68,7 +74,10 @@ class CandidateTopic:
     is_placed: bool = False
 
     def examine(self, frames: frozenset[str], mapping: SensorMapping) -> None:
-        """Read messages until one has a frame of the model, and put that one back."""
+        """Read messages until one has a frame of the model, and put that one back.
+
+        The frame of a pose is that of the world, which the model does not know.
+        """
         if self.topic.msgtype in (JOINT_STATE, BOOL):
             self.is_placed = True
         if self.is_placed or self.subscription is None:
@@ -80,7 +89,7 @@ class CandidateTopic:
             except DataError:
                 continue
             self.frame = layout.text["header.frame_id"][0]
-            if mapping.frame(self.frame) in frames:
+            if self.topic.msgtype in POSES or mapping.frame(self.frame) in frames:
                 self.is_placed = True
                 self.subscription.put_back(message)
                 return
@@ -116,8 +125,12 @@ class SensorTopics:
             for msgtype in types
         ]
         self._subscribe(self._wanted(topics))
-        frames = known_frames(self.model)
-        for candidate in self._candidates.values():
+        poses = [one for one in self._candidates.values() if one.topic.msgtype in POSES]
+        others = [one for one in self._candidates.values() if one.topic.msgtype not in POSES]
+        for candidate in poses:
+            candidate.examine(frozenset(), self.own.selection.mapping)
+        frames = known_frames(self.model) | {one.frame for one in poses if one.is_placed}
+        for candidate in others:
             candidate.examine(frames, self.own.selection.mapping)
         chosen = self._choice()
         now = time.monotonic()
@@ -127,7 +140,7 @@ class SensorTopics:
             return None
         by_type = {
             kind: tuple(topic for topic in chosen if topic.msgtype == kind)
-            for kind in (JOINT_STATE, IMU, WRENCH, BOOL)
+            for kind in (JOINT_STATE, IMU, WRENCH, BOOL, *POSES)
         }
         # A joint that several topics contain is read from the first of them, in the user's order.
         order = self.own.selection.joints or ()
@@ -137,6 +150,7 @@ class SensorTopics:
             by_type[WRENCH],
             self.own.selection.mapping,
             self.own.selection.joint_names,
+            poses=tuple(topic for kind in POSES for topic in by_type[kind]),
             flags=by_type[BOOL],
         )
 
@@ -247,17 +261,20 @@ class SensorTopics:
             name = candidate.topic.name
             return name not in preferred, name.count("/"), name
 
+        # Several plates may give their wrenches in the frame of the world.
+        worlds = {one.frame for one in self._candidates.values() if one.topic.msgtype in POSES}
         best: dict[tuple[str, str], Topic] = {}
         for candidate in sorted(self._candidates.values(), key=rank):
             if candidate.is_placed:
                 # Each of several joint state topics may contain some of the joints.
-                place = candidate.frame or candidate.topic.name
+                is_placed_alone = candidate.frame and candidate.frame not in worlds
+                place = candidate.frame if is_placed_alone else candidate.topic.name
                 best.setdefault((candidate.topic.msgtype, place), candidate.topic)
         return sorted(best.values(), key=lambda topic: topic.name)
 
     def _is_incomplete(self, chosen: Iterable[Topic]) -> bool:
         names = {topic.name for topic in chosen}
-        has_imu = any(topic.msgtype == IMU for topic in chosen)
+        has_imu = any(topic.msgtype in (IMU, *POSES) for topic in chosen)
         return not self.own.named <= names or not (has_imu or not self.model.floating)
 
 
@@ -281,6 +298,7 @@ def resolve_topics(node: Node, selection: TopicSelection, arguments: Sequence[st
         joints=all_of(selection.joints or (JOINTS,)),
         imus=(imu,) if is_remapped and selection.imus is None else all_of(selection.imus),
         wrenches=all_of(selection.wrenches),
+        poses=all_of(selection.poses) or (),
         mapping=replace(
             selection.mapping,
             flagged={
@@ -316,10 +334,12 @@ def missing_topics(
         ("imu_topic", IMU, selection.imus),
         ("wrench_topic", WRENCH, selection.wrenches),
         ("contact_flag", BOOL, tuple(selection.mapping.flagged)),
+        ("pose_topic", ODOMETRY, selection.poses),
     ):
         for name in wanted or ():
             if f"/{name.lstrip('/')}" not in names:
-                missing[name] = _describe_missing(name, msgtype, parameter, graph)
+                kind = POSE if msgtype == ODOMETRY and POSE in graph.get(name, ()) else msgtype
+                missing[name] = _describe_missing(name, kind, parameter, graph)
     kinds = {topic.msgtype for topic in found}
     if selection.joints is None and JOINT_STATE not in kinds:
         missing["joint states"] = (
@@ -327,7 +347,7 @@ def missing_topics(
             f"{_others(JOINT_STATE, graph)}; start the robot's driver, or set the parameter "
             "joint_topic"
         )
-    if floating and selection.imus is None and IMU not in kinds:
+    if floating and selection.imus is None and kinds.isdisjoint((IMU, *POSES)):
         missing["IMU"] = (
             f"waiting for a topic of type {IMU} in this node's namespace, which a floating base "
             f"needs; {_others(IMU, graph)}; start the IMU's driver, set the parameter imu_topic, "

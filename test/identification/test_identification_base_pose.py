@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from live_feed import feed_of
 from quadruped_log import FEET, quadruped_urdf, standing_log
 from scipy.spatial.transform import Rotation
 
@@ -9,6 +10,10 @@ from symbid_ros.bags import BagWriter
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.api import identify
+from symbid_ros.identification.loaded_problem import load_problem
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.messages.log_options import LogOptions
+from symbid_ros.messages.topics import TopicSelection
 from symbid_ros.messages.types import (
     JOINT_STATE,
     ODOMETRY,
@@ -24,6 +29,8 @@ from symbid_ros.messages.types import (
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import load_bag
+from symbid_ros.online.identification import OnlineIdentification, Pace
+from symbid_ros.online.initial_state import InitialState
 from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.streams import WrenchStream
@@ -149,6 +156,25 @@ def test_a_bag_gives_the_same(found, robot, readings, tmp_path, kind):
     again = identify(robot, log, **FAST)
     error = np.abs(again.estimate.value - found.estimate.value)
     assert np.all(error < 0.5 * found.estimate.std)
+
+
+def test_live_messages_give_the_same_as_a_bag(robot, readings, tmp_path):
+    bag = record(readings, robot, tmp_path / "bag")
+    options = LogOptions(pose_topic=("/tracker",), **PLATES)
+    own = IdentifyOptions(**FAST)
+    offline = load_problem(robot, load_bag(bag, robot, options), own).solve().estimate
+    feed = feed_of(bag, TopicSelection.of(options))
+    live = OnlineIdentification(InitialState.of(robot, own), feed.selected, Pace(share=1.0))
+    try:
+        approximate = feed.into(live, solving=3.0)
+        found = live.solve(exactly=True).found.estimate
+        assert not live.faults
+        assert not any(check.dropped for check in live.checks.values())
+    finally:
+        live.close()
+    assert sum(one is not None for one in approximate) >= 2
+    error = np.abs(found.value - offline.value)
+    assert np.all(error < 0.05 * offline.std)
 
 
 def test_a_pose_of_an_unknown_frame_is_refused(robot, readings, tmp_path):
