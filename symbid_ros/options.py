@@ -4,6 +4,7 @@ A command's flags, a node's parameters, parameter files, launch arguments and th
 are generated from these fields, so they cannot drift apart.
 """
 
+import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -187,6 +188,11 @@ def check_values(options: Any) -> None:
 def spelled(message: str, spelling: Callable[[str], str]) -> str:
     """Return a message in which the options, named in backquotes, are spelled for a front end."""
     return re.sub(r"`([a-z][a-z_]*)`", lambda found: spelling(found[1]), message)
+
+
+def robot_file_line(name: str, *values: str) -> str:
+    """Return the line of a robot file that gives an option these values, for error messages."""
+    return f"{name}: {json.dumps(values)} in robot.yaml"
 
 
 def _option(name: str, hint: Any, default: Any, notes: Mapping[str, Any]) -> Option:

@@ -9,6 +9,7 @@ from symbid_ros.diagnosis.findings import Finding, Kind, Severity
 from symbid_ros.diagnosis.gains import GainEstimate
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
 from symbid_ros.diagnosis.rotation_fit import RotationFit, fit_rotation
+from symbid_ros.options import robot_file_line
 
 # Range of a reading over its expected value, relative to other sensors, that inertia errors of
 # ±25 % can cause: 0.75/1.25 and its inverse.
@@ -218,7 +219,8 @@ def _wrench_findings(topic: str, frame: str, turn: RotationFit, common: float) -
             topic,
             Severity.UNUSABLE,
             f"{topic}: has the wrong sign (gain {turn.sign * turn.scale / common:.2f} relative "
-            f"to the others); publish the wrench of the environment on the robot in {frame}",
+            f"to the others); publish the wrench of the environment on the robot in {frame}, or "
+            f"write {robot_file_line('flip_wrench', frame)}",
             {"gain": turn.sign * turn.scale / common, "evidence": evidence},
         )
     elif turn.angle > SMALLEST_ANGLE and evidence > MIN_EVIDENCE:
@@ -256,7 +258,8 @@ def _effort_findings(
             Severity.UNUSABLE,
             f"{topic}: effort of {whose or ', '.join(negative)} has the wrong sign (gain "
             f"{np.mean(list(figures.values())):.2f} relative to the others); publish it along the "
-            "joint's axis",
+            "joint's axis, or write "
+            + robot_file_line("effort_scale", *(f"{name}:=-1" for name in negative)),
             figures,
         )
     wrong = {}
@@ -275,7 +278,8 @@ def _effort_findings(
             Severity.WARNING,
             f"{topic}: effort of {whose} reads {reads:.3g} times what the motion implies; "
             f"inertia errors of 25 % explain only {GAINS[0]:g} to {GAINS[1]:g}; check its unit, "
-            "gear ratio or torque constant",
+            "gear ratio or torque constant, or write "
+            + robot_file_line("effort_scale", *(f"{name}:=FACTOR" for name in names)),
             {"reads": reads} | {f"{name}/reads": wrong[name] for name in names},
         )
 

@@ -5,7 +5,7 @@ forces are estimated together. Delays and excitation are checked last, if no fau
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from symbid_ros.diagnosis.stance_gyro_check import (
     mounting_findings,
 )
 from symbid_ros.estimation.verdict import DETERMINED
+from symbid_ros.options import robot_file_line
 from symbid_ros.signals.weak_form import INFLATION
 
 # Identification is insensitive to smaller delays, s.
@@ -182,7 +183,8 @@ def _check_wrist_sensors(
                 topic,
                 Severity.UNUSABLE,
                 f"{topic}: the mass beyond {evidence.frame} would be {mass:.3g} ± {std:.1g} kg, so "
-                f"the sign of its wrench is wrong; give `wrist_sensor` {evidence.other_sign}",
+                f"the sign of its wrench is wrong; give `wrist_sensor` {evidence.other_sign}, or "
+                f"write {robot_file_line('wrist_sensor', evidence.other_sign)}",
                 {"mass_kg": mass, "mass_std_kg": std},
             )
             checks.findings.append(found)
@@ -194,7 +196,8 @@ def _check_wrist_sensors(
                 Severity.WARNING,
                 f"{topic}: the force is that of a body of {mass:.3g} kg fixed to {evidence.frame} "
                 f"({100 * share:.0f} % of its variance), not that of a contact; give "
-                f"`wrist_sensor` {evidence.sensor}",
+                f"`wrist_sensor` {evidence.sensor}, or write "
+                f"{robot_file_line('wrist_sensor', evidence.sensor)}",
                 {"mass_kg": mass, "share": share},
             )
             checks.findings.append(found)
@@ -217,12 +220,23 @@ def _check_imus(checks: ModelChecks, statistics: ModelStatistics, imus: Sequence
             f"{topic}/rate_left": found.left,
             f"{topic}/gyroscope_gain": found.gain,
         }
-        wrong = list(mounting_findings(topic, found))
+        frame = statistics.gains.imu_frames[imus.index(topic)]
+        wrong = [_with_line(one, frame) for one in mounting_findings(topic, found)]
         checks.findings += wrong
         if not any(one.severity is Severity.UNUSABLE for one in wrong):
             checks.findings += delay_finding(
                 topic, found.delay, found.delay_std, "the joint states"
             )
+
+
+def _with_line(finding: Finding, frame: str) -> Finding:
+    """Return a finding of a rotated IMU with the line of a robot file that corrects it."""
+    angles = [finding.figures.get(f"{angle}_deg") for angle in ("roll", "pitch", "yaw")]
+    if finding.kind is not Kind.IMU_MOUNTING or None in angles:
+        return finding
+    value = f"{frame}:={','.join(f'{angle:.1f}' for angle in angles)}"
+    line = robot_file_line("rotate_imu", value)
+    return replace(finding, message=f"{finding.message}, or write {line}")
 
 
 def _check_imu_rotations(

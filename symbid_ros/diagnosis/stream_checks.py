@@ -11,6 +11,7 @@ from symbid_ros.diagnosis.sensor_faults import FreezeDetector, SaturationDetecto
 from symbid_ros.diagnosis.timing import TimingCheck
 from symbid_ros.errors import ModelError
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.options import robot_file_line
 from symbid_ros.signals.alignment import contact_flag_faults, wrist_sensor_faults
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError
 from symbid_ros.signals.streams import ImuStream, Slice, Streams, WrenchStream
@@ -148,7 +149,8 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
                 joints.topic,
                 Severity.UNUSABLE,
                 f"{joints.topic}: lacks {', '.join(missing)} of model {model.source}; record all "
-                "of its joints or use the model of this robot",
+                "of its joints or use the model of this robot; if the log names them otherwise, "
+                f"write {robot_file_line('rename_joint', f'NAME_IN_LOG:={missing[0]}')}",
                 {"joints": len(missing)},
             )
         )
@@ -174,7 +176,11 @@ def check_names(streams: Streams, model: RobotModel) -> list[Finding]:
         except ModelError as error:
             found.append(
                 Finding(
-                    Kind.UNKNOWN_FRAME, sensor.topic, Severity.UNUSABLE, f"{sensor.topic}: {error}"
+                    Kind.UNKNOWN_FRAME,
+                    sensor.topic,
+                    Severity.UNUSABLE,
+                    f"{sensor.topic}: {error}; or write "
+                    + robot_file_line("rename_frame", f"{sensor.frame_id}:=NAME"),
                 )
             )
     found += [

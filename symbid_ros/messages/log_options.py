@@ -47,6 +47,12 @@ class LogOptions:
         "motion capture, in place of an IMU or beside it.",
         group=GROUP,
     )
+    drive_topic: tuple[str, ...] = option(
+        (),
+        "Odometry topic of a wheeled base, which counts as fixed while it is parked: the times at "
+        "which it drives are left out.",
+        group=GROUP,
+    )
     pose_frame: str = option(
         "",
         "Frame of the robot that `pose_topic` tracks.",

@@ -11,6 +11,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import OptionError
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.model.rotation import rotation_from_rpy
+from symbid_ros.options import robot_file_line
 from symbid_ros.signals.streams import ImuStream, JointStream, WrenchStream
 
 logger = logging.getLogger(__name__)
@@ -175,12 +176,13 @@ class HeldJoints:
         if unnamed:
             logger.warning(
                 "%s: %s has no joint %s, held at 0; give the position by `hold_joint` "
-                "%s:=POSITION, or its name in the log by `rename_joint` NAME:=%s",
+                "%s:=POSITION, or its name in the log by `rename_joint` NAME:=%s, or write %s",
                 source,
                 stream.topic,
                 ", ".join(unnamed),
                 unnamed[0],
                 unnamed[0],
+                robot_file_line("hold_joint", *(f"{name}:=0.0" for name in unnamed)),
             )
         return {name: self.positions.get(name, 0.0) for name in missing}
 

@@ -14,8 +14,10 @@ from symbid_ros.errors import DataError
 from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import ODOMETRY, read_stamp
+from symbid_ros.options import robot_file_line
 from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError, kept_in_order, seconds
+from symbid_ros.signals.driving import driving_intervals, is_driving
 from symbid_ros.signals.joint_merging import merged_joints
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
@@ -150,6 +152,11 @@ def build_streams(
         wrenches=tuple(
             converted_wrench(build_wrench_stream(decoders[topic], tallies[topic]))
             for topic in chosen.wrenches
+        ),
+        driving=tuple(
+            interval
+            for topic in chosen.drives
+            for interval in read_driving(decoders[topic], tallies[topic])
         ),
     )
 
@@ -293,7 +300,7 @@ def build_pose_stream(decoder: TopicDecoder, tracked: str, tally: DefectCounts) 
     if not frame:
         raise DataError(
             f"{decoder.source}: {decoder.topic.name} does not say which frame of the robot it "
-            "tracks; give `pose_frame`",
+            f"tracks; give `pose_frame`, or write {robot_file_line('pose_frame', 'FRAME')}",
             "E328",
         )
     path = "pose.pose" if is_odometry else "pose"
@@ -308,6 +315,14 @@ def build_pose_stream(decoder: TopicDecoder, tracked: str, tally: DefectCounts) 
         position=read["position"][kept],
         orientation=read["orientation"][kept],
     )
+
+
+def read_driving(decoder: TopicDecoder, tally: DefectCounts) -> tuple[tuple[int, int], ...]:
+    """Return the times, ns, at which a base drives according to its Odometry."""
+    stamp = read_stamps(decoder)
+    linear, angular = (read_field(decoder, f"twist.twist.{name}") for name in ("linear", "angular"))
+    kept = _in_order(np.arange(len(stamp)), stamp, tally)
+    return driving_intervals(stamp[kept], is_driving(linear[kept], angular[kept]))
 
 
 def _text(decoder: TopicDecoder, path: str) -> str:

@@ -1,7 +1,7 @@
 """Topics of a robot, and the selection of those that an identification reads."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -10,10 +10,17 @@ from symbid_ros.errors import BagError
 from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.sensor_mapping import SAME, HeldJoints, SensorMapping
 from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
+from symbid_ros.options import robot_file_line
 
 TRUTH = "ground_truth"
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 POSES = ODOMETRY, POSE
+TOPIC_OPTIONS = {
+    JOINT_STATE: "joint_topic",
+    IMU: "imu_topic",
+    WRENCH: "wrench_topic",
+    ODOMETRY: "pose_topic",
+}
 ENCODED = " encoded as "  # between a type's name and an encoding other than CDR
 
 
@@ -74,6 +81,8 @@ class TopicSelection:
         Joints of the model, if known: messages that name none of them are ignored.
     poses : tuple of str
         Odometry and PoseStamped topics of tracked frames.
+    drives : tuple of str
+        Odometry topics of wheeled bases.
     """
 
     joints: tuple[str, ...] | None = None
@@ -82,6 +91,7 @@ class TopicSelection:
     mapping: SensorMapping = SAME
     joint_names: tuple[str, ...] = ()
     poses: tuple[str, ...] = ()
+    drives: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, options: LogOptions) -> "TopicSelection":
@@ -92,6 +102,7 @@ class TopicSelection:
             wrenches=options.wrench_topic or None,
             mapping=SensorMapping.of(options),
             poses=options.pose_topic,
+            drives=options.drive_topic,
         )
 
     def __post_init__(self) -> None:
@@ -111,7 +122,7 @@ class SelectedTopics:
 
     Attributes
     ----------
-    joints, imus, wrenches, poses : tuple of Topic
+    joints, imus, wrenches, poses, drives : tuple of Topic
         Topics by sensor type; at least one has joint states.
     flags : tuple of Topic
         Topics that tell whether a contact touches anything. Their messages have no stamp.
@@ -129,6 +140,7 @@ class SelectedTopics:
     is_live: bool = False
     poses: tuple[Topic, ...] = ()
     flags: tuple[Topic, ...] = ()
+    drives: tuple[Topic, ...] = ()
 
     @cached_property
     def recorded_joints(self) -> frozenset[str]:
@@ -143,7 +155,7 @@ class SelectedTopics:
     @property
     def all(self) -> tuple[Topic, ...]:
         """All topics with stamps, joint states first."""
-        return (*self.joints, *self.imus, *self.wrenches, *self.poses)
+        return (*self.joints, *self.imus, *self.wrenches, *self.poses, *self.drives)
 
     def flagged_frame(self, topic: Topic) -> str:
         """Return the frame of the contact that a topic of flags is about."""
@@ -180,6 +192,7 @@ class TopicSelector:
             or self._matches(topic, IMU, self.selection.imus, None)
             or self._matches(topic, WRENCH, self.selection.wrenches, "wrench")
             or any(self._matches(topic, kind, self.selection.poses, None) for kind in POSES)
+            or self._matches(topic, ODOMETRY, self.selection.drives, None)
             or self._matches(topic, BOOL, tuple(self.selection.mapping.flagged), None)
         )
 
@@ -202,7 +215,8 @@ class TopicSelector:
             raise BagError(
                 f"{self.source}: several topics of joint states, "
                 f"{', '.join(topic.name for topic in joints)}; name the one to use, or all whose "
-                "joints are to be merged",
+                "joints are to be merged, by `joint_topic`, or write "
+                f"{robot_file_line('joint_topic', *(topic.name for topic in joints))}",
                 "E212",
             )
         chosen = SelectedTopics(
@@ -212,6 +226,7 @@ class TopicSelector:
             self.selection.mapping,
             self.selection.joint_names,
             poses=tuple(self._find_named(name, *POSES) for name in self.selection.poses),
+            drives=tuple(self._find_named(name, ODOMETRY) for name in self.selection.drives),
             flags=tuple(self._find_named(name, BOOL) for name in self.selection.mapping.flagged),
         )
         for topic in (*chosen.all, *chosen.flags):
@@ -244,7 +259,7 @@ class TopicSelector:
         if not others:
             raise BagError(
                 f"{self.source}: no topic {name}, it holds {describe_topics(self.counts)}; name "
-                "one of these",
+                f"one of these{self._line(msgtypes)}",
                 "E210",
             )
         for topic in others:
@@ -252,14 +267,20 @@ class TopicSelector:
                 return topic
         raise BagError(
             f"{self.source}: topic {name} is of type {others[0].msgtype}, not "
-            f"{' or '.join(msgtypes)}; "
-            "name another topic",
+            f"{' or '.join(msgtypes)}; name another topic{self._line(msgtypes)}",
             "E211",
         )
 
+    def _line(self, msgtypes: Sequence[str]) -> str:
+        """Return how a robot file names the topics of some types; empty if there are none."""
+        names = sorted(topic.name for topic in self.counts if topic.msgtype in msgtypes)
+        if not names or msgtypes[0] not in TOPIC_OPTIONS:
+            return ""
+        return f", such as {robot_file_line(TOPIC_OPTIONS[msgtypes[0]], names[0])}"
+
     def _remedy(self) -> str:
         if any(topic.msgtype == JOINT_STATE for topic in self.counts):
-            return "name the topic of the joint states"
+            return f"name the topic of the joint states{self._line((JOINT_STATE,))}"
         if any(ENCODED in topic.msgtype for topic in self.counts):
             return "convert its messages to ROS 2 messages in CDR"
         return "record the joint states as well"

@@ -49,7 +49,8 @@ class RobotTopics:
     def named(self) -> frozenset[str]:
         """Topics that identification waits for."""
         chosen = self.selection
-        sensors = chosen.joints or (), chosen.imus or (), chosen.wrenches or (), chosen.poses
+        bases = *chosen.poses, *chosen.drives
+        sensors = chosen.joints or (), chosen.imus or (), chosen.wrenches or (), bases
         return frozenset(name for names in (*sensors, chosen.mapping.flagged) for name in names)
 
 
@@ -150,7 +151,15 @@ class SensorTopics:
             by_type[WRENCH],
             self.own.selection.mapping,
             self.own.selection.joint_names,
-            poses=tuple(topic for kind in POSES for topic in by_type[kind]),
+            poses=tuple(
+                topic
+                for kind in POSES
+                for topic in by_type[kind]
+                if topic.name in self.own.selection.poses
+            ),
+            drives=tuple(
+                topic for topic in by_type[ODOMETRY] if topic.name in self.own.selection.drives
+            ),
             flags=by_type[BOOL],
         )
 
@@ -274,7 +283,7 @@ class SensorTopics:
 
     def _is_incomplete(self, chosen: Iterable[Topic]) -> bool:
         names = {topic.name for topic in chosen}
-        has_imu = any(topic.msgtype in (IMU, *POSES) for topic in chosen)
+        has_imu = any(topic.msgtype in (IMU, *POSES) for topic in chosen)  # or a measured pose
         return not self.own.named <= names or not (has_imu or not self.model.floating)
 
 
@@ -299,6 +308,7 @@ def resolve_topics(node: Node, selection: TopicSelection, arguments: Sequence[st
         imus=(imu,) if is_remapped and selection.imus is None else all_of(selection.imus),
         wrenches=all_of(selection.wrenches),
         poses=all_of(selection.poses) or (),
+        drives=all_of(selection.drives) or (),
         mapping=replace(
             selection.mapping,
             flagged={
@@ -335,6 +345,7 @@ def missing_topics(
         ("wrench_topic", WRENCH, selection.wrenches),
         ("contact_flag", BOOL, tuple(selection.mapping.flagged)),
         ("pose_topic", ODOMETRY, selection.poses),
+        ("drive_topic", ODOMETRY, selection.drives),
     ):
         for name in wanted or ():
             if f"/{name.lstrip('/')}" not in names:

@@ -16,6 +16,7 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.unmeasured_contacts import MOST_FLAGGED
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.options import robot_file_line
 from symbid_ros.signals.efforts import MeasuredEfforts, measured_efforts
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.streams import ImuStream, Streams, WrenchStream
@@ -76,8 +77,14 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
         )
     segments = tuple(
         _segment(channels, grid, period, streams, efforts=efforts, model=model)
-        for grid in _grids(channels, start, stop, period)
+        for grid in _grids(channels, start, stop, period, streams.driving)
     )
+    if not segments and streams.driving:
+        raise DataError(
+            f"{streams.source}: the base drives all the time, or stands for less than "
+            f"{SHORTEST_SEGMENT} joint states in a row; record the robot while its base is parked",
+            "E367",
+        )
     if not segments:
         action = "check the drivers for gaps" if streams.is_live else "record longer"
         raise DataError(
@@ -127,7 +134,12 @@ def wrist_sensor_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
         others = sorted({one.frame_id for one in streams.wrenches} - {frame})
         found = f"{' and '.join(topics)} have" if topics else "no WrenchStamped topic has"
         also = f" (others have {', '.join(others)})" if others else ""
-        action = "name one of them" if topics else "record its topic, or correct `wrist_sensor`"
+        action = "record its topic, or correct `wrist_sensor`"
+        if others:
+            action += f", or write {robot_file_line('wrist_sensor', *others)}"
+        if topics:
+            line = robot_file_line("wrench_topic", topics[0])
+            action = f"name one of them by `wrench_topic`, or write {line}"
         yield f"{found} the frame {frame} of the wrist sensor{also}; {action}"
 
 
@@ -139,7 +151,8 @@ def contact_flag_faults(streams: Streams, model: RobotModel) -> Iterator[str]:
             named = ", ".join(names) or "none"
             yield (
                 f"{one.topic}: its flags are for {one.frame_id}, but the named contacts are "
-                f"{named}; add {one.frame_id} to `contact`, or correct `contact_flag`"
+                f"{named}; add {one.frame_id} to `contact`, or correct `contact_flag`, or write "
+                f"{robot_file_line('contact', *names, one.frame_id)}"
             )
     if streams.flags and len(names) > MOST_FLAGGED:
         yield (
@@ -165,11 +178,14 @@ def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: st
         prefix = suggested_prefix(frame, model)
         if not prefix:
             raise ModelError(
-                f"{source}: {sensor.topic}: {error}, or give `rename_frame` {frame}:=NAME", "E308"
+                f"{source}: {sensor.topic}: {error}, or give `rename_frame` {frame}:=NAME, or "
+                f"write {robot_file_line('rename_frame', f'{frame}:=NAME')}",
+                "E308",
             ) from error
         raise ModelError(
             f"{source}: {sensor.topic}: frame {frame!r} is not in model {model.source}, but "
-            f"{frame.removeprefix(prefix)!r} is; give `frame_prefix` {prefix}",
+            f"{frame.removeprefix(prefix)!r} is; give `frame_prefix` {prefix}, or write "
+            f"frame_prefix: {prefix} in robot.yaml",
             "E308",
         ) from error
 
@@ -207,9 +223,22 @@ def _period(joints: _Matrix, streams: Streams) -> float:
     return float(np.median(np.diff(joints.stamp)))
 
 
-def _grids(channels: Sequence[_Matrix], start: int, stop: int, period: float) -> list[IntArray]:
-    """Return the uniform stamps of each segment in which no stream has a gap."""
-    cuts: list[tuple[int, int]] = []
+def _grids(
+    channels: Sequence[_Matrix],
+    start: int,
+    stop: int,
+    period: float,
+    left_out: Sequence[tuple[int, int]],
+) -> list[IntArray]:
+    """Return the uniform stamps of each segment in which no stream has a gap.
+
+    The times ``left_out``, ns, belong to no segment.
+    """
+    cuts = [
+        (max(begin, start), min(end, stop))
+        for begin, end in left_out
+        if begin < stop and end > start
+    ]
     for channel in channels:
         steps = np.diff(channel.stamp)
         longest = LONGEST_GAP * max(period, float(np.median(steps)))
@@ -349,7 +378,7 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
             f"{source} has no joint {', '.join(map(repr, missing))} of model {model.source}; it "
             f"has {', '.join(names)}; name every topic of joint states (`joint_topic`), give "
             f"`rename_joint` NAME:={missing[0]} or `hold_joint` {missing[0]}:=POSITION, or the "
-            "model of this robot",
+            f"model of this robot; or write {robot_file_line('rename_joint', *_pairs(missing))}",
             "E306",
         )
     leaders = [
@@ -361,6 +390,10 @@ def joint_columns(names: Sequence[str], model: RobotModel, source: str) -> IntAr
         for leader in leaders
     ]
     return np.array(places, dtype=np.int64)
+
+
+def _pairs(missing: Sequence[str]) -> list[str]:
+    return [f"NAME_IN_LOG:={name}" for name in missing]
 
 
 def _imu_channel(imu: ImuStream) -> _Matrix:

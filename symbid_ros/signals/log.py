@@ -14,6 +14,7 @@ from symbid_ros.model.tree import ON_LINK, RobotModel
 from symbid_ros.signals.alignment import resampling_margin
 from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.defects import Defect, DefectCounts, kept_in_order, seconds
+from symbid_ros.signals.driving import driving_intervals
 from symbid_ros.signals.streams import (
     WHOLE_LOG,
     ContactFlags,
@@ -125,6 +126,7 @@ class Log:
         wrenches: Mapping[str, ArrayLike] | None = None,
         poses: Mapping[str, ArrayLike] | None = None,
         touches: Mapping[str, ArrayLike] | None = None,
+        driving: ArrayLike | None = None,
         start: float = 0.0,
         stop: float = np.inf,
         name: str = "arrays",
@@ -155,6 +157,9 @@ class Log:
         touches : mapping of str to (N,) array_like of bool, optional
             Whether a contact named by ``contact`` touches anything, by its frame. Contacts without
             flags may touch something at any time.
+        driving : (N,) array_like of bool, optional
+            Whether a wheeled base drives. These times are left out, because the base counts as
+            fixed.
         start, stop : float
             Part of the log to use, seconds after the first instant.
         name : str
@@ -243,7 +248,13 @@ class Log:
             flags.append(
                 ContactFlags(topic, frame, stamp[kept], rows(topic, read, 1)[:, 0].astype(bool))
             )
-        streams = Streams(name, joints, imu_streams, wrench_streams, flags=tuple(flags))
+        moves: tuple[tuple[int, int], ...] = ()
+        if driving is not None:
+            read = rows("driving", np.asarray(driving, dtype=bool).reshape(-1, 1), 1)
+            moves = driving_intervals(stamp[kept], read[:, 0].astype(bool))
+        streams = Streams(
+            name, joints, imu_streams, wrench_streams, flags=tuple(flags), driving=moves
+        )
         return cls.from_streams(streams, TimeRange(start, stop), tuple(tallies))
 
     @classmethod

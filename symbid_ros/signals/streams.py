@@ -130,6 +130,8 @@ class Streams:
         Whether they come from a running robot; error messages then give no advice about bags.
     flags : tuple of ContactFlags
         Complete up to the end of the other streams.
+    driving : tuple of (int, int)
+        Times, ns, at which a wheeled base drives.
     """
 
     source: str
@@ -138,6 +140,7 @@ class Streams:
     wrenches: tuple[WrenchStream, ...]
     is_live: bool = False
     flags: tuple[ContactFlags, ...] = ()
+    driving: tuple[tuple[int, int], ...] = ()
 
     @property
     def all(self) -> tuple[Stream, ...]:

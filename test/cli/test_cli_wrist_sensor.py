@@ -117,11 +117,11 @@ def test_the_doctor_takes_the_sensor_for_what_it_is(folder, symbid_here):
     ((kind, message),) = kinds[""]
     assert kind == "wrist_sensor"
     assert "fixed to tool0 (100 %" in message
-    assert message.endswith("give `wrist_sensor` tool0")
+    assert 'give `wrist_sensor` tool0, or write wrist_sensor: ["tool0"] in robot.yaml' in message
     assert kinds["tool0"] == []
     ((kind, message),) = kinds["-tool0"]
     assert kind == "wrench_sign"
-    assert message.endswith("give `wrist_sensor` tool0:tool0")
+    assert message.endswith('or write wrist_sensor: ["tool0:tool0"] in robot.yaml')
     ((kind, message),) = kinds["wrist_1_link"]
     assert kind == "unknown_frame"
     assert "no WrenchStamped topic has the frame wrist_1_link" in message
