@@ -14,10 +14,16 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 import symbid_ros as sy
+from symbid_ros.model.export_urdf import urdf_text
+
+FIRST_STAMP = 1_000_000_000_000_000_000  # ns
+PAUSE = 3600.0  # s
 
 FloatArray = NDArray[np.float64]
 # Of velocities and accelerations, (N, J) each: columns (N, n, k), or torques (N, n).
@@ -370,6 +376,53 @@ def to_log(robot: sy.RobotModel, recording: Recording) -> sy.Log:
         name=recording.name,
         **sensors,
     )
+
+
+def write_files(log: RealLog, folder: Path) -> None:
+    """Write an arm's URDF and bags of both parts of its log, as a user of `symbid` has them.
+
+    Raises
+    ------
+    SystemExit
+        When the log has sensors other than those of joints, or the folder exists.
+    """
+    if log.training.pose is not None:
+        raise SystemExit("bags are written of logs of arms alone")
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise SystemExit(f"{folder}: exists; name another folder") from None
+    source = Path(log.robot.source)
+    text = urdf_text(log.robot, source if source.is_file() else None)
+    (folder / "robot.urdf").write_text(text)
+    names, begin, end = log.robot.measured_joint_names, log.training.time[0], log.training.time[-1]
+    # Some are two recordings, whose times start anew: stamps of one log never overlap.
+    later = begin if log.heldout.time[0] > end else log.heldout.time[0] - (end - begin) - PAUSE
+    _write_joint_states(names, log.training, folder / "training", begin)
+    _write_joint_states(names, log.heldout, folder / "held_out", later)
+
+
+def _write_joint_states(
+    names: tuple[str, ...], part: Recording, folder: Path, begin: float
+) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    kinds = "sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"
+    joint_state, header, instant = (store.types[kind] for kind in kinds)
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        topic = bag.add_connection("/joint_states", kinds[0], typestore=store)
+        # Bags have Unix time, of which zero is no valid stamp.
+        stamps = np.round(1e9 * (part.time - begin)).astype(np.int64) + FIRST_STAMP
+        for stamp, position, effort in zip(
+            stamps.tolist(), part.position, part.effort, strict=True
+        ):
+            message = joint_state(
+                header=header(stamp=instant(*divmod(stamp, 1_000_000_000)), frame_id=""),
+                name=list(names),
+                position=np.ascontiguousarray(position, dtype=np.float64),
+                velocity=np.zeros(0),
+                effort=np.ascontiguousarray(effort, dtype=np.float64),
+            )
+            bag.write(topic, stamp, store.serialize_cdr(message, kinds[0]))
 
 
 def _table(path: Path) -> FloatArray:

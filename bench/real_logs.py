@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 from least_squares import Sampled, Score, columns, sample, score, solve
-from real_data import REAL_DATA, FloatArray, MissingDataError, RealLog, sha256, to_log
+from real_data import REAL_DATA, FloatArray, MissingDataError, RealLog, sha256, to_log, write_files
 from threadpoolctl import threadpool_limits
 
 import symbid_ros as sy
@@ -42,6 +42,7 @@ def main() -> None:
     )
     parser.add_argument("--reference-only", action="store_true")
     parser.add_argument("--mass-scale", type=float, default=1.0, help="of the model file's links")
+    parser.add_argument("--bags", type=Path, metavar="FOLDER", help="write these, and no table")
     asked = parser.parse_args()
     threadpool_limits(1)
     logging.basicConfig(level=logging.WARNING, format="%(message)s", stream=sys.stderr)
@@ -60,6 +61,10 @@ def main() -> None:
     given = {name: yaml.safe_load(value) for name, value in options.items()}
     log = data.convert(files)
     log = scaled(log, asked.mass_scale)
+    if asked.bags is not None:
+        write_files(log, asked.bags)
+        print(f"wrote {asked.bags}: robot.urdf and the bags training and held_out")
+        return
     report(log, None if asked.reference_only else given)
 
 

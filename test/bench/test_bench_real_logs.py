@@ -2,6 +2,8 @@
 
 import os
 import re
+import shlex
+import subprocess
 import sys
 from pathlib import Path
 
@@ -266,3 +268,36 @@ def test_published_reference_errors_are_those_of_the_data(name, capsys, monkeypa
     assert len(printed) >= 3
     for line in printed:
         assert line in PAGE
+
+
+def test_the_commands_shown_identify_a_public_log(monkeypatch, tmp_path) -> None:
+    if REAL is None:
+        pytest.skip("SYMBID_REAL_LOGS is unset: the commands on a public log were NOT run")
+    try:
+        REAL_DATA["lwr4"].find(Path(REAL) / "lwr4")
+    except real_data.MissingDataError as error:
+        pytest.skip(f"the commands on a public log were NOT run: {error}")
+    data = (Path(REAL) / "lwr4").resolve()
+    monkeypatch.chdir(tmp_path)
+    first, *others = re.search(r"## With commands.*?```sh\n(.*?)```", PAGE, re.DOTALL)[
+        1
+    ].splitlines()
+    assert first.startswith("python bench/real_logs.py")
+    words = shlex.split(first.replace("DIR", shlex.quote(str(data))))[2:]
+    monkeypatch.setattr(sys, "argv", ["", *words])
+    real_logs.main()
+    statuses = {}
+    for line in others:
+        symbid, *words = shlex.split(line)
+        ended = subprocess.run(
+            [Path(sys.executable).parent / symbid, *words],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        statuses[words[0]] = ended.returncode
+        assert ended.returncode <= 1, ended.stderr
+    assert list(statuses) == ["identify", "validate", "report", "apply"]
+    assert statuses["validate"] == statuses["report"] == statuses["apply"] == 0
+    assert (tmp_path / "lwr4" / "robot.urdf.orig").is_file()
+    assert (tmp_path / "lwr4_result" / "report.html").is_file()

@@ -59,6 +59,7 @@ NODES = {
 }
 NOT_RUN = {
     r"symbid demo\b": "runs for a minute; test_cli_demo.py and test_cli_online_demo.py run it",
+    r"symbid .*lwr4": "needs data that the reader downloads; test_bench_real_logs.py runs it",
     r"symbid .*(plan|rehears|other_anymal)": "takes minutes; test_cli_rehearsal.py runs it",
     r"symbid study\b": "runs for hours; test_study_small.py runs a small one",
     r"symbid udp-client\b": "needs a simulated robot; test_cli_udp_client.py runs it",
@@ -83,6 +84,7 @@ OTHER_OPTIONS = {
     "--robots",
     "--draws",
     "--table",
+    "--bags",
 }
 SHELL = ("", "sh", "console")
 PROMPT = "$ "
