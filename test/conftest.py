@@ -66,6 +66,7 @@ LONGEST = (
     "test_ros_malformed_requests.py",
     "test_identification_rates.py",
     "test_estimation_bound.py",
+    "test_report_browser.py",
     "test_cli_evaluate.py",
     "test_report_robot_view.py",
     "test_api.py",
