@@ -324,7 +324,7 @@
         return;
       }
       const known = data.determined === null ? "" : `, ${data.determined} of 10 parameters determined`;
-      const faults = [["before", "the prior"], ["after", "the estimate"]]
+      const faults = [["before", "the original model"], ["after", "the estimate"]]
         .filter(([key]) => data.com[key] && !data[key])
         .map(([, name]) => `; no rigid body has the inertia of ${name}, so it has no box`);
       table.caption.textContent = data.name + known + faults.join("");
