@@ -11,6 +11,7 @@ from json_schemas import require_valid
 from jsonschema import Draft202012Validator
 
 import symbid_ros
+from symbid_ros.diagnosis.findings import Kind
 from symbid_ros.json_documents import VERSIONS, schema, versioned, with_keys
 
 FOLDER = Path(symbid_ros.__file__).parent / "schemas"
@@ -36,6 +37,11 @@ def test_a_schema_is_valid_and_states_its_version(kind) -> None:
     Draft202012Validator.check_schema(content)
     assert content["$id"].endswith(f"/{kind}.schema.json")
     assert content["properties"]["schema_version"]["const"] == VERSIONS[kind]
+
+
+def test_the_schema_knows_every_kind_of_finding() -> None:
+    finding = schema("diagnosis")["properties"]["findings"]["items"]["properties"]
+    assert finding["kind"]["enum"] == [kind.value for kind in Kind]
 
 
 @pytest.mark.parametrize("kind", sorted(VERSIONS))

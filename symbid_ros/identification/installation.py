@@ -1,5 +1,6 @@
 """Write the identified parameters of a result into the user's own robot file, or as YAML."""
 
+import logging
 import os
 import shutil
 from collections.abc import Mapping
@@ -10,7 +11,7 @@ import numpy as np
 import yaml
 
 from symbid_ros.atomic_write import write_text
-from symbid_ros.choices import Base
+from symbid_ros.choices import JOINT_TERMS, Base
 from symbid_ros.errors import EstimateError, ModelError
 from symbid_ros.estimation.estimate import MODEL_FILES, Estimate, load_estimate
 from symbid_ros.model.export_mjcf import updated_mjcf
@@ -21,6 +22,8 @@ from symbid_ros.model.mjcf import load_mjcf
 from symbid_ros.model.tree import Joint, RobotModel
 from symbid_ros.model.urdf import UrdfReader, load_urdf
 from symbid_ros.model.xml_file import MAX_BYTES, is_editable, read_bytes, read_xml, with_comment
+
+logger = logging.getLogger(__name__)
 
 # Differences of placements below this come from rounding in a text file, m and rad.
 PLACEMENT = 1e-6
@@ -88,7 +91,26 @@ def install(folder: Path, robot: Path, out: Path | None = None) -> Installation:
             elif out is not None:
                 path.unlink(missing_ok=True)
         raise
+    if lost := unheld_terms(estimate, is_mjcf(target)):
+        logger.warning(
+            "%s: the format cannot hold %s; estimate.json has them", target, ", ".join(lost)
+        )
     return Installation(tuple(changed), tuple(backups.values()))
+
+
+def unheld_terms(estimate: Estimate, mjcf: bool) -> tuple[str, ...]:
+    """Return the kinds of identified joint terms that a format cannot hold."""
+    values = dict(zip(estimate.names, estimate.value.tolist(), strict=True))
+    kinds = {
+        name.rpartition("/")[2]
+        for name, value in values.items()
+        if value and name not in estimate.fixed
+    }
+    return tuple(
+        term
+        for term, traits in JOINT_TERMS.items()
+        if term in kinds and (traits.field is None or (traits.field == "armature" and not mjcf))
+    )
 
 
 def identified_robot(folder: Path, robot: Path, estimate: Estimate) -> RobotModel:

@@ -1,6 +1,7 @@
 """Identified numbers in the user's own files: nothing else changes, and every reader takes them."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -13,8 +14,9 @@ from expected_errors import raises_code
 from written_results import write_result
 
 from symbid_ros.errors import SymbidError
+from symbid_ros.estimation.estimate import load_estimate
 from symbid_ros.identification import installation
-from symbid_ros.identification.installation import inertials_yaml, install
+from symbid_ros.identification.installation import inertials_yaml, install, unheld_terms
 from symbid_ros.model.load import load_model
 from symbid_ros.package_paths import config_file
 
@@ -185,6 +187,20 @@ def test_an_mjcf_changes_in_place_with_its_included_files(tmp_path) -> None:
     masses = {link.name: link.phi[0] for link in identified.links}
     found = {name: compiled.body(name).mass[0] for name in masses}
     assert found == pytest.approx(masses, rel=1e-9)
+
+
+def test_terms_that_a_format_cannot_hold_are_named(ur5, tmp_path) -> None:
+    write_result(tmp_path / "result", ur5)
+    estimate = load_estimate(tmp_path / "result" / "estimate.json")
+    terms = {"viscous": 2.0, "armature": 0.1, "offset": 0.5, "stribeck": 0.0}
+    extended = replace(
+        estimate,
+        names=(*estimate.names, *(f"elbow_joint/{term}" for term in terms)),
+        value=np.array([*estimate.value, *terms.values()]),
+    )
+    assert unheld_terms(extended, mjcf=False) == ("armature", "offset")
+    assert unheld_terms(extended, mjcf=True) == ("offset",)
+    assert unheld_terms(estimate, mjcf=False) == ()
 
 
 def test_utf_16_is_refused(ur5, tmp_path) -> None:
