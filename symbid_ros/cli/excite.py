@@ -1,5 +1,6 @@
 """``symbid excite``: a trajectory that tells the most about a robot, designed before it moves."""
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -53,13 +54,10 @@ def excite(
         task = bar.add_task("searching", total=options.starts * options.iterations)
 
         def show(state: State) -> None:
-            done = (state.start - 1) * options.iterations + state.iteration
-            bits = state.gain / 0.6931471805599453
-            bar.update(
-                task,
-                completed=done,
-                description=f"start {state.start} of {state.starts}, gain {bits:.1f} bit",
-            )
+            done = max(state.start - 1, 0) * options.iterations + state.iteration
+            what = f"start {state.start} of {state.starts}" if state.start else "random motions"
+            gain = max(state.gain, 0.0) / math.log(2)
+            bar.update(task, completed=done, description=f"{what}, gain {gain:.1f} bit")
 
         optimizer = TrajectoryOptimizer(problem.design, options.seed, show)
         try:

@@ -102,7 +102,7 @@ class Progress:
     Attributes
     ----------
     start, starts : int
-        Number of the start, from 1, and number of starts.
+        Number of the start, from 1, and number of starts; 0 while random trajectories are drawn.
     iteration : int
         Iterations since that start.
     gain : float
@@ -165,12 +165,19 @@ class TrajectoryOptimizer:
         OptionError
             When no random trajectory keeps the limits.
         """
-        candidates = [each for _ in range(CANDIDATES * starts) if (each := self.draw()) is not None]
-        candidates.append(self._at_rest())
-        candidates.sort(key=self.design.gain, reverse=True)
-        self.random = candidates[0]
-        for each in candidates[:starts]:
-            self._keep(each)
+        candidates: list[FloatArray] = []
+        for _ in range(CANDIDATES * starts):
+            drawn = self.draw()
+            if drawn is not None:
+                candidates.append(drawn)
+                candidates.sort(key=self.design.gain, reverse=True)
+                self.random = candidates[0]
+                self._keep(drawn)
+            self._tell(0, starts, 0)
+        if not candidates:
+            self.random = self._at_rest()
+            candidates.append(self.random)
+            self._keep(self.random)
         if self.best is None:
             raise OptionError(
                 f"{self.design.expected.joints.model.source}: no random motion keeps the limits "
@@ -205,9 +212,12 @@ class TrajectoryOptimizer:
                     break
             if count % KEEP_EVERY == 0:
                 self._keep(point.reshape(self._shape))
-            if self._report is not None:
-                self._report(Progress(number, starts, count, self.best_gain))
+            self._tell(number, starts, count)
         self._keep(point.reshape(self._shape))
+
+    def _tell(self, start: int, starts: int, iteration: int) -> None:
+        if self._report is not None:
+            self._report(Progress(start, starts, iteration, self.best_gain))
 
     def _fits(self, point: FloatArray) -> bool:
         return self.design.excess(point.reshape(self._shape)) <= 1.0
