@@ -17,6 +17,7 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis.wrist_evidence import check_signs
 from symbid_ros.errors import DataError, SymbidError
 from symbid_ros.estimation.change import relaxed_prior
+from symbid_ros.estimation.estimate import RowSettings
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.identification.accumulator import (
@@ -355,6 +356,10 @@ class OnlineIdentification:
     def _estimate(self, solver: Solver, *, with_verdict: bool) -> OnlineEstimate:
         found = self._identify(solver, with_verdict=with_verdict)
         window = solver.chosen.window
+        if not with_verdict:
+            # The verdict would state it; such an estimate is saved if there is no time for another.
+            rows = RowSettings("weak", window=window)
+            found = replace(found, estimate=replace(found.estimate, rows=rows))
         parameters, change = solver.problem.parameters, self._monitor.change
         return OnlineEstimate(found, parameters, self._until, window, solver.alarms, change)
 

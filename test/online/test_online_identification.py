@@ -103,6 +103,8 @@ def test_live_messages_give_the_estimate_of_their_bag(start, feed, offline) -> N
     # Estimates on the way know what is new, whole block or not.
     late = [feed.messages[-1][0] - outcomes[-1].until, 0.0]
     assert max(late) < 1e9
+    # Such an estimate has no verdict, but says how its rows were averaged.
+    assert outcomes[-1].found.estimate.rows.window == outcomes[-1].window
     known = [outcome.found.estimate.std for outcome in outcomes]
     assert np.min(known[-1] / known[0]) < 0.5
 
