@@ -30,6 +30,8 @@ SHORTEST_SEGMENT = 50
 # Time, ns, by which a contact may open earlier or close later than its flag says: a Bool has no
 # stamp. Treating a contact as closed is right at any time.
 FLAG_MARGIN = 40_000_000
+# Specific force, m/s², above which a robot is not in flight.
+LARGEST_IN_FLIGHT = 5.0
 # Margin beyond the ends of a slice, ns, that splines of slower topics need. The influence of a
 # sample on a spline falls by a factor of four with each sample of distance.
 MARGIN = 100_000_000
@@ -92,6 +94,8 @@ def align(streams: Streams, model: RobotModel) -> tuple[Segment, ...]:
             f"every topic; {action}",
             "E303",
         )
+    for segment in segments:
+        _check_flight(segment, streams.source)
     return segments
 
 
@@ -167,6 +171,26 @@ def _touching(streams: Streams, grid: IntArray, model: RobotModel) -> BoolArray 
     flags = {one.frame_id: one.at(grid, FLAG_MARGIN) for one in streams.flags}
     always = np.ones(len(grid), dtype=bool)
     return np.stack([flags.get(frame, always) for frame in model.contacts.frames], axis=1)
+
+
+def _check_flight(segment: Segment, source: str) -> None:
+    """Check that a robot of which no contact touches anything falls freely.
+
+    Flags with the opposite meaning would change the estimate without any other sign.
+    """
+    if segment.touching is None or segment.wrench_frames or not segment.imu_frames:
+        return
+    flight = ~segment.touching.any(axis=1)
+    if np.count_nonzero(flight) < SHORTEST_SEGMENT:
+        return
+    felt = float(np.median(np.linalg.norm(segment.linear_acceleration[flight], axis=2)))
+    if felt > LARGEST_IN_FLIGHT:
+        raise DataError(
+            f"{source}: the flags say that no contact touches anything, but the IMU reads "
+            f"{felt:.2g} m/s² then, as of a robot that something carries; correct the topics of "
+            "`contact_flag`, or name all contacts in `contact`",
+            "E368",
+        )
 
 
 def _check_frame(sensor: ImuStream | WrenchStream, model: RobotModel, source: str) -> None:

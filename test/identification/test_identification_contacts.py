@@ -161,6 +161,14 @@ def test_flags_of_a_contact_that_is_not_named_are_refused(robot, steps):
     assert caught.value.code == "E366"
 
 
+def test_flags_that_let_a_standing_robot_fly_are_refused(robot, readings):
+    flags = np.zeros(len(readings["/joint_states"]["time"]), bool)
+    log = log_of(robot, readings, touches=dict.fromkeys(FEET, flags))
+    with pytest.raises(DataError, match="no contact touches anything, but the IMU") as caught:
+        identify(robot, log, contact=POINTS, unchecked=True)
+    assert caught.value.code == "E368"
+
+
 def test_readings_at_a_contact_that_is_named_are_left_out(robot, readings):
     model = with_contacts(robot, POINTS[:3])
     segment = next(iter(AlignedLog(log_of(robot, readings, feet=FEET), model)))
