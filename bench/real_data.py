@@ -205,10 +205,17 @@ def wrist_coupling(velocity: FloatArray, acceleration: FloatArray) -> FloatArray
 
 
 def lwr4(files: Sequence[Path]) -> RealLog:
-    """Read link-side torques of a KUKA LWR4+ at 200 Hz."""
+    """Read link-side torques of a KUKA LWR4+ at 200 Hz.
+
+    The authors filtered the positions, whose velocity falls to zero at both ends while the robot
+    moves on. The filter's transient lasts less than a second, which is left out.
+    """
     run, urdf = files
     with np.load(run) as content:
-        log = Recording("lwr4", content["times"], content["positions"], content["torques"])
+        time = content["times"]
+        settled = (time > time[0] + 1.0) & (time < time[-1] - 1.0)
+        columns = (time, content["positions"], content["torques"])
+        log = Recording("lwr4", *(each[settled] for each in columns))
     robot = sy.load_model(urdf, base="fixed")
     return RealLog(robot, log.part(0.0, 0.75), log.part(0.75, 1.0), cutoff=10.0)
 

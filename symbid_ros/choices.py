@@ -7,7 +7,7 @@ Method = Literal["map_lmi", "map", "ols", "wls_r", "wls_c", "wls_rc"]
 Filter = Literal["weak", "butterworth", "savitzky_golay"]
 Channels = Literal["all", "thesis"]
 Criterion = Literal["gen_force", "torque", "com"]
-Term = Literal["viscous", "coulomb", "armature", "offset", "stribeck", "load"]
+Term = Literal["viscous", "coulomb", "armature", "offset", "stribeck", "load", "presliding"]
 Scenario = Literal["smooth", "squat", "vibrating", "suspended", "tare"]
 SensorErrorKind = Literal[
     "plate_offset",
@@ -61,6 +61,7 @@ JOINT_TERMS: dict[Term, JointTerm] = {
     "offset": JointTerm(("Nm", "N"), None, 1.0, 1, 0.1, False),
     "stribeck": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, False),
     "load": JointTerm(("Nm/Nm", "N/N"), None, 0.1, 0, 0.1, True),
+    "presliding": JointTerm(("Nm", "N"), None, 2.0, 1, 0.3, True),
 }
 # Terms that act only while a joint slips. A sticking joint has static friction in their place.
-SLIDING_TERMS: frozenset[Term] = frozenset({"coulomb", "stribeck", "load"})
+SLIDING_TERMS: frozenset[Term] = frozenset({"coulomb", "stribeck", "load", "presliding"})

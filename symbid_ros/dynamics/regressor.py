@@ -37,6 +37,9 @@ COULOMB_SPEED = 0.02
 COULOMB_RAMP = 0.004
 # Speed at which Stribeck friction has fallen to 1/e: revolute joints rad/s, prismatic joints m/s.
 STRIBECK_SPEED = 0.2, 0.02
+# Travel after a reversal within which friction builds up to 63 %, in presliding: revolute joints
+# rad, prismatic joints m. It is about the hysteresis of a strain wave gear.
+PRESLIDING_TRAVEL = 2e-3, 2e-4
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,9 @@ class Samples:
         Names of the F sensor frames.
     touching : (N, C) bool or None
         Which contacts without a sensor touch something; None if all may.
+    sliding, friction_state : (N, J) float64 or None
+        Of :func:`coulomb_column` and :func:`friction_state`, filtered like the efforts; None for
+        single instants.
     """
 
     stamp: IntArray
@@ -78,6 +84,8 @@ class Samples:
     wrenches: FloatArray
     wrench_frames: tuple[str, ...]
     touching: BoolArray | None = None
+    sliding: FloatArray | None = None
+    friction_state: FloatArray | None = None
 
     @classmethod
     def none(cls, joint_names: tuple[str, ...]) -> "Samples":
@@ -152,16 +160,76 @@ def coulomb_column(velocity: FloatArray) -> FloatArray:
     return column
 
 
-def stribeck_column(velocity: FloatArray, joints: Sequence[Joint]) -> FloatArray:
+def sliding_column(samples: Samples) -> FloatArray:
+    """Return :func:`coulomb_column` (N, J) of samples, filtered if they are."""
+    return coulomb_column(samples.velocity) if samples.sliding is None else samples.sliding
+
+
+def stribeck_column(
+    velocity: FloatArray, joints: Sequence[Joint], sliding: FloatArray | None = None
+) -> FloatArray:
     """Return sign(q̇) exp(-|q̇|/v) (N, J), how friction falls with speed after a joint breaks away.
 
     With a fixed speed v the column is linear in its parameter (Bona and Indri 2005, Proc. 44th
     IEEE CDC). Together with Coulomb and viscous friction it also represents viscous friction that
     saturates with speed, as that of harmonic drives.
     """
-    speed = np.array([STRIBECK_SPEED[joint.kind == "prismatic"] for joint in joints])
-    column: FloatArray = coulomb_column(velocity) * np.exp(-np.abs(velocity) / speed)
+    speed = _by_kind(STRIBECK_SPEED, joints)
+    if sliding is None:
+        sliding = coulomb_column(velocity)
+    column: FloatArray = sliding * np.exp(-np.abs(velocity) / speed)
     return column
+
+
+def friction_state(position: FloatArray, joints: Sequence[Joint]) -> FloatArray:
+    """Return the state z (N, J) of Dahl's friction, from -1 to 1, along joint positions (N, J).
+
+    When a joint reverses, the asperities of bearings and gears bend first, and friction changes
+    its sign within a travel x: dz/dq = (sign(q̇) - z)/x (Dahl 1968, A solid friction model,
+    Aerospace Corp. TOR-0158). The first motion is assumed to have lasted longer than x.
+    """
+    count = len(position)
+    step = np.diff(position, axis=0)
+    # From one sample to the next z becomes gain z + shift. Composing such maps in pairs, fours,
+    # eights and so on gives all samples without a loop over them.
+    gain = np.ones((count, len(joints)))
+    shift = np.zeros_like(gain)
+    gain[1:] = np.exp(-np.abs(step) / _by_kind(PRESLIDING_TRAVEL, joints))
+    shift[1:] = np.sign(step) * (1 - gain[1:])
+    if count > 1:
+        moves = step != 0
+        first = np.take_along_axis(step, np.argmax(moves, axis=0)[None], axis=0)[0]
+        shift[0], gain[0] = np.sign(first), 0.0
+    reach = 1
+    while reach < count:
+        shift[reach:] += gain[reach:] * shift[:-reach]
+        gain[reach:] *= gain[:-reach]
+        reach *= 2
+    return shift
+
+
+def presliding_column(samples: Samples, joints: Sequence[Joint]) -> FloatArray:
+    """Return z - sign(q̇) (N, J), by which friction lags behind Coulomb friction after a reversal.
+
+    Together with as much Coulomb friction this is Dahl's friction; with less, a part of the
+    friction reverses at once. Samples without the state z are taken to accelerate constantly since
+    they reversed, s = q̇²/(2 |q̈|) ago, hence z = sign(q̇) (1 - 2 exp(-s/x)).
+    """
+    state = samples.friction_state
+    if state is None:
+        velocity, acceleration = samples.velocity, samples.acceleration
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = velocity**2 / (2 * np.abs(acceleration))
+        distance[velocity * acceleration <= 0] = np.inf  # it will reverse, if at all
+        share = 1 - 2 * np.exp(-distance / _by_kind(PRESLIDING_TRAVEL, joints))
+        state = np.sign(velocity) * share
+    column: FloatArray = state - sliding_column(samples)
+    return column
+
+
+def _by_kind(values: tuple[float, float], joints: Sequence[Joint]) -> FloatArray:
+    """Return a value (J,) for each joint, of those for revolute and prismatic ones."""
+    return np.array([values[joint.kind == "prismatic"] for joint in joints])
 
 
 def load_column(
@@ -189,7 +257,7 @@ def load_column(
     parameters.model.fold_followers(own)
     needed = K[:, first:, : parameters.inertial] @ parameters.load_reference
     load: FloatArray = np.abs(np.nan_to_num(needed - (y - own)[:, first:]))
-    return load * coulomb_column(samples.velocity)
+    return load * sliding_column(samples)
 
 
 @dataclass(frozen=True)
@@ -319,10 +387,13 @@ def _joint_terms(parameters: ParameterSet, samples: Samples) -> dict[Term, Float
         armature[:, parameters.link_side] = 0.0
     return {
         "viscous": samples.velocity,
-        "coulomb": coulomb_column(samples.velocity),
+        "coulomb": sliding_column(samples),
         "armature": armature,
         "offset": np.ones(1),
-        "stribeck": stribeck_column(samples.velocity, parameters.model.joints),
+        "stribeck": stribeck_column(
+            samples.velocity, parameters.model.joints, sliding_column(samples)
+        ),
+        "presliding": presliding_column(samples, parameters.model.joints),
     }
 
 

@@ -54,6 +54,8 @@ class Observations:
         versions.
     slipping : Observations or None
         Of candidate terms: the same windows without the rows of joints that may stick.
+    is_coupled : bool
+        Whether residuals of different coordinates may be correlated.
     """
 
     rows: Information
@@ -65,6 +67,7 @@ class Observations:
     seconds: frozenset[int] = frozenset()
     groups: GroupMoments | None = None
     slipping: "Observations | None" = None
+    is_coupled: bool = True
 
     @classmethod
     def empty(cls, layout: RowLayout, window: float, *, candidates: bool = False) -> "Observations":
@@ -229,9 +232,16 @@ class Observations:
         return float(1 / max(largest / CHANCE, 1.0))
 
     @property
+    def has_coupled_rows(self) -> bool:
+        """Whether covariances between coordinates are estimated."""
+        return bool(np.any(self._coupled.sum(axis=0) > 1))
+
+    @property
     def _coupled(self) -> BoolArray:
         """(n, n) pairs of coordinates with enough common samples to estimate their covariance."""
         n = len(self.counts)
+        if not self.is_coupled:
+            return np.eye(n, dtype=bool)
         # Discounted counts are equal except for rounding.
         full = np.diag(self.counts) > (1 - 1e-9) * self.rows.samples
         full &= self.rows.samples > SAMPLES_PER_COORDINATE * n * self.inflation

@@ -25,7 +25,7 @@ from symbid_ros.model.parameters import ParameterSet
 ENTER = 3.4
 # By how much more a term must add that resembles the friction of every drive, viscous and Coulomb.
 RARE = 2.0
-RARE_TERMS: frozenset[Term] = frozenset({"stribeck", "load"})
+RARE_TERMS: frozenset[Term] = frozenset({"stribeck", "load", "presliding"})
 # By how much less a term must add that was chosen before, so that a live choice does not alternate.
 STAY = 1.8
 # Smallest cost of a term that all other drives have: 0.7 standard deviations.
@@ -195,8 +195,13 @@ class TermSets:
     ) -> float | None:
         """Return the score of a set; None if it is impossible."""
         kinds = set(self._kinds[places[free]])
-        # Stribeck friction is by how much friction exceeds Coulomb's at low speed.
-        if "stribeck" in kinds and "coulomb" in self._kinds[places] and "coulomb" not in kinds:
+        # Stribeck friction is by how much friction exceeds Coulomb's at low speed, presliding by how
+        # much it lags behind.
+        if (
+            not kinds.isdisjoint({"stribeck", "presliding"})
+            and "coulomb" in self._kinds[places]
+            and "coulomb" not in kinds
+        ):
             return None
         optional = free & ~self._kept[places]
         cost = float(self._cost[places[optional]].sum())

@@ -26,6 +26,7 @@ from symbid_ros.choices import SLIDING_TERMS, Term
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
 from symbid_ros.estimation.information import random_motions
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.passive_drives import contradicts_signs
 from symbid_ros.estimation.posterior import Posterior, posterior
 from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.term_evidence import CandidateTerms, cross_validated
@@ -44,6 +45,11 @@ LEAST_SHARE = 0.02
 FEWEST_SLIPPING = 25
 POSTURES = 20
 RATES = "velocity", "acceleration", "base_angular_velocity", "base_angular_acceleration"
+SIGNED_DRIVES = (
+    "the efforts contradict positive armature and friction of drives, so armature and viscous "
+    "friction may be negative: torque sensors behind the gears do not feel the rotors, or other "
+    "effects act like these terms; models are written without negative ones"
+)
 # Share of a column's square that the other columns leave, below which they replace it.
 REPLACED = 1e-8
 
@@ -66,6 +72,9 @@ class TermChoice:
     deviations : (p + s, k) float64 or None
         N: other sets of terms that explain the data as well add the covariance N Nᵀ of all
         unknowns.
+    signed_drives : bool
+        Whether armature and the slope of friction may be negative, because the efforts contradict
+        positive ones.
     """
 
     parameters: ParameterSet
@@ -73,6 +82,7 @@ class TermChoice:
     remarks: tuple[str, ...] = ()
     slips: bool = False
     deviations: FloatArray | None = None
+    signed_drives: bool = False
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -119,11 +129,20 @@ class TermChoice:
         observations = self.rows(problem.observations)
         prior = fixed_prior(problem.prior, self.free)
         if all_columns:
+            parameters = replace(problem.parameters, signed_drives=self.signed_drives)
             return replace(
-                problem, observations=observations, prior=prior, term_deviations=self.deviations
+                problem,
+                observations=observations,
+                prior=prior,
+                parameters=parameters,
+                term_deviations=self.deviations,
             )
         parameters = replace(
-            self.parameters, terms=self.terms, candidates=False, couplings=self.couplings
+            self.parameters,
+            terms=self.terms,
+            candidates=False,
+            couplings=self.couplings,
+            signed_drives=self.signed_drives,
         )
         names = (*parameters.names, *problem.sensor_names)
         kept = [problem.prior.names.index(name) for name in names]
@@ -285,17 +304,24 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
             _Selection.of(problem, everything & ~slipping, stated, previous, slips=False)
         )
     last = selections[-1]
+    free = last.free
+    if last.signed_drives and "armature" in parameters.terms:
+        # What lowers the inertia that efforts show acts on all joints alike.
+        free = free.copy()
+        free[parameters.term_columns["armature"]] = True
     return TermChoice(
         parameters,
-        last.free,
+        free,
         (
             *joints_without_rows(problem.observations[0], parameters),
             *_resting(problem.observations, parameters),
-            *_replaceable(parameters, last.free),
-            *_inseparable(selections[0].inseparable, parameters, last.free),
+            *_replaceable(parameters, free),
+            *_inseparable(selections[0].inseparable, parameters, free),
+            *([SIGNED_DRIVES] if last.signed_drives else []),
         ),
         slips,
         last.deviations,
+        last.signed_drives,
     )
 
 
@@ -345,11 +371,14 @@ class _Selection:
         Of all unknowns, due to other sets that explain the data as well.
     inseparable : tuple of tuple of int
         Pairs of terms that the data do not tell apart.
+    signed_drives : bool
+        Whether the data contradict positive armature and friction.
     """
 
     free: BoolArray
     deviations: FloatArray
     inseparable: tuple[tuple[int, int], ...]
+    signed_drives: bool
 
     @classmethod
     def of(
@@ -389,7 +418,8 @@ class _Selection:
         # others have none either.
         if ambiguous and 2 * np.count_nonzero(free[resolved]) < len(resolved):
             free, deviations = selected(of_file, ambiguous)
-        return cls(free, deviations, evidence.inseparable())
+        signed = contradicts_signs(found, parameters, chosen)
+        return cls(free, deviations, evidence.inseparable(), signed)
 
 
 def rows_of(observations: Sequence[Observations], *, slips: bool) -> tuple[Observations, ...]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
-from symbid_ros.dynamics.regressor import Rows, coulomb_column, stribeck_column
+from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, stribeck_column
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
 from symbid_ros.estimation.verdict import coloured_alarm
@@ -51,6 +51,7 @@ EFFECTS = {
     "stribeck": "Stribeck friction",
     "quadratic": "friction that grows with the square of the speed",
     "load": "friction in proportion to the load",
+    "presliding": "friction that lags behind a reversal",
     "delay": "a delay",
     "elasticity": "elasticity",
     "torque_gain": "gains of the efforts",
@@ -434,6 +435,7 @@ class _Builder:
     def _own_columns(self, readings: SensorSamples, effort: FloatArray) -> FloatArray:
         """Return (N, J, k) the columns of ``effects``, and the speed."""
         velocity, joints = readings.velocity, self.parameters.model.joints
+        effort = np.nan_to_num(effort)  # joints whose effort was not measured have no rows
         slips = coulomb_column(velocity)
         rate = np.zeros_like(effort)
         if len(readings) > 1:
@@ -446,6 +448,7 @@ class _Builder:
             "stribeck": stribeck_column(velocity, joints),
             "quadratic": velocity * np.abs(velocity),
             "load": slips * np.abs(effort),
+            "presliding": friction_state(readings.position, joints) - slips,
             "delay": rate,
             "torque_gain": effort,
         }

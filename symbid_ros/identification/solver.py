@@ -10,7 +10,6 @@ from symbid_ros.choices import Method
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.archive import SensorCalibration
 from symbid_ros.estimation.change import discounted_pseudo_measurements
-from symbid_ros.estimation.constraints import Bounds
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.mass_scale import (
     FORCE_SCALE_STD,
@@ -19,6 +18,7 @@ from symbid_ros.estimation.mass_scale import (
     common_gain,
 )
 from symbid_ros.estimation.observations import Observations, whiteness
+from symbid_ros.estimation.passive_drives import drive_bounds
 from symbid_ros.estimation.physical_consistency import consistent_minimum
 from symbid_ros.estimation.posterior import CONVERGED, Posterior, PseudoMeasurements
 from symbid_ros.estimation.sandwich import with_correlated_residuals
@@ -36,6 +36,10 @@ from symbid_ros.model.wrist_sensors import sensor_names
 from symbid_ros.package_paths import package_version
 from symbid_ros.signals.sensor_errors import CalibratingRows
 from symbid_ros.signals.weak_form import RowBuilder
+
+# Mean square difference of two estimates, in deviations, above which the model is wrong. It is a
+# few hundredths for logs that obey the model.
+DISAGREEMENT = 1.0
 
 SOFTWARE = f"symbid_ros {package_version()}"
 
@@ -111,7 +115,7 @@ class Solver:
     def of(cls, problem: Problem) -> "Solver":
         """Choose the most informative window length and compute its posterior."""
         best, near = WindowComparison(problem).finish()
-        found = solve_window(problem, best, near, CONVERGED)
+        found, best = _solve(problem, best, near, CONVERGED)
         return cls(problem, best, _with_all_errors(problem, found, best))
 
     @classmethod
@@ -119,7 +123,7 @@ class Solver:
         cls, problem: Problem, chosen: Observations, start: FloatArray | None
     ) -> "Solver":
         """Solve one window length to a hundredth of a standard deviation, from a near start."""
-        found = solve_window(problem, chosen, start, COMPARABLE, approximate=True)
+        found, chosen = _solve(problem, chosen, start, COMPARABLE, approximate=True)
         return cls(problem, chosen, _with_all_errors(problem, found, chosen))
 
     @property
@@ -198,7 +202,7 @@ class Solver:
             found.factor @ found.mean,
             found.prior.std,
             len(parameters.links),
-            Bounds.nonnegative(parameters) if parameters.terms else None,
+            drive_bounds(parameters, self.chosen),
         ).value
 
     def _gaussian(self, method: Method, value: FloatArray, *, with_verdict: bool) -> Identification:
@@ -389,6 +393,34 @@ def _with_all_errors(problem: Problem, found: Posterior, chosen: Observations) -
     """Return the posterior with the covariance of all errors that the data show."""
     found = with_correlated_residuals(found, chosen)
     return replace(found, other_models=problem.term_deviations)
+
+
+def _solve(
+    problem: Problem,
+    chosen: Observations,
+    start: FloatArray | None,
+    tolerance: float,
+    *,
+    approximate: bool = False,
+) -> tuple[Posterior, Observations]:
+    """Return the posterior, and the rows with the weights that it is from.
+
+    The covariance of residuals between coordinates is their best weight if the residuals are noise.
+    If they are errors of the model, it favours the combinations that the model explains worst. The
+    estimates with and without these covariances then differ by more than their deviations (Hausman
+    1978, Econometrica 46(6)), and those without are used.
+    """
+    found = solve_window(problem, chosen, start, tolerance, approximate=approximate)
+    if not chosen.has_coupled_rows:
+        return found, chosen
+    apart = replace(chosen, is_coupled=False)
+    simple = solve_window(problem, apart, found.mean, COMPARABLE, approximate=True)
+    difference = simple.factor @ (found.mean - simple.mean)
+    if difference @ difference < DISAGREEMENT * len(difference):
+        return found, chosen
+    if not approximate:
+        simple = solve_window(problem, apart, simple.mean, tolerance)
+    return simple, apart
 
 
 def _load_reference(parameters: ParameterSet) -> dict[str, float]:

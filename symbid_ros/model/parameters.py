@@ -32,11 +32,11 @@ class ParameterSet:
     ----------
     model : RobotModel
         The robot.
-    terms : tuple of {"viscous", "coulomb", "armature", "offset", "stribeck", "load"}
+    terms : tuple of {"viscous", "coulomb", "armature", "offset", "stribeck", "load", "presliding"}
         Terms that a drive adds to its joint's row: viscous q̇, Coulomb sign(q̇), armature q̈
         (the reflected inertia of rotor and gear), a constant offset, Stribeck friction
-        sign(q̇) exp(-|q̇|/v), and Coulomb friction in proportion to the load, sign(q̇) |τ|. They
-        are sorted in this order.
+        sign(q̇) exp(-|q̇|/v), Coulomb friction in proportion to the load, sign(q̇) |τ|, and the
+        lag of friction after a reversal. They are sorted in this order.
     candidates : bool
         Whether the terms are candidates, of which the data choose some for each joint.
     couplings : tuple of Coupling
@@ -47,6 +47,9 @@ class ParameterSet:
         Known bodies that the robot carries. They do not belong to the parameters.
     reference : (inertial,) float64 or None
         Link parameters that give the joints' load τ; by default those of the model.
+    signed_drives : bool
+        Whether armatures and, beside Coulomb friction, the slope of friction over speed may be
+        negative: the efforts contain more than a drive.
 
     Raises
     ------
@@ -61,6 +64,7 @@ class ParameterSet:
     link_side: tuple[int, ...] = ()
     payloads: tuple[Payload, ...] = ()
     reference: FloatArray | None = None
+    signed_drives: bool = False
 
     def __post_init__(self) -> None:
         """Check and sort the terms."""
@@ -188,9 +192,12 @@ class ParameterSet:
     @cached_property
     def nonnegative(self) -> BoolArray:
         """(p,) joint terms that cannot be negative: friction and armature."""
+        signed = set()
+        if self.signed_drives:
+            signed = {"armature"} | ({"viscous"} if "coulomb" in self.terms else set())
         chosen = np.zeros(len(self), dtype=bool)
         for term, columns in self.term_columns.items():
-            chosen[columns] = JOINT_TERMS[term].is_nonnegative
+            chosen[columns] = JOINT_TERMS[term].is_nonnegative and term not in signed
         for coupled in self.coupling_columns.values():
             for term, column in coupled.items():
                 chosen[column] = JOINT_TERMS[term].is_nonnegative

@@ -153,6 +153,10 @@ class UrdfReader:
         if kind == "continuous" or lower is None or upper is None:
             lower, upper = -np.inf, np.inf
         effort, speed = (self._number(limit, key) for key in ("effort", "velocity"))
+        # URDF requires both numbers, and CAD exporters write zeros for unknown ones. A joint that
+        # is passive but moves has a speed.
+        if effort == 0.0 and speed == 0.0:
+            effort = speed = None
         return (
             BodyJoint(
                 name,

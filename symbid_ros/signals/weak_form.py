@@ -20,7 +20,14 @@ from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SLIDING_TERMS
-from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion, slipping
+from symbid_ros.dynamics.regressor import (
+    Rows,
+    Samples,
+    coulomb_column,
+    equation_of_motion,
+    friction_state,
+    slipping,
+)
 from symbid_ros.dynamics.unmeasured_contacts import contact_states, contacts_of_state
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
@@ -62,8 +69,9 @@ LARGEST_SHARE = 0.25
 # decays by a factor of 80 per period and affects acceleration most.
 SETTLING = 4
 
-# A joint's row is used if the joint slipped for this share of the window.
-SLIPPING = 0.95
+# A joint's row is used if the joint slipped for this share of the window. The rest is enough for a
+# reversal, about which friction says most.
+SLIPPING = 0.8
 
 CHUNK = 512
 
@@ -152,11 +160,30 @@ def equation_rows(parameters: ParameterSet) -> RowBuilder:
     """Return a builder of rows in the robot's parameters from sensor samples."""
 
     def build(readings: SensorSamples) -> Iterator[SampledRows]:
-        model = parameters.model
-        for start in range(0, len(readings), CHUNK):
-            yield sampled_rows(parameters, at_base(readings[start : start + CHUNK], model))
+        samples = at_base(readings, parameters.model)
+        if not SLIDING_TERMS.isdisjoint((*parameters.terms, *parameters.known_terms)):
+            samples = with_filtered_friction(samples, parameters.model)
+        for part in samples.blocks(CHUNK):
+            yield sampled_rows(parameters, part)
 
     return build
+
+
+def with_filtered_friction(samples: Samples, model: RobotModel) -> Samples:
+    """Return consecutive samples with dry friction that is filtered like the efforts.
+
+    Friction changes its sign at once when a joint reverses. The efforts show this change after the
+    low-pass, so the columns need the same filter; smooth columns do not.
+    """
+    if len(samples) < 2:
+        return samples
+    rate = 1e9 / float(np.median(np.diff(samples.stamp)))
+    low_pass, _ = prefilter(rate)
+    return replace(
+        samples,
+        sliding=low_pass.force(coulomb_column(samples.velocity), rate),
+        friction_state=low_pass.force(friction_state(samples.position, model.joints), rate),
+    )
 
 
 def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:

@@ -13,9 +13,12 @@ from symbid_ros.choices import TERMS as ALL_TERMS
 from symbid_ros.dynamics.regressor import (
     COULOMB_RAMP,
     COULOMB_SPEED,
+    PRESLIDING_TRAVEL,
     coulomb_column,
     equation_of_motion,
+    friction_state,
     is_slipping,
+    presliding_column,
 )
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.model.export_mjcf import mjcf_text
@@ -26,6 +29,16 @@ from symbid_ros.model.parameters import ParameterSet
 TERMS = ALL_TERMS[:4]
 
 DRY = mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+
+
+def dahl(position, travel):
+    """Integrate dz/dq = (sign(q̇) - z)/x from sample to sample."""
+    state = np.empty_like(position)
+    state[0] = now = np.sign(position[1] - position[0])
+    for index, step in enumerate(np.diff(position, axis=0)):
+        now = np.sign(step) - (np.sign(step) - now) * np.exp(-np.abs(step) / travel)
+        state[index + 1] = now
+    return state
 
 
 def forward(model, samples, rng):
@@ -153,3 +166,36 @@ def test_the_coulomb_column_is_the_sign_of_a_joint_that_slips(speed):
     else:
         assert column == pytest.approx(speed / COULOMB_RAMP)
     assert coulomb_column(np.array([[-speed]])) == -column
+
+
+@pytest.mark.parametrize("count", [2, 3, 500])
+def test_the_state_of_friction_is_dahls(count):
+    rng = np.random.default_rng(4)
+    model = load_model(CONFIG / "symbitron.xml")
+    hinges = [joint for joint in model.joints if joint.kind == "revolute"][:3]
+    slide = replace(hinges[0], kind="prismatic")
+    position = np.cumsum(rng.normal(size=(count, 4)), axis=0) * 1e-3
+    travel = np.array([PRESLIDING_TRAVEL[0]] * 3 + [PRESLIDING_TRAVEL[1]])
+    found = friction_state(position, [*hinges, slide])
+    np.testing.assert_allclose(found, dahl(position, travel), atol=1e-12)
+
+
+def test_presliding_needs_no_memory_while_a_joint_accelerates_constantly():
+    robot = random_robot(1, links=4, floating=False, wrench_frames=0)
+    joints = robot.joints
+    time = np.arange(-1.0, 1.0, 1e-4)[:, None]
+    acceleration = np.random.default_rng(2).uniform(0.5, 2.0, len(joints))
+    samples = random_samples(robot, len(time), np.random.default_rng(3), ())
+    samples = replace(
+        samples,
+        position=0.5 * acceleration * time**2,
+        velocity=acceleration * time,
+        acceleration=np.broadcast_to(acceleration, samples.acceleration.shape),
+    )
+    state = friction_state(samples.position, joints)
+    remembered = presliding_column(replace(samples, friction_state=state), joints)
+    np.testing.assert_allclose(presliding_column(samples, joints), remembered, atol=5e-3)
+    # Friction lags behind a reversal only.
+    before = time[:, 0] < -COULOMB_SPEED / acceleration.min()
+    np.testing.assert_allclose(remembered[before], 0, atol=1e-12)
+    assert remembered.min() < -0.9

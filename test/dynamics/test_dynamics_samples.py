@@ -8,7 +8,8 @@ from random_robots import random_robot, random_samples
 
 from symbid_ros.dynamics.regressor import Samples
 
-ARRAYS = [field.name for field in fields(Samples) if field.name != "wrench_frames"]
+OTHERS = "wrench_frames", "sliding", "friction_state"  # the latter are None for single instants
+ARRAYS = [field.name for field in fields(Samples) if field.name not in OTHERS]
 
 
 @pytest.fixture(scope="module")

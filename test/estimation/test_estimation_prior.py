@@ -189,6 +189,7 @@ def test_missing_joint_terms_are_zero_with_the_terms_deviation(driven):
             "offset": 10,
             "stribeck": 10,
             "load": 1,
+            "presliding": 10,
         }
         for term, std in terms_of(parameters, prior.std).items():
             np.testing.assert_allclose(

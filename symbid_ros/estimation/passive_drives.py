@@ -1,0 +1,134 @@
+"""Bounds on joint terms by which drives take power, and a test whether the efforts contradict them.
+
+Friction and armature of a drive are positive, but an effort may contain more than a drive. A torque
+sensor between gear and link does not feel the rotor. Its hysteresis, crosstalk between sensors and
+a base that bends may show less inertia than that of the links, or friction that falls with speed.
+A likelihood-ratio test compares the best fits with and without positive signs. If the efforts
+contradict these, armatures are free, and friction as a whole must take power: its curve over speed,
+which viscous, Coulomb and Stribeck friction fit together, is positive at the speeds of the log.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.choices import Term
+from symbid_ros.dynamics.regressor import COULOMB_SPEED, stribeck_column
+from symbid_ros.estimation.constraints import Bounds
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.physical_consistency import ConsistentSolution, consistent_minimum
+from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import Joint
+
+# Terms of friction's curve over speed, the number of speeds at which it must not be negative, and
+# the largest of these in root mean squares of the speed, which a joint seldom exceeds.
+CURVE: tuple[Term, ...] = ("viscous", "coulomb", "stribeck")
+SPEEDS, FASTEST = 4, 2.0
+# Probability of efforts that contradict positive signs by chance.
+CHANCE = 1e-4
+
+
+def drive_bounds(parameters: ParameterSet, observations: Observations) -> Bounds | None:
+    """Return the bounds on joint terms by which drives take power; None without joint terms.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    observations : Observations
+        Their speeds are those at which friction must not be negative.
+    """
+    if not parameters.terms:
+        return None
+    if not parameters.signed_drives:
+        return Bounds.nonnegative(parameters)
+    curves = friction_bounds(parameters, _typical_speed(parameters, observations))
+    return Bounds.nonnegative(parameters) + curves
+
+
+def friction_bounds(parameters: ParameterSet, speed: FloatArray) -> Bounds:
+    """Return bounds by which the friction of each joint is not negative at its speeds.
+
+    Where a joint hardly moves, viscous friction alone must not be negative.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    speed : (J,) float64
+        Root mean square of the speed of each joint with terms, rad/s or m/s.
+    """
+    columns = parameters.term_columns
+    names, rows = [], []
+    if {"viscous", "coulomb"} <= set(columns):  # else the bounds on single terms suffice
+        for place, joint in enumerate(parameters.joints.tolist()):
+            curve = _curve(FASTEST * float(speed[place]), parameters.model.joints[joint])
+            row = np.zeros((len(curve["viscous"]), len(parameters)))
+            for term in columns.keys() & curve.keys():
+                row[:, columns[term].start + place] = curve[term]
+            rows.append(row)
+            names += [f"friction of {parameters.model.joint_names[joint]}"] * len(row)
+    matrix = np.concatenate(rows) if rows else np.zeros((0, len(parameters)))
+    zeros = np.zeros(len(matrix))
+    return Bounds(tuple(names), matrix, zeros, zeros + np.inf)
+
+
+def _curve(fastest: float, joint: Joint) -> dict[Term, FloatArray]:
+    """Return the columns (k,) of friction at k speeds up to the fastest."""
+    if fastest <= COULOMB_SPEED:
+        return {"viscous": np.ones(1)}
+    speed = np.geomspace(COULOMB_SPEED, fastest, SPEEDS)
+    stribeck = stribeck_column(speed[:, None], [joint])[:, 0]
+    return {"viscous": speed, "coulomb": np.ones(SPEEDS), "stribeck": stribeck}
+
+
+def _typical_speed(parameters: ParameterSet, observations: Observations) -> FloatArray:
+    """Return the root mean square (J,) of the speed of each joint with terms."""
+    columns = parameters.term_columns.get("viscous")
+    if columns is None:
+        return np.zeros(len(parameters.joints))
+    first = 6 * parameters.model.floating
+    rows = np.maximum(observations.counts.diagonal(), 1.0)
+    return np.array(
+        [
+            np.sqrt(observations.rows.column_squares(first + joint, column) / rows[first + joint])
+            for joint, column in zip(
+                parameters.joints.tolist(), range(columns.start, columns.stop), strict=True
+            )
+        ]
+    )
+
+
+def contradicts_signs(
+    found: Posterior, parameters: ParameterSet, observations: Observations
+) -> bool:
+    """Return whether the efforts contradict armature and friction that are all positive.
+
+    Parameters
+    ----------
+    found : Posterior
+        Of the candidate terms.
+    parameters : ParameterSet
+    observations : Observations
+        The rows that it is from.
+    """
+    relaxed = replace(parameters, signed_drives=True)
+    tested = parameters.nonnegative & ~relaxed.nonnegative
+    if not tested.any():
+        return False
+
+    def best(parameters: ParameterSet) -> ConsistentSolution:
+        return consistent_minimum(
+            found.factor,
+            found.factor @ found.mean,
+            found.prior.std,
+            len(parameters.links),
+            drive_bounds(parameters, observations),
+        )
+
+    signed = best(relaxed)
+    if np.all(signed.value[: len(tested)][tested] >= 0):
+        return False
+    loss = best(parameters).moved ** 2 - signed.moved**2
+    return bool(loss > chi2.isf(CHANCE, np.count_nonzero(tested)))
