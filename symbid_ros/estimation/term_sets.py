@@ -195,8 +195,8 @@ class TermSets:
     ) -> float | None:
         """Return the score of a set; None if it is impossible."""
         kinds = set(self._kinds[places[free]])
-        # Stribeck friction is by how much friction exceeds Coulomb's at low speed, presliding by how
-        # much it lags behind.
+        # Stribeck friction is by how much friction exceeds Coulomb's at low speed, presliding by
+        # how much it lags behind.
         if (
             not kinds.isdisjoint({"stribeck", "presliding"})
             and "coulomb" in self._kinds[places]

@@ -333,7 +333,10 @@ class _LeftOutBlocks:
         H = moments[np.ix_(used, np.append(used, -1))]
         # A column that is zero keeps a coefficient of zero.
         ridge = np.where(self._ridge[used] > 0, self._ridge[used], 1.0)
-        return np.asarray(np.linalg.solve(H[:, :-1] + np.diag(ridge), H[:, -1]))
+        try:
+            return np.asarray(np.linalg.solve(H[:, :-1] + np.diag(ridge), H[:, -1]))
+        except np.linalg.LinAlgError:  # by rounding; such columns explain nothing
+            return np.zeros(len(used))
 
     def errors(self, *causes: Candidate) -> tuple[FloatArray, float]:
         """Return the sums of squares with the columns of candidates.
