@@ -11,7 +11,7 @@ from symbid_ros.errors import EstimateError, OptionError
 from symbid_ros.estimation.constraints import total_mass_row
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations, whiteness
-from symbid_ros.estimation.posterior import posterior
+from symbid_ros.estimation.posterior import CONVERGED, posterior
 from symbid_ros.estimation.prior import Prior, draw_prior, model_prior
 from symbid_ros.estimation.truncated_svd import SensorNoise, sensor_row_std
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
@@ -20,6 +20,7 @@ from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
 from symbid_ros.identification.result_files import write_identification
 from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.window_comparison import solve_window
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -257,20 +258,19 @@ def test_window_lengths_dominated_by_noise_are_not_chosen(whole):
     """With a wide prior, short windows seem more informative because of noise in the regressor."""
     prior = draw_prior(whole.parameters, "absolute", 0.125, 1)
     problem = replace(whole.solver.problem, prior=prior)
-    each = [Solver.of(replace(problem, observations=(one,))) for one in problem.observations]
+    each = [solve_window(problem, one, None, CONVERGED) for one in problem.observations]
     chosen = Solver.of(problem)
-    gains = [one.posterior.gain(len(whole.parameters)) for one in each]
-    shares = [one.posterior.noise_share for one in each]
+    gains = [one.gain(len(whole.parameters)) for one in each]
+    shares = [one.noise_share for one in each]
     assert np.argmax(gains) == 0
     assert shares[0] > 0.9
     assert chosen.chosen is problem.observations[-1]
     assert chosen.posterior.noise_share == pytest.approx(min(shares), rel=1e-3)
 
-    def mean_square(solver):
-        found = solver.posterior
+    def mean_square(found):
         return np.mean((found.factor @ (found.mean - whole.parameters.values)) ** 2)
 
-    assert mean_square(chosen) < 1.4 < mean_square(each[0])
+    assert mean_square(chosen.posterior) < 1.4 < mean_square(each[0])
 
 
 @pytest.mark.parametrize("scale", [1 / 3, 1.0, 3.0])
