@@ -8,6 +8,9 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.model.inertia import com_from_phi, phi_from_com, second_moments
 
+# Corners of a unit cube, and the pairs of them that edges join.
+_CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+BOX_EDGES = [(a, b) for a in range(8) for b in range(a) if np.abs(_CUBE[a] - _CUBE[b]).sum() == 1.0]
 # Negative second moments below this share of the largest are rounding.
 _ROUNDING = 1e-9
 
@@ -32,6 +35,18 @@ class InertiaBox:
     com: FloatArray
     rotation: FloatArray
     size: FloatArray
+
+    @property
+    def own_corners(self) -> FloatArray:
+        """(8, 3) corners along its own axes from its centre, m."""
+        corners: FloatArray = _CUBE * self.size
+        return corners
+
+    @property
+    def corners(self) -> FloatArray:
+        """(8, 3) corners in the link's frame, m."""
+        corners: FloatArray = self.own_corners @ self.rotation.T + self.com
+        return corners
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,13 @@
 
   const EDGES = cubeEdges();
   const UNIT_SPHERE = new THREE.SphereGeometry(1, 24, 16);
+  const UNIT_CUBE = new THREE.Box3(
+    new THREE.Vector3(-0.5, -0.5, -0.5), new THREE.Vector3(0.5, 0.5, 0.5));
   const FADED = 0.12; // opacity of links that are not chosen
   const FIELD_OF_VIEW = 30; // degrees
+  // Visible part of an inertia box outside the links, as share of the robot's size. Boxes larger
+  // than the robot, which impossible inertias have, do not shrink it.
+  const BOX_MARGIN = 0.25;
   const TURN = Math.PI / 24; // of an arrow key
 
   // Corners of a unit cube's twelve edges.
@@ -203,8 +208,11 @@
       if (box.isEmpty()) {
         box.setFromCenterAndSize(new THREE.Vector3(), new THREE.Vector3(1, 1, 1));
       }
-      this.centre = box.getCenter(new THREE.Vector3());
-      this.size = box.getSize(new THREE.Vector3()).length();
+      const size = box.getSize(new THREE.Vector3());
+      this.size = size.length();
+      this.framed = this.framedPoints(
+        box.clone().expandByScalar(BOX_MARGIN * Math.max(size.x, size.y, size.z)));
+      this.centre = box.setFromPoints(this.framed).getCenter(new THREE.Vector3());
       for (const link of this.links) {
         link.comBefore.scale.setScalar(0.008 * this.size);
         link.rim.scale.setScalar(0.008 * this.size);
@@ -368,27 +376,42 @@
       this.draw();
     }
 
-    // The distance from which all links are in view.
+    // Corners of the links' shapes and of the inertia boxes, the latter within limits.
+    framedPoints(limits) {
+      const points = [limits.getCenter(new THREE.Vector3())];
+      const add = ({ min, max }, object) => {
+        for (let corner = 0; corner < 8; corner++) {
+          const point = new THREE.Vector3(
+            corner & 1 ? min.x : max.x, corner & 2 ? min.y : max.y, corner & 4 ? min.z : max.z);
+          points.push(limits.clampPoint(point.applyMatrix4(object.matrixWorld), point));
+        }
+      };
+      this.links.forEach((link, index) => {
+        if (link.body) {
+          link.body.geometry.computeBoundingBox();
+          add(link.body.geometry.boundingBox, link.body);
+        }
+        for (const key of ["before", "after"]) {
+          if (this.data[index][key]) {
+            add(UNIT_CUBE, link[key]);
+          }
+        }
+      });
+      return points;
+    }
+
+    // The distance from which all of these points are in view.
     distance() {
       const towards = this.direction;
       const right = this.camera.up.clone().cross(towards).normalize();
       const above = towards.clone().cross(right);
       const slope = 0.95 * Math.tan(FIELD_OF_VIEW * Math.PI / 360);
       let largest = 0.1 * this.size;
-      for (const link of this.links) {
-        if (!link.body) {
-          continue;
-        }
-        link.body.geometry.computeBoundingBox();
-        const { min, max } = link.body.geometry.boundingBox;
-        for (let corner = 0; corner < 8; corner++) {
-          const point = new THREE.Vector3(
-            corner & 1 ? min.x : max.x, corner & 2 ? min.y : max.y, corner & 4 ? min.z : max.z);
-          point.applyMatrix4(link.group.matrixWorld).sub(this.centre);
-          const wide = Math.abs(point.dot(right)) / this.camera.aspect;
-          const high = Math.abs(point.dot(above));
-          largest = Math.max(largest, Math.max(wide, high) / slope + point.dot(towards));
-        }
+      for (const framed of this.framed) {
+        const point = framed.clone().sub(this.centre);
+        const wide = Math.abs(point.dot(right)) / this.camera.aspect;
+        const high = Math.abs(point.dot(above));
+        largest = Math.max(largest, Math.max(wide, high) / slope + point.dot(towards));
       }
       return largest;
     }

@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.report.inertia_shapes import InertiaBox
+from symbid_ros.report.inertia_shapes import BOX_EDGES, InertiaBox
 from symbid_ros.report.link_meshes import LinkMesh, simplified
 from symbid_ros.report.palette import BEFORE_COLOUR, link_colour, rgb
 from symbid_ros.report.robot_scene import RobotScene, SceneLink
@@ -19,6 +19,7 @@ _MARGIN = 30
 _LIGHT = np.array([-0.35, 0.5, 0.8])  # right, up, towards the camera
 _DARKEST, _SHADES = 0.55, 6
 _BUDGET, _LEAST_FACES = 5000, 80  # triangles of the whole robot, and of a link
+_BOX_MARGIN = 0.25  # visible part of a box outside the links, as share of the robot's size
 _RASTER = 4  # drawing units of a pixel when hidden triangles are removed
 
 
@@ -77,9 +78,7 @@ def still_picture(scene: RobotScene) -> str:
     boxes = [
         _corners(link, box) for link in scene.links for box in (link.before, link.after) if box
     ]
-    # The links fill the picture. Boxes larger than the robot, which impossible inertias have, do
-    # not shrink it.
-    camera = _Camera.around(np.concatenate(corners or [*boxes, np.zeros((1, 3))]), scene.up)
+    camera = _Camera.around(_framed(corners, boxes), scene.up)
     left, width = camera.columns
     label = f"{scene.name}: links, inertia boxes and centres of mass"
     return "".join(
@@ -92,6 +91,19 @@ def still_picture(scene: RobotScene) -> str:
             "</svg>",
         ]
     )
+
+
+def _framed(links: Sequence[FloatArray], boxes: Sequence[FloatArray]) -> FloatArray:
+    """Return the points (N, 3) that the picture shows: links, and boxes as far as they are near.
+
+    Boxes larger than the robot, which impossible inertias have, do not shrink it.
+    """
+    if not links:
+        return np.concatenate([*boxes, np.zeros((1, 3))])
+    points = np.concatenate(links)
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = _BOX_MARGIN * float((high - low).max())
+    return np.concatenate([points, *(np.clip(box, low - margin, high + margin) for box in boxes)])
 
 
 def _bodies(
@@ -181,14 +193,8 @@ def _visible(triangles: FloatArray) -> BoolArray:
     return visible
 
 
-# Corners of a unit cube, and the pairs of them that edges join.
-_CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-_EDGES = [(a, b) for a in range(8) for b in range(a) if np.abs(_CUBE[a] - _CUBE[b]).sum() == 1.0]
-
-
 def _corners(link: SceneLink, box: InertiaBox) -> FloatArray:
-    own = (_CUBE * box.size) @ box.rotation.T + box.com
-    corners: FloatArray = own @ link.rotation.T + link.position
+    corners: FloatArray = box.corners @ link.rotation.T + link.position
     return corners
 
 
@@ -203,7 +209,7 @@ def _overlays(scene: RobotScene, camera: _Camera) -> list[str]:
             if box is not None:
                 seen = np.round(camera.project(_corners(link, box))[:, :2]).astype(int)
                 lines = "".join(
-                    f"M{seen[a, 0]} {seen[a, 1]}L{seen[b, 0]} {seen[b, 1]}" for a, b in _EDGES
+                    f"M{seen[a, 0]} {seen[a, 1]}L{seen[b, 0]} {seen[b, 1]}" for a, b in BOX_EDGES
                 )
                 parts.append(f'<path {style} d="{lines}"/>')
     for link in scene.links:

@@ -17,6 +17,7 @@ from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.rotation import quaternion_from_rotation
 from symbid_ros.report.inertia_shapes import (
+    BOX_EDGES,
     InertiaBox,
     com_ellipsoid,
     inertia_box,
@@ -40,16 +41,6 @@ DEVIATIONS = 2.0  # semi-axes of the ellipsoids, in standard deviations
 BALL_COLOUR = "#111111"
 _THINNEST = 1e-3  # m; viewers reject markers without a volume
 _IDENTITY = np.eye(3)
-
-# Corners of a unit cube, and the pairs of them that edges join.
-_CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-_EDGES = [
-    corner
-    for a in range(8)
-    for b in range(a)
-    if np.abs(_CUBE[a] - _CUBE[b]).sum() == 1.0
-    for corner in (a, b)
-]
 
 Key = tuple[str, int]  # namespace and id
 
@@ -221,8 +212,10 @@ def _wireframe(box: InertiaBox) -> Marker:
     marker = _marker(PRIOR_BOX, Marker.LINE_LIST, box.com, np.zeros(3), BEFORE_COLOUR)
     marker.pose = _pose(box.com, box.rotation)
     marker.scale = Vector3(x=max(0.01 * float(box.size.max()), _THINNEST))  # of the lines
-    corners = (_CUBE * box.size).tolist()
-    marker.points = [Point(x=x, y=y, z=z) for x, y, z in (corners[corner] for corner in _EDGES)]
+    corners = box.own_corners.tolist()
+    marker.points = [
+        Point(x=x, y=y, z=z) for edge in BOX_EDGES for x, y, z in (corners[end] for end in edge)
+    ]
     return marker
 
 

@@ -20,6 +20,7 @@ from symbid_ros.package_paths import config_file
 from symbid_ros.report.palette import link_colour
 from symbid_ros.report.robot_scene import RobotScene, robot_scene
 from symbid_ros.report.robot_view import RobotView, robot_view
+from symbid_ros.report.still_picture import HEIGHT
 
 # Bytes of the view of the package's robot.
 LARGEST = 1_500_000
@@ -132,16 +133,27 @@ class TestStillPicture:
         assert len(boxes) == 2 * len(scene.links)
         assert len(view.still_svg) < 200_000
 
-    def test_a_larger_box_leaves_the_robot_as_it_is(self, model) -> None:
+    def test_boxes_near_the_robot_are_shown_in_full(self, view) -> None:
+        left, top, width, height = map(float, Page(view.still_svg).attributes("viewbox")[0].split())
+        boxes = [d for d in Page(view.still_svg).attributes("d") if d.count("L") == 12]
+        points = np.array(re.findall(r"[ML](-?\d+) (-?\d+)", "".join(boxes)), dtype=float)
+        assert np.all(points >= [left, top])
+        assert np.all(points <= [left + width, top + height])
+
+    def test_a_box_much_larger_than_the_robot_does_not_shrink_it_further(self, model) -> None:
         parameters, estimate = drawn_estimate(model)
-        value = estimate.value.copy()
-        value[4:10] = [90, 0, 0, 90, 0, 90]
 
-        def bodies(estimate):
-            svg = robot_view(robot_scene(parameters, estimate)).still_svg
-            return re.findall(r'<path fill="[^"]+" stroke[^>]+>', svg)
+        def bodies(moment: float) -> tuple[list[str], float]:
+            value = estimate.value.copy()
+            value[4:10] = [moment, 0, 0, moment, 0, moment]
+            svg = robot_view(robot_scene(parameters, replace(estimate, value=value))).still_svg
+            shapes = re.findall(r'<path fill="[^"]+" stroke[^>]+>', svg)
+            heights = re.findall(r"M-?\d+ (-?\d+)", "".join(shapes))
+            return shapes, float(np.ptp(np.array(heights, dtype=float)))
 
-        assert bodies(replace(estimate, value=value)) == bodies(estimate)
+        shapes, height = bodies(90.0)
+        assert bodies(9000.0)[0] == shapes
+        assert height > 0.5 * HEIGHT
 
 
 def test_colours_get_lighter_with_each_determined_parameter() -> None:
