@@ -62,6 +62,7 @@ NOT_RUN = {
     r"symbid .*lwr4": "needs data that the reader downloads; test_bench_real_logs.py runs it",
     r"symbid .*(plan|rehears|other_anymal)": "takes minutes; test_cli_rehearsal.py runs it",
     r"symbid study\b": "runs for hours; test_study_small.py runs a small one",
+    r"symbid live\b": "identifies a running robot until Ctrl-C; test_cli_live.py runs it",
     r"symbid udp-client\b": "needs a simulated robot; test_cli_udp_client.py runs it",
     r"make\b": "installs, tests or demonstrates everything",
     r"git\b": "fetches the project",
