@@ -57,9 +57,14 @@ def bag_log(
 
     def frames() -> tuple[FixedTransform, ...]:
         mapping = topics.mapping
+        try:
+            transforms = read_static_transforms(bags)
+        except BagError:
+            # Options are checked before bags; reading the messages raises this error again.
+            return ()
         return tuple(
             replace(one, parent=mapping.frame(one.parent), child=mapping.frame(one.child))
-            for one in read_static_transforms(bags)
+            for one in transforms
         )
 
     return Log(join_names(bags), tuple(bags), _read=read, _open=other, _frames=frames)

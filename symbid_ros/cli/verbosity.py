@@ -56,18 +56,25 @@ def with_verbosity(function: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(function)
     def command(*arguments: Any, verbose: int, quiet: bool, **values: Any) -> None:
-        set_level(-1 if quiet else verbose)
-        function(*arguments, **values)
+        with logged_level(-1 if quiet else verbose):
+            function(*arguments, **values)
 
     command.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in shown}
     return command
 
 
-def set_level(verbosity: int) -> None:
+@contextmanager
+def logged_level(verbosity: int) -> Iterator[None]:
     """Let the package log errors (-1), warnings (0), steps (1) or everything (2)."""
     levels = {-1: logging.ERROR, 0: logging.WARNING, 1: logging.INFO}
-    logging.getLogger(PACKAGE).setLevel(levels.get(verbosity, logging.DEBUG))
+    package = logging.getLogger(PACKAGE)
+    before = package.level
+    package.setLevel(levels.get(verbosity, logging.DEBUG))
+    try:
+        yield
+    finally:
+        package.setLevel(before)
 
 
 def shows_progress(console: Console) -> bool:

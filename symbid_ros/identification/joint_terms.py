@@ -308,7 +308,8 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
     if last.signed_drives and "armature" in parameters.terms:
         # What lowers the inertia that efforts show acts on all joints alike.
         free = free.copy()
-        free[parameters.term_columns["armature"]] = True
+        armature = parameters.term_columns["armature"]
+        free[armature] = everything[armature]
     return TermChoice(
         parameters,
         free,

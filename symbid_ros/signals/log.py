@@ -56,13 +56,7 @@ class Log:
     )
 
     def applied_to(self, robot: RobotModel) -> RobotModel:
-        """Return a robot with the frames that the log says are fixed to its links.
-
-        Raises
-        ------
-        BagError
-            When a bag is missing or damaged.
-        """
+        """Return a robot with the frames that the log says are fixed to its links."""
         return with_fixed_frames(robot, self._frames())
 
     def slices(self, span: int | None = None, *, warn: bool = True) -> Iterator[Slice]:

@@ -23,7 +23,8 @@ from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
 
-FILES = {"estimate.json", "information.npz", "model.urdf", "model.xml"}
+ARCHIVES = {"information.npz", "report_data.npz"}
+FILES = {"estimate.json", "model.urdf", "model.xml", *ARCHIVES}
 SENSORS = "[joint_states, imu/data, left_foot/wrench, right_foot/wrench]"
 LATCHED = QoSProfile(
     depth=1,
@@ -52,12 +53,18 @@ def command(bag: Path, out: Path, *options: object) -> dict[str, Any]:
     return json.loads((out / "estimate.json").read_text())
 
 
+def same_arrays(one: Path, other: Path) -> bool:
+    with np.load(one) as a, np.load(other) as b:
+        return set(a) == set(b) and all(
+            np.array_equal(a[key], b[key], equal_nan=a[key].dtype.kind == "f") for key in a
+        )
+
+
 def same_files(one: Path, other: Path) -> bool:
     """Compare all files of two identifications, but for who wrote them and when."""
     assert {file.name for file in one.iterdir()} == FILES == {f.name for f in other.iterdir()}
-    with np.load(one / "information.npz") as a, np.load(other / "information.npz") as b:
-        arrays = set(a) == set(b) and all(np.array_equal(a[key], b[key]) for key in a)
-    models = FILES - {"information.npz", "estimate.json"}
+    arrays = all(same_arrays(one / name, other / name) for name in ARCHIVES)
+    models = FILES - {"estimate.json", *ARCHIVES}
     same_models = all((one / f).read_text() == (other / f).read_text() for f in models)
     found, expected = (json.loads((out / "estimate.json").read_text()) for out in (one, other))
     for document in (found, expected):
