@@ -91,7 +91,7 @@ class Clearance:
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is no pair of links with shapes to keep apart."""
+        """Whether no two links with shapes have to be kept apart."""
         return not self._pairs
 
     def smallest(self, position: FloatArray) -> tuple[float, str]:

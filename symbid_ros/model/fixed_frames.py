@@ -80,7 +80,7 @@ def with_frames_of(model: RobotModel, other: RobotModel) -> RobotModel:
 def transform_of_quaternion(
     parent: str, child: str, xyzw: FloatArray, translation: FloatArray
 ) -> FixedTransform | None:
-    """Return a transform from a ROS message; None if its values are no rotation and place."""
+    """Return a transform from a ROS message; None if rotation or position is invalid."""
     norm = float(np.linalg.norm(xyzw))
     if not (np.isfinite(norm) and norm > 0.5 and np.isfinite(translation).all()):
         return None
