@@ -417,7 +417,7 @@ def _write_joint_states(
     joint_state, header, instant = (store.types[kind] for kind in kinds)
     with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         topic = bag.add_connection("/joint_states", kinds[0], typestore=store)
-        # Bags have Unix time, of which zero is no valid stamp.
+        # Bags have Unix time, in which zero is not a valid stamp.
         stamps = np.round(1e9 * (part.time - begin)).astype(np.int64) + FIRST_STAMP
         for stamp, position, effort in zip(
             stamps.tolist(), part.position, part.effort, strict=True

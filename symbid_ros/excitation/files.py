@@ -121,7 +121,7 @@ def _write_bag(plan: ExcitationPlan, path: Path) -> None:
 
 
 def document(plan: ExcitationPlan) -> dict[str, object]:
-    """Return the plan as JSON: coefficients, limits, and what is expected of each parameter."""
+    """Return the plan as JSON: coefficients, limits and the expected deviations of parameters."""
     problem = plan.problem
     design, limits = problem.design, problem.limits
     names = plan.joints.names

@@ -106,7 +106,7 @@ def read_true_motion(
 ) -> TrueMotion:
     """Read the ground truth of a simulated bag at the stamps that all its topics share.
 
-    ``internal`` names the frames of wrist sensors, whose wrenches are no contact's.
+    ``internal`` names the frames of wrist sensors, whose wrenches are internal to the robot.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def read_realistic_motion(
 ) -> RealisticMotion:
     """Read a noisy simulated bag with ground truth, its velocities filtered by ``low_pass``.
 
-    ``internal`` names the frames of wrist sensors, whose wrenches are no contact's.
+    ``internal`` names the frames of wrist sensors, whose wrenches are internal to the robot.
 
     Raises
     ------

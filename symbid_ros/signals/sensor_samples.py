@@ -3,8 +3,10 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, concatenated, map_arrays
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
@@ -59,10 +61,16 @@ class SensorSamples:
         return map_arrays(self, lambda values: values[index])
 
     def averaged(self, starts: IntArray) -> "SensorSamples":
-        """Return the means over consecutive groups that begin at the indices ``starts``."""
+        """Return the means over consecutive groups that begin at the indices ``starts``.
+
+        A contact that touches at any time of a group touches.
+        """
         counts = np.diff(starts, append=len(self))
 
-        def mean(values: FloatArray) -> FloatArray:
+        def mean(values: NDArray[Any]) -> NDArray[Any]:
+            if values.dtype == bool:
+                touches: BoolArray = np.logical_or.reduceat(values, starts)
+                return touches
             shape = (-1,) + (1,) * (values.ndim - 1)
             average: FloatArray = np.add.reduceat(values, starts) / counts.reshape(shape)
             return average

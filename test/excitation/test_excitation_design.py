@@ -1,4 +1,4 @@
-"""The design of a trajectory: Fourier series, gradients, limits, and what is expected of it."""
+"""The design of a trajectory: Fourier series, gradients, limits and expected deviations."""
 
 from dataclasses import replace
 

@@ -201,6 +201,7 @@ def readings(count, joints=2, imus=1, wrenches=1):
         wrenches=noise(wrenches, 6),
         imu_frames=("imu",) * imus,
         wrench_frames=("sole",) * wrenches,
+        touching=rng.random((count, 2)) < 0.3,
     )
 
 
@@ -209,12 +210,16 @@ def test_groups_are_averaged_in_every_channel():
     means = whole.averaged(np.array([0, 3, 4]))
     for field in fields(SensorSamples):
         values = getattr(whole, field.name)
-        if values is None or field.name in ("imu_frames", "wrench_frames"):
+        if field.name in ("imu_frames", "wrench_frames"):
             assert getattr(means, field.name) == values
             continue
         groups = [values[0:3], values[3:4], values[4:10]]
         if field.name == "stamp":
             assert means.stamp.tolist() == [int(x[0]) + 500_000 * (len(x) - 1) for x in groups]
+        elif field.name == "touching":
+            assert means.touching is not None
+            assert means.touching.dtype == bool
+            assert means.touching.tolist() == [group.any(axis=0).tolist() for group in groups]
         else:
             expected = [group.mean(axis=0) for group in groups]
             np.testing.assert_allclose(getattr(means, field.name), expected, rtol=1e-12)
