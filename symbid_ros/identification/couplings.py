@@ -15,8 +15,9 @@ from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.term_evidence import predictive_couplings
 from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
 from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
-from symbid_ros.identification.joint_terms import candidate_posterior, candidate_prior
+from symbid_ros.identification.joint_terms import candidate_posterior
 from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.term_priors import candidate_prior
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.segments import split

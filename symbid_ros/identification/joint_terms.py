@@ -23,35 +23,30 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import SLIDING_TERMS, Term
-from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
-from symbid_ros.estimation.information import random_motions
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.passive_drives import contradicts_signs
 from symbid_ros.estimation.posterior import Posterior, posterior
-from symbid_ros.estimation.prior import Prior
 from symbid_ros.estimation.term_evidence import CandidateTerms, cross_validated
 from symbid_ros.estimation.term_sets import TermSets
 from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.term_priors import fixed_prior
+from symbid_ros.identification.term_remarks import (
+    FEWEST_SLIPPING,
+    inseparable_terms,
+    joints_without_rows,
+    replaceable_terms,
+    resting_joints,
+)
 from symbid_ros.identification.window_comparison import WindowComparison
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.sensor_errors import CalibratingRows
 
-# Deviation of a fixed term, as a share of its prior deviation: far below what any data resolve.
-FIXED = 1e-7
-# Smallest prior deviation of an armature, as a share of that by which it explains all effort.
-LEAST_SHARE = 0.02
-# Windows in which a joint slips, below which nothing is said about its friction.
-FEWEST_SLIPPING = 25
-POSTURES = 20
-RATES = "velocity", "acceleration", "base_angular_velocity", "base_angular_acceleration"
 SIGNED_DRIVES = (
     "the efforts contradict positive armature and friction of drives, so armature and viscous "
     "friction may be negative: torque sensors behind the gears do not feel the rotors, or other "
     "effects act like these terms; models are written without negative ones"
 )
-# Share of a column's square that the other columns leave, below which they replace it.
-REPLACED = 1e-8
 
 
 @dataclass(frozen=True)
@@ -173,105 +168,6 @@ def _restricted(build: CalibratingRows, parameters: ParameterSet) -> Calibrating
     return replace(build, parameters=parameters, linearization=point)
 
 
-def fixed_prior(prior: Prior, free: BoolArray) -> Prior:
-    """Return the prior with the parameters that are not free fixed at their means."""
-    scale = np.ones(len(prior.mean))
-    scale[: len(free)][~free] = FIXED
-    if prior.factor is None:
-        return prior.widened(scale)
-    factor = prior.factor * scale[:, None]
-    return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor)
-
-
-def candidate_prior(
-    prior: Prior,
-    parameters: ParameterSet,
-    observations: Observations,
-    factors: FloatArray | None = None,
-) -> Prior:
-    """Return the prior in which each term's deviation suits the efforts that the joint needs.
-
-    With that deviation alone a term may explain the joint's whole root mean square effort. An
-    armature is rather of the size of the inertia that the joint moves. These replace default
-    deviations, which do not know the robot's size; those of the user remain. A value of the model
-    file is the mean, and may be wrong by itself. ``factors`` (J,) convert efforts of unknown units.
-    """
-    std = prior.std.copy()
-    if parameters.model.contacts is not None:
-        return _with_contact_deviations(prior, parameters, observations)
-    inertia = _joint_inertia(parameters, prior.mean)
-    rows = observations.rows
-    first = 6 * parameters.model.floating
-    efforts = rows.target_squares.copy()
-    if factors is not None:
-        efforts[first:] *= factors**2
-    assumed = set(prior.assumed)
-    joints = parameters.joints.tolist()
-    for term, columns in parameters.term_columns.items():
-        for joint, column in zip(joints, range(columns.start, columns.stop), strict=True):
-            if parameters.names[column] not in assumed:
-                continue
-            square = rows.column_squares(first + joint, column)
-            effort = efforts[first + joint]
-            if square > 0 and effort > 0:
-                std[column] = np.sqrt(effort / square)
-                if term == "armature":
-                    std[column] = max(inertia[joint], LEAST_SHARE * std[column])
-            std[column] = max(std[column], abs(prior.mean[column]))
-    for coupling, coupled in parameters.coupling_columns.items():
-        coordinates = [first + joint for joint in coupling.joints]
-        for column in coupled.values():
-            squares = np.array([rows.column_squares(one, column) for one in coordinates])
-            if parameters.names[column] in assumed and np.all(squares > 0):
-                std[column] = np.sqrt(np.max(efforts[coordinates] / squares))
-    return prior.widened(std / prior.std)
-
-
-def _with_contact_deviations(
-    prior: Prior, parameters: ParameterSet, observations: Observations
-) -> Prior:
-    """Return the prior for rows that combine the efforts of several joints.
-
-    With its deviation alone, a term may explain the root mean square of all rows that it affects.
-    """
-    model = replace(parameters.model, contacts=None)
-    inertia = _joint_inertia(replace(parameters, model=model), prior.mean)
-    std, rows, assumed = prior.std.copy(), observations.rows, set(prior.assumed)
-    joints = parameters.joints.tolist()
-    for term, columns in parameters.term_columns.items():
-        for joint, column in zip(joints, range(columns.start, columns.stop), strict=True):
-            if parameters.names[column] not in assumed:
-                continue
-            affected = np.flatnonzero(rows.layout.structure[:, column]).tolist()
-            square = sum(rows.column_squares(one, column) for one in affected)
-            effort = float(rows.target_squares[affected].sum())
-            if square > 0 and effort > 0:
-                std[column] = np.sqrt(effort / square)
-                if term == "armature":
-                    std[column] = max(inertia[joint], LEAST_SHARE * std[column])
-            std[column] = max(std[column], abs(prior.mean[column]))
-    return prior.widened(std / prior.std)
-
-
-def _joint_inertia(parameters: ParameterSet, phi: FloatArray) -> FloatArray:
-    """Return the inertia (J,) that each joint moves with the others at rest, over its postures."""
-    model = parameters.model
-    count, first = POSTURES, 6 * model.floating
-    still = random_motions(model, count)
-    still = replace(
-        still, **{name: 0.0 * getattr(still, name) for name in RATES}, effort=still.effort
-    )
-    inertia = np.empty(len(model.joints))
-    links = np.append(phi[: parameters.inertial], np.zeros(len(parameters) - parameters.inertial))
-    at_rest = equation_of_motion(parameters, still).K @ links
-    for joint in range(len(model.joints)):
-        acceleration = np.zeros_like(still.acceleration)
-        acceleration[:, joint] = 1.0
-        force = equation_of_motion(parameters, replace(still, acceleration=acceleration)).K @ links
-        inertia[joint] = np.mean(np.abs(force - at_rest)[:, first + joint])
-    return inertia
-
-
 def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermChoice:
     """Choose the joint terms of a problem whose terms are candidates.
 
@@ -315,9 +211,9 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
         free,
         (
             *joints_without_rows(problem.observations[0], parameters),
-            *_resting(problem.observations, parameters),
-            *_replaceable(parameters, free),
-            *_inseparable(selections[0].inseparable, parameters, free),
+            *resting_joints(problem.observations, parameters),
+            *replaceable_terms(parameters, free),
+            *inseparable_terms(selections[0].inseparable, parameters, free),
             *([SIGNED_DRIVES] if last.signed_drives else []),
         ),
         slips,
@@ -440,89 +336,3 @@ def _any_slips(observations: Sequence[Observations], parameters: ParameterSet) -
         loaded = np.asarray(contacts.loads.any(axis=0))
         rows = np.setdiff1d(rows, contacts.coordinates[loaded[contacts.coordinates]])
     return any(np.any(one.counts.diagonal()[rows] >= FEWEST_SLIPPING) for one in slipping)
-
-
-def _resting(observations: Sequence[Observations], parameters: ParameterSet) -> tuple[str, ...]:
-    """Return a sentence about the joints whose friction cannot be judged."""
-    slipping = observations[0].slipping
-    if slipping is None:
-        return ()
-    first = 6 * parameters.model.floating
-    rows = slipping.counts.diagonal()[first:]
-    measured = observations[0].counts.diagonal()[first:] > 0
-    own = [
-        parameters.model.joint_names[index]
-        for index in parameters.joints
-        if measured[index]
-        and rows[index] < FEWEST_SLIPPING
-        and index not in parameters.model.followers
-    ]
-    if not own:
-        return ()
-    seconds = FEWEST_SLIPPING * observations[0].window / 2
-    return (
-        f"{', '.join(own)}: moved faster than {COULOMB_SPEED:g} rad/s for less than "
-        f"{seconds:.2g} s, too little to judge friction",
-    )
-
-
-def joints_without_rows(observations: Observations, parameters: ParameterSet) -> tuple[str, ...]:
-    """Return a sentence about driven joints that have no row, because no effort was measured."""
-    model = parameters.model
-    rows = observations.counts.diagonal()[6 * model.floating :]
-    own = [
-        model.joint_names[index]
-        for index in parameters.joints.tolist()
-        if rows[index] == 0 and index not in model.followers
-    ]
-    if not own or not parameters.terms or model.contacts is not None:
-        return ()
-    their = "its" if len(own) == 1 else "their"
-    return (
-        f"{', '.join(own)}: no usable effort, so {their} friction, armature and offset remain "
-        "unknown",
-    )
-
-
-def _inseparable(
-    pairs: Sequence[tuple[int, int]], parameters: ParameterSet, free: BoolArray
-) -> tuple[str, ...]:
-    """Return a sentence about each pair of terms of which one was chosen."""
-    joints: dict[tuple[str, str], list[str]] = {}
-    for one, two in pairs:
-        if free[one] or free[two]:
-            joint, _, first = parameters.names[one].rpartition("/")
-            second = parameters.names[two].rpartition("/")[2]
-            joints.setdefault((first, second), []).append(joint)
-    return tuple(
-        f"{', '.join(names)}: this log does not tell {first} from {second}"
-        for (first, second), names in joints.items()
-    )
-
-
-def _replaceable(parameters: ParameterSet, free: BoolArray) -> tuple[str, ...]:
-    """Return the chosen terms that act exactly like inertial parameters, one sentence each."""
-    count = parameters.inertial
-    model = replace(parameters.model, contacts=None)
-    parameters = replace(parameters, model=model)
-    samples = random_motions(model, 3 * len(parameters) // model.dof + 10)
-    K = equation_of_motion(parameters, samples).K
-    K = K.reshape(-1, K.shape[2])
-    terms = [i for i in range(count, parameters.sensor_offsets.start) if free[i]]
-    if not terms:
-        return ()
-    scale = np.linalg.norm(K, axis=0)
-    scale[scale == 0] = 1.0
-    inertial = K[:, :count] / scale[:count]
-    fit, *_ = np.linalg.lstsq(inertial, K[:, terms] / scale[terms], rcond=1e-10)
-    rest = np.linalg.norm(inertial @ fit - K[:, terms] / scale[terms], axis=0)
-    found = []
-    for index, term in enumerate(terms):
-        if rest[index] ** 2 > REPLACED:
-            continue
-        alike = inertial.T @ (K[:, term] / scale[term])
-        partner = parameters.names[int(np.argmax(np.abs(alike)))]
-        found.append(
-            f"{parameters.names[term]} acts like {partner}; the data determine their sum only"
-        )
-    return tuple(found)

@@ -26,9 +26,9 @@ from symbid_ros.estimation.truncated_svd import LeastSquares, informative_rank, 
 from symbid_ros.estimation.truncated_svd import Method as TruncatedMethod
 from symbid_ros.estimation.unexplained import UnexplainedForce, unexplained_forces
 from symbid_ros.estimation.verdict import DETERMINED, alarms, assess
-from symbid_ros.identification.joint_terms import joints_without_rows
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.report_data import ReportData
+from symbid_ros.identification.term_remarks import joints_without_rows
 from symbid_ros.identification.window_comparison import COMPARABLE, WindowComparison, solve_window
 from symbid_ros.model.inertia import is_consistent
 from symbid_ros.model.parameters import ParameterSet

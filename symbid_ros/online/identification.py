@@ -28,9 +28,10 @@ from symbid_ros.identification.accumulator import (
     build_block_rows,
 )
 from symbid_ros.identification.change_monitor import Change, ChangeMonitor
-from symbid_ros.identification.joint_terms import TermChoice, candidate_prior, choose_terms
+from symbid_ros.identification.joint_terms import TermChoice, choose_terms
 from symbid_ros.identification.problem import Problem, Truncation, check_weight
 from symbid_ros.identification.solver import Identification, Solver
+from symbid_ros.identification.term_priors import candidate_prior
 from symbid_ros.identification.window_comparison import WindowSelector
 from symbid_ros.messages.topics import SelectedTopics, Topic
 from symbid_ros.messages.types import BOOL

@@ -10,13 +10,13 @@ from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.provenance import InputFile, digest, list_inputs
 from symbid_ros.identification.dataset import Processing
-from symbid_ros.identification.loaded_problem import (
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.prior_options import (
     build_pseudo_measurements,
     choose_prior,
     load_parameters,
     with_load_reference,
 )
-from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.problem import Problem
 from symbid_ros.model.load import model_files
 from symbid_ros.model.tree import RobotModel

@@ -1,0 +1,111 @@
+"""Reading of all logs that the options name, and checks that do not depend on a method."""
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from symbid_ros.diagnosis.stream_checks import StreamChecks
+from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
+from symbid_ros.errors import DataError
+from symbid_ros.identification.dataset import (
+    AlignedLog,
+    ChainedSegments,
+    Dataset,
+    Processing,
+    fold_dataset,
+    read_dataset,
+)
+from symbid_ros.identification.options import IdentifyOptions, Source
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.payload import Payload
+from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.wrist_sensors import reversed_sensor
+from symbid_ros.signals.log import Log
+
+logger = logging.getLogger(__name__)
+
+
+def read_log(
+    log: Log, options: IdentifyOptions, parameters: ParameterSet
+) -> tuple[Dataset, StreamChecks | None]:
+    """Read a log; the checks of its streams are None if the options skip them."""
+    checks = None if options.unchecked else StreamChecks(parameters.model)
+    return read_dataset(log, parameters, Processing.of(options), checks), checks
+
+
+def open_logs(sources: tuple[Source, ...], log: Log) -> list[Log]:
+    """Return logs; all bags given by their paths form one log."""
+    logs = [source for source in sources if isinstance(source, Log)]
+    bags = tuple(source for source in sources if not isinstance(source, Log))
+    return [*logs, *([log.other(bags)] if bags else [])]
+
+
+def with_loaded_logs(
+    options: IdentifyOptions, log: Log, dataset: Dataset, parameters: ParameterSet
+) -> tuple[Dataset, ParameterSet]:
+    """Return the log together with those of known payloads, and the parameters of all."""
+    if not options.loaded_logs:
+        return dataset, parameters
+    model, logs = parameters.model, [dataset.segments]
+    carried = [parameters.payloads]
+    for source, text in options.loaded_logs:
+        (further,) = open_logs((source,), log)
+        logs.append(AlignedLog(further, model))
+        carried.append((Payload.parse(text, model),))
+    segments = ChainedSegments(logs)
+    payloads = tuple(
+        replace(payload, start=start, stop=stop + 1)
+        for some, (start, stop) in zip(carried, segments.spans, strict=True)
+        for payload in some
+    )
+    parameters = replace(parameters, payloads=payloads)
+    return fold_dataset(segments, dataset.source, parameters, Processing.of(options)), parameters
+
+
+def with_reversed(options: IdentifyOptions, wrong: Sequence[str], source: str) -> IdentifyOptions:
+    """Return the options with the opposite sign of some wrist sensors, and log a warning."""
+    frames = {one.removeprefix("-").partition(":")[0] for one in wrong}
+    named = [
+        reversed_sensor(one) if one.removeprefix("-").partition(":")[0] in frames else one
+        for one in options.wrist_sensors
+    ]
+    logger.warning(
+        "%s: the mass beyond %s would be negative, so its sign is reversed; give `wrist_sensor` %s",
+        source,
+        ", ".join(sorted(frames)),
+        ",".join(named),
+    )
+    return replace(options, wrist_sensor=tuple(named))
+
+
+def require_rows(dataset: Dataset, model: RobotModel) -> None:
+    """Raise an error if no row is usable, so that the data say nothing."""
+    if any(np.any(one.counts) for one in dataset.observations):
+        return
+    why = "each needs an effort"
+    if model.contacts is not None:
+        why = (
+            "with contacts of unknown wrench each needs the efforts of all joints that feel them; "
+            "with neither efforts nor wrenches not even the robot's mass can be known"
+        )
+    raise DataError(
+        f"{dataset.source}: no row of the equation of motion is usable: {why}; let the driver fill "
+        "JointState.effort, or record the wrenches of all contacts",
+        "E326",
+    )
+
+
+def report_unnamed_sensors(model: RobotModel, dataset: Dataset) -> None:
+    """Warn about wrench sensors that read the weight of a payload instead of a contact force."""
+    for evidence in unnamed_sensors(model, dataset.samples):
+        logger.warning(
+            "%s: the force at %s is that of a body of %.3g kg fixed to it (%.0f %% of its "
+            "variance); if it is a wrist sensor, give `wrist_sensor` %s",
+            dataset.source,
+            evidence.frame,
+            abs(evidence.mass()[0]),
+            100 * evidence.share,
+            evidence.sensor,
+        )

@@ -1,0 +1,136 @@
+"""Parameters, prior and pseudo-measurements, as the options name them."""
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from symbid_ros.errors import EstimateError, OptionError
+from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.constraints import mirror_rows, total_mass_row
+from symbid_ros.estimation.posterior import PseudoMeasurements
+from symbid_ros.estimation.prior import (
+    Prior,
+    absolute_model_prior,
+    load_prior,
+    model_prior,
+)
+from symbid_ros.identification.contacts import with_contact_options
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.stored_information import columns_of
+from symbid_ros.model.coupling import Coupling
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.payload import Payload
+from symbid_ros.model.tree import RobotModel
+
+logger = logging.getLogger(__name__)
+
+# Standard deviations between weighed mass and prior beyond which one of them must be wrong.
+CONTRADICTION = 6.0
+
+
+def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet:
+    """Return the columns of the data, and warn about known joint terms of the model file."""
+    robot = with_contact_options(robot, options)
+    if options.chooses_terms and options.information is not None:
+        parameters = columns_of(robot, load_archive(options.information))
+    else:
+        parameters = ParameterSet(
+            robot,
+            options.terms,
+            candidates=options.chooses_terms,
+            couplings=tuple(Coupling.parse(one, robot) for one in options.couplings),
+        )
+    parameters = replace(
+        parameters,
+        link_side=_link_side(robot, options.effort_sides),
+        payloads=tuple(Payload.parse(one, robot) for one in options.payloads),
+    )
+    for term, values in parameters.known_terms.items():
+        stated = [
+            name for name, value in zip(robot.joint_names, values, strict=True) if value != 0.0
+        ]
+        logger.warning(
+            "%s states %s of %s, which is taken as known; add %s to `joint_terms` if it may be "
+            "wrong",
+            robot.source,
+            f"{term} friction" if term in ("viscous", "coulomb") else term,
+            ", ".join(stated),
+            term,
+        )
+    return parameters
+
+
+def _link_side(robot: RobotModel, sides: Mapping[str, str]) -> tuple[int, ...]:
+    """Return the joints whose efforts are measured on the link's side."""
+    for name in sides:
+        if name and name not in robot.joint_names:
+            raise OptionError(
+                f"`effort_side`: {robot.source} has no joint {name!r}; name one of "
+                f"{', '.join(robot.joint_names)}",
+                "E501",
+            )
+    default = sides.get("", "motor")
+    named = [sides.get(name, default) for name in robot.joint_names]
+    return tuple(index for index, side in enumerate(named) if side == "link")
+
+
+def choose_prior(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
+    """Return the prior that the options name.
+
+    Raises
+    ------
+    PriorError
+        When the prior file is invalid or belongs to another robot.
+    """
+    if options.prior is not None:
+        return load_prior(options.prior, parameters)
+    if options.prior_absolute is not None:
+        return absolute_model_prior(parameters, options.prior_absolute)
+    if options.prior_percent is not None:
+        return model_prior(parameters, options.prior_percent)
+    return model_prior(parameters)
+
+
+def with_load_reference(
+    parameters: ParameterSet, prior: Prior, options: IdentifyOptions
+) -> ParameterSet:
+    """Return the parameters with the joints' load from a prior file, if there is one."""
+    if options.prior is None:
+        return parameters
+    return replace(parameters, reference=prior.mean[: parameters.inertial])
+
+
+def build_pseudo_measurements(
+    options: IdentifyOptions, parameters: ParameterSet, prior: Prior
+) -> PseudoMeasurements | None:
+    """Return the weighed mass and the symmetry of left and right as pseudo-measurements.
+
+    Raises
+    ------
+    EstimateError
+        When the weighed mass contradicts the prior.
+    """
+    rows, targets = [], []
+    if options.weighing is not None:
+        mass, std = options.weighing
+        row, target = total_mass_row(parameters, mass, std)
+        expected = row @ prior.mean * std
+        spread = np.hypot(np.linalg.norm(row @ prior.covariance_factor()) * std, std)
+        if abs(mass - expected) > CONTRADICTION * spread:
+            raise EstimateError(
+                f"a total mass of {mass:g} kg contradicts the prior, whose links weigh "
+                f"{expected:.3g} ± {spread:.2g} kg together; check `total_mass` and the model",
+                "E504",
+            )
+        rows.append(row[None])
+        targets.append(np.array([target]))
+    if options.mirror is not None:
+        tied, zero = mirror_rows(parameters, prior.std, options.mirror)
+        rows.append(tied)
+        targets.append(zero)
+    if not rows:
+        return None
+    is_weighed = options.weighing is not None
+    return PseudoMeasurements(np.concatenate(rows), np.concatenate(targets), is_weighed)

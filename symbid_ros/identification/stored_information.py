@@ -1,0 +1,78 @@
+"""Information of earlier logs: its columns, and its union with that of another log."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from symbid_ros.choices import SLIDING_TERMS
+from symbid_ros.errors import DataError, EstimateError
+from symbid_ros.estimation.information import INCOMPATIBLE
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.identification.joint_terms import rows_of
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import RobotModel
+
+ALIKE = "identify both with the same model, joint terms and sensor errors"
+
+
+def merged_observations(
+    first: tuple[Observations, ...],
+    second: tuple[Observations, ...],
+    named: str = "information",
+) -> tuple[Observations, ...]:
+    """Return the information of two runs together, for each window length that both have.
+
+    Raises
+    ------
+    EstimateError
+        When they differ in robot, parameters or windows, or share seconds of a log.
+    """
+    earlier = {one.window: one for one in second}
+    now, before = (frozenset[int]().union(*(one.seconds for one in run)) for run in (first, second))
+    if again := now & before:
+        raise EstimateError(
+            f"{named}: {len(again)} s of this log are in it already and would be counted twice; "
+            "leave `information` out, or name another log",
+            "E506",
+        )
+    try:
+        both = tuple(earlier[one.window].merge(one) for one in first if one.window in earlier)
+    except DataError as error:
+        raise EstimateError(f"{named}: {error}; {ALIKE}", "E505") from None
+    if not both:
+        raise EstimateError(
+            f"{named}: its rows are averaged over other windows than those of this run; identify "
+            "both with the same `filter` and `sensor_errors`",
+            "E505",
+        )
+    return both
+
+
+def columns_of(robot: RobotModel, observations: Sequence[Observations]) -> ParameterSet:
+    """Return the columns that observations have: those of candidate terms, or of given ones."""
+    if any(one.slipping is not None for one in observations):
+        names = observations[0].layout.parameters
+        return replace(ParameterSet.of_names(robot, names), candidates=True)
+    return ParameterSet.of_names(robot, observations[0].layout.parameters)
+
+
+def with_columns(
+    observations: tuple[Observations, ...], parameters: ParameterSet
+) -> tuple[Observations, ...]:
+    """Return data of candidate terms for the terms that the user names; other data as they are."""
+    named = parameters.names
+    if parameters.candidates or any(
+        one.slipping is None or not set(named) <= set(one.layout.parameters) for one in observations
+    ):
+        return observations
+    slips = not SLIDING_TERMS.isdisjoint(parameters.terms)
+    return tuple(one.restricted(named) for one in rows_of(observations, slips=slips))
+
+
+def check_layout(
+    observations: tuple[Observations, ...], parameters: ParameterSet, named: str
+) -> None:
+    """Raise an error if the data have other columns or rows than the parameters' robot."""
+    p, coordinates = len(parameters), parameters.model.coordinates
+    for one in observations:
+        if (one.layout.parameters[:p], one.layout.coordinates) != (parameters.names, coordinates):
+            raise EstimateError(f"{named}: {INCOMPATIBLE}; {ALIKE}", "E505")

@@ -1,0 +1,118 @@
+"""Prior deviations of candidate joint terms, which suit the efforts of the log."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.estimation.information import random_motions
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.prior import Prior
+from symbid_ros.model.parameters import ParameterSet
+
+# Deviation of a fixed term, as a share of its prior deviation: far below what any data resolve.
+FIXED = 1e-7
+# Smallest prior deviation of an armature, as a share of that by which it explains all effort.
+LEAST_SHARE = 0.02
+POSTURES = 20
+RATES = "velocity", "acceleration", "base_angular_velocity", "base_angular_acceleration"
+
+
+def fixed_prior(prior: Prior, free: BoolArray) -> Prior:
+    """Return the prior with the parameters that are not free fixed at their means."""
+    scale = np.ones(len(prior.mean))
+    scale[: len(free)][~free] = FIXED
+    if prior.factor is None:
+        return prior.widened(scale)
+    factor = prior.factor * scale[:, None]
+    return replace(prior, std=np.linalg.norm(factor, axis=1), factor=factor)
+
+
+def candidate_prior(
+    prior: Prior,
+    parameters: ParameterSet,
+    observations: Observations,
+    factors: FloatArray | None = None,
+) -> Prior:
+    """Return the prior in which each term's deviation suits the efforts that the joint needs.
+
+    With that deviation alone a term may explain the joint's whole root mean square effort. An
+    armature is rather of the size of the inertia that the joint moves. These replace default
+    deviations, which do not know the robot's size; those of the user remain. A value of the model
+    file is the mean, and may be wrong by itself. ``factors`` (J,) convert efforts of unknown units.
+    """
+    std = prior.std.copy()
+    if parameters.model.contacts is not None:
+        return _with_contact_deviations(prior, parameters, observations)
+    inertia = _joint_inertia(parameters, prior.mean)
+    rows = observations.rows
+    first = 6 * parameters.model.floating
+    efforts = rows.target_squares.copy()
+    if factors is not None:
+        efforts[first:] *= factors**2
+    assumed = set(prior.assumed)
+    joints = parameters.joints.tolist()
+    for term, columns in parameters.term_columns.items():
+        for joint, column in zip(joints, range(columns.start, columns.stop), strict=True):
+            if parameters.names[column] not in assumed:
+                continue
+            square = rows.column_squares(first + joint, column)
+            effort = efforts[first + joint]
+            if square > 0 and effort > 0:
+                std[column] = np.sqrt(effort / square)
+                if term == "armature":
+                    std[column] = max(inertia[joint], LEAST_SHARE * std[column])
+            std[column] = max(std[column], abs(prior.mean[column]))
+    for coupling, coupled in parameters.coupling_columns.items():
+        coordinates = [first + joint for joint in coupling.joints]
+        for column in coupled.values():
+            squares = np.array([rows.column_squares(one, column) for one in coordinates])
+            if parameters.names[column] in assumed and np.all(squares > 0):
+                std[column] = np.sqrt(np.max(efforts[coordinates] / squares))
+    return prior.widened(std / prior.std)
+
+
+def _with_contact_deviations(
+    prior: Prior, parameters: ParameterSet, observations: Observations
+) -> Prior:
+    """Return the prior for rows that combine the efforts of several joints.
+
+    With its deviation alone, a term may explain the root mean square of all rows that it affects.
+    """
+    model = replace(parameters.model, contacts=None)
+    inertia = _joint_inertia(replace(parameters, model=model), prior.mean)
+    std, rows, assumed = prior.std.copy(), observations.rows, set(prior.assumed)
+    joints = parameters.joints.tolist()
+    for term, columns in parameters.term_columns.items():
+        for joint, column in zip(joints, range(columns.start, columns.stop), strict=True):
+            if parameters.names[column] not in assumed:
+                continue
+            affected = np.flatnonzero(rows.layout.structure[:, column]).tolist()
+            square = sum(rows.column_squares(one, column) for one in affected)
+            effort = float(rows.target_squares[affected].sum())
+            if square > 0 and effort > 0:
+                std[column] = np.sqrt(effort / square)
+                if term == "armature":
+                    std[column] = max(inertia[joint], LEAST_SHARE * std[column])
+            std[column] = max(std[column], abs(prior.mean[column]))
+    return prior.widened(std / prior.std)
+
+
+def _joint_inertia(parameters: ParameterSet, phi: FloatArray) -> FloatArray:
+    """Return the inertia (J,) that each joint moves with the others at rest, over its postures."""
+    model = parameters.model
+    count, first = POSTURES, 6 * model.floating
+    still = random_motions(model, count)
+    still = replace(
+        still, **{name: 0.0 * getattr(still, name) for name in RATES}, effort=still.effort
+    )
+    inertia = np.empty(len(model.joints))
+    links = np.append(phi[: parameters.inertial], np.zeros(len(parameters) - parameters.inertial))
+    at_rest = equation_of_motion(parameters, still).K @ links
+    for joint in range(len(model.joints)):
+        acceleration = np.zeros_like(still.acceleration)
+        acceleration[:, joint] = 1.0
+        force = equation_of_motion(parameters, replace(still, acceleration=acceleration)).K @ links
+        inertia[joint] = np.mean(np.abs(force - at_rest)[:, first + joint])
+    return inertia

@@ -1,0 +1,105 @@
+"""What a robot or a log cannot tell about joint terms, one sentence each."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray
+from symbid_ros.dynamics.regressor import COULOMB_SPEED, equation_of_motion
+from symbid_ros.estimation.information import random_motions
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.model.parameters import ParameterSet
+
+# Windows in which a joint slips, below which nothing is said about its friction.
+FEWEST_SLIPPING = 25
+# Share of a column's square that the other columns leave, below which they replace it.
+REPLACED = 1e-8
+
+
+def resting_joints(
+    observations: Sequence[Observations], parameters: ParameterSet
+) -> tuple[str, ...]:
+    """Return a sentence about the joints whose friction cannot be judged."""
+    slipping = observations[0].slipping
+    if slipping is None:
+        return ()
+    first = 6 * parameters.model.floating
+    rows = slipping.counts.diagonal()[first:]
+    measured = observations[0].counts.diagonal()[first:] > 0
+    own = [
+        parameters.model.joint_names[index]
+        for index in parameters.joints
+        if measured[index]
+        and rows[index] < FEWEST_SLIPPING
+        and index not in parameters.model.followers
+    ]
+    if not own:
+        return ()
+    seconds = FEWEST_SLIPPING * observations[0].window / 2
+    return (
+        f"{', '.join(own)}: moved faster than {COULOMB_SPEED:g} rad/s for less than "
+        f"{seconds:.2g} s, too little to judge friction",
+    )
+
+
+def joints_without_rows(observations: Observations, parameters: ParameterSet) -> tuple[str, ...]:
+    """Return a sentence about driven joints that have no row, because no effort was measured."""
+    model = parameters.model
+    rows = observations.counts.diagonal()[6 * model.floating :]
+    own = [
+        model.joint_names[index]
+        for index in parameters.joints.tolist()
+        if rows[index] == 0 and index not in model.followers
+    ]
+    if not own or not parameters.terms or model.contacts is not None:
+        return ()
+    their = "its" if len(own) == 1 else "their"
+    return (
+        f"{', '.join(own)}: no usable effort, so {their} friction, armature and offset remain "
+        "unknown",
+    )
+
+
+def inseparable_terms(
+    pairs: Sequence[tuple[int, int]], parameters: ParameterSet, free: BoolArray
+) -> tuple[str, ...]:
+    """Return a sentence about each pair of terms of which one was chosen."""
+    joints: dict[tuple[str, str], list[str]] = {}
+    for one, two in pairs:
+        if free[one] or free[two]:
+            joint, _, first = parameters.names[one].rpartition("/")
+            second = parameters.names[two].rpartition("/")[2]
+            joints.setdefault((first, second), []).append(joint)
+    return tuple(
+        f"{', '.join(names)}: this log does not tell {first} from {second}"
+        for (first, second), names in joints.items()
+    )
+
+
+def replaceable_terms(parameters: ParameterSet, free: BoolArray) -> tuple[str, ...]:
+    """Return the chosen terms that act exactly like inertial parameters, one sentence each."""
+    count = parameters.inertial
+    model = replace(parameters.model, contacts=None)
+    parameters = replace(parameters, model=model)
+    samples = random_motions(model, 3 * len(parameters) // model.dof + 10)
+    K = equation_of_motion(parameters, samples).K
+    K = K.reshape(-1, K.shape[2])
+    terms = [i for i in range(count, parameters.sensor_offsets.start) if free[i]]
+    if not terms:
+        return ()
+    scale = np.linalg.norm(K, axis=0)
+    scale[scale == 0] = 1.0
+    inertial = K[:, :count] / scale[:count]
+    fit, *_ = np.linalg.lstsq(inertial, K[:, terms] / scale[terms], rcond=1e-10)
+    rest = np.linalg.norm(inertial @ fit - K[:, terms] / scale[terms], axis=0)
+    found = []
+    for index, term in enumerate(terms):
+        if rest[index] ** 2 > REPLACED:
+            continue
+        alike = inertial.T @ (K[:, term] / scale[term])
+        partner = parameters.names[int(np.argmax(np.abs(alike)))]
+        found.append(
+            f"{parameters.names[term]} acts like {partner}; the data determine their sum only"
+        )
+    return tuple(found)
