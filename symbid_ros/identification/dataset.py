@@ -245,16 +245,20 @@ class Processing:
         Filter and differentiator for rows at single instants; None averages rows over windows.
     windows : tuple of float
         Window lengths to try, s; a log uses the shortest that suit its rate.
+    full_rate : bool
+        Whether every sample has a row before averaging.
     """
 
     smoothing: Smoothing | None = None
     windows: tuple[float, ...] = ALL_WINDOWS
+    full_rate: bool = False
 
     @classmethod
     def of(cls, options: IdentifyOptions) -> "Processing":
         """Return the processing that the options choose."""
         if options.row_filter == "weak":
-            return cls(windows=ALL_WINDOWS if options.window is None else (options.window,))
+            windows = ALL_WINDOWS if options.window is None else (options.window,)
+            return cls(windows=windows, full_rate=options.full_rate)
         if options.row_filter == "savitzky_golay":
             return cls(SavitzkyGolay(options.window or SavitzkyGolay.window))
         low_pass = LowPass() if options.cutoff is None else LowPass(options.cutoff)
@@ -337,6 +341,7 @@ def fold_dataset(
             layout,
             windows,
             candidates=parameters.candidates,
+            full_rate=processing.full_rate,
         )
         samples = concatenated(probes)
         observations = tuple(one for one in observations if one.rows.samples > 0)
@@ -364,18 +369,20 @@ def observe(
     noisy_channels: Sequence[Channel] = MOTION,
     *,
     candidates: bool = False,
+    full_rate: bool = False,
 ) -> tuple[Observations, ...]:
     """Fold the windowed rows of aligned segments, for each window length.
 
     Each segment adds rows for the window lengths that suit its rate; others may stay empty.
-    ``candidates`` tells whether the rows are those of candidate terms.
+    ``candidates`` tells whether the rows are those of candidate terms, ``full_rate`` whether every
+    sample has a row before averaging.
     """
     observations = {
         window: Observations.empty(layout, window, candidates=candidates) for window in windows
     }
     for segment in segments:
         used = suitable_windows(windows, segment.rate)
-        for blocks in windowed_rows(segment, build, used, noisy_channels):
+        for blocks in windowed_rows(segment, build, used, noisy_channels, full_rate=full_rate):
             for window, block in zip(used, blocks, strict=True):
                 observations[window] = observations[window].fold([block])
         covered = fingerprint(segment)

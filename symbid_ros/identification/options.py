@@ -208,6 +208,12 @@ class IdentifyOptions(ContactOptions):
         group=ROWS,
         unset="all",
     )
+    full_rate: bool = option(
+        False,
+        "Build a row for every sample before averaging. By default rows of fast logs are built at "
+        "the rate that the low-pass leaves information in.",
+        group=ROWS,
+    )
     rank: int | None = option(
         None,
         "Number of singular values to use.",
@@ -497,4 +503,8 @@ class IdentifyOptions(ContactOptions):
                 f"{self.row_filter} has neither `cutoff` nor `channels`; leave them out, or use "
                 "`filter` butterworth",
                 "E503",
+            )
+        if self.full_rate and self.row_filter != "weak":
+            raise OptionError(
+                f"{self.row_filter} has no `full_rate`; leave it out, or use `filter` weak", "E503"
             )

@@ -13,11 +13,35 @@ from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.regressor import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.decimation import Decimator
 from symbid_ros.signals.filters import LowPass, Smoothing
 from symbid_ros.signals.segments import Segment
 
 # Seconds between the instants at which sensor noise is propagated to the rows.
 PROBE_PERIOD = 0.05
+
+
+@dataclass(frozen=True)
+class RecordedPositions:
+    """Joint positions at the full rate, from which samples at a lower rate were made.
+
+    Attributes
+    ----------
+    position : (M, J) float64
+        As recorded.
+    decimator : Decimator
+        Filters them and reduces their rate.
+    """
+
+    position: FloatArray
+    decimator: Decimator
+
+    def motion(self) -> tuple[FloatArray, FloatArray]:
+        """Return filtered positions and velocities at the full rate, where the filter settled."""
+        edge = self.decimator.edge
+        settled = slice(edge, len(self.position) - edge)
+        position, velocity = self.decimator.every(self.position, 1)
+        return position[settled], velocity[settled]
 
 
 @dataclass(frozen=True)
@@ -38,6 +62,8 @@ class SensorSamples:
         Frames of the sensors.
     touching : (N, C) bool or None
         Which contacts without a sensor touch something; None if all may.
+    recorded : RecordedPositions or None
+        Positions at the full rate, if the samples are of a lower one; slices lose them.
     """
 
     stamp: IntArray
@@ -52,13 +78,14 @@ class SensorSamples:
     imu_frames: tuple[str, ...]
     wrench_frames: tuple[str, ...]
     touching: BoolArray | None = None
+    recorded: RecordedPositions | None = None
 
     def __len__(self) -> int:
         return len(self.stamp)
 
     def __getitem__(self, index: slice | IntArray) -> "SensorSamples":
         """Return the samples at some indices."""
-        return map_arrays(self, lambda values: values[index])
+        return replace(map_arrays(self, lambda values: values[index]), recorded=None)
 
     def averaged(self, starts: IntArray) -> "SensorSamples":
         """Return the means over consecutive groups that begin at the indices ``starts``.
@@ -76,7 +103,7 @@ class SensorSamples:
             return average
 
         # The sum of large stamps would overflow.
-        means = map_arrays(replace(self, stamp=self.stamp - self.stamp[0]), mean)
+        means = map_arrays(replace(self, stamp=self.stamp - self.stamp[0], recorded=None), mean)
         return replace(means, stamp=self.stamp[0] + means.stamp.astype(np.int64))
 
 
@@ -107,6 +134,38 @@ def smoothed(segment: Segment, smoothing: Smoothing, edge: int | None = None) ->
         touching=segment.touching,
     )
     return readings[edge : len(readings) - edge]
+
+
+def decimated(
+    segment: Segment,
+    decimator: Decimator,
+    similar: tuple[Segment, SensorSamples] | None = None,
+) -> SensorSamples:
+    """Return a segment's samples at the lower rate of a decimator.
+
+    ``similar`` may give a segment that shares some arrays with this one, and its samples.
+    """
+    edge, stride = decimator.edge, decimator.stride
+    kept = slice(edge, len(segment) - edge, stride)
+
+    def motion(channel: str, *names: str) -> dict[str, FloatArray]:
+        signal = getattr(segment, channel)
+        if similar is not None and getattr(similar[0], channel) is signal:
+            return {name: getattr(similar[1], name) for name in names}
+        return dict(zip(names, decimator.motion(signal, len(names) - 1), strict=True))
+
+    return SensorSamples(
+        stamp=segment.stamp[kept],
+        **motion("position", "position", "velocity", "acceleration"),
+        **motion("effort", "effort"),
+        **motion("angular_velocity", "angular_velocity", "angular_acceleration"),
+        **motion("linear_acceleration", "specific_force"),
+        **motion("wrenches", "wrenches"),
+        imu_frames=segment.imu_frames,
+        wrench_frames=segment.wrench_frames,
+        touching=None if segment.touching is None else segment.touching[kept],
+        recorded=RecordedPositions(segment.position, decimator),
+    )
 
 
 def at_base(readings: SensorSamples, model: RobotModel) -> Samples:

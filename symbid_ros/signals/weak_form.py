@@ -12,6 +12,7 @@ the rows is averaged over the same windows.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Literal
 
@@ -32,9 +33,16 @@ from symbid_ros.dynamics.unmeasured_contacts import contact_states, contacts_of_
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.decimation import Decimator, decimation_stride
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.sensor_samples import SensorSamples, at_base, smoothed
+from symbid_ros.signals.sensor_samples import (
+    RecordedPositions,
+    SensorSamples,
+    at_base,
+    decimated,
+    smoothed,
+)
 
 # Seconds. Short windows resolve fast motion, long ones leave less noise in the regressor of slow
 # motion. The best one for a log is selected from the data.
@@ -162,27 +170,37 @@ def equation_rows(parameters: ParameterSet) -> RowBuilder:
     def build(readings: SensorSamples) -> Iterator[SampledRows]:
         samples = at_base(readings, parameters.model)
         if not SLIDING_TERMS.isdisjoint((*parameters.terms, *parameters.known_terms)):
-            samples = with_filtered_friction(samples, parameters.model)
+            samples = with_filtered_friction(samples, parameters.model, readings.recorded)
         for part in samples.blocks(CHUNK):
             yield sampled_rows(parameters, part)
 
     return build
 
 
-def with_filtered_friction(samples: Samples, model: RobotModel) -> Samples:
+def with_filtered_friction(
+    samples: Samples, model: RobotModel, recorded: RecordedPositions | None = None
+) -> Samples:
     """Return consecutive samples with dry friction that is filtered like the efforts.
 
     Friction changes its sign at once when a joint reverses. The efforts show this change after the
-    low-pass, so the columns need the same filter; smooth columns do not.
+    low-pass, so the columns need the same filter; smooth columns do not. The reversals of samples
+    at a lower rate are found in the positions ``recorded`` at the full rate.
     """
     if len(samples) < 2:
         return samples
-    rate = 1e9 / float(np.median(np.diff(samples.stamp)))
-    low_pass, _ = prefilter(rate)
+    if recorded is not None:
+        low_pass = replace(recorded.decimator, edge=0).force
+        position, velocity = recorded.motion()
+        position = model.apply_mimics(position)
+        velocity = model.apply_mimics(velocity, rates=True)
+    else:
+        rate = 1e9 / float(np.median(np.diff(samples.stamp)))
+        low_pass = partial(prefilter(rate)[0].force, rate=rate)
+        position, velocity = samples.position, samples.velocity
     return replace(
         samples,
-        sliding=low_pass.force(coulomb_column(samples.velocity), rate),
-        friction_state=low_pass.force(friction_state(samples.position, model.joints), rate),
+        sliding=low_pass(coulomb_column(velocity)),
+        friction_state=low_pass(friction_state(position, model.joints)),
     )
 
 
@@ -318,6 +336,8 @@ def windowed_rows(
     build: RowBuilder,
     windows: Sequence[float],
     noisy_channels: Sequence[Channel] = MOTION,
+    *,
+    full_rate: bool = False,
 ) -> Iterator[tuple[WindowedRows, ...]]:
     """Yield a segment's rows block by block, for each window length.
 
@@ -331,23 +351,41 @@ def windowed_rows(
         Window lengths, s.
     noisy_channels : sequence of str
         Channels whose noise enters the regressor. Empty halves the run time and leaves the bias.
+    full_rate : bool
+        Whether to build a row for every sample, although the low-pass leaves fewer that are
+        independent.
     """
     low_pass, edge = prefilter(segment.rate)
+    decimator = None if full_rate else _decimator(segment.rate, low_pass, edge, min(windows))
     blocks = segment.stamp // block_length(segment.rate)
     edges = np.searchsorted(blocks, np.arange(blocks[0], blocks[-1] + 2))
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         if stop - start <= 2 * edge + 1:
             continue
         block = segment.cut(start, stop)
-        readings = smoothed(block, low_pass, edge)
-        centres = _centres(readings, windows)
+        if decimator is None:
+            readings = smoothed(block, low_pass, edge)
+        else:
+            readings = decimated(block, decimator)
+        centres = _centres(block.stamp[-1 - edge] - block.stamp[edge], windows)
         weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
         mean = noisy = _averages(build(readings), weights)
         if noisy_channels:
-            more = smoothed(add_noise(block, noisy_channels), low_pass, edge)
+            noisy_block = add_noise(block, noisy_channels)
+            if decimator is None:
+                more = smoothed(noisy_block, low_pass, edge)
+            else:
+                more = decimated(noisy_block, decimator, (block, readings))
             noisy = _averages(build(more), weights)
         stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
         yield tuple(_windowed_rows_of(*parts) for parts in zip(mean, noisy, stamps, strict=True))
+
+
+def _decimator(rate: float, low_pass: LowPass, edge: int, window: float) -> Decimator | None:
+    """Return what reduces the rate of rows, unless the low-pass leaves no room."""
+    shortest = min(window, ALL_WINDOWS[0])
+    stride = decimation_stride(rate, low_pass.cutoff, shortest)
+    return None if stride == 1 else Decimator(rate, stride, low_pass, shortest, edge)
 
 
 def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:
@@ -386,9 +424,9 @@ def add_noise(segment: Segment, channels: Sequence[Channel]) -> Segment:
     return replace(segment, **noisy)
 
 
-def _centres(readings: SensorSamples, windows: Sequence[float]) -> list[FloatArray]:
-    """Return the centres of half-overlapping windows, s after the first sample."""
-    last = (readings.stamp[-1] - readings.stamp[0]) * 1e-9
+def _centres(span: int, windows: Sequence[float]) -> list[FloatArray]:
+    """Return the centres of half-overlapping windows in ``span`` ns, s after its begin."""
+    last = span * 1e-9
     return [np.arange(length / 2, last - length / 2 + 1e-9, length / 2) for length in windows]
 
 

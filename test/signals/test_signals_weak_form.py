@@ -39,9 +39,9 @@ def trees(*seeds, **options):
     ]
 
 
-def rows_of(segment, parameters, windows=WINDOWS):
+def rows_of(segment, parameters, windows=WINDOWS, **options):
     """Return the rows of a whole segment for each window: mean, noise, valid."""
-    blocks = list(windowed_rows(segment, equation_rows(parameters), windows))
+    blocks = list(windowed_rows(segment, equation_rows(parameters), windows, **options))
     return [
         (
             Rows(*(np.concatenate([getattr(b.mean, x) for b in parts]) for x in ("K", "y"))),
@@ -62,7 +62,7 @@ def assert_closes(parameters, mean, tolerance):
 def test_averages_equal_the_weak_form_without_accelerations(parameters, window):
     rng = np.random.default_rng(1)
     segment = noisy(analytic_segment(parameters, 0.1 + 2.6 * window, 1), rng, **NOISE)
-    ((mean, _, _),) = rows_of(segment, parameters, [window])
+    ((mean, _, _),) = rows_of(segment, parameters, [window], full_rate=True)
     edge = int(SETTLING * segment.rate / PREFILTER)
     readings = smoothed(segment, LowPass(PREFILTER, passes=1), edge)
     strict = strict_weak_form(readings, parameters, window)
@@ -155,6 +155,35 @@ def test_a_log_cut_at_a_block_boundary_has_the_same_rows(rate):
                 parts = [getattr(piece[index][name], field) for piece in pieces]
                 np.testing.assert_array_equal(np.concatenate(parts), getattr(whole, field))
         np.testing.assert_array_equal(np.concatenate([p[index][2] for p in pieces]), valid)
+
+
+@pytest.mark.parametrize(("rate", "least"), [(1000.0, 4), (2000.0, 8), (500.0, 3)])
+@pytest.mark.parametrize("terms", [(), ("viscous", "coulomb")])
+def test_rows_at_a_lower_rate_differ_by_little_of_their_noise(rate, least, terms):
+    parameters = ParameterSet(random_robot(3, links=5, wrench_frames=1), terms)
+    exact = analytic_segment(parameters, 4.0, 6, rate=rate)
+    segment = noisy(exact, np.random.default_rng(2), **NOISE)
+    built = {"fewer": 0, "all": 0}
+
+    def counted(name):
+        def build(readings):
+            for part in equation_rows(parameters)(readings):
+                built[name] += len(part.stamp)
+                yield part
+
+        return build
+
+    some = list(windowed_rows(segment, counted("fewer"), WINDOWS))
+    every = list(windowed_rows(segment, counted("all"), WINDOWS, full_rate=True))
+    assert built["all"] > (least - 0.1) * built["fewer"]
+    clean = list(windowed_rows(exact, equation_rows(parameters), WINDOWS, full_rate=True))
+    for few, full, true in zip(some[0], every[0], clean[0], strict=True):
+        np.testing.assert_array_equal(few.stamp, full.stamp)
+        for matrix in (lambda rows: rows.mean.K, lambda rows: rows.mean.y[..., None]):
+            change = np.std(matrix(few) - matrix(full), axis=(0, 1))
+            noise = np.std(matrix(full) - matrix(true), axis=(0, 1))
+            signal = np.std(matrix(true), axis=(0, 1))
+            assert np.all(change <= 0.02 * noise + 1e-3 * signal)
 
 
 def averaging(segment, window):

@@ -1,0 +1,162 @@
+"""Low-pass, differentiation and reduction of the sampling rate in one linear step.
+
+After the low-pass, a signal sampled at 1 kHz holds few instants that are independent. Rows of the
+equation of motion are costly, so they are built at a lower rate. Averages over windows then equal
+those at the full rate, apart from what lies above the new rate minus the windows' passband: an
+additional anti-alias filter removes it (Oppenheim and Schafer, Discrete-Time Signal Processing,
+section 4.6). All filters have zero phase, and their product is one short kernel.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.signals.filters import LowPass
+
+# Rows per period of the low-pass's cutoff, and per shortest window, that are kept at least.
+ROWS_PER_PERIOD = 2.5
+ROWS_PER_WINDOW = 12
+# Periods of the low-pass's cutoff at which its impulse response has decayed by more than 80⁴.
+REACH = 4
+# Of the Kaiser window: the anti-alias filter attenuates by 80 dB.
+ATTENUATION, SHAPE = 80.0, 7.857
+GROUP = 16  # outputs of one matrix product
+
+
+def decimation_stride(rate: float, cutoff: float, window: float) -> int:
+    """Return the number of samples per row.
+
+    Parameters
+    ----------
+    rate : float
+        Sampling rate, Hz.
+    cutoff : float
+        Of the low-pass, Hz.
+    window : float
+        Length of the shortest window over which rows are averaged, s.
+    """
+    return max(1, int(rate / max(ROWS_PER_PERIOD * cutoff, ROWS_PER_WINDOW / window)))
+
+
+@dataclass(frozen=True)
+class Decimator:
+    """Zero-phase low-pass, derivatives and every ``stride``-th sample of uniform signals.
+
+    Attributes
+    ----------
+    rate : float
+        Sampling rate of the signals, Hz.
+    stride : int
+        Samples from one output to the next.
+    low_pass : LowPass
+        Butterworth low-pass; its passband is kept.
+    window : float
+        Length of the shortest window over which rows are averaged, s.
+    edge : int
+        Samples at each end without output, in which the kernel settles.
+    """
+
+    rate: float
+    stride: int
+    low_pass: LowPass
+    window: float
+    edge: int
+
+    def motion(self, signal: FloatArray, order: int) -> tuple[FloatArray, ...]:
+        """Return a signal (M, ...) and its first ``order`` derivatives, (N, ...) each."""
+        return self._outputs(signal, order, self.stride, self.edge)
+
+    def force(self, signal: FloatArray) -> FloatArray:
+        """Return a signal (M, ...) without derivatives, (N, ...)."""
+        return self.motion(signal, 0)[0]
+
+    def every(self, signal: FloatArray, order: int) -> tuple[FloatArray, ...]:
+        """Return a filtered signal and its derivatives at all M instants."""
+        return self._outputs(signal, order, 1, 0)
+
+    def _outputs(
+        self, signal: FloatArray, order: int, stride: int, edge: int
+    ) -> tuple[FloatArray, ...]:
+        count = -(-(len(signal) - 2 * edge) // stride)
+        flat = signal.reshape(len(signal), -1)
+        matrix = _toeplitz(self, order, stride)
+        reach = (matrix.shape[1] - stride * (GROUP - 1)) // 2
+        groups = -(-count // GROUP)
+        # The first output is at `edge`; an odd extension continues the signal beyond its ends.
+        first = reach - edge
+        last = edge + stride * (GROUP * groups - 1) + reach + 1 - len(flat)
+        padded = _odd_extension(flat, max(first, 0), max(last, 0))[max(-first, 0) :]
+        step = stride * GROUP
+        parts = sliding_window_view(padded, matrix.shape[1], axis=0)[: step * groups : step]
+        outputs = matrix @ parts.swapaxes(1, 2)
+        shape = (order + 1, groups, GROUP, flat.shape[1])
+        outputs = outputs.reshape(groups, order + 1, GROUP, -1).swapaxes(0, 1).reshape(shape)
+        return tuple(
+            one.reshape(groups * GROUP, -1)[:count].reshape(count, *signal.shape[1:])
+            for one in outputs
+        )
+
+
+def _odd_extension(signal: FloatArray, before: int, after: int) -> FloatArray:
+    """Return a signal (M, c) continued by its point reflections at both ends."""
+    reach = len(signal) - 1
+    first, last = min(before, reach), min(after, reach)
+    parts = [
+        np.repeat(2 * signal[:1] - signal[first : first + 1], before - first, axis=0),
+        2 * signal[:1] - signal[first:0:-1],
+        signal,
+        2 * signal[-1:] - signal[-2 : -2 - last : -1],
+        np.repeat(2 * signal[-1:] - signal[-1 - last : reach + 1 - last], after - last, axis=0),
+    ]
+    return np.concatenate(parts)
+
+
+@lru_cache(maxsize=64)
+def _toeplitz(decimator: Decimator, order: int, stride: int) -> FloatArray:
+    """Return the matrix of ``GROUP`` outputs of a signal and its derivatives, one after another."""
+    kernels = _kernels(decimator, order)
+    length = len(kernels[-1])
+    matrix = np.zeros(((order + 1) * GROUP, length + stride * (GROUP - 1)))
+    for derivative, kernel in enumerate(kernels):
+        margin = (length - len(kernel)) // 2
+        for output in range(GROUP):
+            start = output * stride + margin
+            matrix[derivative * GROUP + output, start : start + len(kernel)] = kernel
+    return matrix
+
+
+def _kernels(decimator: Decimator, order: int) -> list[FloatArray]:
+    """Return the weights of the samples around an output, of each derivative."""
+    rate, cutoff = decimator.rate, decimator.low_pass.cutoff
+    reach = int(np.ceil(REACH * decimator.low_pass.passes * rate / cutoff))
+    # Butterworth's response forwards and backwards, with the bilinear transform's frequencies.
+    angle = np.pi * np.arange(4 * reach + 1) / (4 * reach)
+    with np.errstate(over="ignore"):
+        ratio = np.tan(angle / 2) / np.tan(np.pi * cutoff / rate)
+        response = (1 + ratio**4) ** -float(decimator.low_pass.passes)
+    impulse = np.fft.irfft(response)
+    kernel = np.concatenate([impulse[-reach:], impulse[: reach + 1]])
+    kernel = np.convolve(kernel / kernel.sum(), _anti_alias(decimator))
+    kernels = [kernel]
+    for _ in range(order):
+        kernels.append(np.convolve(kernels[-1], [-0.5 * rate, 0.0, 0.5 * rate]))
+    return kernels
+
+
+def _anti_alias(decimator: Decimator) -> FloatArray:
+    """Return the windowed sinc that passes the low-pass's cutoff and stops what would alias."""
+    if decimator.stride == 1:
+        return np.ones(1)
+    rate, passed = decimator.rate, decimator.low_pass.cutoff
+    # The main lobe of a Hann window's spectrum ends at two over its length.
+    stopped = rate / decimator.stride - 2 / decimator.window
+    width = 2 * np.pi * (stopped - passed) / rate
+    half = int(np.ceil((ATTENUATION - 8) / (2.285 * width) / 2))
+    lags = np.arange(-half, half + 1)
+    middle = (passed + stopped) / rate
+    kernel: FloatArray = np.sinc(middle * lags) * np.kaiser(2 * half + 1, SHAPE)
+    kernel /= kernel.sum()
+    return kernel
