@@ -251,6 +251,7 @@ FREQUENCY_RATIO = 5
 NEXT_VALUES = 16
 # and had this many values in total, because a coarse channel is often at its extremes.
 VALUES = 50
+MANY = 256  # values of which the distinct ones are found quickly
 
 
 @dataclass
@@ -270,11 +271,17 @@ class ExtremeCounts:
 
     def add(self, values: FloatArray, extreme_values: FloatArray) -> None:
         """Add values (N,) and count those equal to the given extreme values."""
+        if not len(extreme_values):
+            return
+        lowest, highest = extreme_values.min(), extreme_values.max()
+        places = np.flatnonzero((values >= lowest) & (values <= highest))
+        found = values[places]
         for value in extreme_values.tolist():
-            at = np.flatnonzero(np.diff(np.concatenate([[0], values == value, [0]]).astype(int)))
-            runs = at[1::2] - at[::2]
-            self.counts[value] += int(runs.sum())
-            self.longest[value] = max(self.longest.get(value, 0), int(runs.max(initial=0)))
+            at = places[found == value]
+            ends = np.flatnonzero(np.diff(at) > 1)
+            runs = np.diff(ends, prepend=-1, append=len(at) - 1)
+            self.counts[value] += len(at)
+            self.longest[value] = max(self.longest.get(value, 0), int(runs.max()))
 
     def keep(self, sign: int) -> None:
         """Keep only the largest (1) or smallest (-1) values."""
@@ -302,6 +309,7 @@ class SaturationDetector:
     """Detects saturated channels, slice by slice."""
 
     extremes: dict[tuple[str, str, int], ExtremeCounts] = field(default_factory=dict)
+    # Distinct values of each channel; of those with more than VALUES, a part.
     values: Counter[tuple[str, str]] = field(default_factory=Counter)
 
     def add(self, streams: Streams, during: tuple[int, int] = ALWAYS) -> None:
@@ -310,19 +318,21 @@ class SaturationDetector:
             inside = slice(*np.searchsorted(stamp, during).tolist())
             block = readings[inside]
             changed = differs(block[1:], block[:-1])
+            moving = np.count_nonzero(changed, axis=1)
             for column, name in enumerate(names):
                 # At rest without noise all channels repeat; only a limit stops a single channel.
-                others_move = np.count_nonzero(changed, axis=1) - changed[:, column] > 0
+                others_move = moving - changed[:, column] > 0
                 self._add(topic, name, block[1:, column], others_move)
 
     def _add(self, topic: str, name: str, values: FloatArray, moving: BoolArray) -> None:
         values = values[moving & np.isfinite(values)]
-        distinct = np.unique(values)
-        self.values[topic, name] = max(self.values[topic, name], len(distinct))
-        for sign, extreme_values in (
-            (1, distinct[::-1][: NEXT_VALUES + 1]),
-            (-1, distinct[: NEXT_VALUES + 1]),
-        ):
+        if self.values[topic, name] < VALUES:
+            distinct = max(len(np.unique(some)) for some in (values[:MANY], values[-MANY:]))
+            if distinct < VALUES:
+                distinct = len(np.unique(values))
+            self.values[topic, name] = max(self.values[topic, name], distinct)
+        for sign in (1, -1):
+            extreme_values = sign * _largest(sign * values, NEXT_VALUES + 1)
             extreme = self.extremes.setdefault((topic, name, sign), ExtremeCounts())
             extreme.add(values, extreme_values)
             extreme.keep(sign)
@@ -351,6 +361,17 @@ class SaturationDetector:
                 )
             )
         return found
+
+
+def _largest(values: FloatArray, count: int) -> FloatArray:
+    """Return the largest distinct values, at most ``count`` of them."""
+    # Distinct values are found among few, because sorting all of them takes long.
+    some = np.partition(values, -MANY)[-MANY:] if len(values) > MANY else values
+    distinct = np.unique(some)
+    # The smallest of the few may be followed by equal ones, but not by larger ones.
+    if len(distinct) < count and len(some) < len(values):
+        distinct = np.unique(values)
+    return distinct[-count:]
 
 
 def channels(streams: Streams) -> Iterator[tuple[str, list[str], IntArray, FloatArray]]:

@@ -14,6 +14,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.segment_store import SegmentStore
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align_checked, warn_once
@@ -36,14 +37,16 @@ from symbid_ros.signals.weak_form import (
 
 # Slices are whole blocks, and no window crosses a block, so the cuts do not change the results.
 SPAN = 15 * BLOCK
-# Bytes of aligned channels that are kept and not read again: five minutes of the Symbitron.
-MOST_KEPT = 128 << 20
+# Bytes of aligned channels that are kept in memory: three minutes of the Symbitron.
+MOST_KEPT = 64 << 20
 
 logger = logging.getLogger(__name__)
 
 
 class AlignedLog:
     """The segments of a log in which every sensor has data; iterate as often as needed.
+
+    The log is read once.
 
     Parameters
     ----------
@@ -54,7 +57,8 @@ class AlignedLog:
     span : int
         Length of a slice, ns; one slice is in memory at a time.
     most_kept : int
-        Bytes of segments that are kept and not read again.
+        Bytes of segments that are kept in memory; those beyond are kept in a temporary file, and
+        read from the log again only if there is no room for one.
     checks : StreamChecks, optional
         Receives every slice when it is first read. It reports faults of the streams; reading then
         logs only what is left out.
@@ -77,22 +81,24 @@ class AlignedLog:
         self._log, self._model = log, model
         self._span, self._most_kept = span, most_kept
         self._checks = checks
-        self._kept: tuple[Segment, ...] | None = None
+        self._kept: SegmentStore | None = None
         self._has_been_read = False
 
     def __iter__(self) -> Iterator[Segment]:
         if self._kept is not None:
             yield from self._kept
             return
-        kept: list[Segment] | None = []
+        kept: SegmentStore | None = SegmentStore(self._most_kept)
         for segment in self._read(warn=not self._has_been_read):
-            if kept is not None:
-                kept.append(segment)
-                if sum(one.nbytes for one in kept) > self._most_kept:
-                    kept = None
+            try:
+                if kept is not None:
+                    kept.add(segment)
+            except OSError as error:
+                logger.info("%s: the log is read again for each step", error)
+                kept = None
             yield segment
         self._has_been_read = True
-        self._kept = None if kept is None else tuple(kept)
+        self._kept = kept
 
     def contiguous_segments(self) -> tuple[Segment, ...]:
         """Return all segments, those that continue one another joined."""
@@ -283,7 +289,7 @@ class Dataset:
     source : str
         Name of the log, for messages.
     segments : iterable of Segment
-        Aligned sensor channels, unfiltered; iterating over those of a long log reads it again.
+        Aligned sensor channels, unfiltered.
     samples : Samples
         Filtered motion and forces, at few instants if rows are averaged over windows.
     observations : tuple of Observations

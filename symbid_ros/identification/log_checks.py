@@ -69,8 +69,6 @@ def check_dataset(
 ) -> LogChecks:
     """Check a log by itself and against the model, and log a warning for each finding.
 
-    A log too long to be kept is read again.
-
     Parameters
     ----------
     dataset : Dataset

@@ -18,6 +18,7 @@ from symbid_ros.signals.streams import TimeRange
 from symbid_ros.signals.weak_form import BLOCK
 
 ALL = TopicSelection()
+KEPT = (2**30, 2_000_000, 0)  # bytes in memory: all, some, none of a log
 
 
 @pytest.fixture(scope="module")
@@ -55,18 +56,36 @@ def test_joined_slices_equal_the_log_read_at_once(model, bag: Path) -> None:
     assert_equal(joined([again]), joined([whole]))
 
 
-def test_a_log_too_long_to_keep_is_read_again(model, bag: Path, tmp_path: Path) -> None:
+def test_a_log_is_read_once_and_kept_in_memory_or_in_a_file(model, bag: Path, tmp_path) -> None:
     link = tmp_path / "bag"
     link.symlink_to(bag)
-    kept, reread = (
-        AlignedLog(bag_log([link], model), model, most_kept=most) for most in (2**30, 0)
-    )
-    first = [joined(log) for log in (kept, reread)]
-    assert_equal(joined(reread), first[0])
+    logs = [AlignedLog(bag_log([link], model), model, span=BLOCK, most_kept=most) for most in KEPT]
+    (whole,) = AlignedLog(bag_log([bag], model), model)
+    for log in logs:
+        assert_equal(joined(log), joined([whole]))
     link.unlink()
-    assert_equal(joined(kept), first[1])
+    for log in logs:
+        again = list(log)
+        assert_equal(joined(again), joined([whole]))
+        assert again[0].frames == whole.frames
+        assert all(one.effort.flags.writeable for one in again)
+    assert next(iter(logs[-1])).stamp[0] == whole.stamp[0]
+
+
+def test_without_room_for_a_file_a_log_is_read_again(
+    model, bag: Path, tmp_path: Path, monkeypatch, caplog
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "missing"))
+    link = tmp_path / "bag"
+    link.symlink_to(bag)
+    log = AlignedLog(bag_log([link], model), model, most_kept=0)
+    with caplog.at_level("INFO"):
+        first = joined(log)
+    assert "is read again" in caplog.text
+    assert_equal(joined(log), first)
+    link.unlink()
     with pytest.raises(BagError, match="no such bag"):
-        list(reread)
+        list(log)
 
 
 def test_start_and_stop_select_a_part(model, bag: Path) -> None:
