@@ -5,6 +5,8 @@
 # make fuzz   ten thousand damaged bags and 300 random logs; FIRST=n, CASES=n and LOGS=n choose which
 # make mutants  a hundred random faults put into the code; SEED=n and COUNT=n choose which
 # make soak   all nodes among foreign traffic for DURATION seconds
+# make bench  speed, compared with plain scripts on the same machine: bench/README.md
+# make bench-peers  FIGAROH, mujoco.sysid and plain least squares on the same logs; PROBLEMS and DATA choose which
 # make setup  the environment alone, in .venv
 
 VENV := .venv
@@ -22,7 +24,7 @@ export ROS_LOG_DIR ?= $(CURDIR)/log/ros
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: setup setup-dev demo test docs wheel fuzz mutants soak lint clean
+.PHONY: setup setup-dev demo test docs wheel fuzz mutants soak bench bench-peers lint clean
 
 setup: $(VENV)/.installed
 
@@ -63,6 +65,20 @@ mutants: $(VENV)/.installed-mutants
 DURATION ?= 300
 soak: setup-dev
 	$(BIN)/python test/support/soak.py --duration $(DURATION)
+
+bench: setup-dev
+	$(BIN)/python bench/run_all.py
+
+PROBLEMS ?= ur5 anymal
+DATA ?=
+PEERS := build/peers
+bench-peers: setup-dev $(PEERS)/.installed
+	$(BIN)/python bench/peers.py --python $(PEERS)/bin/python --problems $(PROBLEMS) $(if $(DATA),--data $(DATA))
+
+$(PEERS)/.installed: bench/peers/requirements.txt | $(BIN)/python
+	$(BIN)/python -m venv $(PEERS)
+	$(PEERS)/bin/pip --disable-pip-version-check install --quiet -r bench/peers/requirements.txt
+	@touch $@
 
 lint: setup-dev
 	$(BIN)/ruff check .

@@ -42,6 +42,8 @@ class Sampled:
         Of the rows' low-pass, Hz.
     kept : slice
         Instants of the rows.
+    slipping : float
+        Speed below which a joint may stick, rad/s; its rows are not used.
     """
 
     position: FloatArray
@@ -52,6 +54,7 @@ class Sampled:
     period: float
     cutoff: float
     kept: slice
+    slipping: float
 
     def filtered(self, values: FloatArray) -> FloatArray:
         """Return values (N, ...) as rows (M, ...), filtered as the measured forces are."""
@@ -63,11 +66,13 @@ class Sampled:
         used = np.isfinite(self.force)
         joints = self.velocity.shape[1]
         if np.isfinite(self.force[:, -joints:]).any():
-            used[:, -joints:] &= np.abs(self.velocity[self.kept]) >= SLIPPING
+            used[:, -joints:] &= np.abs(self.velocity[self.kept]) >= self.slipping
         return used
 
 
-def sample(robot: sy.RobotModel, recording: Recording, cutoff: float) -> Sampled:
+def sample(
+    robot: sy.RobotModel, recording: Recording, cutoff: float, slipping: float = SLIPPING
+) -> Sampled:
     """Resample to a uniform clock, filter, differentiate, and choose the instants of the rows."""
     measured = float(np.median(np.diff(recording.time)))
     thinning = max(1, int(1 / (RATE * measured)))
@@ -95,7 +100,7 @@ def sample(robot: sy.RobotModel, recording: Recording, cutoff: float) -> Sampled
     force = force[::thinning]
     edge = round(EDGE / cutoff / period)
     kept = slice(edge, len(force) - edge, max(1, round(1 / (ROWS_PER_SECOND * period))))
-    return Sampled(*motion, base, force[kept], period, cutoff, kept)
+    return Sampled(*motion, base, force[kept], period, cutoff, kept, slipping)
 
 
 def columns(

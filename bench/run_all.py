@@ -1,0 +1,123 @@
+"""Run the benchmarks of speed and write their tables and plots to bench/README.md.
+
+    .venv/bin/python bench/run_all.py [--only regressor reading] [--quick]
+
+Each benchmark is a script of its own in a process of its own. Ratios compare programs that ran in
+turn on the same machine; seconds are of that machine. With ``--only``, the other sections of
+bench/README.md stay as they are. With ``--quick``, logs are short and repetitions few, to see that
+everything runs.
+"""
+
+import argparse
+import re
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from tables import versions
+
+HERE = Path(__file__).resolve().parent
+PAGE = HERE / "README.md"
+PACKAGES = "numpy", "scipy", "numba", "mujoco", "rosbags", "mcap"
+
+
+@dataclass(frozen=True)
+class Section:
+    """One script: what it shows, its options in full and when quick, and its plot."""
+
+    title: str
+    script: str
+    text: str
+    options: str = ""
+    quick: str = ""
+    plot: str = ""
+
+
+SECTIONS = (
+    Section(
+        "Regressor",
+        "regressor.py",
+        "Rows of the equation of motion and Pinocchio in a Python loop, one thread.",
+        quick="--repeats 3 --samples 128",
+        plot="regressor.svg",
+    ),
+    Section(
+        "Reading",
+        "reading.py",
+        "Bags into arrays, compared with the deserializing reader of rosbags.",
+        quick="--seconds 20",
+    ),
+    Section(
+        "From bag to model",
+        "bag_to_model.py",
+        "`symbid identify` compared with a plain script of rosbags, SciPy, Pinocchio and NumPy.",
+        quick="--seconds 10 --repeats 1",
+    ),
+    Section(
+        "Growth with the length of the log",
+        "bag_to_model.py",
+        "Memory is that of all processes together.",
+        options="--growth 1 10 60 --repeats 1",
+        quick="--growth 0.2 0.4 --repeats 1",
+        plot="growth.svg",
+    ),
+    Section(
+        "Live identification",
+        "online.py",
+        "Bridge, recorder and identifier at 1 kHz in real time.",
+        quick="--minutes 0.2",
+    ),
+)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=sorted({_stem(one) for one in SECTIONS}))
+    parser.add_argument("--quick", action="store_true")
+    given = parser.parse_args()
+    known = parts(PAGE.read_text(encoding="utf-8")) if PAGE.exists() else {}
+    for section in SECTIONS:
+        if given.only is None or _stem(section) in given.only:
+            known[section.title] = measured(section, given.quick)
+    heading = (
+        "# Speed\n\n`make bench` writes this page; it takes about an hour on two idle cores. "
+        "Ratios compare programs that ran in turn on the same machine.\n"
+    )
+    text = [f"## {one.title}\n\n{known[one.title]}" for one in SECTIONS if one.title in known]
+    whole = "\n".join([heading, *text])
+    if given.quick:
+        print(whole)
+    else:
+        PAGE.write_text(whole, encoding="utf-8")
+
+
+def measured(section: Section, quick: bool) -> str:
+    """Run a script and return what the page says about it."""
+    options = (section.quick if quick else section.options).split()
+    if section.plot and not quick:
+        options += ["--plot", f"bench/{section.plot}"]
+    command = ["bench/" + section.script, *options]
+    print(" ".join(command), file=sys.stderr, flush=True)
+    answer = subprocess.run(
+        [sys.executable, *command], cwd=HERE.parent, stdout=subprocess.PIPE, text=True, check=True
+    )
+    lines = [section.text, "", f"    .venv/bin/python {' '.join(command)}", "", versions(*PACKAGES)]
+    lines += ["", answer.stdout.strip(), ""]
+    if section.plot and not quick:
+        lines += [f"![{section.title}]({section.plot})", ""]
+    return "\n".join(lines)
+
+
+def parts(text: str) -> dict[str, str]:
+    """Return the sections of the page by title."""
+    pieces = re.split(r"^## (.+)\n\n", text, flags=re.MULTILINE)
+    return dict(zip(pieces[1::2], pieces[2::2], strict=True))
+
+
+def _stem(section: Section) -> str:
+    return section.script.removesuffix(".py")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,37 @@
+"""Tables of the benchmarks, in Markdown, and the versions that they are of."""
+
+import os
+import platform
+from collections.abc import Sequence
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[object]], digits: int) -> str:
+    """Return a table; floating-point numbers get ``digits`` significant digits."""
+
+    def line(cells: Sequence[object]) -> str:
+        return f"| {' | '.join(_text(cell, digits) for cell in cells)} |"
+
+    return "\n".join([line(head), line(["---"] * len(head)), *map(line, rows)])
+
+
+def _text(cell: object, digits: int) -> str:
+    if not isinstance(cell, float):
+        return str(cell)
+    rounded = float(f"{cell:.{digits}g}")
+    return f"{rounded:.0f}" if abs(rounded) >= 10 ** (digits - 1) else f"{rounded:.{digits}g}"
+
+
+def versions(*packages: str) -> str:
+    """Return one line with processor, cores and the versions of packages."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    processor = next((x.split(":")[1].strip() for x in lines if x.startswith("model name")), "?")
+    found = []
+    for package in ("symbid_ros", *packages):
+        try:
+            found.append(f"{package} {version(package)}")
+        except PackageNotFoundError:
+            found.append(f"{package} absent")
+    cores = len(os.sched_getaffinity(0))
+    return f"{processor}, {cores} cores, Python {platform.python_version()}, {', '.join(found)}"
