@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 from process_usage import SessionMemory
-from tables import markdown, versions
+from tables import markdown, save_plot, versions
 
 HERE = Path(__file__).resolve().parent
 MODEL = HERE.parent / "config" / "symbitron.urdf"
@@ -53,11 +53,12 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--data", type=Path)
     parser.add_argument("--checkout", type=Path)
+    parser.add_argument("--plot", type=Path, metavar="SVG", help="of time against length")
     given = parser.parse_args()
     print(f"{versions('numpy', 'scipy', 'numba', 'pin', 'rosbags')}\n")
     with kept_or_temporary(given.data) as folder:
         if given.growth:
-            growth(folder, given.growth, max(given.jobs), given.repeats)
+            growth(folder, given.growth, max(given.jobs), given.repeats, given.plot)
         else:
             compare(folder, given.seconds, given.jobs, given.repeats, given.checkout)
 
@@ -98,7 +99,9 @@ def compare(
     print(markdown(head, rows, digits=3))
 
 
-def growth(folder: Path, minutes: Sequence[float], jobs: int, repeats: int) -> None:
+def growth(
+    folder: Path, minutes: Sequence[float], jobs: int, repeats: int, plot: Path | None
+) -> None:
     """Print time and memory of logs whose lengths differ by much."""
     rows = []
     for length in minutes:
@@ -107,6 +110,9 @@ def growth(folder: Path, minutes: Sequence[float], jobs: int, repeats: int) -> N
         rows.append([length, wall, processor, memory, wall / length])
     head = ["log, min", "s", "processor s", "peak MB", "s per minute of log"]
     print(markdown(head, rows, digits=3))
+    if plot is not None:
+        lines = {"s": [row[1] for row in rows], "peak MB": [row[3] for row in rows]}
+        save_plot(plot, "minutes of log at 1 kHz", minutes, lines)
 
 
 def simulated(folder: Path, seconds: float) -> Path:

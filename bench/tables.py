@@ -1,10 +1,12 @@
-"""Tables of the benchmarks, in Markdown, and the versions that they are of."""
+"""Tables and plots of the benchmarks, and the versions that they are of."""
 
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+
+from matplotlib.figure import Figure
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[object]], digits: int) -> str:
@@ -35,3 +37,18 @@ def versions(*packages: str) -> str:
             found.append(f"{package} absent")
     cores = len(os.sched_getaffinity(0))
     return f"{processor}, {cores} cores, Python {platform.python_version()}, {', '.join(found)}"
+
+
+def save_plot(
+    path: Path, axis: str, places: Sequence[float], lines: Mapping[str, Sequence[float]]
+) -> None:
+    """Write an SVG with one panel per line, both axes logarithmic."""
+    figure = Figure(figsize=(3.4 * len(lines), 2.8), layout="constrained")
+    for panel, (name, values) in zip(figure.subplots(1, len(lines)), lines.items(), strict=True):
+        panel.loglog(places, values, "o-", color="#1f6f8b")
+        panel.set_xlabel(axis)
+        panel.set_title(name, fontsize="medium")
+        panel.set_xticks(places, [f"{place:g}" for place in places])
+        panel.minorticks_off()
+        panel.grid(alpha=0.3)
+    figure.savefig(path, metadata={"Date": None})
