@@ -20,6 +20,8 @@ from symbid_ros.options import options_of
 
 POLL = 0.2  # s
 SAVING_TIME = 120.0  # s; a slow machine may lag behind
+# Parameters of the identifier that the page needs as well.
+SHARED_WITH_PAGE = "prior", "joint_topic", "rename_joint", "hold_joint"
 
 WebPage = Annotated[
     bool, typer.Option("--web", help="Also show a page in the browser, with the robot in 3D.")
@@ -73,11 +75,12 @@ def live(
     console = Console()
     logs = Path(tempfile.mkdtemp(prefix="symbid_live_"))
     common: dict[str, object] = {"model": str(path.resolve()), "base": base}
-    parameters = common | given_parameters(options, log)
-    parameters |= {"mode": "online", "memory": memory}
+    given = given_parameters(options, log)
+    parameters = common | given | {"mode": "online", "memory": memory}
     if out is not None:
         parameters["out"] = str(out.resolve())
-    page = common | {"host": host, "port": port} | page_prior(options)
+    page = common | {"host": host, "port": port}
+    page |= {name: given[name] for name in SHARED_WITH_PAGE if name in given}
     environment = dict(os.environ)
     with (
         NodeProcess("identifier", parameters, environment, logs / "identifier.log") as identifier,
@@ -115,11 +118,6 @@ def start_page(
         raise
     console.print(f"Open {address}\n", soft_wrap=True, markup=False)
     return node
-
-
-def page_prior(options: IdentifyOptions) -> dict[str, object]:
-    """Return the parameter of web_monitor for the prior that the identification starts from."""
-    return {} if options.prior is None else {"prior": str(Path(options.prior).resolve())}
 
 
 def given_parameters(*groups: Any) -> dict[str, object]:

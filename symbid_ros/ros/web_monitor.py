@@ -15,10 +15,8 @@ from rclpy.node import Node
 from std_srvs.srv import Trigger
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.errors import DataError
 from symbid_ros.estimation.estimate import Estimate
 from symbid_ros.estimation.prior import load_prior
-from symbid_ros.messages.types import JOINT_STATE
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.report.formatting import with_std
@@ -35,6 +33,7 @@ from symbid_ros.report.robot_scene import (
 )
 from symbid_ros.ros.endpoints import latched_qos, reliable_qos
 from symbid_ros.ros.identifier_parameters import model_of
+from symbid_ros.ros.live_posture import POSTURE_PARAMETERS, LivePosture
 from symbid_ros.ros.monitor_messages import (
     PublishedLink,
     RobotEstimate,
@@ -44,7 +43,6 @@ from symbid_ros.ros.monitor_messages import (
 )
 from symbid_ros.ros.parameters import Parameter
 from symbid_ros.ros.process import construct, run_node
-from symbid_ros.ros.raw_subscription import DecodedSubscription
 from symbid_ros.ros.web_server import LOOPBACK, Answer, WebServer
 
 POLL = 0.2  # s; the picture follows the robot five times a second
@@ -52,7 +50,6 @@ STATUS_PERIOD = 5  # polls between two statuses
 HISTORY = 600  # estimates that a page shows when it is opened
 PATIENCE = 60.0  # s for the identifier's answer to a button
 ACTIONS = "solve", "save", "reset"
-LEAST_TURN = 1e-3  # rad or m; smaller motions are not shown
 PARAMETERS = (
     Parameter("identifier", "identifier", "Name of the node to watch."),
     Parameter("model", "", "Robot model of the identifier, URDF or MJCF."),
@@ -63,11 +60,7 @@ PARAMETERS = (
         choices=("auto", "floating", "fixed"),
     ),
     Parameter("prior", "", "The identifier's prior.json; empty: the values of the model."),
-    Parameter(
-        "posture_topic",
-        "joint_states",
-        "Topic of the joint states that pose the robot, with the model's joints and signs.",
-    ),
+    *POSTURE_PARAMETERS,
     Parameter(
         "host",
         LOOPBACK,
@@ -89,13 +82,12 @@ class WebMonitor:
             load_prior(Path(given), self._parameters).mean if given else self._parameters.values
         )
         self._scene = robot_scene(self._parameters, _without_data(self._parameters, self._prior))
-        self._posture: FloatArray | None = None
+        self._posture = LivePosture(node, model, values)
         self._lock = Lock()
         self._estimate: RobotEstimate | None = None
         self._history: deque[dict[str, Any]] = deque(maxlen=HISTORY)
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._changed = Event()
-        self._joints = DecodedSubscription(node, values["posture_topic"], JOINT_STATE, 1)
         node.create_subscription(
             DiagnosticArray, f"{self._identifier}/estimate", self._on_estimate, latched_qos()
         )
@@ -120,7 +112,7 @@ class WebMonitor:
         polls = 0
         try:
             while not stop.wait(POLL):
-                has_moved = self._read_posture()
+                has_moved = self._posture.read()
                 is_new = self._changed.is_set()
                 self._changed.clear()
                 if self._server.listeners and (has_moved or is_new):
@@ -159,26 +151,6 @@ class WebMonitor:
             self._server.publish("reset", {})
             self._changed.set()
         return bool(answer.success), str(answer.message)
-
-    def _read_posture(self) -> bool:
-        """Take the newest joint state and return whether the robot has moved."""
-        newest = deque(self._joints.take(), maxlen=1)
-        if not newest:
-            return False
-        try:
-            message = self._joints.decode(newest[0])
-        except DataError:
-            return False
-        model = self._parameters.model
-        names = list(message.layout.text.get("name", ()))
-        positions = np.ravel(message.record["position"]) if "name" in message.layout.text else ()
-        known = dict(zip(names, map(float, positions), strict=False))
-        if not all(math.isfinite(known.get(name, math.nan)) for name in model.measured_joint_names):
-            return False
-        position = np.array([[known.get(name, 0.0) for name in model.joint_names]])
-        posture = model.apply_mimics(position)[0]
-        before, self._posture = self._posture, posture
-        return before is None or bool(np.abs(posture - before).max(initial=0.0) > LEAST_TURN)
 
     def _on_estimate(self, message: DiagnosticArray) -> None:
         estimate = read_estimate(message)
@@ -239,7 +211,7 @@ class WebMonitor:
         with self._lock:
             estimate = self._estimate
         published = {} if estimate is None else {link.name: link for link in estimate.links}
-        rotations, positions = base_poses(self._parameters.model, self._posture)
+        rotations, positions = base_poses(self._parameters.model, self._posture.newest)
         changed = self._changed_links()
         prior = self._parameters.link_phi(self._prior)
         phi = prior.copy()

@@ -33,11 +33,14 @@ SHARED = {
     "bag": {"player", "identifier"},  # the input
     "base": {"identifier", "web_monitor"},
     "clock_rate": {"mujoco_bridge", "player"},
+    "hold_joint": {"identifier", "web_monitor"},
     "identifier": {"monitor", "web_monitor"},
+    "joint_topic": {"identifier", "web_monitor"},
     "model": {"mujoco_bridge", "identifier", "web_monitor"},
     "motion_seed": {"mujoco_bridge", "balance_controller"},
     "moves": {"mujoco_bridge", "balance_controller"},
     "prior": {"identifier", "web_monitor"},
+    "rename_joint": {"identifier", "web_monitor"},
     "scenario": {"mujoco_bridge", "balance_controller"},
     "wait_for_subscribers": {"mujoco_bridge", "player"},
 }
