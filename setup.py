@@ -10,7 +10,7 @@ setup(
     packages=find_packages(include=[PACKAGE, f"{PACKAGE}.*"]),
     package_data={
         PACKAGE: ["py.typed", "schemas/*.json"],
-        f"{PACKAGE}.excitation": ["*.html"],
+        f"{PACKAGE}.excitation": ["*.html", "*.css"],
         f"{PACKAGE}.report": ["*.html", "*.css", "*.js", "vendored/*"],
         f"{PACKAGE}.study": ["*.html", "*.css", "thesis/*.json"],
     },

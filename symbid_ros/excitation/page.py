@@ -1,14 +1,15 @@
 """The page of a plan: the motion, the limits that it keeps, and what it is expected to tell."""
 
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.excitation.plan import ExcitationPlan
 from symbid_ros.report.formatting import significant
+from symbid_ros.report.templates import page_template, shared_css
 
 WIDTH, HEIGHT, LEFT, BOTTOM = 300, 170, 46, 16  # of a panel, px
 POINTS = 300  # of a curve
@@ -17,15 +18,10 @@ GRID = (100, 50, 0, -50, -100)  # percent
 
 def render_page(plan: ExcitationPlan) -> str:
     """Return the page as HTML without scripts and external resources."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("symbid_ros", "excitation"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     design = plan.problem.design
-    return environment.get_template("plan.html").render(
+    return page_template("plan.html", "symbid_ros.excitation").render(
+        title=f"Plan for {plan.joints.model.name}",
+        css=shared_css() + Path(__file__).with_name("plan.css").read_text(encoding="utf-8"),
         model=plan.joints.model.name,
         headline=headline(plan),
         seconds=design.seconds,

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from symbid_ros.atomic_write import write_text
 from symbid_ros.choices import TERMS
 from symbid_ros.estimation.estimate import Estimate
@@ -44,13 +42,13 @@ from symbid_ros.report.log_figures import (
 from symbid_ros.report.matrices import correlation_image, determined_matrices, largest_changes
 from symbid_ros.report.plotting import Style, colour_variable, styles
 from symbid_ros.report.robot_view import robot_view
+from symbid_ros.report.templates import page_template, shared_css
 
 # Links to the pages that explain a section.
 DOCUMENTATION = "https://symbid-ros.github.io/symbid_ros"
 
 # In a direction of parameter space, such as "+0.72 base_link/m -0.37 link_0/mc_x".
 _COEFFICIENT = re.compile(r"([+-])(\d\S*) ")
-_UNIT = re.compile(r"(?<=[\d±]) (?=(?:%|±|mm|kg|Nm|N|s|bit)(?![\w.]))|(?<=±) ")
 
 
 @dataclass(frozen=True)
@@ -74,18 +72,8 @@ def render(content: ReportContent) -> str:
 
     Figures are static; a script in the page replaces those of the log by ones that can be zoomed.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("symbid_ros", "report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "significant": significant,
-        "with_std": with_std,
+    filters = {
         "unbroken": lambda direction: _COEFFICIENT.sub(_unbroken, direction),
-        "unbroken_units": lambda text: _UNIT.sub("\N{NO-BREAK SPACE}", text),
         "variable": colour_variable,
     }
     errors = {method.label: method.metrics or {} for method in content.methods}
@@ -100,8 +88,9 @@ def render(content: ReportContent) -> str:
         scripts.append(robot.script)
     shown: dict[str, Any] = {
         "content": content,
+        "title": content.title,
         "docs": DOCUMENTATION,
-        "css": "\n".join([figure_css(), *([robot.style] if robot else []), own_css()]),
+        "css": "\n".join([figure_css(), *([robot.style] if robot else []), shared_css()]),
         "subtitle": " · ".join(_subtitle(content)),
         "recommendation": recommend(estimate),
         "key_figures": key_figures(content),
@@ -139,12 +128,7 @@ def render(content: ReportContent) -> str:
         "figure_json": script_json(data) if data else "",
         "scripts": scripts,
     }
-    return environment.get_template("report.html").render(shown, sections=_sections(shown))
-
-
-def own_css() -> str:
-    """Return the style that all pages share."""
-    return Path(__file__).with_name("report.css").read_text(encoding="utf-8")
+    return page_template("report.html", filters=filters).render(shown, sections=_sections(shown))
 
 
 def _subtitle(content: ReportContent) -> tuple[str, ...]:

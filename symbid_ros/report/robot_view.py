@@ -4,12 +4,12 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
 from markupsafe import Markup
 
 from symbid_ros.report.palette import BEFORE_COLOUR, DETERMINED_COLOURS, UNKNOWN_COLOUR
 from symbid_ros.report.robot_scene import SHOWN_DEVIATIONS, RobotScene
 from symbid_ros.report.still_picture import camera_direction, still_picture
+from symbid_ros.report.templates import page_template
 
 _FOLDER = Path(__file__).parent
 
@@ -40,16 +40,9 @@ class RobotView:
 def robot_view(scene: RobotScene) -> RobotView:
     """Return the view of a scene, see :func:`symbid_ros.report.robot_scene.robot_scene`."""
     still = still_picture(scene)
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("symbid_ros", "report"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     has_determined = any(link.determined is not None for link in scene.links)
     document = scene.document() | {"camera": camera_direction(scene.up).tolist()}
-    html = environment.get_template("robot_view.html").render(
+    html = page_template("robot_view.html").render(
         name=scene.name,
         still=Markup(still),
         has_determined=has_determined,

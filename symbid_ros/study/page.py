@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import jinja2
 import yaml
 
-import symbid_ros.report
 from symbid_ros.atomic_write import write_text
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.package_paths import package_version
 from symbid_ros.report.content import TRUTH, LinkErrors
+from symbid_ros.report.templates import page_template, shared_css, unbroken_units
 from symbid_ros.simulation.balance import BalanceResult
 from symbid_ros.study import thesis
 from symbid_ros.study.checks import (
@@ -63,7 +62,6 @@ from symbid_ros.study.thesis import TITLES
 # Longer tables are folded.
 LONG = 30
 
-_UNIT = re.compile(r"(?<=\d) (?=(?:%|mm|Nm|Nms|Ns|N|Hz|s|kg|rad/s²|ms|times)(?!\w))")
 _METHOD = re.compile(r"(WLS|MAP)-(?=[A-Z])")
 
 
@@ -120,33 +118,26 @@ def publish(plan: Plan, folder: StudyFolder) -> Path:
 
 def _render(results: StudyResults, sections: tuple[Section, ...]) -> str:
     """Return the page as HTML without scripts and external resources."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("symbid_ros", "study"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["unbroken"] = _unbroken
-    report_css = Path(symbid_ros.report.__file__).with_name("report.css")
-    study_css = Path(__file__).with_name("study.css")
     plan = results.plan
-    return environment.get_template("study.html").render(
+    template = page_template("study.html", "symbid_ros.study", {"unbroken": _unbroken})
+    return template.render(
+        title=plan.title,
         plan=plan,
         headline=headline(results.scores, plan),
         sections=sections,
+        links=[*((each.anchor, each.title) for each in sections), ("data", "Data")],
         facts=_facts(plan),
         plan_text=yaml.safe_dump(
             plan.model_dump(exclude_unset=True), sort_keys=False, allow_unicode=True
         ),
         software=f"symbid_ros {package_version()}",
-        css=report_css.read_text(encoding="utf-8") + study_css.read_text(encoding="utf-8"),
+        css=shared_css() + Path(__file__).with_name("study.css").read_text(encoding="utf-8"),
     )
 
 
 def _unbroken(text: str) -> str:
     """Return a text without line breaks between numbers and units, and within method names."""
-    return _METHOD.sub("\\1\N{NON-BREAKING HYPHEN}", _UNIT.sub("\N{NO-BREAK SPACE}", text))
+    return _METHOD.sub("\\1\N{NON-BREAKING HYPHEN}", unbroken_units(text))
 
 
 def _facts(plan: Plan) -> dict[str, str]:
@@ -189,29 +180,32 @@ def study_sections(results: StudyResults) -> tuple[Section, ...]:
     """
     plan = results.plan
     tables = score_tables(plan, results.scores)
+    short = tuple(table for table in tables if len(table.rows) <= LONG)
+    folded = [table for table in tables if len(table.rows) > LONG]
     if plan.thesis:
-        tables.insert(0, technique_table(plan.methods))
+        folded.insert(0, technique_table(plan.methods))
     if plan.figures is not None:
-        tables.append(_parameter_table(results, plan.figures))
-    short, long = (
-        tuple(table for table in tables if (len(table.rows) > LONG) == is_long)
-        for is_long in (False, True)
-    )
-    sections = [*(_conclusion_sections if plan.thesis else _comparison_sections)(results)]
-    sections.append(Section("tables", "Tables", tables=short))
+        folded.append(_parameter_table(results, plan.figures))
+    # Figures come first, on screens as on paper.
+    sections: list[Section] = []
+    if not plan.thesis:
+        sections += _comparison_sections(results)
     if plan.figures is not None:
         sections += _prediction_sections(results, plan.figures)
-    if plan.accelerations is not None:
-        sections.append(_acceleration_section(results, plan.accelerations))
-    if plan.equation is not None:
-        table = equation_table(load_equation_residuals(results.folder))
-        sections.append(Section("equation", "Equation of motion", tables=(table,)))
     if plan.closed_loop is not None:
         sections.append(_closed_loop_section(results, plan.closed_loop))
     if plan.thesis:
         sections.append(_filter_section(results))
-    if long:
-        sections.append(Section("all", "All values", tables=long, folded=True))
+    if plan.accelerations is not None:
+        sections.append(_acceleration_section(results, plan.accelerations))
+    if plan.thesis:
+        sections += _conclusion_sections(results)
+    sections.append(Section("tables", "Tables", tables=short))
+    if plan.equation is not None:
+        table = equation_table(load_equation_residuals(results.folder))
+        sections.append(Section("equation", "Equation of motion", tables=(table,)))
+    if folded:
+        sections.append(Section("more", "More tables", tables=tuple(folded), folded=True))
     return tuple(sections)
 
 

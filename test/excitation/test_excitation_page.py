@@ -30,7 +30,7 @@ def page_file(plan, tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (DESKTOP, True), (PHONE, False)])
+@pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (DESKTOP, True), (PHONE, True)])
 def test_it_fits_and_loads_nothing(browser, page_file, width, dark):
     with browser.page(page_file, width=width, dark=dark) as page:
         page.tab.evaluate("document.querySelectorAll('details').forEach(e => e.open = true)")
@@ -40,6 +40,13 @@ def test_it_fits_and_loads_nothing(browser, page_file, width, dark):
         )
         lightness = [int(each[4:].split(",")[0]) for each in colours]
         assert (lightness[0] > lightness[1]) == dark
+
+
+def test_print_is_short_and_shows_the_motion_first(browser, page_file):
+    with browser.page(page_file) as page:
+        pages = page.printed_pages()
+    assert len(pages) <= 6
+    assert "Motion and limits" in pages[0]
 
 
 def test_it_shows_each_joint_and_each_parameter(browser, page_file, plan):

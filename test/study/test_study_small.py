@@ -292,7 +292,15 @@ def test_controller_tracks_best_with_the_best_model(small: SmallStudy):
     assert "not positive definite" in rows["OLS"]["Ended by"]
 
 
-@pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (PHONE, True)])
+@pytest.mark.parametrize(("width", "dark"), [(DESKTOP, False), (DESKTOP, True), (PHONE, True)])
 def test_page_fits_screens_and_has_no_problem(small: SmallStudy, browser, width, dark):
     with browser.page(small.out / "report.html", width, dark=dark) as page:
         assert page.problems == page.requests == page.overflow == []
+
+
+def test_print_is_short_and_shows_figures_first(small: SmallStudy, browser):
+    with browser.page(small.out / "report.html") as page:
+        pages = page.printed_pages()
+    assert len(pages) <= 6
+    assert "Fig. 3:" in pages[0]
+    assert "Conclusions on" not in "".join(pages[:2])

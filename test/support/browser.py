@@ -25,9 +25,10 @@ ARGUMENTS = "--no-sandbox", "--disable-gpu", "--disable-quic", "--disable-dev-sh
 _OF_SCREENSHOTS = "GPU stall due to ReadPixels"
 
 # Elements that reach beyond the window, or hide a part of their content at its edge. Hidden
-# elements, those inside a closed <details>, and whatever may scroll on purpose
-# (``data-may-scroll``) are left out.
-_OVERFLOW = """() => {
+# elements, those inside a closed <details>, and whatever may scroll on purpose (a CSS selector)
+# are left out.
+_MAY_SCROLL = "[data-may-scroll]"
+_OVERFLOW = """(mayScroll) => {
   const found = [], width = document.documentElement.clientWidth;
   const name = (e) => e.tagName.toLowerCase() + (e.id ? "#" + e.id : "")
     + (typeof e.className === "string" && e.className
@@ -35,7 +36,7 @@ _OVERFLOW = """() => {
   if (document.documentElement.scrollWidth > width)
     found.push(`page: ${document.documentElement.scrollWidth} px in ${width} px`);
   for (const e of document.body.querySelectorAll("*")) {
-    if (!e.checkVisibility() || e.closest("[data-may-scroll], svg")) continue;
+    if (!e.checkVisibility() || e.closest("svg") || e.closest(mayScroll)) continue;
     const style = getComputedStyle(e);
     if (style.overflowX !== "visible" && e.clientWidth > 1 && e.scrollWidth > e.clientWidth + 1)
       found.push(`${name(e)}: ${e.scrollWidth} px in ${e.clientWidth} px`);
@@ -64,7 +65,11 @@ class OpenPage:
     @property
     def overflow(self) -> list[str]:
         """Elements that are cut off at the side, one line each; empty if the page fits."""
-        return self.tab.evaluate(_OVERFLOW)
+        return self.overflow_outside(_MAY_SCROLL)
+
+    def overflow_outside(self, may_scroll: str) -> list[str]:
+        """Like `overflow`, for pages in which other elements, by a CSS selector, may scroll."""
+        return self.tab.evaluate(_OVERFLOW, may_scroll)
 
     def printed_pages(self) -> list[str]:
         """Print on A4 and return the text of each page."""

@@ -1,0 +1,55 @@
+"""HTML templates, and the style that all pages share."""
+
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import jinja2
+
+from symbid_ros.report.formatting import significant, with_std
+
+PACKAGE = "symbid_ros.report"
+
+_UNIT = re.compile(
+    r"(?<=[\d±]) (?=(?:%|±|mm|kg|Nms|Nm|Ns|N|Hz|ms|s|rad/s²|bit|times)(?!\w))|(?<=±) "
+)
+
+
+def page_template(
+    name: str, package: str = PACKAGE, filters: Mapping[str, Callable[..., str]] | None = None
+) -> jinja2.Template:
+    """Return a template of a subpackage, which may extend and import those of the report.
+
+    A template that extends ``page_base.html`` needs the variables ``title`` and ``css``.
+
+    Parameters
+    ----------
+    name, package : str
+        The template's file and the subpackage that holds it.
+    filters : mapping of str to callable, optional
+        Filters of this template alone.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(one, "") for one in (package, PACKAGE)]),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "significant": significant,
+        "with_std": with_std,
+        "unbroken_units": unbroken_units,
+        **(filters or {}),
+    }
+    return environment.get_template(name)
+
+
+def unbroken_units(text: str) -> str:
+    """Return a text without line breaks between numbers and their units."""
+    return _UNIT.sub("\N{NO-BREAK SPACE}", text)
+
+
+def shared_css() -> str:
+    """Return the style that all pages share."""
+    return Path(__file__).with_name("report.css").read_text(encoding="utf-8")
