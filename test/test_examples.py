@@ -9,8 +9,13 @@ from pathlib import Path
 
 import matplotlib as mpl
 import pytest
+from random_robots import random_robot
+from tree_simulation import TreeSimulation
 
+from symbid_ros.model.export_mjcf import mjcf_text
+from symbid_ros.model.export_urdf import urdf_text
 from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.recording import record
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 SCENARIO = {"moves": 1, "motion_seed": 3, "noise_seed": 4}
@@ -47,19 +52,19 @@ def test_a_legged_robot_from_a_bag(bag, tmp_path) -> None:
     assert (tmp_path / "out" / "model.urdf").is_file()
 
 
-def test_logs_are_merged(bag, simulated, tmp_path) -> None:
-    other = simulated("smooth", **(SCENARIO | {"motion_seed": 5, "noise_seed": 6}))
-    said = run("merge_logs.py", config_file("symbitron.urdf"), bag, other, cwd=tmp_path)
+def test_logs_are_merged(tmp_path) -> None:
+    robot, model = random_robot(1, links=4, wrench_frames=1), tmp_path / "robot.xml"
+    model.write_text(mjcf_text(robot))
+    bags = [tmp_path / "first", tmp_path / "second"]
+    for seed, each in enumerate(bags):
+        record(TreeSimulation(robot, 2.5, seed), each)
+    said = run("merge_logs.py", model, *bags, cwd=tmp_path)
     first, second = (int(line.split("kg, ")[1].split()[0]) for line in said.splitlines())
     assert 0 < first <= second
     assert (tmp_path / "information.npz").is_file()
 
 
 def test_the_regressor_alone(tmp_path) -> None:
-    from random_robots import random_robot
-
-    from symbid_ros.model.export_urdf import urdf_text
-
     model = tmp_path / "arm.urdf"
     model.write_text(urdf_text(random_robot(2, links=4, floating=False, wrench_frames=0)))
     said = run("regressor_alone.py", model, cwd=tmp_path)

@@ -62,7 +62,7 @@ def symbid() -> Command:
 def symbid_here() -> Command:
     """Return what runs the command in this process, which has its libraries loaded already."""
 
-    def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    def run(*arguments: object, columns: int = 100) -> subprocess.CompletedProcess[str]:
         words = ["symbid", *map(str, arguments)]
         out, err = io.StringIO(), io.StringIO()
         with (
@@ -75,7 +75,7 @@ def symbid_here() -> Command:
             patch.setattr(logging.root, "handlers", [])
             warnings.simplefilter("error")
             patch.setattr(sys, "argv", words)
-            patch.setenv("COLUMNS", "100")
+            patch.setenv("COLUMNS", str(columns))
             with pytest.raises(SystemExit) as ended:
                 main()
         return subprocess.CompletedProcess(

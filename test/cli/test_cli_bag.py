@@ -60,9 +60,9 @@ def test_info_lists_files_and_topics(symbid_here, bag) -> None:
 
 
 @pytest.mark.parametrize("columns", [60, 80, 120])
-def test_tables_fit_the_terminal_and_lose_nothing(symbid, bag, columns) -> None:
-    told = symbid("bag", "info", bag, columns=columns)
-    saved = symbid("bag", "recover", bag, "--out", bag.with_name("saved"), columns=columns)
+def test_tables_fit_the_terminal_and_lose_nothing(symbid_here, bag, columns) -> None:
+    told = symbid_here("bag", "info", bag, columns=columns)
+    saved = symbid_here("bag", "recover", bag, "--out", bag.with_name("saved"), columns=columns)
     for ended in (told, saved):
         assert ended.returncode == 0, ended.stderr
         lines = ended.stdout.splitlines()

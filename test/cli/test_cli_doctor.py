@@ -55,8 +55,8 @@ def test_exit_status_separates_unusable_from_doubtful_logs(symbid_here, tare, tm
     assert symbid_here("bag", "doctor", bag).returncode == 0
 
 
-def test_the_table_fits_a_narrow_terminal(symbid, tare) -> None:
-    text = symbid("bag", "doctor", tare, columns=60).stdout
+def test_the_table_fits_a_narrow_terminal(symbid_here, tare) -> None:
+    text = symbid_here("bag", "doctor", tare, columns=60).stdout
     table = [line for line in text.splitlines() if line.startswith(("│", "┃"))]
     assert max(map(len, table)) <= 60
     assert "…" not in text

@@ -77,9 +77,11 @@ def test_an_estimate_without_covariance_has_none(
     assert "intervals" not in json.loads(file.read_text())
 
 
-def test_a_page_without_truth_shows_what_was_found(symbid, model, short, found, tmp_path) -> None:
+def test_a_page_without_truth_shows_what_was_found(
+    symbid_here, model, short, found, tmp_path
+) -> None:
     file = tmp_path / "report.html"
-    ended = symbid(
+    ended = symbid_here(
         *("report", found / "wls_rc", found / "map_lmi"),
         *("--model", model, "--bag", short, "--out", file),
     )

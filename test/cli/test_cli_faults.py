@@ -195,25 +195,26 @@ def test_a_forgotten_force_plate(fails, good, copied_without, tmp_path) -> None:
     fails("limping", "right_sole", "do not balance the model's weight", **good | {"bag": bag})
 
 
-def test_earlier_files_stay_unchanged(symbid, good) -> None:
+def test_earlier_files_stay_unchanged(symbid_here, good) -> None:
     out = good["out"]
     out.mkdir()
     (out / "estimate.json").write_text("of yesterday")
     (out / "thesis.txt").write_text("years of work")
-    bad = symbid("identify", "nowhere", "--model", good["model"], "--out", out, "--overwrite")
+    bad = symbid_here("identify", "nowhere", "--model", good["model"], "--out", out, "--overwrite")
     assert bad.returncode == 2
     assert bad.stderr.startswith("symbid: nowhere")
     assert bad.stderr.count("\n") == 1
     assert (out / "estimate.json").read_text() == "of yesterday"
     words = ("identify", good["bag"], "--model", good["model"], "--out", out)
-    refused = symbid(*words)
+    words += ("--joint-terms", "none", "--no-holdout")
+    refused = symbid_here(*words)
     assert refused.returncode == 2
     assert "holds an earlier estimate.json; choose another --out, or give --o" in refused.stderr
     assert [path.name for path in out.iterdir()].count("model.urdf") == 0
-    written = symbid(*words, "--overwrite")
+    written = symbid_here(*words, "--overwrite")
     assert written.returncode == 0
     assert (out / "thesis.txt").read_text() == "years of work"
-    again = symbid("simulate", "--out", good["bag"])
+    again = symbid_here("simulate", "--out", good["bag"])
     assert again.returncode == 2
     assert again.stderr.count("\n") == 1
 
@@ -241,8 +242,8 @@ def test_nan_and_infinite_values(fails, good, tmp_path) -> None:
         (["dance"], "No such command 'dance'; see `symbid --help`"),
     ],
 )
-def test_a_usage_error_is_one_line_at_any_width(symbid, arguments, says, columns) -> None:
-    ended = symbid(*arguments, columns=columns)
+def test_a_usage_error_is_one_line_at_any_width(symbid_here, arguments, says, columns) -> None:
+    ended = symbid_here(*arguments, columns=columns)
     assert ended.returncode == 2
     assert ended.stderr.startswith("symbid: ")
     assert ended.stderr.count("\n") == 1

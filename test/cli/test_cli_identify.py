@@ -21,7 +21,7 @@ METRICS = {
     "parameter_error_pct",
 }
 FILES = {"report_data.npz", "estimate.json", "information.npz", "model.urdf", "model.xml"}
-WLS_RC = ("--method", "wls_rc")
+WLS_RC = ("--method", "wls_rc", "--joint-terms", "none")
 
 
 @pytest.fixture(scope="module")
@@ -49,9 +49,10 @@ def truncated(symbid_here, model, short, ideal, prior, tmp_path_factory) -> Path
 
 
 @pytest.fixture(scope="module")
-def before(symbid, model, ideal, prior, tmp_path_factory) -> dict[str, float]:
+def before(symbid_here, model, ideal, prior, tmp_path_factory) -> dict[str, float]:
     """Return what the prior itself is worth."""
-    return evaluated(symbid, prior, model, ideal, tmp_path_factory.mktemp("before") / "out.json")
+    out = tmp_path_factory.mktemp("before") / "out.json"
+    return evaluated(symbid_here, prior, model, ideal, out)
 
 
 def identified(symbid, bag: Path, model: Path, out: Path, *options: object) -> dict[str, Any]:
@@ -135,10 +136,12 @@ def test_a_truncated_method_chooses_z_on_a_bag_or_by_itself(
     assert all(after[name] < before[name] for name in METRICS - {"parameter_error_pct"})
 
 
-def test_a_run_continues_from_saved_information(symbid, model, log, found, prior, tmp_path) -> None:
+def test_a_run_continues_from_saved_information(
+    symbid_here, model, log, found, prior, tmp_path
+) -> None:
     earlier = json.loads((found / "estimate.json").read_text())
     both = identified(
-        symbid,
+        symbid_here,
         log,
         model,
         tmp_path / "out",
@@ -283,7 +286,8 @@ def test_the_doctors_warnings_are_given_before_the_estimate(
 
     bag = edit_bag(short, tmp_path / "bag", {"/joint_states": spoil})
     out = tmp_path / "out"
-    ended = symbid_here("identify", bag, "--model", model, "--prior-percent", 25, "--out", out)
+    quick = ("--prior-percent", 25, "--joint-terms", "none", "--no-holdout")
+    ended = symbid_here("identify", bag, "--model", model, *quick, "--out", out)
     assert ended.returncode == 0
     assert "effort of L_kfe is in no message" in " ".join(ended.stderr.split())
     assert ended.stderr.count("L_kfe") == 1

@@ -43,8 +43,8 @@ def test_deviations_are_those_of_the_estimate(symbid_here, found) -> None:
     assert "R_kfe/viscous" in names
 
 
-def test_the_table_fits_a_narrow_terminal(symbid, found) -> None:
-    ended = symbid("diff", found, columns=40)
+def test_the_table_fits_a_narrow_terminal(symbid_here, found) -> None:
+    ended = symbid_here("diff", found, columns=40)
     assert (ended.returncode, ended.stderr) == (0, "")
     lines = ended.stdout.splitlines()
     note = lines.index(next(line for line in lines if line.startswith("I1, I2, I3")))

@@ -17,16 +17,16 @@ from symbid_ros.simulation.simulator import Simulator
 from symbid_ros.simulation.systematic_errors import ERRORS
 
 
-def test_help_names_every_scenario_and_error(symbid):
-    shown = symbid("simulate", "--help", columns=200)
+def test_help_names_every_scenario_and_error(symbid_here):
+    shown = symbid_here("simulate", "--help", columns=200)
     assert shown.returncode == 0
     words = ("smooth", "vibrating", "suspended", "tare", "typical", *ERRORS)
     assert [word for word in words if word not in shown.stdout] == []
 
 
-def test_tare_shows_the_plates_offsets(symbid, tmp_path):
+def test_tare_shows_the_plates_offsets(symbid_here, tmp_path):
     bag, robot = tmp_path / "tare", tmp_path / "robot.xml"
-    done = symbid(
+    done = symbid_here(
         *("simulate", "--scenario", "tare", "--errors", "typical", "--error-seed", 3),
         *("--friction", "--true-model", robot, "--out", bag),
     )
@@ -45,9 +45,9 @@ def test_tare_shows_the_plates_offsets(symbid, tmp_path):
     assert mujoco.MjModel.from_xml_path(str(robot)).joint("L_kfe").armature[0] == 0.009
 
 
-def test_payload_is_carried_from_its_time_on(symbid, tmp_path):
+def test_payload_is_carried_from_its_time_on(symbid_here, tmp_path):
     bag = tmp_path / "bag"
-    done = symbid(
+    done = symbid_here(
         *("simulate", "--moves", 1, "--ideal", "--payload-link", "base_link"),
         *("--payload-mass", 2, "--payload-position", 0.1, -0.05, 0.2, "--payload-time", 0.5),
         *("--out", bag),
@@ -69,8 +69,8 @@ def test_payload_is_carried_from_its_time_on(symbid, tmp_path):
         (("--payload-mass", "inf", "--payload-link", "base_link"), "--payload-mass"),
     ],
 )
-def test_bad_options_end_with_one_line(symbid, tmp_path, options, message):
-    done = symbid("simulate", "--out", tmp_path / "bag", *options)
+def test_bad_options_end_with_one_line(symbid_here, tmp_path, options, message):
+    done = symbid_here("simulate", "--out", tmp_path / "bag", *options)
     assert done.returncode == 2
     assert done.stderr.startswith("symbid: ")
     assert message in done.stderr

@@ -30,7 +30,8 @@ def estimates(simulated):
         payload_time=BEGUN,
     )
     feed = feed_of(bag)
-    state = InitialState.of(load_model(MODEL), IdentifyOptions(prior_percent=25.0))
+    options = IdentifyOptions(prior_percent=25.0, joint_terms=("none",))
+    state = InitialState.of(load_model(MODEL), options)
     live = OnlineIdentification(state, feed.selected, Pace(memory=5.0, share=1.0))
     results = feed.into(live, solving=1.0)
     live.close()

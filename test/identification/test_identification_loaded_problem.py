@@ -21,8 +21,8 @@ def log(simulated):
     return simulated("smooth", moves=2, motion_seed=7, noise_seed=3)
 
 
-def load(bag, log: LogOptions = ALL, **options) -> LoadedProblem:
-    options = IdentifyOptions(window=0.081, **options)
+def load(bag, log: LogOptions = ALL, terms=("none",), **options) -> LoadedProblem:
+    options = IdentifyOptions(window=0.081, joint_terms=terms, **options)
     return BagRequest((bag,), CONFIG / "symbitron.urdf", options, log).load()
 
 
@@ -93,7 +93,9 @@ def test_an_imu_mounted_several_degrees_off_is_estimated(log, tmp_path, degrees)
     with pytest.raises(DataError, match="roll"):
         load(bag)
     problem = BagRequest(
-        (bag,), CONFIG / "symbitron.urdf", IdentifyOptions(sensor_errors=("imu_mounting",))
+        (bag,),
+        CONFIG / "symbitron.urdf",
+        IdentifyOptions(sensor_errors=("imu_mounting",), joint_terms=("none",)),
     ).load()
     verdict = problem.solve().estimate.verdict
     found = np.array([one.value for one in verdict.sensors])
@@ -107,7 +109,8 @@ def test_an_offset_of_one_joint_is_chosen_though_its_links_could_replace_it(log,
     def spoil(messages: Messages) -> None:
         messages.records["effort"][:, messages.joints.index("R_hfe")] += 1.0
 
-    estimate = load(edit_bag(log, tmp_path / "offset", {"/joint_states": spoil})).solve().estimate
+    bag = edit_bag(log, tmp_path / "offset", {"/joint_states": spoil})
+    estimate = load(bag, terms=("auto",)).solve().estimate
     assert [one for one, terms in estimate.joint_terms.items() if "offset" in terms] == ["R_hfe"]
     place = estimate.names.index("R_hfe/offset")
     # An effort that reads 1 Nm too much looks like a constant torque of the joint.

@@ -4,6 +4,7 @@ import math
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -17,6 +18,7 @@ from symbid_ros.ros import (
     mujoco_bridge,
     player,
     recorder,
+    start,
 )
 from symbid_ros.ros.parameters import Parameter
 
@@ -50,12 +52,28 @@ def run(executable: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.fixture
+def answer(monkeypatch, capsys) -> Iterator[Callable[..., tuple[int, str, str]]]:
+    """Give arguments to a node in this process; return its exit status and what it prints."""
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def call(name: str, *arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", [name, *arguments])
+        with pytest.raises(SystemExit) as ended:
+            getattr(start, name)()
+        return int(ended.value.code or 0), *capsys.readouterr()
+
+    yield call
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.parametrize("name", NODES)
-def test_help_lists_every_parameter(name: str) -> None:
-    ended = run(name, "--help")
-    assert (ended.returncode, ended.stderr) == (0, "")
+def test_help_lists_every_parameter(answer, name: str) -> None:
+    status, out, err = answer(name, "--help")
+    assert (status, err) == (0, "")
     for parameter in NODES[name]:
-        assert f"{parameter.name} ({parameter.default!r}): {parameter.description}" in ended.stdout
+        assert f"{parameter.name} ({parameter.default!r}): {parameter.description}" in out
 
 
 @pytest.mark.parametrize("name", NODES)
@@ -74,10 +92,10 @@ def test_an_interruption_while_libraries_load_leaves_no_traceback(name: str) -> 
 
 
 @pytest.mark.parametrize("name", NODES)
-def test_unknown_arguments_are_refused(name: str) -> None:
-    ended = run(name, "--bag", "log")
-    assert ended.returncode == 2
-    assert f"{name}: error: unrecognized arguments: --bag log" in ended.stderr
+def test_unknown_arguments_are_refused(answer, name: str) -> None:
+    status, _, err = answer(name, "--bag", "log")
+    assert status == 2
+    assert f"{name}: error: unrecognized arguments: --bag log" in err
 
 
 @pytest.mark.parametrize(
