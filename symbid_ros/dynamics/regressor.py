@@ -367,6 +367,8 @@ def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples)
                 continue
             for term, column in coupled.items():
                 K[:, first + joint, column] = ratio * content[term]
+    for ripple, columns in parameters.ripple_columns.items():
+        K[:, first + ripple.joint, columns] = ripple.columns(samples.position)
     offset = parameters.sensor_offsets.start
     for place in parameters.model.wrist_sensors.values():
         # The effort of these joints is minus the reading, which contains the offset.

@@ -19,6 +19,7 @@ from symbid_ros.estimation.verdict import EstimatedQuantity, Verdict
 from symbid_ros.json_documents import VERSIONS, versioned, with_keys
 from symbid_ros.model.inertia import com_from_phi
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.ripple import RIPPLE_TERM
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.user_files import load_json
 
@@ -221,6 +222,15 @@ class Estimate:
             else:
                 where = ", ".join(joints)
             parts.append(f"{term} ({where})")
+        # A ripple has two columns, of one label.
+        labels = dict.fromkeys(
+            f"{joint}: {match[1]}"
+            for joint, terms in self.joint_terms.items()
+            for term in terms
+            if (match := RIPPLE_TERM.fullmatch(term))
+        )
+        if labels:
+            parts.append(f"ripple (periods a turn of {', '.join(labels)})")
         return ", ".join(parts) or "none"
 
     def describe_payloads(self) -> tuple[str, ...]:

@@ -24,6 +24,8 @@ _LEAST_EXTENT = 0.05
 SENSED_MASS, SENSED_EXTENT = 0.2, 0.2
 # Deviations of a wrist sensor's offset, Nm and N: few sensors read more when unloaded.
 OFFSET_STD = (10.0,) * 3 + (100.0,) * 3
+# Deviation of the amplitude of a ripple, Nm; data replace it.
+RIPPLE_STD = 1.0
 # Scale of a link without mass or extent in the file.
 _BARE_MASS, _BARE_EXTENT = 1.0, 0.1
 
@@ -144,8 +146,11 @@ def term_scale(parameters: ParameterSet) -> FloatArray:
     pairs = [(term, joints[place]) for term in parameters.terms for place in parameters.joints]
     for coupling, terms in parameters.coupling_columns.items():
         pairs += [(term, joints[coupling.joints[0]]) for term in terms]
+    ripples = [RIPPLE_STD] * (2 * len(parameters.ripples))
     offsets = OFFSET_STD * len(parameters.model.wrist_sensors)
-    return np.array([*(_std_of(JOINT_TERMS[term], joint) for term, joint in pairs), *offsets])
+    return np.array(
+        [*(_std_of(JOINT_TERMS[term], joint) for term, joint in pairs), *ripples, *offsets]
+    )
 
 
 def _std_of(term: JointTerm, joint: Joint) -> float:

@@ -4,6 +4,10 @@ Both work on the Gaussian posterior of all candidates together, so that no term 
 its own.
 """
 
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from typing import TypeVar
+
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
@@ -13,6 +17,7 @@ from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.posterior import Posterior
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.ripple import Ripple
 
 # Log Bayes factor from which the evidence alone supports an armature.
 SUPPORTED = 2.0
@@ -25,12 +30,15 @@ LEAST_LEFT = 1e-3
 UNRESOLVED = 0.1
 # Share of its variance that is due to the links' parameters, above which it is mixed up with them.
 MIXED = 0.5
-# Share by which a coupled drive must reduce the square error of left-out rows of its joints. On
-# arms without coupled drives, model errors let it fall by up to 0.42; on a Stäubli TX40 by 0.79.
-LEAST_COUPLED = 0.5
+# Share by which a coupled drive or a ripple must reduce the square error of left-out rows of its
+# joints. On arms without coupled drives, model errors let it fall by up to 0.42; on a Stäubli TX40
+# by 0.79.
+LEAST_GAIN = 0.5
 
 # Terms by which a coupled drive is found; its armature resembles the links' inertias.
 FRICTION: tuple[Term, ...] = ("viscous", "coulomb")
+
+Key = TypeVar("Key", bound=Hashable)
 
 
 class CandidateTerms:
@@ -193,46 +201,87 @@ def _without_useless(
     return free
 
 
-def predictive_couplings(
-    found: Posterior, chosen: Observations, parameters: ParameterSet, free: BoolArray
-) -> tuple[Coupling, ...]:
-    """Return the couplings that predict left-out rows better than the joints' terms alone.
+@dataclass(frozen=True)
+class Effect:
+    """Columns of one possible cause of residuals.
+
+    Attributes
+    ----------
+    columns : tuple of int
+    coordinates : tuple of int
+        Coordinates whose rows judge it.
+    dissipates : bool
+        Whether negative coefficients are impossible.
+    """
+
+    columns: tuple[int, ...]
+    coordinates: tuple[int, ...]
+    dissipates: bool = False
+
+
+def coupled_friction(parameters: ParameterSet) -> dict[Coupling, Effect]:
+    """Return the effects of all couplings: friction of a drive that several joints turn."""
+    first = 6 * parameters.model.floating
+    return {
+        coupling: Effect(
+            tuple(columns[term] for term in FRICTION if term in columns),
+            tuple(first + joint for joint in coupling.joints),
+            dissipates=True,
+        )
+        for coupling, columns in parameters.coupling_columns.items()
+    }
+
+
+def ripple_torques(parameters: ParameterSet) -> dict[Ripple, Effect]:
+    """Return the effects of all ripples."""
+    first = 6 * parameters.model.floating
+    return {
+        ripple: Effect((columns.start, columns.start + 1), (first + ripple.joint,))
+        for ripple, columns in parameters.ripple_columns.items()
+    }
+
+
+def predictive_effects(
+    found: Posterior, chosen: Observations, effects: Mapping[Key, Effect], free: BoolArray
+) -> tuple[Key, ...]:
+    """Return the effects that halve the square error of left-out rows of their coordinates.
 
     The one that helps most is added first, until none helps any more.
 
     Parameters
     ----------
     found : Posterior
-        With the terms of all couplings that may be chosen.
+        With the columns of all effects.
     chosen : Observations
         The rows that it is from.
-    parameters : ParameterSet
+    effects : mapping to Effect
+        By whatever names them.
     free : (p,) bool
-        The parameters of links, and the terms that the joints have without couplings.
+        Parameters that are free without any effect.
     """
     groups = chosen.groups
     assert groups is not None
     parts = {part.coordinate: part for part in groups.complete}
-    first = 6 * parameters.model.floating
-    taken: list[Coupling] = []
+    taken: list[Key] = []
 
-    def error(coupling: Coupling, free: BoolArray) -> float:
-        joints = [parts[first + joint] for joint in coupling.joints if first + joint in parts]
-        return sum((_LeftOut(found, free, groups, part).without(None) for part in joints), 0.0)
+    def error(effect: Effect, free: BoolArray) -> float:
+        judges = [parts[one] for one in effect.coordinates if one in parts]
+        return sum((_LeftOut(found, free, groups, part).without(None) for part in judges), 0.0)
 
     while True:
-        best, most, best_free = None, LEAST_COUPLED, free
-        for coupling, columns in parameters.coupling_columns.items():
-            if coupling in taken:
+        best, most, best_free = None, LEAST_GAIN, free
+        for name, effect in effects.items():
+            before = 0.0 if name in taken else error(effect, free)
+            if before == 0:
                 continue
             more = free.copy()
-            friction = [columns[term] for term in FRICTION if term in columns]
-            more[friction] = True
-            if np.any(_conditional(found, more)[0][friction] < 0):  # drives dissipate power
+            columns = list(effect.columns)
+            more[columns] = True
+            if effect.dissipates and np.any(_conditional(found, more)[0][columns] < 0):
                 continue
-            gain = 1 - error(coupling, more) / error(coupling, free)
+            gain = 1 - error(effect, more) / before
             if gain > most:
-                best, most, best_free = coupling, gain, more
+                best, most, best_free = name, gain, more
         if best is None:
             return tuple(taken)
         taken.append(best)

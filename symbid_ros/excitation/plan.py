@@ -242,7 +242,8 @@ def _known(
         folder = options.information
         known = load_estimated_model(folder if folder.is_dir() else folder.parent, robot)
         unknown = set(known.parameters.terms) - set(DESIGN_TERMS)
-        if known.deviation_factor is None or unknown or known.parameters.couplings:
+        further = known.parameters.couplings or known.parameters.ripples
+        if known.deviation_factor is None or unknown or further:
             raise OptionError(
                 f"{folder}: has no covariance of links, viscous, coulomb, armature and offset "
                 "alone; identify with `method` map_lmi and name these `joint_terms`",

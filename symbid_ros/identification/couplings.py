@@ -1,27 +1,19 @@
 """Finds joints that share a drive, when the joints' own terms leave residuals.
 
 Neighbouring joints of an arm are tried, with the sum and with the difference of their speeds. The
-terms of all these drives are candidates beside those of the joints, on the first three quarters of
-the log, so that the check on its end stays fair. Couplings that improve the prediction of rows
-that are left out are added one by one.
+terms of all these drives are candidates beside those of the joints. Couplings that improve the
+prediction of rows that are left out are added one by one.
 """
 
 import logging
 from dataclasses import replace
 
-import numpy as np
-
-from symbid_ros.errors import SymbidError
-from symbid_ros.estimation.term_evidence import predictive_couplings
-from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
-from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
-from symbid_ros.identification.joint_terms import candidate_posterior
+from symbid_ros.estimation.term_evidence import coupled_friction, predictive_effects
+from symbid_ros.identification.candidate_trial import leaves_residuals, training_part, try_columns
+from symbid_ros.identification.dataset import Dataset
 from symbid_ros.identification.solver import Solver
-from symbid_ros.identification.term_priors import candidate_prior
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.signals.segments import split
-from symbid_ros.signals.weak_form import WINDOWS
 
 logger = logging.getLogger(__name__)
 
@@ -44,40 +36,19 @@ def find_couplings(solver: Solver, dataset: Dataset) -> tuple[Coupling, ...]:
     tuple of Coupling
         Empty if the residuals are white noise, the base floats or there are many joints.
     """
-    problem = solver.problem
-    choice = problem.choice
-    if choice is None or choice.parameters.couplings or solver.whiteness < SUSPICIOUS_WHITENESS:
+    choice = solver.problem.choice
+    if choice is None or choice.parameters.couplings or not leaves_residuals(solver):
         return ()
     pairs = neighbours(choice.parameters)
     if not pairs:
         return ()
-    window = solver.chosen.window
-    try:
-        training, _ = split(dataset.segments, max(window, *WINDOWS), dataset.source)
-        parameters = replace(choice.parameters, couplings=pairs)
-        trial = fold_dataset(training, dataset.source, parameters, Processing(windows=(window,)))
-    except SymbidError:  # too short
+    parameters = replace(choice.parameters, couplings=pairs)
+    training = training_part(solver, dataset)
+    trial = try_columns(solver, training, dataset.source, parameters, slips=True)
+    if trial is None:
         return ()
-    # The prior of the links, with the scale that the evidence gave it.
-    prior = solver.posterior.prior.for_columns(parameters)
-    prior = candidate_prior(prior, parameters, trial.observations[0])
-    everything = replace(
-        problem,
-        observations=trial.observations,
-        parameters=parameters,
-        prior=prior,
-        pseudo_measurements=None,
-        choice=None,
-        term_deviations=None,
-        stored=None,
-    )
-    candidates = np.ones(len(parameters), bool)
-    found, chosen = candidate_posterior(everything, candidates, slips=True)
-    free = np.ones(len(parameters), bool)
-    first = parameters.first_coupled
-    free[:first] = choice.free[:first]
-    free[first : parameters.sensor_offsets.start] = False
-    couplings = predictive_couplings(found, chosen, parameters, free)
+    effects = coupled_friction(parameters)
+    couplings = predictive_effects(trial.found, trial.chosen, effects, trial.free)
     for one in couplings:
         logger.warning(
             "%s: %s share a drive: friction or armature acts on %s, which is identified as well; "

@@ -143,7 +143,7 @@ def initial_factors(
 
 def _explaining(parameters: ParameterSet, phi: FloatArray) -> RowBuilder:
     """Return a builder of rows [needed torque, q̇, sign q̇, 1] and the measured effort."""
-    bare = replace(parameters, terms=(), candidates=False, couplings=(), reference=None)
+    bare = replace(parameters, terms=(), candidates=False, couplings=(), ripples=(), reference=None)
     first = 6 * parameters.model.floating
 
     def build(readings: SensorSamples) -> Iterator[SampledRows]:

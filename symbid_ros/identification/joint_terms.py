@@ -102,13 +102,15 @@ class TermChoice:
         }
 
     @property
-    def by_joint(self) -> dict[str, tuple[Term, ...]]:
+    def by_joint(self) -> dict[str, tuple[str, ...]]:
         """The chosen terms of each joint and coupling."""
         columns, names = self.parameters.term_columns, self.parameters.model.joint_names
-        joints = {
+        joints: dict[str, tuple[str, ...]] = {
             names[joint]: tuple(term for term, place in columns.items() if self.free[place][index])
             for index, joint in enumerate(self.parameters.joints)
         }
+        for ripple in self.parameters.ripples:
+            joints[names[ripple.joint]] += ripple.terms
         return joints | {coupling.label: terms for coupling, terms in self._coupled.items()}
 
     def applied(self, problem: Problem, *, all_columns: bool = False) -> Problem:
@@ -290,7 +292,7 @@ class _Selection:
         parameters = problem.parameters
         found, chosen = candidate_posterior(problem, candidates, slips=slips)
         is_term = np.zeros(len(parameters), bool)
-        is_term[parameters.inertial : parameters.sensor_offsets.start] = True
+        is_term[parameters.inertial : parameters.first_ripple] = True
         terms = np.flatnonzero(candidates & is_term)
         evidence = CandidateTerms(found, parameters, terms)
         of_file = set(terms[stated[terms]].tolist())

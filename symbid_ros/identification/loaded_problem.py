@@ -57,6 +57,7 @@ from symbid_ros.identification.prior_options import (
 )
 from symbid_ros.identification.problem import Problem, Truncation
 from symbid_ros.identification.result_files import check_output
+from symbid_ros.identification.ripples import find_ripples
 from symbid_ros.identification.solver import Identification, Solver
 from symbid_ros.identification.stored_information import (
     check_layout,
@@ -230,9 +231,13 @@ def load_problem(
     solver = _build_solver(
         options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
     )
-    if options.finds_couplings and (couplings := find_couplings(solver, dataset)):
-        parameters = replace(parameters, couplings=couplings)
-        processing = Processing.of(options)
+    for searches, find in (
+        (options.finds_couplings, _with_couplings),
+        (options.finds_ripples, _with_ripples),
+    ):
+        if not searches or (more := find(parameters, solver, dataset)) is parameters:
+            continue
+        parameters, processing = more, Processing.of(options)
         dataset = fold_dataset(dataset.segments, dataset.source, parameters, processing)
         solver = _build_solver(
             options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
@@ -240,6 +245,18 @@ def load_problem(
     return LoadedProblem(
         options, inputs, parameters, prior, dataset, solver, validation, tares, checks, digests
     )
+
+
+def _with_couplings(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
+    """Return the parameters with the couplings that a log shows."""
+    found = find_couplings(solver, dataset)
+    return replace(parameters, couplings=found) if found else parameters
+
+
+def _with_ripples(parameters: ParameterSet, solver: Solver, dataset: Dataset) -> ParameterSet:
+    """Return the parameters with the ripples that a log shows."""
+    found = find_ripples(solver, dataset)
+    return replace(parameters, ripples=found) if found else parameters
 
 
 def _digests(robot: RobotModel, options: IdentifyOptions, log: Log | None = None) -> InputDigests:

@@ -171,6 +171,13 @@ class IdentifyOptions(ContactOptions):
         group=JOINTS,
         unset="searched for in logs of arms",
     )
+    ripple: tuple[str, ...] = option(
+        (),
+        "Torques that repeat in a turn of a joint, such as joint_6:4 for four periods a turn: "
+        "ripple of torque sensors, motors or gears.",
+        group=JOINTS,
+        unset="searched for in logs",
+    )
     sensor_errors: tuple[str, ...] = option(
         (),
         f"Sensor errors to identify: typical (all of these), or a comma-separated list of "
@@ -364,6 +371,11 @@ class IdentifyOptions(ContactOptions):
         """The named couplings, one sum of joints each."""
         return names(self.coupling)
 
+    @property
+    def ripples(self) -> list[str]:
+        """The named ripples, a joint and its periods in a turn each."""
+        return names(self.ripple)
+
     def _check_joint_terms(self) -> None:
         for name in self._named_terms:
             if name not in ("auto", "none", *TERMS):
@@ -407,13 +419,17 @@ class IdentifyOptions(ContactOptions):
     @property
     def finds_couplings(self) -> bool:
         """Whether couplings of joints are searched for in the log."""
-        added = (
-            self.couplings,
-            self.sensor_error_kinds,
-            self.information,
-            self.drive_gain,
-            self.contacts,
-        )
+        return not self.couplings and self._searches
+
+    @property
+    def finds_ripples(self) -> bool:
+        """Whether torques that repeat in a turn are searched for in the log."""
+        return not self.ripples and self._searches
+
+    @property
+    def _searches(self) -> bool:
+        """Whether terms other than candidates are searched for in the log."""
+        added = self.sensor_error_kinds, self.information, self.drive_gain, self.contacts
         return self.chooses_terms and not any(added)
 
     def _check_contacts(self) -> None:

@@ -22,6 +22,7 @@ from symbid_ros.identification.stored_information import columns_of
 from symbid_ros.model.coupling import Coupling
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload
+from symbid_ros.model.ripple import Ripple
 from symbid_ros.model.tree import RobotModel
 
 logger = logging.getLogger(__name__)
@@ -41,6 +42,7 @@ def load_parameters(robot: RobotModel, options: IdentifyOptions) -> ParameterSet
             options.terms,
             candidates=options.chooses_terms,
             couplings=tuple(Coupling.parse(one, robot) for one in options.couplings),
+            ripples=tuple(Ripple.parse(one, robot) for one in options.ripples),
         )
     parameters = replace(
         parameters,

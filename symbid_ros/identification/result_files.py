@@ -130,6 +130,11 @@ def _log_unwritten(parameters: ParameterSet, estimate: Estimate, out: Path) -> N
         for coupling, columns in parameters.coupling_columns.items()
         if np.any(values[list(columns.values())])
     ]
+    lost += [
+        f"ripple of {ripple.label(parameters.model)}"
+        for ripple, columns in parameters.ripple_columns.items()
+        if np.any(values[columns])
+    ]
     if lost:
         logger.warning(
             "%s: model.urdf and model.xml cannot hold %s, which only estimate.json has; efforts "

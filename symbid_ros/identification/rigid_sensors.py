@@ -7,6 +7,7 @@ import numpy as np
 from symbid_ros.arrays import FloatArray
 from symbid_ros.model.coupling import couplings_in
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.ripple import ripples_in
 from symbid_ros.model.wrist_sensors import without_wrist_sensors
 
 
@@ -38,6 +39,7 @@ class RigidSensors:
             parameters,
             model=rigid,
             couplings=couplings_in(names, rigid) if parameters.couplings else (),
+            ripples=ripples_in(names, rigid),
             link_side=tuple(i for i, name in enumerate(rigid.joint_names) if name in side),
             reference=None,
         )

@@ -64,9 +64,16 @@ def candidate_prior(
                 if term == "armature":
                     std[column] = max(inertia[joint], LEAST_SHARE * std[column])
             std[column] = max(std[column], abs(prior.mean[column]))
-    for coupling, coupled in parameters.coupling_columns.items():
-        coordinates = [first + joint for joint in coupling.joints]
-        for column in coupled.values():
+    further = [
+        (coupling.joints, coupled.values())
+        for coupling, coupled in parameters.coupling_columns.items()
+    ] + [
+        ((ripple.joint,), range(columns.start, columns.stop))
+        for ripple, columns in parameters.ripple_columns.items()
+    ]
+    for affected, own in further:
+        coordinates = [first + joint for joint in affected]
+        for column in own:
             squares = np.array([rows.column_squares(one, column) for one in coordinates])
             if parameters.names[column] in assumed and np.all(squares > 0):
                 std[column] = np.sqrt(np.max(efforts[coordinates] / squares))

@@ -12,6 +12,7 @@ from symbid_ros.errors import ModelError
 from symbid_ros.model.coupling import Coupling, coupled_terms, couplings_in
 from symbid_ros.model.inertia import PARAMETERS, UNITS
 from symbid_ros.model.payload import Payload
+from symbid_ros.model.ripple import Ripple, ripples_in
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import COMPONENTS
 
@@ -25,8 +26,8 @@ class ParameterSet:
     """The standard parameters of a robot, Eq. 2.27–2.28 and 2.49, in column order.
 
     Each link that is not virtual has ten parameters, base first. They are followed by one
-    parameter per moving joint for each of ``terms``, by some of these terms for each coupling, and
-    by six offsets of each wrist sensor.
+    parameter per moving joint for each of ``terms``, by some of these terms for each coupling, by
+    two of each ripple, and by six offsets of each wrist sensor.
 
     Attributes
     ----------
@@ -41,6 +42,8 @@ class ParameterSet:
         Whether the terms are candidates, of which the data choose some for each joint.
     couplings : tuple of Coupling
         Drives that turn with several joints, with friction and armature of their own.
+    ripples : tuple of Ripple
+        Torques that depend on a joint's angle and repeat several times in a turn.
     link_side : tuple of int
         Joints whose effort is measured behind the gear. It does not contain the armature.
     payloads : tuple of Payload
@@ -65,6 +68,7 @@ class ParameterSet:
     payloads: tuple[Payload, ...] = ()
     reference: FloatArray | None = None
     signed_drives: bool = False
+    ripples: tuple[Ripple, ...] = ()
 
     def __post_init__(self) -> None:
         """Check and sort the terms."""
@@ -124,22 +128,42 @@ class ParameterSet:
         """Number of parameters of links and joints, which come before those of couplings."""
         return self.inertial + len(self.joints) * len(self.terms)
 
+    @property
+    def first_ripple(self) -> int:
+        """Number of parameters that come before those of ripples."""
+        return self.first_coupled + len(coupled_terms(self.terms)) * len(self.couplings)
+
+    @cached_property
+    def ripple_columns(self) -> dict[Ripple, slice]:
+        """The two columns of each ripple."""
+        starts = (self.first_ripple + 2 * place for place in range(len(self.ripples)))
+        return {
+            ripple: slice(start, start + 2)
+            for ripple, start in zip(self.ripples, starts, strict=True)
+        }
+
     @classmethod
     def of_names(cls, model: RobotModel, names: Collection[str]) -> "ParameterSet":
-        """Return the parameters of a robot with the joint terms and couplings of ``names``."""
-        return cls(model, terms_in(names), couplings=couplings_in(names, model))
+        """Return the parameters of a robot with the joint terms that occur in ``names``."""
+        return cls(
+            model,
+            terms_in(names),
+            couplings=couplings_in(names, model),
+            ripples=ripples_in(names, model),
+        )
 
     @cached_property
     def sensor_offsets(self) -> slice:
         """Columns of the offsets of wrist sensors, in the order of their joints."""
-        first = self.first_coupled + len(coupled_terms(self.terms)) * len(self.couplings)
+        first = self.first_ripple + 2 * len(self.ripples)
         return slice(first, first + 6 * len(self.model.wrist_sensors))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Names ``<link>/<m|mc_x|…|Izz>``, then ``<joint>/<term>`` by term, then couplings.
 
-        The offsets of wrist sensors follow, ``<frame>/offset_<moment|force>_<x|y|z>``.
+        Ripples follow, ``<joint>/ripple<periods>_<sin|cos>``. The offsets of wrist sensors are
+        last, ``<frame>/offset_<moment|force>_<x|y|z>``.
         """
         inertial = [f"{link}/{name}" for link in self.link_names for name in PARAMETERS]
         named = self.model.joint_names
@@ -147,12 +171,13 @@ class ParameterSet:
         coupled = [
             f"{one.label}/{term}" for one in self.couplings for term in coupled_terms(self.terms)
         ]
+        ripples = [f"{named[one.joint]}/{term}" for one in self.ripples for term in one.terms]
         offsets = [
             f"{frame}/{OFFSET}{component}"
             for frame in self.model.wrist_sensors
             for component in COMPONENTS
         ]
-        return (*inertial, *joint, *coupled, *offsets)
+        return (*inertial, *joint, *coupled, *ripples, *offsets)
 
     @cached_property
     def units(self) -> tuple[str, ...]:
@@ -167,8 +192,9 @@ class ParameterSet:
             for one in self.couplings
             for term in coupled_terms(self.terms)
         ]
+        ripples = ("Nm",) * (2 * len(self.ripples))
         offsets = (("Nm",) * 3 + ("N",) * 3) * len(self.model.wrist_sensors)
-        return (*(UNITS * len(self.links)), *joint, *coupled, *offsets)
+        return (*(UNITS * len(self.links)), *joint, *coupled, *ripples, *offsets)
 
     def __len__(self) -> int:
         return len(self.names)

@@ -67,10 +67,12 @@ def log_of(
     load=0.0,
     gain=1.0,
     start=0.0,
+    by_angle=None,
 ):
     """Return a noisy log of a robot whose drives are those of the parameters ``truth``.
 
-    ``extra`` computes further torques from velocity and acceleration, ``load`` is Coulomb friction
+    ``extra`` computes further torques from velocity and acceleration, ``by_angle`` from the
+    position, ``load`` is Coulomb friction
     per torque of the links, and ``gain`` divides efforts.
     The log begins at ``start``.
     """
@@ -84,6 +86,8 @@ def log_of(
     effort = rows.K @ truth.values - rows.y + offset
     if extra is not None:
         effort += extra(*motion[1:])
+    if by_angle is not None:
+        effort += by_angle(motion[0])
     effort += load * np.abs(rows.K @ truth.values - rows.y) * np.sign(motion[1])
     effort /= gain
     effort += NOISE * effort.std(axis=0) * rng.normal(size=effort.shape)

@@ -1,0 +1,103 @@
+"""Trial of further columns on the first three quarters of a log.
+
+The end of the log is left out, so that the check on it stays fair.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from symbid_ros.arrays import BoolArray
+from symbid_ros.errors import SymbidError
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.estimation.verdict import SUSPICIOUS_WHITENESS
+from symbid_ros.identification.dataset import Dataset, Processing, fold_dataset
+from symbid_ros.identification.joint_terms import candidate_posterior
+from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.term_priors import candidate_prior
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.segments import Segment, split
+from symbid_ros.signals.weak_form import WINDOWS
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The posterior with all columns free.
+
+    Attributes
+    ----------
+    found : Posterior
+    chosen : Observations
+        The rows that it is from.
+    free : (p,) bool
+        Parameters of the links, and the terms that were chosen without the further columns.
+    """
+
+    found: Posterior
+    chosen: Observations
+    free: BoolArray
+
+
+def leaves_residuals(solver: Solver) -> bool:
+    """Return whether the residuals with the chosen terms are correlated, so that effects lack."""
+    return solver.problem.choice is not None and solver.whiteness >= SUSPICIOUS_WHITENESS
+
+
+def training_part(solver: Solver, dataset: Dataset) -> Iterable[Segment]:
+    """Return the segments of the first three quarters of a log; none if it is too short."""
+    try:
+        training, _ = split(dataset.segments, max(solver.chosen.window, *WINDOWS), dataset.source)
+    except SymbidError:
+        return ()
+    return training
+
+
+def try_columns(
+    solver: Solver,
+    training: Iterable[Segment],
+    source: str,
+    parameters: ParameterSet,
+    *,
+    slips: bool,
+) -> Trial | None:
+    """Return the posterior with further columns; None if the log is too short.
+
+    Parameters
+    ----------
+    solver : Solver
+        Of the log, with chosen joint terms and without the columns.
+    training : iterable of Segment
+    source : str
+        Name of the log.
+    parameters : ParameterSet
+        All candidate terms, and the further columns.
+    slips : bool
+        Whether to use only rows of slipping joints.
+    """
+    problem, window = solver.problem, solver.chosen.window
+    choice = problem.choice
+    assert choice is not None
+    try:
+        trial = fold_dataset(training, source, parameters, Processing(windows=(window,)))
+    except SymbidError:
+        return None
+    # The prior of the links, with the scale that the evidence gave it.
+    prior = solver.posterior.prior.for_columns(parameters)
+    prior = candidate_prior(prior, parameters, trial.observations[0])
+    everything = replace(
+        problem,
+        observations=trial.observations,
+        parameters=parameters,
+        prior=prior,
+        pseudo_measurements=None,
+        choice=None,
+        term_deviations=None,
+        stored=None,
+    )
+    found, chosen = candidate_posterior(everything, np.ones(len(parameters), bool), slips=slips)
+    names = choice.parameters.names
+    chosen_before = {name for name, free in zip(names, choice.free, strict=True) if free}
+    free = np.array([name in chosen_before for name in parameters.names])
+    return Trial(found, chosen, free)

@@ -1,0 +1,84 @@
+"""Torques that repeat in a turn of a joint, named and found."""
+
+import numpy as np
+import pytest
+from drive_logs import arm, drives, log_of
+
+import symbid_ros as sy
+from symbid_ros.errors import ModelError
+from symbid_ros.identification.prediction import ForcePredictor
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.ripple import Ripple
+
+JOINT, PERIODS = 1, 5
+SINE, COSINE = 0.7, -0.4  # Nm
+
+
+def ripple(position):
+    """Return the torques (N, J) of a torque sensor with five spokes."""
+    torque = np.zeros_like(position)
+    angle = PERIODS * position[:, JOINT]
+    torque[:, JOINT] = SINE * np.sin(angle) + COSINE * np.cos(angle)
+    return torque
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return arm(seed=2)
+
+
+@pytest.fixture(scope="module")
+def log(robot):
+    return log_of(robot, drives(robot, viscous=0.4, coulomb=0.8), by_angle=ripple)
+
+
+@pytest.fixture(scope="module")
+def found(robot, log):
+    return sy.identify(robot, log, unchecked=True)
+
+
+def is_right(result, joint):
+    for name, value in (("sin", SINE), ("cos", COSINE)):
+        one = result.parameters[f"{joint}/ripple{PERIODS}_{name}"]
+        assert one.is_determined
+        assert one.unit == "Nm"
+        assert abs(one.value - value) < max(4 * one.std, 0.02)
+
+
+def test_a_ripple_is_found(robot, found):
+    is_right(found, robot.joint_names[JOINT])
+    assert f"{robot.joint_names[JOINT]}: {PERIODS}" in found.estimate.describe_terms()
+    assert found.estimate.holdout.percent_after < 1.0
+
+
+def test_the_links_are_as_with_a_log_without_the_ripple(robot, found):
+    log = log_of(robot, drives(robot, viscous=0.4, coulomb=0.8))
+    plain = sy.identify(robot, log, unchecked=True, no_holdout=True)
+    assert not ParameterSet.of_names(robot, plain.estimate.names).ripples
+    names = [name for name, one in plain.parameters.items() if one.is_determined]
+    both = [(plain.parameters[name], found.parameters[name]) for name in names]
+    assert np.mean([abs(a.value - b.value) < 4 * np.hypot(a.std, b.std) for a, b in both]) > 0.95
+
+
+def test_a_saved_result_has_its_ripple(tmp_path, robot, log):
+    path = tmp_path / "robot.urdf"
+    path.write_text(urdf_text(robot))
+    robot = sy.load_model(path, base="fixed")
+    label = f"{robot.joint_names[JOINT]}:{PERIODS}"
+    found = sy.identify(robot, log, unchecked=True, no_holdout=True, ripple=label)
+    is_right(found, robot.joint_names[JOINT])
+    found.save(tmp_path / "result")
+    predictor = ForcePredictor.load(tmp_path / "result")
+    assert predictor.parameters.ripples == (Ripple(JOINT, PERIODS),)
+    again = sy.identify(robot, sy.LogInformation.load(tmp_path / "result/information.npz"))
+    assert again.estimate.joint_terms == found.estimate.joint_terms
+    np.testing.assert_allclose(again.estimate.value, found.estimate.value, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("text", ["{0}", "{0}:1", "{0}:-4", "{0}:four", "elbow:4", ""])
+def test_invalid_ripples_are_refused(robot, text):
+    with pytest.raises(ModelError, match="ripple") as refusal:
+        Ripple.parse(text.format(*robot.joint_names), robot)
+    assert refusal.value.code == "E900"
+    assert Ripple.parse(f"{robot.joint_names[JOINT]}:{PERIODS}", robot) == Ripple(JOINT, PERIODS)
