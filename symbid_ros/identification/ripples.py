@@ -102,7 +102,7 @@ def _likely_ripples(solver: Solver, training: Iterable[Segment]) -> tuple[Ripple
     # The known unknowns from these rows alone: their deviations and shift from the prior's mean.
     L, total = prior.covariance_factor(), moments.sum(axis=0)
     precision = np.eye(known) + L.T @ total[:known, :known] @ L
-    deviations: FloatArray = np.linalg.solve(np.linalg.cholesky(precision), L.T).T
+    deviations = np.asarray(np.linalg.solve(np.linalg.cholesky(precision), L.T).T, np.float64)
     shift = deviations @ (deviations.T @ total[:known, -1])
     at_estimate = np.eye(len(total))
     at_estimate[:known, -1] = -shift
