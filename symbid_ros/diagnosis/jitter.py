@@ -16,6 +16,7 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.diagnosis.findings import Finding, Kind, Severity
+from symbid_ros.signals.decimation import low_passed
 from symbid_ros.signals.defects import ALWAYS
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.streams import JointStream
@@ -111,7 +112,7 @@ class JitterCheck:
         self._add_samples(stamp, position[:, measured], rate)
 
     def _add_samples(self, stamp: IntArray, position: FloatArray, rate: float) -> None:
-        slow = LowPass(min(MOTION, 0.2 * rate))(position, rate)
+        slow = low_passed(position, LowPass(min(MOTION, 0.2 * rate), passes=1), rate)
         velocity = np.gradient(slow, 1 / rate, axis=0)[2:-2]
         error = _interpolation_error((stamp - stamp[0]) * 1e-9, position)
         for block in _blocks(len(error), rate):

@@ -17,6 +17,7 @@ from symbid_ros.estimation.prior import DEFAULT_PERCENT, Prior, model_prior
 from symbid_ros.estimation.prior_std import body_std
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.decimation import Decimator
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment, cut_to
 from symbid_ros.signals.sensor_samples import probed
@@ -167,11 +168,8 @@ def _downsample(segment: Segment) -> Segment:
     stride = int(segment.rate / RATE)
     if stride < 2:
         return segment
-    low_pass = LowPass(PASSED * segment.rate / stride)
-
-    def downsample(signal: FloatArray) -> FloatArray:
-        return low_pass(signal, segment.rate)[::stride]
-
+    low_pass = LowPass(PASSED * segment.rate / stride, passes=1)
+    downsample = Decimator(segment.rate, stride, low_pass, low_pass.cutoff, 0).force
     return replace(
         segment,
         stamp=segment.stamp[::stride],

@@ -18,9 +18,10 @@ from symbid_ros.dynamics.kinematics import (
     link_velocity,
 )
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.decimation import Decimator
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.sensor_samples import SensorSamples, smoothed
+from symbid_ros.signals.sensor_samples import SensorSamples, decimated, smoothed
 
 # Calibration errors are tenths of a degree. Larger angles than the second make a log unusable.
 SMALLEST_ANGLE = np.radians(1.5)
@@ -76,7 +77,6 @@ class StanceGyroMoments:
     def add(self, segment: Segment) -> None:
         """Add the samples of a segment at which a foot stands."""
         low_pass = LowPass(min(CUTOFF, 0.1 * segment.rate), passes=1)
-        readings = smoothed(segment, low_pass)
         stride = max(1, round(segment.rate / RATE))
         shifts = max(1, int(LONGEST_DELAY * segment.rate / stride))
         if self.step == 0.0:
@@ -84,10 +84,17 @@ class StanceGyroMoments:
             self.cross = np.zeros((2 * shifts + 1, 3, 3))
             self.read = np.zeros(2 * shifts + 1)
         shifts = len(self.cross) // 2
-        readings = readings[::stride]
-        count = len(readings)
-        if count <= 4 * shifts:
+        edge = low_pass.settling(segment.rate)
+        if len(segment) - 2 * edge <= 4 * shifts * stride:
             return
+        if stride == 1:
+            readings = smoothed(segment, low_pass)
+        else:
+            protected = low_pass.cutoff
+            readings = decimated(
+                segment, Decimator(segment.rate, stride, low_pass, protected, edge)
+            )
+        count = len(readings)
         inner = slice(shifts, count - shifts)
         read = readings.angular_velocity[:, self.imu]
         for expected, is_standing in self._joint_rates(readings):

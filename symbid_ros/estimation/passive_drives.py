@@ -11,7 +11,7 @@ which viscous, Coulomb and Stribeck friction fit together, is positive at the sp
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import Term
@@ -131,4 +131,4 @@ def contradicts_signs(
     if np.all(signed.value[: len(tested)][tested] >= 0):
         return False
     loss = best(parameters).moved ** 2 - signed.moved**2
-    return bool(loss > chi2.isf(CHANCE, np.count_nonzero(tested)))
+    return bool(loss > chdtri(np.count_nonzero(tested), CHANCE))

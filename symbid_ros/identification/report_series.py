@@ -4,7 +4,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.signal import welch
 
 from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.diagnosis.stream_checks import StreamChecks
@@ -181,21 +180,31 @@ def _spectra(
     runs = [run for run in runs if len(run) >= length]
     if length < 8 or not runs:
         return np.zeros(0), empty
-    frequency = np.zeros(0)
     powers = []
     for signal in signals:
         used = np.isfinite(signal)
         share = np.maximum(used.mean(axis=0), 1e-12)
         filled = np.where(used, signal, 0.0)
-        parts = []
-        for run in runs:
-            frequency, power = welch(
-                filled[run], 1 / step, nperseg=length, axis=0, detrend="constant"
-            )
-            parts.append(power)
-        powers.append(np.mean(parts, axis=0) / share)
+        powers.append(np.mean([_welch(filled[run], length, step) for run in runs], axis=0) / share)
+    frequency: FloatArray = np.asarray(np.fft.rfftfreq(length, step), dtype=np.float64)
     # The mean is removed, so the first bin is empty.
     return frequency[1:], tuple(power[1:] for power in powers)
+
+
+def _welch(signal: FloatArray, length: int, step: float) -> FloatArray:
+    """Return the power spectral density (F, n) of a signal (N, n) by Welch's method (1967).
+
+    SciPy's function gives the same; importing it takes longer than all spectra.
+    """
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(length) / length)
+    starts = range(0, len(signal) - length + 1, length - length // 2)
+    parts = np.stack([signal[start : start + length] for start in starts])
+    parts = (parts - parts.mean(axis=1, keepdims=True)) * window[:, None]
+    power: FloatArray = np.mean(np.abs(np.fft.rfft(parts, axis=1)) ** 2, axis=0)
+    power *= step / np.sum(window**2)
+    # Negative frequencies count as well; zero and half the rate have none.
+    power[1 : (length + 1) // 2] *= 2
+    return power
 
 
 def coverage(problem: LoadedProblem) -> Coverage:

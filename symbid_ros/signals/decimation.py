@@ -19,7 +19,7 @@ from symbid_ros.signals.filters import LowPass
 # Rows per period of the low-pass's cutoff, and per shortest window, that are kept at least.
 ROWS_PER_PERIOD = 2.5
 ROWS_PER_WINDOW = 12
-# Periods of the low-pass's cutoff at which its impulse response has decayed by more than 80⁴.
+# Periods of the low-pass's cutoff at which the impulse response of one pass has decayed by 80⁴.
 REACH = 4
 # Of the Kaiser window: the anti-alias filter attenuates by 80 dB.
 ATTENUATION, SHAPE = 80.0, 7.857
@@ -53,8 +53,8 @@ class Decimator:
         Samples from one output to the next.
     low_pass : LowPass
         Butterworth low-pass; its passband is kept.
-    window : float
-        Length of the shortest window over which rows are averaged, s.
+    protected : float
+        Frequency up to which nothing may alias, Hz.
     edge : int
         Samples at each end without output, in which the kernel settles.
     """
@@ -62,7 +62,7 @@ class Decimator:
     rate: float
     stride: int
     low_pass: LowPass
-    window: float
+    protected: float
     edge: int
 
     def motion(self, signal: FloatArray, order: int) -> tuple[FloatArray, ...]:
@@ -130,14 +130,8 @@ def _toeplitz(decimator: Decimator, order: int, stride: int) -> FloatArray:
 
 def _kernels(decimator: Decimator, order: int) -> list[FloatArray]:
     """Return the weights of the samples around an output, of each derivative."""
-    rate, cutoff = decimator.rate, decimator.low_pass.cutoff
-    reach = int(np.ceil(REACH * decimator.low_pass.passes * rate / cutoff))
-    # Butterworth's response forwards and backwards, with the bilinear transform's frequencies.
-    angle = np.pi * np.arange(4 * reach + 1) / (4 * reach)
-    with np.errstate(over="ignore"):
-        ratio = np.tan(angle / 2) / np.tan(np.pi * cutoff / rate)
-        response = (1 + ratio**4) ** -float(decimator.low_pass.passes)
-    impulse = np.fft.irfft(response)
+    rate, reach = decimator.rate, _reach(decimator.low_pass, decimator.rate)
+    impulse = np.fft.irfft(_response(decimator.low_pass, rate, 8 * reach))
     kernel = np.concatenate([impulse[-reach:], impulse[: reach + 1]])
     kernel = np.convolve(kernel / kernel.sum(), _anti_alias(decimator))
     kernels = [kernel]
@@ -146,13 +140,35 @@ def _kernels(decimator: Decimator, order: int) -> list[FloatArray]:
     return kernels
 
 
+def _reach(low_pass: LowPass, rate: float) -> int:
+    """Return the number of samples in which the response to an impulse decays."""
+    return int(np.ceil((REACH + low_pass.passes - 1) * rate / low_pass.cutoff))
+
+
+def _response(low_pass: LowPass, rate: float, count: int) -> FloatArray:
+    """Return the response, forwards and backwards, at the frequencies of a real FFT."""
+    # The bilinear transform maps half the rate to infinity.
+    angle = np.minimum(np.arange(count // 2 + 1) / count, 0.5 - 1e-9)
+    ratio = np.tan(np.pi * angle) / np.tan(np.pi * low_pass.cutoff / rate)
+    response: FloatArray = (1 + ratio**4) ** -float(low_pass.passes)
+    return response
+
+
+def low_passed(signal: FloatArray, low_pass: LowPass, rate: float) -> FloatArray:
+    """Return a long signal (M, c), low-passed with zero phase by FFT."""
+    reach = _reach(low_pass, rate)
+    padded = _odd_extension(signal, reach, reach)
+    spectrum = np.fft.rfft(padded, axis=0)
+    spectrum *= _response(low_pass, rate, len(padded))[:, None]
+    return np.fft.irfft(spectrum, len(padded), axis=0)[reach : reach + len(signal)]
+
+
 def _anti_alias(decimator: Decimator) -> FloatArray:
     """Return the windowed sinc that passes the low-pass's cutoff and stops what would alias."""
     if decimator.stride == 1:
         return np.ones(1)
     rate, passed = decimator.rate, decimator.low_pass.cutoff
-    # The main lobe of a Hann window's spectrum ends at two over its length.
-    stopped = rate / decimator.stride - 2 / decimator.window
+    stopped = rate / decimator.stride - decimator.protected
     width = 2 * np.pi * (stopped - passed) / rate
     half = int(np.ceil((ATTENUATION - 8) / (2.285 * width) / 2))
     lags = np.arange(-half, half + 1)

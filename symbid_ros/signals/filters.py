@@ -1,10 +1,13 @@
-"""Zero-phase smoothing and differentiation for rows at single samples, and causal filters."""
+"""Zero-phase smoothing and differentiation for rows at single samples, and causal filters.
+
+SciPy's filters are imported when they are used. That takes half a second, and the rows of fast logs
+need none of them.
+"""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from scipy.signal import butter, savgol_filter, sosfilt, sosfilt_zi, sosfiltfilt
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import Channels
@@ -14,6 +17,12 @@ from symbid_ros.errors import DataError
 # three filters. The same number of passes on every channel treats both sides of the equation of
 # motion equally and reduces the gyroscope's noise in the base's angular acceleration most.
 PASSES = 3
+
+
+def _scipy_signal() -> Any:
+    import scipy.signal  # noqa: PLC0415
+
+    return scipy.signal
 
 
 def check_cutoff(cutoff: float) -> None:
@@ -36,7 +45,7 @@ def butterworth(cutoff: float, rate: float) -> FloatArray:
         raise DataError(
             f"cutoff {cutoff:g} Hz is not below half the rate of {rate:g} Hz; lower it", "E317"
         )
-    return np.asarray(butter(2, cutoff, fs=rate, output="sos"), dtype=np.float64)
+    return np.asarray(_scipy_signal().butter(2, cutoff, fs=rate, output="sos"), dtype=np.float64)
 
 
 class Smoothing(Protocol):
@@ -100,7 +109,7 @@ class LowPass:
             return signal
         sections = np.tile(butterworth(self.cutoff, rate), (passes, 1))
         padding = min(len(signal) - 1, int(3 * passes * rate / self.cutoff))
-        filtered: FloatArray = sosfiltfilt(sections, signal, axis=0, padlen=padding)
+        filtered: FloatArray = _scipy_signal().sosfiltfilt(sections, signal, axis=0, padlen=padding)
         return filtered
 
     def motion(self, signal: FloatArray, rate: float, order: int) -> tuple[FloatArray, ...]:
@@ -185,7 +194,7 @@ class SavitzkyGolay:
         finite = np.isfinite(columns).all(axis=0)
         fitted = np.full(columns.shape, np.nan)
         if finite.any():
-            fitted[:, finite] = savgol_filter(
+            fitted[:, finite] = _scipy_signal().savgol_filter(
                 columns[:, finite], length, self.degree, derivative, 1 / rate, axis=0
             )
         return fitted.reshape(signal.shape)
@@ -262,9 +271,9 @@ class CausalLowPass:
             return signal
         sections = butterworth(self.cutoff, rate)
         flat = signal.reshape(len(signal), -1)
-        start = sosfilt_zi(sections)[:, :, None] * flat[0]
-        filtered: FloatArray = sosfilt(sections, flat, axis=0, zi=start)[0].reshape(signal.shape)
-        return filtered
+        start = _scipy_signal().sosfilt_zi(sections)[:, :, None] * flat[0]
+        filtered, _ = _scipy_signal().sosfilt(sections, flat, axis=0, zi=start)
+        return np.asarray(filtered.reshape(signal.shape), dtype=np.float64)
 
     def velocity(self, position: FloatArray, rate: float) -> FloatArray:
         """Return the filtered backward difference of positions (N, ...); it starts with zero."""

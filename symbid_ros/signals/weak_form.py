@@ -381,11 +381,12 @@ def windowed_rows(
         yield tuple(_windowed_rows_of(*parts) for parts in zip(mean, noisy, stamps, strict=True))
 
 
-def _decimator(rate: float, low_pass: LowPass, edge: int, window: float) -> Decimator | None:
-    """Return what reduces the rate of rows, unless the low-pass leaves no room."""
+def _decimator(rate: float, low_pass: LowPass, edge: int, window: float) -> Decimator:
+    """Return what filters signals and reduces their rate as far as the low-pass allows."""
     shortest = min(window, ALL_WINDOWS[0])
     stride = decimation_stride(rate, low_pass.cutoff, shortest)
-    return None if stride == 1 else Decimator(rate, stride, low_pass, shortest, edge)
+    # The main lobe of a Hann window's spectrum ends at two over its length.
+    return Decimator(rate, stride, low_pass, 2 / shortest, edge)
 
 
 def noise_deviation(channel: FloatArray, rate: float) -> FloatArray:

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from symbid_ros.signals.decimation import Decimator, decimation_stride
+from symbid_ros.signals.decimation import Decimator, decimation_stride, low_passed
 from symbid_ros.signals.filters import LowPass
 
 RATE, CUTOFF, EDGE = 1000.0, 100.0, 40
 
 
 def decimator(stride=4, rate=RATE, cutoff=CUTOFF):
-    return Decimator(rate, stride, LowPass(cutoff, passes=1), 0.081, EDGE)
+    return Decimator(rate, stride, LowPass(cutoff, passes=1), 2 / 0.081, EDGE)
 
 
 def gain(frequency):
@@ -73,3 +73,14 @@ def test_all_instants_are_filtered_with_the_same_kernel():
 )
 def test_enough_rows_are_left_for_the_low_pass_and_the_windows(rate, cutoff, stride):
     assert decimation_stride(rate, cutoff, 0.081) == stride
+
+
+@pytest.mark.parametrize("passes", [1, 3])
+@pytest.mark.parametrize("count", [900, 1201])
+def test_the_low_pass_by_fft_equals_the_recursive_one(passes, count):
+    signal = np.cumsum(np.random.default_rng(1).standard_normal((count, 2)), axis=0)
+    low_pass = LowPass(30.0, passes=passes)
+    expected = low_pass(signal, RATE, passes)
+    found = low_passed(signal, low_pass, RATE)
+    settled = slice(220, -220)  # SciPy pads the ends by less
+    np.testing.assert_allclose(found[settled], expected[settled], atol=1e-5 * np.ptp(signal))
