@@ -108,6 +108,7 @@ INSTALL := $(PIP) install --quiet --no-compile --no-build-isolation \
 $(VENV)/.installed: pyproject.toml requirements.txt requirements-pypi.txt requirements-ros.txt setup.py setup.cfg | $(BIN)/python
 	$(PIP) install --quiet pip==26.3 setuptools==79.0.1
 	PYTHONWARNINGS=ignore $(INSTALL) --editable '.[ros,sim]'
+	$(BIN)/python -c 'from symbid_ros.dynamics import inertial_rows; inertial_rows.compile_kernel()'
 	@touch $@
 
 $(VENV)/.installed-dev: requirements-dev.txt $(VENV)/.installed

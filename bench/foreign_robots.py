@@ -32,7 +32,8 @@ import symbid_ros as sy
 from symbid_ros.choices import Base
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.intervals import HALF_WIDTH
 from symbid_ros.model.parameters import ParameterSet

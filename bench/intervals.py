@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 import symbid_ros as sy
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.base_parameters import base_parameters
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.identification.intervals import HALF_WIDTH

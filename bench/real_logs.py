@@ -25,7 +25,8 @@ from real_data import REAL_DATA, FloatArray, MissingDataError, RealLog, sha256, 
 from threadpoolctl import threadpool_limits
 
 import symbid_ros as sy
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.parameters import ParameterSet
 
 

@@ -1,8 +1,10 @@
-"""Time of the regressor per sample, compared with Pinocchio's in a Python loop.
+"""Time of the regressor per sample, compared with Pinocchio's in a Python loop, on one core.
 
-Both fill an array with one matrix per sample, on one core. Prints a Markdown table.
+"Dense" fills an array (N, n, p), as Pinocchio's loop does. "Packed" are the structural non-zeros
+alone. Calls alternate, and medians of processor time are compared. The second table is of chains
+of revolute joints, whose rows have the most non-zeros.
 
-Usage: .venv/bin/python bench/regressor.py [--samples 512] [--repeats 20]
+Usage: .venv/bin/python bench/regressor.py [--samples 128] [--repeats 25] [--plot FILE.svg]
 """
 
 import argparse
@@ -12,57 +14,103 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio
+from tables import markdown, save_plot
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.inertial_rows import PackedLayout, dense_rows, packed_rows
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.tree import RobotModel
+from symbid_ros.model.tree import STANDARD_GRAVITY, Joint, Link, RobotModel
 from symbid_ros.package_paths import config_file
 
 ROBOT_DATA = Path(pinocchio.__file__).parents[4] / "share/example-robot-data/robots"
+ROBOTS = {
+    "Symbitron": config_file("symbitron.urdf"),
+    "Solo12": ROBOT_DATA / "solo_description/robots/solo12.urdf",
+    "ANYmal C": ROBOT_DATA / "anymal_c_simple_description/urdf/anymal.urdf",
+    "G1": ROBOT_DATA / "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+    "Talos": ROBOT_DATA / "talos_data/robots/talos_full_v2.urdf",
+}
+JOINTS = 6, 12, 20, 30, 40, 60
 
 
 def main() -> None:
-    """Time both on a biped, a quadruped and a humanoid."""
+    """Time legged robots and chains of joints."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--samples", type=int, default=512, help="samples in a block")
-    options.add_argument("--repeats", type=int, default=20, help="repetitions; the fastest counts")
+    options.add_argument("--samples", type=int, default=128, help="samples in a block")
+    options.add_argument("--repeats", type=int, default=25, help="repetitions of each call")
+    options.add_argument("--plot", type=Path, help="SVG of the growth with the number of joints")
     given = options.parse_args()
-    robots = {
-        "Symbitron": config_file("symbitron.urdf"),
-        "ANYmal C": ROBOT_DATA / "anymal_c_simple_description/urdf/anymal.urdf",
-        "G1": ROBOT_DATA / "g1_description/urdf/g1_29dof_rev_1_0.urdf",
+    with threadpool_limits(1):
+        print(comparison(given.samples, given.repeats))
+        print()
+        growth = {count: own(chain(count), given.samples) for count in JOINTS}
+    times = {
+        count: microseconds(calls, given.samples, given.repeats) for count, calls in growth.items()
     }
-    print("| robot | coordinates | parameters | here (µs) | Pinocchio (µs) | ratio |")
-    print("|---|---|---|---|---|---|")
-    for name, path in robots.items():
+    rows = [(count, packed, dense) for count, (packed, dense) in times.items()]
+    print(markdown(("joints of a chain", "packed (µs)", "dense (µs)"), rows, 3))
+    if given.plot:
+        packed, dense = zip(*times.values(), strict=True)
+        lines = {"packed, µs per sample": packed, "dense, µs per sample": dense}
+        save_plot(given.plot, "joints", JOINTS, lines)
+
+
+def comparison(count: int, repeats: int) -> str:
+    """Return the table of all robots."""
+    rows = []
+    for name, path in ROBOTS.items():
         model = load_model(path, "floating")
-        parameters = ParameterSet(model)
-        with threadpool_limits(1):
-            here, peer = fastest(
-                (block(parameters, given.samples), loop(path, given.samples)), given.repeats
-            )
-        here, peer = 1e6 * here / given.samples, 1e6 * peer / given.samples
-        sizes = f"{model.dof} | {len(parameters)}"
-        print(f"| {name} | {sizes} | {here:.1f} | {peer:.1f} | {peer / here:.2f} |")
+        calls = (*own(model, count), loop(path, count))
+        packed, dense, peer = microseconds(calls, count, repeats)
+        sizes = model.dof, len(ParameterSet(model))
+        rows.append((name, *sizes, packed, dense, peer, packed / peer, dense / peer))
+    head = (
+        "robot | coordinates | parameters | packed (µs) | dense (µs) | Pinocchio (µs) "
+        "| packed / Pinocchio | dense / Pinocchio"
+    )
+    return markdown(head.split(" | "), rows, 3)
 
 
-def fastest(calls: tuple[Callable[[], None], ...], repeats: int) -> list[float]:
-    """Return the smallest processor time of each call, s; the calls alternate."""
-    times = np.empty((repeats, len(calls)))
+def microseconds(calls: tuple[Callable[[], None], ...], count: int, repeats: int) -> list[float]:
+    """Return the median processor time of each call per sample, µs; the calls alternate."""
+    inner = max(1, 1024 // count)
+    times = np.empty((repeats + 1, len(calls)))
     for row in times:
         for index, call in enumerate(calls):
             start = time.process_time()
-            call()
+            for _ in range(inner):
+                call()
             row[index] = time.process_time() - start
-    return times.min(axis=0).tolist()
+    median: list[float] = (1e6 * np.median(times[1:], axis=0) / (inner * count)).tolist()
+    return median
 
 
-def block(parameters: ParameterSet, count: int) -> Callable[[], None]:
-    """Return a call that computes the equation of motion of random samples."""
-    samples = random_samples(parameters.model, count)
-    return lambda: equation_of_motion(parameters, samples)
+def own(model: RobotModel, count: int) -> tuple[Callable[[], None], Callable[[], None]]:
+    """Return calls that compute packed and dense rows of random samples."""
+    parameters, samples = ParameterSet(model), random_samples(model, count)
+    layout = PackedLayout.of(parameters)
+
+    def packed() -> None:
+        packed_rows(parameters, samples, layout)
+
+    def dense() -> None:
+        dense_rows(parameters, samples)
+
+    return packed, dense
+
+
+def chain(count: int) -> RobotModel:
+    """Return a floating chain of revolute joints with random axes."""
+    rng = np.random.default_rng(count)
+    axes = rng.normal(size=(count, 3))
+    joints = tuple(
+        Joint(f"joint_{k}", "revolute", k, np.eye(3), np.array([0.1, 0.0, 0.0]), axis)
+        for k, axis in enumerate(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+    )
+    links = tuple(Link(f"link_{k}", np.zeros(10)) for k in range(count + 1))
+    return RobotModel(f"chain_{count}", links, joints, (), True, STANDARD_GRAVITY, "chain")
 
 
 def random_samples(model: RobotModel, count: int) -> Samples:

@@ -30,7 +30,7 @@ SUBPACKAGES = (
     "ros",
     "cli",
 )
-# What runs with NumPy, SciPy, Clarabel and PyYAML alone.
+# What runs with NumPy, SciPy, Numba, Clarabel and PyYAML alone.
 CORE = SUBPACKAGES[: SUBPACKAGES.index("messages")]
 # Whole lists of what these may import, where order says too little.
 NEVER = {
@@ -74,7 +74,7 @@ ROS_LIBRARIES = {
     "std_msgs",
     "std_srvs",
 }
-CORE_LIBRARIES = {"numpy", "scipy", "clarabel", "yaml", "pandas"}
+CORE_LIBRARIES = {"numpy", "scipy", "clarabel", "yaml", "pandas", "numba"}
 BAG_LIBRARIES = {"mcap", "rosbags", "apsw"}
 
 API = ROOT / PACKAGE / "__init__.py"  # names everything public, imports nothing before it is used

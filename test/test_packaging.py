@@ -361,7 +361,13 @@ class TestRequirements:
         assert {"python3-mujoco-pip", "python3-rosbags-pip", "proxsuite"} <= keys
 
     def test_tools_that_cannot_be_dependencies_of_the_core_stay_in_extras(self) -> None:
-        assert {each.name for each in _declared()} == {"numpy", "scipy", "clarabel", "PyYAML"}
+        assert {each.name for each in _declared()} == {
+            "numpy",
+            "scipy",
+            "clarabel",
+            "PyYAML",
+            "numba",
+        }
 
 
 def test_other_files_state_what_pyproject_does() -> None:
@@ -460,7 +466,7 @@ class TestWheel:
         assert "pip install 'symbid_ros[ros]'" in done.stderr
 
     def test_alone_identifies_from_arrays(self, wheel: Path, tmp_path: Path) -> None:
-        """The core needs NumPy, SciPy, Clarabel and PyYAML, and no bags, ROS or simulator."""
+        """The core needs NumPy, SciPy, Numba, Clarabel, PyYAML; no bags, ROS or simulator."""
         scripts = install(wheel, tmp_path / "environment", set())
         done = run_in(tmp_path, scripts / "python", "-c", FROM_ARRAYS, ur5_urdf())
         assert done.returncode == 0, done.stderr

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, ModelError
 from symbid_ros.estimation.information import Information, stacked_factor
 from symbid_ros.model.parameters import ParameterSet

@@ -3,13 +3,14 @@
 The equation of motion is K φ = y (Eq. 6, 10–14, 2.46–2.49).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
+from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Term
+from symbid_ros.dynamics.inertial_rows import body_integrals, dense_rows
 from symbid_ros.dynamics.kinematics import (
     JointTable,
     LinkPoses,
@@ -17,19 +18,13 @@ from symbid_ros.dynamics.kinematics import (
     cache_blocks,
     component_first,
     cross,
-    link_motion,
     link_velocity,
-    sample_first,
 )
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import without_contacts
-from symbid_ros.dynamics.wrenches import wrenches_at_base
 from symbid_ros.model.coupling import Coupling
-from symbid_ros.model.inertia import pseudo_inertia
 from symbid_ros.model.parameters import ParameterSet
-from symbid_ros.model.tree import Joint, RobotModel
-
-# Pseudo-inertia J of one unit of each parameter, (10, 16).
-UNIT_PSEUDO_INERTIA = pseudo_inertia(np.eye(10)).reshape(10, 16)
+from symbid_ros.model.tree import Joint
 
 # Below this speed, rad/s or m/s, a joint may stick, and static friction balances the other forces.
 COULOMB_SPEED = 0.02
@@ -40,103 +35,6 @@ STRIBECK_SPEED = 0.2, 0.02
 # Travel after a reversal within which friction builds up to 63 %, in presliding: revolute joints
 # rad, prismatic joints m. It is about the hysteresis of a strain wave gear.
 PRESLIDING_TRAVEL = 2e-3, 2e-4
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Motion of a robot and forces on it at N instants.
-
-    Joint columns are in model order. Base quantities are in base axes at the base's origin. A
-    fixed base has zero rates, and its specific force is minus gravity.
-
-    Attributes
-    ----------
-    stamp : (N,) int64
-        Nanoseconds.
-    position, velocity, acceleration : (N, J) float64
-        Joint motion, rad or m.
-    effort : (N, J) float64
-        Joint torques or forces applied by the motors, Nm or N.
-    base_angular_velocity, base_angular_acceleration : (N, 3) float64
-        rad/s and rad/s².
-    base_specific_force : (N, 3) float64
-        Acceleration of the base's origin minus gravity, m/s².
-    wrenches : (N, F, 6) float64
-        Per sensor the (moment; force) of the environment on the robot, in the sensor frame's
-        axes about its origin.
-    wrench_frames : tuple of str
-        Names of the F sensor frames.
-    touching : (N, C) bool or None
-        Which contacts without a sensor touch something; None if all may.
-    sliding, friction_state : (N, J) float64 or None
-        Of :func:`coulomb_column` and :func:`friction_state`, filtered like the efforts; None for
-        single instants.
-    """
-
-    stamp: IntArray
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    effort: FloatArray
-    base_angular_velocity: FloatArray
-    base_angular_acceleration: FloatArray
-    base_specific_force: FloatArray
-    wrenches: FloatArray
-    wrench_frames: tuple[str, ...]
-    touching: BoolArray | None = None
-    sliding: FloatArray | None = None
-    friction_state: FloatArray | None = None
-
-    @classmethod
-    def none(cls, joint_names: tuple[str, ...]) -> "Samples":
-        """Return no instants of a robot without wrench sensors."""
-        joints, base = np.zeros((0, len(joint_names))), np.zeros((0, 3))
-        stamp = np.zeros(0, dtype=np.int64)
-        return cls(stamp, joints, joints, joints, joints, base, base, base, np.zeros((0, 0, 6)), ())
-
-    def __len__(self) -> int:
-        return len(self.stamp)
-
-    def __getitem__(self, index: slice | IntArray) -> "Samples":
-        """Return the samples at a slice or at indices."""
-        return map_arrays(self, lambda values: values[index])
-
-    def blocks(self, size: int) -> Iterator["Samples"]:
-        """Yield consecutive blocks of at most ``size`` samples."""
-        for start in range(0, len(self), size):
-            yield self[start : start + size]
-
-
-def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatArray) -> FloatArray:
-    """Return ∫ (x × u; u) dm about the base's origin per unit parameter, (N, 6, inertial).
-
-    A body's points x = X ξ, ξ homogeneous in link axes, have rates u = U ξ, so that
-    ∫ x uᵀ dm = X J Uᵀ with the pseudo-inertia J = ∫ ξξᵀ dm, linear in the parameters
-    (Wensing, Kim and Slotine 2018). With u = ẋ the integral is the body's momentum. With
-    u = ẍ - g it is the wrench on the body, bX_l^F A_l of Eq. 11 and 14. This corrects -S(ṗ) of
-    the thesis's Eq. 2.38 to -S(p̈).
-
-    Parameters
-    ----------
-    parameters : ParameterSet
-        The links with parameters.
-    pose, pose_rate : (3, 4, L, N) float64
-        X and U of all links, in base axes: rotation (or its rate), then origin (or its rate).
-    """
-    if len(parameters.links) < pose.shape[2]:
-        pose, pose_rate = pose[:, :, parameters.links], pose_rate[:, :, parameters.links]
-    links, count = pose.shape[2:]
-    integrals = np.empty((6, links, 10, count))
-    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        # One axis at a time, because the products of all three do not fit the cache.
-        products = pose[i, :, None] * pose_rate[j]
-        products -= pose[j, :, None] * pose_rate[i]
-        moment = UNIT_PSEUDO_INERTIA @ products.reshape(16, links * count)
-        integrals[axis] = moment.reshape(10, links, count).swapaxes(0, 1)
-    integrals[3:, :, 0] = pose_rate[:, 3]
-    integrals[3:, :, 1:4] = pose_rate[:, :3].swapaxes(1, 2)
-    integrals[3:, :, 4:] = 0.0
-    return integrals.reshape(6, parameters.inertial, count).transpose(2, 0, 1)
 
 
 def is_slipping(velocity: FloatArray) -> BoolArray:
@@ -285,23 +183,7 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     """
     model = parameters.model
     first_joint = 6 * model.floating
-    joints = JointTable.of(model.joints)
-    # δ_j(l) of Eq. 10, column by column: only links that a joint carries load it.
-    carries = np.repeat(joints.path[parameters.links].T, 10, axis=1)
-    K = np.empty((len(samples), model.dof, len(parameters)))
-    y = np.empty((len(samples), model.dof))
-    for part in cache_blocks(len(samples), len(model.links)):
-        block = samples[part]
-        posture = Posture.at(joints, component_first(block.position))
-        axes = sample_first(posture.motion_axes)
-        inertial = K[part, :, : parameters.inertial]
-        shape = (len(block), 6, parameters.inertial)
-        wrenches = inertial[:, :6] if model.floating else np.empty(shape)
-        wrenches[:] = _link_wrenches(parameters, posture, block)
-        rows = inertial[:, first_joint:]
-        np.matmul(np.ascontiguousarray(axes), wrenches, out=rows)
-        rows *= carries
-        y[part] = generalised_force(model, block, posture.poses, axes)
+    K, y = dense_rows(parameters, samples)
     if len(parameters) > parameters.inertial:
         _fill_joint_terms(K, parameters, samples)
     model.fold_followers(K)
@@ -333,29 +215,10 @@ def known_force(parameters: ParameterSet, samples: Samples) -> FloatArray:
     return force
 
 
-def _link_wrenches(parameters: ParameterSet, posture: Posture, samples: Samples) -> FloatArray:
-    """Return bX_l^F A_l (N, 6, inertial), Eq. 11 and 14: wrenches per unit parameter."""
-    base = (
-        component_first(samples.base_angular_velocity),
-        component_first(samples.base_angular_acceleration),
-        component_first(samples.base_specific_force),
-    )
-    rates = component_first(samples.velocity), component_first(samples.acceleration)
-    motion = link_motion(posture, *rates, base)
-    pose_acceleration = np.empty_like(posture.pose)
-    rotation_acceleration = pose_acceleration[:, :3]
-    np.einsum(
-        "ikln,kjln->ijln", motion.lever_acceleration, posture.rotation, out=rotation_acceleration
-    )
-    pose_acceleration[:, 3] = motion.specific_force
-    return body_integrals(parameters, posture.pose, pose_acceleration)
-
-
 def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples) -> None:
     """Write the columns of joint terms and sensor offsets, each joint's into its own row."""
     content = _joint_terms(parameters, samples)
     joints, first = parameters.joints, 6 * parameters.model.floating
-    K[:, :, parameters.inertial :] = 0.0
     for term, columns in parameters.term_columns.items():
         if term in content:
             factor = np.broadcast_to(content[term], samples.velocity.shape)
@@ -421,35 +284,6 @@ def slipping(parameters: ParameterSet, velocity: FloatArray) -> BoolArray:
     for coupling in parameters.couplings:
         slips[:, coupling.joints] &= is_slipping(coupling.speed(velocity))[:, None]
     return slips
-
-
-def generalised_force(
-    model: RobotModel, samples: Samples, poses: LinkPoses, axes: FloatArray
-) -> FloatArray:
-    """Return y = Sᵀ f_a + J_gᵀ f_e (N, n), Eq. 4, from efforts and measured wrenches.
-
-    Parameters
-    ----------
-    model : RobotModel
-        The robot.
-    samples : Samples
-        Efforts and wrenches.
-    poses : LinkPoses
-        Link poses of the samples.
-    axes : (N, J, 6) float64
-        Joint axes from :func:`symbid_ros.dynamics.kinematics.joint_axes`.
-    """
-    first_joint = 6 * model.floating
-    frames = samples.wrench_frames
-    at_base = wrenches_at_base(model, samples.wrenches, frames, poses)
-    carries = model.ancestors[:, [model.loaded_link(name) for name in frames]].astype(np.float64)
-    joint_forces = component_first(axes) * (carries @ component_first(at_base))
-    y = np.empty((len(samples), model.dof))
-    if model.floating:
-        y[:, :6] = at_base.sum(axis=1)
-    y[:, first_joint:] = samples.effort + joint_forces.sum(axis=0).T
-    model.fold_followers(y)
-    return y
 
 
 def com_position(parameters: ParameterSet, values: FloatArray, poses: LinkPoses) -> FloatArray:

@@ -18,7 +18,8 @@ from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import TERMS
-from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import possible_states
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.model.parameters import ParameterSet

@@ -13,8 +13,9 @@ import numpy as np
 
 from symbid_ros.arrays import FloatArray
 from symbid_ros.choices import Criterion
+from symbid_ros.dynamics.inertial_rows import generalised_force
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses
-from symbid_ros.dynamics.regressor import Samples, generalised_force
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import EstimateError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.posterior import Posterior

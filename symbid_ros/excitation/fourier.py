@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.regressor import Samples
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.tree import RobotModel
 
 

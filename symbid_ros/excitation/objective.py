@@ -14,7 +14,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.excitation.fourier import DrivenJoints
 from symbid_ros.model.parameters import ParameterSet
 

@@ -11,7 +11,8 @@ from symbid_ros.arrays import FloatArray
 from symbid_ros.diagnosis import doctor
 from symbid_ros.diagnosis.findings import Diagnosis
 from symbid_ros.dynamics.imu import BaseMotion
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.identification.contact_options import ContactOptions
 from symbid_ros.identification.contacts import with_contact_options

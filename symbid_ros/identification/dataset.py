@@ -9,7 +9,7 @@ from symbid_ros.arrays import concatenated
 from symbid_ros.diagnosis.findings import Finding
 from symbid_ros.diagnosis.sensor_faults import mask_faulty_messages
 from symbid_ros.diagnosis.stream_checks import StreamChecks
-from symbid_ros.dynamics.regressor import Samples
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations

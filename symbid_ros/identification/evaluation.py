@@ -6,15 +6,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from symbid_ros.arrays import FloatArray, IntArray, concatenated
+from symbid_ros.dynamics.inertial_rows import generalised_force
 from symbid_ros.dynamics.kinematics import joint_axes, link_poses, rotate, rotate_inverse
 from symbid_ros.dynamics.regressor import (
-    Samples,
     equation_of_motion,
     first_moment_regressor,
-    generalised_force,
     known_force,
     momentum_regressor,
 )
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import BagError
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.rotation import rotation_from_xyzw

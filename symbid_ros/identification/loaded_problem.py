@@ -7,7 +7,7 @@ from pathlib import Path
 from symbid_ros.choices import Method
 from symbid_ros.diagnosis.stream_checks import StreamChecks
 from symbid_ros.diagnosis.wrist_evidence import reversed_sensors
-from symbid_ros.dynamics.regressor import Samples
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import EstimateError, OptionError
 from symbid_ros.estimation.archive import load_archive
 from symbid_ros.estimation.estimate import RowSettings

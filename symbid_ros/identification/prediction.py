@@ -8,7 +8,8 @@ import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import Base
-from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts, without_contacts
 from symbid_ros.errors import EstimateError, SymbidError
 from symbid_ros.estimation.archive import load_archive

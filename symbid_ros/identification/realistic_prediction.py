@@ -10,13 +10,13 @@ from symbid_ros.dynamics.contact import contact_jacobian, contact_wrenches
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.kinematics import link_poses, rotate
 from symbid_ros.dynamics.regressor import (
-    Samples,
     centroidal,
     com_position,
     equation_of_motion,
     known_force,
     momentum_regressor,
 )
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import BagError, DataError
 from symbid_ros.identification.evaluation import SAMPLES_AT_ONCE, TrueMotion, predict, true_motion
 from symbid_ros.model.parameters import ParameterSet

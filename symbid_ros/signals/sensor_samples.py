@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, concatenated, map_arrays
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
-from symbid_ros.dynamics.regressor import Samples
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.decimation import Decimator

@@ -23,12 +23,12 @@ from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SLIDING_TERMS
 from symbid_ros.dynamics.regressor import (
     Rows,
-    Samples,
     coulomb_column,
     equation_of_motion,
     friction_state,
     slipping,
 )
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import contact_states, contacts_of_state
 from symbid_ros.errors import DataError
 from symbid_ros.model.parameters import ParameterSet

@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 
 from symbid_ros.arrays import FloatArray
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import SimulationError
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.parameters import ParameterSet

@@ -15,7 +15,8 @@ from scipy.linalg import qr
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.dynamics.contact import RANK_TOLERANCE, contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import DAMPING, annihilator
 from symbid_ros.errors import StudyError
 from symbid_ros.estimation.information import RowLayout, random_motions

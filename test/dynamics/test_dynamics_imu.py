@@ -7,7 +7,8 @@ from random_robots import random_robot
 
 from symbid_ros.dynamics.imu import BaseMotion, base_motion
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import Samples, centroidal, com_position, momentum_regressor
+from symbid_ros.dynamics.regressor import centroidal, com_position, momentum_regressor
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.export_mjcf import mjcf_text
 from symbid_ros.model.parameters import ParameterSet
 

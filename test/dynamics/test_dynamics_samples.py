@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from random_robots import random_robot, random_samples
 
-from symbid_ros.dynamics.regressor import Samples
+from symbid_ros.dynamics.samples import Samples
 
 OTHERS = "wrench_frames", "sliding", "friction_state"  # the latter are None for single instants
 ARRAYS = [field.name for field in fields(Samples) if field.name not in OTHERS]

@@ -6,12 +6,12 @@ import pytest
 
 from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import (
-    Samples,
     centroidal,
     com_position,
     equation_of_motion,
     momentum_regressor,
 )
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import SimulationError
 from symbid_ros.estimation.prior import draw_prior
 from symbid_ros.model.export_mjcf import mjcf_text

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from symbid_ros.dynamics.imu import BaseMotion
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.signals.segments import Segment
 from symbid_ros.signals.sensor_samples import SensorSamples
 

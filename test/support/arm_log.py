@@ -3,7 +3,8 @@
 import numpy as np
 from analytic_log import waves
 
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.signals.streams import JointStream, Streams
 

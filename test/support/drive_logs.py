@@ -7,7 +7,8 @@ from analytic_log import waves
 from random_robots import random_robot
 
 import symbid_ros as sy
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.parameters import ParameterSet
 
 RATE, SECONDS = 200.0, 24.0

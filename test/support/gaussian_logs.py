@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from random_robots import random_robot
 
-from symbid_ros.dynamics.regressor import Rows, Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import Rows, equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
 from symbid_ros.estimation.prior import Prior, draw_prior

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from symbid_ros.bags import BagWriter
 from symbid_ros.dynamics.contact import contact_jacobian
 from symbid_ros.dynamics.kinematics import link_poses
-from symbid_ros.dynamics.regressor import Samples, equation_of_motion
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.messages.types import (
     BOOL,
     IMU,

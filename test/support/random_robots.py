@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from symbid_ros.dynamics.regressor import Samples
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.inertia import phi_from_pseudo_inertia
 from symbid_ros.model.tree import Frame, Joint, Link, RobotModel
 

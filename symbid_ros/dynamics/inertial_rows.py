@@ -1,0 +1,342 @@
+"""Inertial columns of the regressor, and the generalised force of efforts and wrenches.
+
+They are computed by the compiled :mod:`symbid_ros.dynamics.kernel`, or by NumPy. NumPy is the
+reference for tests and needs no compiler; the environment variable ``SYMBID_KERNEL`` selects it.
+
+Most columns of a joint's row are zero, because only links that a joint carries load it. *Packed*
+rows omit these structural zeros.
+"""
+
+import logging
+import os
+from dataclasses import dataclass
+from functools import cache
+from types import ModuleType
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.dynamics.kinematics import (
+    JointTable,
+    LinkPoses,
+    Posture,
+    cache_blocks,
+    component_first,
+    link_motion,
+    sample_first,
+)
+from symbid_ros.dynamics.samples import Samples
+from symbid_ros.dynamics.wrenches import wrenches_at_base
+from symbid_ros.errors import OptionError
+from symbid_ros.model.inertia import pseudo_inertia
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.tree import STANDARD_GRAVITY, Link, RobotModel
+
+logger = logging.getLogger(__name__)
+
+# Environment variable that selects how rows are computed.
+KERNEL = "SYMBID_KERNEL"
+NUMBA, NUMPY = "numba", "numpy"
+
+# Pseudo-inertia J of one unit of each parameter, (10, 16).
+UNIT_PSEUDO_INERTIA = pseudo_inertia(np.eye(10)).reshape(10, 16)
+
+# Forces depend on mass and first moments alone, the first four of a link's ten parameters.
+FORCE_COLUMNS = 4
+
+
+@dataclass(frozen=True)
+class PackedLayout:
+    """Places of the structural non-zeros of a robot's inertial columns.
+
+    Attributes
+    ----------
+    row, column : (w,) int64
+        Coordinate and parameter of each, by coordinates and then by parameters.
+    start : (J, L) int64
+        Where the columns of a link with parameters begin in a joint's row; -1 if it does not load
+        the joint.
+    """
+
+    row: IntArray
+    column: IntArray
+    start: IntArray
+
+    @classmethod
+    def of(cls, parameters: ParameterSet) -> "PackedLayout":
+        """Return the layout of the inertial columns of a robot."""
+        model, links = parameters.model, parameters.links
+        ranks = np.arange(len(links))
+        loads = model.ancestors[:, links]
+        sizes = np.array(
+            [10 if joint.kind == "revolute" else FORCE_COLUMNS for joint in model.joints]
+        )
+        if model.floating:
+            loads = np.concatenate([np.ones((6, len(links)), dtype=bool), loads])
+            sizes = np.concatenate([[10] * 3, [FORCE_COLUMNS] * 3, sizes])
+        row, rank = np.nonzero(loads)
+        size = sizes[row].astype(np.int64)
+        end = np.cumsum(size)
+        start = np.full((len(loads), len(model.links)), -1, dtype=np.int64)
+        start[row, links[rank]] = end - size
+        within = np.arange(end[-1] if len(end) else 0) - np.repeat(end - size, size)
+        column = 10 * np.repeat(ranks[rank], size) + within
+        return cls(np.repeat(row, size), column, start[6 * model.floating :])
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+
+def dense_rows(parameters: ParameterSet, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """Return K (N, n, p) with zeros beside its inertial columns, and y (N, n)."""
+    model = parameters.model
+    K = np.empty((len(samples), model.dof, len(parameters)))
+    if _kernel() is None:
+        K[:, :, parameters.inertial :] = 0.0
+        return K, _fill_by_numpy(parameters, samples, K[:, :, : parameters.inertial])
+    layout = PackedLayout.of(parameters)
+    index = layout.row * len(parameters) + layout.column
+    rows = K.reshape(len(samples), model.dof * len(parameters))
+    return K, _evaluate(parameters, samples, layout, rows=(index, rows))
+
+
+def packed_rows(
+    parameters: ParameterSet, samples: Samples, layout: PackedLayout
+) -> tuple[FloatArray, FloatArray]:
+    """Return the packed inertial columns (N, w) and y (N, n)."""
+    if _kernel() is None:
+        K, y = dense_rows(parameters, samples)
+        return K[:, layout.row, layout.column], y
+    rows = np.empty((len(samples), len(layout)))
+    return rows, _evaluate(parameters, samples, layout, rows=(np.arange(len(layout)), rows))
+
+
+def averaged_rows(
+    parameters: ParameterSet, samples: Samples, layout: PackedLayout, weights: csr_array
+) -> tuple[FloatArray, FloatArray]:
+    """Return weighted sums (W, w) of packed inertial columns, and y (N, n) of all samples.
+
+    The rows of single samples are not stored.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+    samples : Samples
+    layout : PackedLayout
+    weights : (W, N) csr_array
+        Weights of the samples in each window; a window's samples are consecutive.
+    """
+    if _kernel() is None:
+        sums = np.zeros((weights.shape[0], len(layout)))
+        y = np.empty((len(samples), parameters.model.dof))
+        for part in cache_blocks(len(samples), len(parameters.model.links)):
+            rows, y[part] = packed_rows(parameters, samples[part], layout)
+            sums += weights[:, part] @ rows
+        return sums, y
+    sums = np.empty((weights.shape[0], len(layout)))
+    return sums, _evaluate(parameters, samples, layout, sums=(weights, sums))
+
+
+def compile_kernel() -> None:
+    """Compile the kernel for this computer, if it is selected and was not compiled before."""
+    fixed = RobotModel("link", (Link("link", np.zeros(10)),), (), (), False, STANDARD_GRAVITY, "")
+    dense_rows(ParameterSet(fixed), Samples.none(()))
+
+
+def _kernel() -> ModuleType | None:
+    """Return the compiled kernel, or None if NumPy is selected."""
+    return _loaded_kernel(os.environ.get(KERNEL, NUMBA))
+
+
+@cache
+def _loaded_kernel(choice: str) -> ModuleType | None:
+    if choice == NUMPY:
+        return None
+    if choice != NUMBA:
+        raise OptionError(
+            f"environment variable {KERNEL} is {choice!r}; set it to {NUMBA} or {NUMPY}, or "
+            "unset it",
+            "E940",
+        )
+    try:
+        from symbid_ros.dynamics import kernel  # noqa: PLC0415 (Numba takes a third of a second)
+    except ImportError as error:
+        raise OptionError(
+            f"the compiled kernel needs Numba, which cannot be imported ({error}); install numba, "
+            f"or set the environment variable {KERNEL}={NUMPY}",
+            "E941",
+        ) from error
+    if not kernel.is_cached():
+        logger.warning(
+            "compiling the regressor for this computer, once: some 10 s (kept in %s)",
+            kernel.cache_folder() or "no folder, because none can be written",
+        )
+    return kernel
+
+
+def _evaluate(
+    parameters: ParameterSet,
+    samples: Samples,
+    layout: PackedLayout,
+    *,
+    rows: tuple[IntArray, FloatArray] | None = None,
+    sums: tuple[csr_array, FloatArray] | None = None,
+) -> FloatArray:
+    """Let the kernel write rows or sums over windows, and return y (N, n)."""
+    kernel = _kernel()
+    assert kernel is not None
+    model, count = parameters.model, len(samples)
+    joints = JointTable.of(model.joints)
+    rank = np.full(len(model.links), -1, dtype=np.int64)
+    rank[parameters.links] = np.arange(len(parameters.links))
+    link, joint = np.nonzero(layout.start.T >= 0)
+    tree = kernel.Tree(
+        joints.parent,
+        joints.pose,
+        joints.reference[:, 0].copy(),
+        joints.revolute[:, 0].copy(),
+        rank,
+        len(parameters.links),
+        model.floating,
+        np.searchsorted(link, np.arange(len(model.links) + 1)),
+        joint.copy(),
+        layout.start[joint, link],
+    )
+    motion = kernel.Motion(
+        _plain(samples.position),
+        _plain(samples.velocity),
+        _plain(samples.acceleration),
+        _plain(samples.base_angular_velocity),
+        _plain(samples.base_angular_acceleration),
+        _plain(samples.base_specific_force),
+    )
+    frames = samples.wrench_frames
+    mounts = [model.frame(name) for name in frames]
+    loads = kernel.Loads(
+        _plain(samples.effort),
+        _plain(samples.wrenches),
+        np.array([model.loaded_link(name) for name in frames], dtype=np.int64),
+        np.array([mount.link for mount in mounts], dtype=np.int64),
+        np.array([mount.rotation for mount in mounts]).reshape(-1, 3, 3),
+        np.array([mount.translation for mount in mounts]).reshape(-1, 3),
+        model.ancestors,
+    )
+    if rows is None:
+        rows = np.zeros(len(layout), dtype=np.int64), np.empty((count, 0))
+    weights, totals = (csr_array((0, count)), np.empty((0, 0))) if sums is None else sums
+    first = weights.indices[np.minimum(weights.indptr[:-1], max(weights.nnz - 1, 0))]
+    windows = kernel.Windows(
+        first.astype(np.int64), weights.indptr.astype(np.int64), _plain(weights.data)
+    )
+    y = np.empty((count, model.dof))
+    kernel.evaluate(tree, motion, loads, *rows, windows, totals, y)
+    model.fold_followers(y)
+    return y
+
+
+def _plain(values: FloatArray) -> FloatArray:
+    """Return an array of the one kind that the kernel is compiled for."""
+    return np.require(values, np.float64, ["C", "W"])
+
+
+def _fill_by_numpy(parameters: ParameterSet, samples: Samples, K: FloatArray) -> FloatArray:
+    """Write the inertial columns of K (N, n, inertial) and return y (N, n)."""
+    model = parameters.model
+    first_joint = 6 * model.floating
+    joints = JointTable.of(model.joints)
+    # δ_j(l) of Eq. 10, column by column: only links that a joint carries load it.
+    carries = np.repeat(joints.path[parameters.links].T, 10, axis=1)
+    y = np.empty((len(samples), model.dof))
+    for part in cache_blocks(len(samples), len(model.links)):
+        block = samples[part]
+        posture = Posture.at(joints, component_first(block.position))
+        axes = sample_first(posture.motion_axes)
+        inertial = K[part]
+        shape = (len(block), 6, parameters.inertial)
+        wrenches = inertial[:, :6] if model.floating else np.empty(shape)
+        wrenches[:] = _link_wrenches(parameters, posture, block)
+        rows = inertial[:, first_joint:]
+        np.matmul(np.ascontiguousarray(axes), wrenches, out=rows)
+        rows *= carries
+        y[part] = generalised_force(model, block, posture.poses, axes)
+    return y
+
+
+def _link_wrenches(parameters: ParameterSet, posture: Posture, samples: Samples) -> FloatArray:
+    """Return bX_l^F A_l (N, 6, inertial), Eq. 11 and 14: wrenches per unit parameter."""
+    base = (
+        component_first(samples.base_angular_velocity),
+        component_first(samples.base_angular_acceleration),
+        component_first(samples.base_specific_force),
+    )
+    rates = component_first(samples.velocity), component_first(samples.acceleration)
+    motion = link_motion(posture, *rates, base)
+    pose_acceleration = np.empty_like(posture.pose)
+    rotation_acceleration = pose_acceleration[:, :3]
+    np.einsum(
+        "ikln,kjln->ijln", motion.lever_acceleration, posture.rotation, out=rotation_acceleration
+    )
+    pose_acceleration[:, 3] = motion.specific_force
+    return body_integrals(parameters, posture.pose, pose_acceleration)
+
+
+def body_integrals(parameters: ParameterSet, pose: FloatArray, pose_rate: FloatArray) -> FloatArray:
+    """Return ∫ (x × u; u) dm about the base's origin per unit parameter, (N, 6, inertial).
+
+    A body's points x = X ξ, ξ homogeneous in link axes, have rates u = U ξ, so that
+    ∫ x uᵀ dm = X J Uᵀ with the pseudo-inertia J = ∫ ξξᵀ dm, linear in the parameters
+    (Wensing, Kim and Slotine 2018). With u = ẋ the integral is the body's momentum. With
+    u = ẍ - g it is the wrench on the body, bX_l^F A_l of Eq. 11 and 14. This corrects -S(ṗ) of
+    the thesis's Eq. 2.38 to -S(p̈).
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        The links with parameters.
+    pose, pose_rate : (3, 4, L, N) float64
+        X and U of all links, in base axes: rotation (or its rate), then origin (or its rate).
+    """
+    if len(parameters.links) < pose.shape[2]:
+        pose, pose_rate = pose[:, :, parameters.links], pose_rate[:, :, parameters.links]
+    links, count = pose.shape[2:]
+    integrals = np.empty((6, links, 10, count))
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        # One axis at a time, because the products of all three do not fit the cache.
+        products = pose[i, :, None] * pose_rate[j]
+        products -= pose[j, :, None] * pose_rate[i]
+        moment = UNIT_PSEUDO_INERTIA @ products.reshape(16, links * count)
+        integrals[axis] = moment.reshape(10, links, count).swapaxes(0, 1)
+    integrals[3:, :, 0] = pose_rate[:, 3]
+    integrals[3:, :, 1:4] = pose_rate[:, :3].swapaxes(1, 2)
+    integrals[3:, :, 4:] = 0.0
+    return integrals.reshape(6, parameters.inertial, count).transpose(2, 0, 1)
+
+
+def generalised_force(
+    model: RobotModel, samples: Samples, poses: LinkPoses, axes: FloatArray
+) -> FloatArray:
+    """Return y = Sᵀ f_a + J_gᵀ f_e (N, n), Eq. 4, from efforts and measured wrenches.
+
+    Parameters
+    ----------
+    model : RobotModel
+        The robot.
+    samples : Samples
+        Efforts and wrenches.
+    poses : LinkPoses
+        Link poses of the samples.
+    axes : (N, J, 6) float64
+        Joint axes from :func:`symbid_ros.dynamics.kinematics.joint_axes`.
+    """
+    first_joint = 6 * model.floating
+    frames = samples.wrench_frames
+    at_base = wrenches_at_base(model, samples.wrenches, frames, poses)
+    carries = model.ancestors[:, [model.loaded_link(name) for name in frames]].astype(np.float64)
+    joint_forces = component_first(axes) * (carries @ component_first(at_base))
+    y = np.empty((len(samples), model.dof))
+    if model.floating:
+        y[:, :6] = at_base.sum(axis=1)
+    y[:, first_joint:] = samples.effort + joint_forces.sum(axis=0).T
+    model.fold_followers(y)
+    return y
