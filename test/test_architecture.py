@@ -22,6 +22,7 @@ SUBPACKAGES = (
     "messages",
     "bags",
     "offline",
+    "cluster",
     "online",
     "simulation",
     "report",

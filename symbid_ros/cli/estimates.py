@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from symbid_ros.cli.cluster import Dask, bag_location, print_dashboard
 from symbid_ros.cli.flags import (
     BaseKind,
     Model,
@@ -65,7 +66,10 @@ def prior(
 @with_flags
 def identify(
     *,
-    bags: Annotated[list[Path], typer.Argument(help="Bags of one robot.", show_default=False)],
+    bags: Annotated[
+        list[Path],
+        typer.Argument(help="Bags of one robot; with --dask also URLs.", show_default=False),
+    ],
     model: ModelOrRobot = None,
     out: Annotated[Path, typer.Option(help="Folder for the estimate and the identified models.")],
     robot: Robot = None,
@@ -75,6 +79,7 @@ def identify(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the result of an earlier run in --out.")
     ] = False,
+    dask: Dask = None,
 ) -> None:
     """Identify a robot's parameters from bags.
 
@@ -94,9 +99,20 @@ def identify(
 
     require_no_files(out, RESULT_FILES, overwrite=overwrite)
     request = BagRequest(tuple(bags), require_model(model), options, log, base)
-    with progress_shown():
-        problem = request.load(out)
-        found = identify_with_holdout(problem)
+    if dask is None:
+        with progress_shown():
+            problem = request.load(out)
+            found = identify_with_holdout(problem)
+    else:
+        from symbid_ros.cluster.connection import connected
+        from symbid_ros.cluster.log_job import ClusterRequest
+
+        with connected(dask) as cluster:
+            print_dashboard(cluster.dashboard)
+            distributed = ClusterRequest(tuple(map(bag_location, bags)), request)
+            with progress_shown():
+                problem = distributed.load(cluster, out)
+                found = distributed.attributed(cluster, identify_with_holdout(problem))
     found = request.attributed(found, command_line(), () if robot is None else (robot,))
     write_identification(found, problem.parameters, out)
     print_estimate(found.estimate, out)

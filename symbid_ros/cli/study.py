@@ -1,6 +1,9 @@
 """``symbid study``."""
 
 import os
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
 from pathlib import Path
 from time import monotonic
 from typing import Annotated
@@ -16,6 +19,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from symbid_ros.cli.cluster import Dask, print_dashboard
 from symbid_ros.cli.verbosity import shows_progress
 
 # Tasks take up to a minute, so the remaining time is estimated from many of them, s.
@@ -31,6 +35,7 @@ def study(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the results of another study.")
     ] = False,
+    dask: Dask = None,
 ) -> None:
     """Compare methods, priors, filters and logs, and write tables, figures and a page.
 
@@ -44,10 +49,10 @@ def study(
     from symbid_ros.study.plan import load_plan
     from symbid_ros.study.stages import study_stages
     from symbid_ros.study.study_folder import StudyFolder
-    from symbid_ros.study.task_runner import Task, run_tasks, worker_pool
+    from symbid_ros.study.task_runner import Task, run_tasks
 
     content, _ = load_plan(plan)
-    folder = StudyFolder(out)
+    folder = StudyFolder(out.absolute() if dask else out)
     folder.reserve(content, overwrite=overwrite)
     console = Console(stderr=True)
     columns = (
@@ -67,7 +72,7 @@ def study(
             disable=not shows_progress(console),
             speed_estimate_period=SPEED_PERIOD,
         ) as progress,
-        worker_pool(workers or min(8, os.cpu_count() or 1)) as pool,
+        _worker_pool(workers, dask, folder.work) as pool,
     ):
         bar = progress.add_task("", total=total)
 
@@ -85,3 +90,19 @@ def study(
         progress.update(bar, description="writing results")
         page = publish(content, folder)
     typer.echo(f"wrote {page}")
+
+
+@contextmanager
+def _worker_pool(workers: int, dask: str | None, folder: Path) -> Iterator[Executor]:
+    """Start processes that run tasks, or use the workers of a cluster, which must see a folder."""
+    from symbid_ros.study.task_runner import worker_pool
+
+    if dask is None:
+        with worker_pool(workers or min(8, os.cpu_count() or 1)) as pool:
+            yield pool
+        return
+    from symbid_ros.cluster.connection import connected
+
+    with connected(dask) as cluster:
+        print_dashboard(cluster.dashboard)
+        yield cluster.executor_of(folder)

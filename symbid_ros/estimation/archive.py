@@ -62,6 +62,18 @@ def write_archive(
     calibration : SensorCalibration, optional
         Of the sensor errors, if they were identified.
     """
+    content = pack_observations(observations)
+    if deviation_factor is not None:
+        content["deviation_factor"] = deviation_factor
+    if calibration is not None:
+        content["sensor_factor"] = calibration.factor
+        content["linearization"] = calibration.linearization
+    # Random digits: compression would save a fifth and take longer than all the rest.
+    write_through(path, lambda stream: np.savez(stream, **content))
+
+
+def pack_observations(observations: Sequence[Observations]) -> dict[str, Any]:
+    """Return observations with the same layout as the arrays of an information.npz."""
     layout = observations[0].layout
     content: dict[str, Any] = {
         "format": np.array(FORMAT),
@@ -79,13 +91,7 @@ def write_archive(
         content |= _arrays(one, str(index))
         if one.slipping is not None:
             content |= _arrays(one.slipping, f"slipping_{index}")
-    if deviation_factor is not None:
-        content["deviation_factor"] = deviation_factor
-    if calibration is not None:
-        content["sensor_factor"] = calibration.factor
-        content["linearization"] = calibration.linearization
-    # Random digits: compression would save a fifth and take longer than all the rest.
-    write_through(path, lambda stream: np.savez(stream, **content))
+    return content
 
 
 def _arrays(one: Observations, key: str) -> dict[str, NDArray[Any]]:
@@ -123,26 +129,7 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
                 "identify the log again",
                 "E411",
             )
-        layout = _layout(content)
-        windows, inflations, kept = (
-            _numbers(content, name, (len(content["window"]),))
-            for name in ("window", "inflation", "kept")
-        )
-        _require(np.all(inflations >= 1), "inflation must be at least 1")
-        _require(np.all(kept <= 1), "kept must be at most 1")
-        seconds = frozenset(_seconds(content))
-        return tuple(
-            _observations(
-                layout,
-                content,
-                str(i),
-                Observations.empty(layout, float(windows[i])),
-                inflation=float(inflations[i]),
-                kept=float(kept[i]),
-                seconds=seconds,
-            )
-            for i in range(len(windows))
-        )
+        return unpack_observations(content)
     except KeyError as error:
         reason = f"it lacks {error}"
     except (ValueError, TypeError, IndexError, OverflowError) as error:
@@ -150,6 +137,36 @@ def load_archive(path: Path) -> tuple[Observations, ...]:
     raise EstimateError(
         f"{path}: not an information.npz ({reason}); give the file that `symbid identify` wrote",
         "E410",
+    )
+
+
+def unpack_observations(content: dict[str, np.ndarray]) -> tuple[Observations, ...]:
+    """Return the observations in the arrays of an information.npz.
+
+    Raises
+    ------
+    KeyError, ValueError, TypeError, IndexError, OverflowError
+        When an array is missing or invalid.
+    """
+    layout = _layout(content)
+    windows, inflations, kept = (
+        _numbers(content, name, (len(content["window"]),))
+        for name in ("window", "inflation", "kept")
+    )
+    _require(np.all(inflations >= 1), "inflation must be at least 1")
+    _require(np.all(kept <= 1), "kept must be at most 1")
+    seconds = frozenset(_seconds(content))
+    return tuple(
+        _observations(
+            layout,
+            content,
+            str(i),
+            Observations.empty(layout, float(windows[i])),
+            inflation=float(inflations[i]),
+            kept=float(kept[i]),
+            seconds=seconds,
+        )
+        for i in range(len(windows))
     )
 
 

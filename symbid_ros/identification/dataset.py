@@ -1,6 +1,7 @@
 """From a log to information: alignment, filtering, and rows that are folded as they come."""
 
 import logging
+from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -20,7 +21,7 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.alignment import align_checked, warn_once
 from symbid_ros.signals.filters import LowPass, SavitzkyGolay, Smoothing, row_inflation
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.segments import Segment, cut_to, fingerprint
+from symbid_ros.signals.segments import RemoteSegments, Segment, cut_to, fingerprint
 from symbid_ros.signals.sensor_samples import build_samples, probed
 from symbid_ros.signals.weak_form import (
     ALL_WINDOWS,
@@ -302,6 +303,14 @@ class Dataset:
     observations: tuple[Observations, ...]
 
 
+class DistributedSegments(RemoteSegments):
+    """The segments of a log on other machines, which fold its rows there."""
+
+    @abstractmethod
+    def fold(self, source: str, parameters: ParameterSet, processing: Processing) -> Dataset:
+        """Return what :func:`fold_dataset` does."""
+
+
 def read_dataset(
     log: Log,
     parameters: ParameterSet,
@@ -334,6 +343,8 @@ def fold_dataset(
     DataError, ModelError
         When the data or the model is invalid.
     """
+    if isinstance(segments, DistributedSegments):
+        return segments.fold(source, parameters, processing)
     model, smoothing = parameters.model, processing.smoothing
     if smoothing is None:
         layout = RowLayout.of(parameters)

@@ -24,7 +24,7 @@ from symbid_ros.identification.report_series import (
 from symbid_ros.identification.solver import Identification
 from symbid_ros.identification.validation import describe_change, validate_segments
 from symbid_ros.progress import report
-from symbid_ros.signals.segments import Segment, split
+from symbid_ros.signals.segments import RemoteSegments, Segment, split
 from symbid_ros.signals.weak_form import WINDOWS
 
 # Instants between which postures are compared, s, and over which speeds are measured.
@@ -165,6 +165,8 @@ def repeated_share(training: Iterable[Segment], held_out: Iterable[Segment]) -> 
 
 def _states(segments: Iterable[Segment]) -> list[FloatArray]:
     """Return joint positions and speeds (N, 2 J) of each segment at few of its instants."""
+    if isinstance(segments, RemoteSegments):
+        return segments.apply(_states)
     states = []
     for segment in segments:
         stride = max(1, round(PERIOD * segment.rate))

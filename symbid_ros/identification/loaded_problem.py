@@ -1,6 +1,6 @@
 """Reading and checking of a robot, a log and all that options name, before any method is chosen."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -72,6 +72,10 @@ from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN
+
+
+# Reads and checks a log on other machines, for the parameters and their prior.
+LogReader = Callable[[IdentifyOptions, ParameterSet, Prior], tuple[Dataset, LogChecks]]
 
 
 @dataclass(frozen=True)
@@ -188,11 +192,12 @@ def load_problem(
     log: Log,
     options: IdentifyOptions | None = None,
     out: Path | None = None,
+    read: LogReader | None = None,
 ) -> LoadedProblem:
     """Read and check a log and everything that the options name.
 
     Options, small files and the folder ``out`` for the results are checked first, because reading
-    the log takes long.
+    the log takes long. ``read`` reads it in place of this process.
 
     Raises
     ------
@@ -214,10 +219,14 @@ def load_problem(
     for _, text in options.loaded_logs:
         Payload.parse(text, robot)
     digests = _digests(robot, options, log)
-    dataset, streams = read_log(log, options, parameters)
+    if read is None:
+        dataset, streams = read_log(log, options, parameters)
+    else:
+        (dataset, checks), streams = read(options, parameters, prior), None
     if wrong := reversed_sensors(dataset.observations[0].rows, parameters):
-        return load_problem(robot, log, with_reversed(options, wrong, log.source), out)
-    checks = _check(dataset, streams, options, parameters, prior)
+        return load_problem(robot, log, with_reversed(options, wrong, log.source), out, read)
+    if read is None:
+        checks = _check(dataset, streams, options, parameters, prior)
     require_rows(dataset, parameters.model)
     if options.unchecked:  # otherwise the checks have said so
         report_unnamed_sensors(parameters.model, dataset)

@@ -57,7 +57,11 @@ class Log:
 
     def applied_to(self, robot: RobotModel) -> RobotModel:
         """Return a robot with the frames that the log says are fixed to its links."""
-        return with_fixed_frames(robot, self._frames())
+        return with_fixed_frames(robot, self.fixed_frames())
+
+    def fixed_frames(self) -> tuple[FixedTransform, ...]:
+        """Return the transforms between frames that the log says are fixed to each other."""
+        return self._frames()
 
     def slices(self, span: int | None = None, *, warn: bool = True) -> Iterator[Slice]:
         """Yield the measurements in slices that end at multiples of ``span``.

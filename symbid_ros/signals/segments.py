@@ -1,10 +1,12 @@
 """Uniformly sampled segments of a log, and fingerprints of the seconds they cover."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from hashlib import blake2b
 
 import numpy as np
+from numpy.typing import NDArray
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray, map_arrays
 from symbid_ros.errors import DataError
@@ -107,6 +109,30 @@ def _hash(segment: Segment, index: int) -> int:
     return int.from_bytes(blake2b(content, digest_size=8).digest(), signed=True)
 
 
+class RemoteSegments(ABC):
+    """The segments of a log on other machines; iterating over them transfers them.
+
+    What needs less than the segments themselves asks for that.
+    """
+
+    @abstractmethod
+    def __iter__(self) -> Iterator[Segment]: ...
+
+    @abstractmethod
+    def spans(self) -> list[tuple[int, int]]:
+        """Return the first and the last stamp of each segment, ns."""
+
+    @abstractmethod
+    def between(self, start: int, stop: int) -> "RemoteSegments":
+        """Return the segments from ``start`` up to ``stop``, ns."""
+
+    @abstractmethod
+    def apply(
+        self, function: Callable[[Iterable[Segment]], list[NDArray[np.float64]]]
+    ) -> list[FloatArray]:
+        """Return the arrays that a function of a module computes from parts of the segments."""
+
+
 @dataclass(frozen=True)
 class _Part:
     """The segments from ``start`` up to ``stop``, ns, cut anew in every iteration."""
@@ -139,7 +165,10 @@ def split(
     DataError
         When nothing is left of one part.
     """
-    spans = [(int(one.stamp[0]), int(one.stamp[-1])) for one in segments]
+    if isinstance(segments, RemoteSegments):
+        spans = segments.spans()
+    else:
+        spans = [(int(one.stamp[0]), int(one.stamp[-1])) for one in segments]
     lengths = np.array([stop - start for start, stop in spans])
     left = (1 - HELD_OUT) * float(lengths.sum())
     ends = np.cumsum(lengths)
@@ -148,6 +177,8 @@ def split(
     begin = border + round(1e9 * gap)
     if border <= spans[0][0] or begin >= spans[-1][1]:
         raise DataError(f"{source}: too short to hold out a part; record longer", "E529")
+    if isinstance(segments, RemoteSegments):
+        return segments.between(spans[0][0], border), segments.between(begin, spans[-1][1] + 1)
     return (
         _Part(segments, spans[0][0], border),
         _Part(segments, begin, spans[-1][1] + 1),

@@ -1,0 +1,147 @@
+"""Connection to the scheduler of a Dask cluster: tasks, their progress, and their errors.
+
+Dask is imported when it is needed, so that one machine needs no Dask.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from symbid_ros.cluster.log_tasks import installed_version, sees_file
+from symbid_ros.errors import OptionError, StudyError, SymbidError
+from symbid_ros.package_paths import PACKAGE, package_version
+from symbid_ros.progress import report
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+CONNECTING_TIME = 10.0  # s to wait for the scheduler, and for its first worker
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A connected cluster.
+
+    Attributes
+    ----------
+    client : distributed.Client
+    """
+
+    client: "Client"
+
+    @property
+    def dashboard(self) -> str:
+        """Address of the page on which Dask shows its tasks."""
+        return str(self.client.dashboard_link)
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> "Future[Any]":
+        """Start a task; arguments may be results of other tasks."""
+        # Equal calls are other calls: a bag may have changed in between.
+        return self.client.submit(function, *arguments, pure=False)
+
+    def results(self, tasks: Sequence["Future[Any]"], step: str) -> list[Any]:
+        """Wait for tasks, report their progress as ``step``, and return their results in order."""
+        from distributed import as_completed  # noqa: PLC0415 - an optional library
+
+        for done, task in enumerate(as_completed(tasks, loop=self.client.loop, raise_errors=False)):
+            if task.status != "finished":
+                task.result()  # raises the task's error
+            report(step, (done + 1) / len(tasks))
+        return [task.result() for task in tasks]
+
+    def reduced(
+        self, function: Callable[[Any, Any], Any], tasks: Sequence["Future[Any]"]
+    ) -> "Future[Any]":
+        """Combine results in pairs of neighbours, level by level, on the workers."""
+        level = list(tasks)
+        while len(level) > 1:
+            pairs = zip(level[::2], level[1::2], strict=False)
+            odd = level[-1:] if len(level) % 2 else []
+            level = [self.submit(function, one, two) for one, two in pairs] + odd
+        return level[0]
+
+    def executor_of(self, folder: Path) -> Executor:
+        """Return an executor whose tasks write files below ``folder``.
+
+        Raises
+        ------
+        StudyError
+            When a worker does not see the file ``folder``, which must be on a shared file system.
+        """
+        for worker, is_seen in self.client.run(sees_file, str(folder)).items():
+            if not is_seen:
+                raise StudyError(
+                    f"{folder}: the worker at {worker} does not see it; choose a folder on a file "
+                    "system that all workers share",
+                    "E957",
+                )
+        executor: Executor = self.client.get_executor(pure=False)
+        return executor
+
+
+@contextmanager
+def connected(address: str) -> Iterator[Cluster]:
+    """Connect to a Dask scheduler; unfinished tasks are cancelled at the end of the block.
+
+    Errors of the cluster become errors of this package, in one line.
+
+    Raises
+    ------
+    SymbidError
+        When Dask is not installed, nothing answers at the address, there is no worker, a worker has
+        another version of this package, or workers died again and again.
+    """
+    try:
+        import distributed  # noqa: PLC0415 - an optional library
+    except ModuleNotFoundError:
+        raise SymbidError(
+            f"`dask` needs Dask, which is not installed; run pip install '{PACKAGE}[dask]'", "E950"
+        ) from None
+    try:
+        client = distributed.Client(address, timeout=CONNECTING_TIME, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise OptionError(
+            f"`dask` {address}: no scheduler answers ({reason}); start one by `dask scheduler`, "
+            "and give the address that it prints",
+            "E951",
+        ) from None
+    with client:
+        try:
+            _check_workers(client, address)
+            yield Cluster(client)
+        except distributed.scheduler.KilledWorker as error:
+            raise SymbidError(
+                f"`dask` {address}: {error.allowed_failures + 1} workers died while they ran one "
+                "task, perhaps for lack of memory; give each worker more, and one thread "
+                "(`--nthreads 1`)",
+                "E953",
+            ) from None
+        except distributed.client.FutureCancelledError as error:
+            reason = " ".join(str(error).split())
+            raise SymbidError(
+                f"`dask` {address}: the cluster dropped a task ({reason}); start again", "E953"
+            ) from None
+
+
+def _check_workers(client: "Client", address: str) -> None:
+    """Raise an error unless there are workers, all with this version of the package."""
+    try:
+        client.wait_for_workers(1, timeout=CONNECTING_TIME)
+    except TimeoutError:
+        raise SymbidError(
+            f"`dask` {address}: the cluster has no worker; start some by `dask worker {address}`",
+            "E952",
+        ) from None
+    own = package_version()
+    # A worker without the package cannot even load the function, and returns the error instead.
+    for worker, found in client.run(installed_version, on_error="return").items():
+        if found != own:
+            has = f"has version {found}" if isinstance(found, str) else f"cannot load {PACKAGE}"
+            raise SymbidError(
+                f"`dask` {address}: the worker at {worker} {has}; install version {own} there",
+                "E954",
+            )
