@@ -112,7 +112,7 @@ $(VENV)/.installed: pyproject.toml requirements.txt requirements-pypi.txt requir
 	@touch $@
 
 $(VENV)/.installed-dev: requirements-dev.txt $(VENV)/.installed
-	$(INSTALL) 'symbid_ros[study]' -r requirements-dev.txt
+	$(INSTALL) 'symbid_ros[study,dask]' -r requirements-dev.txt
 	@touch $@
 
 $(VENV)/.installed-docs: requirements-docs.txt $(VENV)/.installed

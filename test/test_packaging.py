@@ -333,7 +333,7 @@ class TestRequirements:
 
     def test_every_dependency_is_pinned_in_one_list_within_its_range(self) -> None:
         pins = [_pins(name) for name in (*self.lists, "requirements-docs.txt")]
-        for requirement in _declared("bags", "sim", "study", "ros", "docs"):
+        for requirement in _declared("bags", "sim", "study", "dask", "ros", "docs"):
             names = {requirement.name, requirement.name.capitalize()}
             found = [versions[name] for versions in pins for name in names if name in versions]
             assert len(found) == 1, requirement

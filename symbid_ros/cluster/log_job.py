@@ -158,10 +158,9 @@ class ClusterSegments(DistributedSegments):
             When the log is unusable.
         """
         columns = describe_columns(parameters)
+        rows = processing.windows, processing.full_rate
         tasks = [
-            self.cluster.submit(
-                fold_part, self.log, columns, processing.windows, astuple(part), tuple(mean)
-            )
+            self.cluster.submit(fold_part, self.log, columns, rows, astuple(part), tuple(mean))
             for part in self.parts
         ]
         total = self.cluster.reduced(merge_parts, tasks)

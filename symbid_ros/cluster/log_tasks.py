@@ -116,7 +116,11 @@ def digest_bag(location: str) -> list[tuple[str, str | None, int | None]]:
 
 
 def fold_part(
-    log: str, columns: str, windows: Sequence[float], part: tuple[int, ...], mean: Sequence[float]
+    log: str,
+    columns: str,
+    rows: tuple[Sequence[float], bool],
+    part: tuple[int, ...],
+    mean: Sequence[float],
 ) -> dict[str, Any]:
     """Return the information of a part of a log, and what its checks found.
 
@@ -126,8 +130,8 @@ def fold_part(
         The log, from :func:`describe_log`.
     columns : str
         The parameters, from :func:`describe_columns`.
-    windows : sequence of float
-        Lengths of the windows, s.
+    rows : (sequence of float, bool)
+        Lengths of the windows, s, and whether every sample has a row before averaging.
     part : tuple of int
         Fields of :class:`Part`.
     mean : sequence of float
@@ -135,11 +139,12 @@ def fold_part(
     """
     opened, parameters = _OpenLog.of(log), _parameters(log, columns)
     source, found = opened.source(Part(*part)), None
+    processing = Processing(windows=tuple(rows[0]), full_rate=rows[1])
     with _turn, _warnings() as messages:
         checks = StreamChecks(parameters.model) if len(mean) else None
         segments = opened.segments(Part(*part), checks)
         try:
-            dataset = fold_dataset(segments, source, parameters, Processing(windows=tuple(windows)))
+            dataset = fold_dataset(segments, source, parameters, processing)
         except DataError as error:
             if error.code not in TOO_SHORT:
                 raise

@@ -73,7 +73,6 @@ from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import DRIVE_GAIN
 
-
 # Reads and checks a log on other machines, for the parameters and their prior.
 LogReader = Callable[[IdentifyOptions, ParameterSet, Prior], tuple[Dataset, LogChecks]]
 
