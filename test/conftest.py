@@ -1,8 +1,13 @@
 """The order of the files, and simulated logs that several of them read, each recorded once."""
 
+import contextlib
 import fcntl
+import io
+import logging
 import os
 import signal
+import subprocess
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -126,6 +131,35 @@ def domain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
         monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "log"))
         yield number
+
+
+@pytest.fixture(scope="session")
+def symbid_here() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Return what runs the command in this process, which has its libraries loaded already."""
+
+    def run(*arguments: object, columns: int = 100) -> subprocess.CompletedProcess[str]:
+        from symbid_ros.cli.main import main
+
+        words = ["symbid", *map(str, arguments)]
+        out, err = io.StringIO(), io.StringIO()
+        with (
+            pytest.MonkeyPatch.context() as patch,
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+            warnings.catch_warnings(),
+        ):
+            # Neither pytest's log handlers nor its record of warnings keep any from stderr.
+            patch.setattr(logging.root, "handlers", [])
+            warnings.simplefilter("error")
+            patch.setattr(sys, "argv", words)
+            patch.setenv("COLUMNS", str(columns))
+            with pytest.raises(SystemExit) as ended:
+                main()
+        return subprocess.CompletedProcess(
+            words, ended.value.code or 0, out.getvalue(), err.getvalue()
+        )
+
+    return run
 
 
 @pytest.fixture(scope="module")

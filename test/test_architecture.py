@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 
 from symbid_ros import bags
@@ -95,6 +96,7 @@ def imported(text: str, package: tuple[str, ...]) -> Iterator[str]:
             yield from (f"{module}.{alias.name}" for alias in node.names if module == PACKAGE)
 
 
+@cache
 def imports(path: Path) -> set[str]:
     package = path.relative_to(ROOT).parent.parts
     return set(imported(path.read_text(encoding="utf-8"), package))

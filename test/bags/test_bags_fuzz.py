@@ -1,4 +1,4 @@
-"""A few hundred of the thousands of damaged bags that ``make fuzz`` tries."""
+"""Some of the thousands of damaged bags that ``make fuzz`` tries."""
 
 import subprocess
 import sys
@@ -10,7 +10,7 @@ import pytest
 
 def test_no_damaged_bag_passes_as_intact() -> None:
     """Runs in a separate process, because its peak memory is measured."""
-    command = [sys.executable, bag_fuzz.__file__, "--cases", "240", "--processes", "1"]
+    command = [sys.executable, bag_fuzz.__file__, "--cases", "160", "--processes", "1"]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert ended.returncode == 0, ended.stdout + ended.stderr
 

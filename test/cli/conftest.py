@@ -1,12 +1,8 @@
 """The command as a user runs it, and bags that several tests read."""
 
-import contextlib
-import io
-import logging
 import os
 import subprocess
 import sys
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +11,6 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from symbid_ros.cli.main import main
 from symbid_ros.package_paths import config_file
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
@@ -53,33 +48,6 @@ def symbid() -> Command:
             check=False,
             timeout=600,
             env={**os.environ, "COLUMNS": str(columns)},
-        )
-
-    return run
-
-
-@pytest.fixture(scope="session")
-def symbid_here() -> Command:
-    """Return what runs the command in this process, which has its libraries loaded already."""
-
-    def run(*arguments: object, columns: int = 100) -> subprocess.CompletedProcess[str]:
-        words = ["symbid", *map(str, arguments)]
-        out, err = io.StringIO(), io.StringIO()
-        with (
-            pytest.MonkeyPatch.context() as patch,
-            contextlib.redirect_stdout(out),
-            contextlib.redirect_stderr(err),
-            warnings.catch_warnings(),
-        ):
-            # Neither pytest's log handlers nor its record of warnings keep any from stderr.
-            patch.setattr(logging.root, "handlers", [])
-            warnings.simplefilter("error")
-            patch.setattr(sys, "argv", words)
-            patch.setenv("COLUMNS", str(columns))
-            with pytest.raises(SystemExit) as ended:
-                main()
-        return subprocess.CompletedProcess(
-            words, ended.value.code or 0, out.getvalue(), err.getvalue()
         )
 
     return run

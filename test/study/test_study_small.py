@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import DESKTOP, PHONE
-from small_study import PLAN, SmallStudy, symbid
+from small_study import PLAN, SmallStudy
 
 from symbid_ros.bags import bag_log
 from symbid_ros.estimation.prior import draw_prior
@@ -132,14 +132,14 @@ def test_parameter_table_shows_the_first_draw(small: SmallStudy):
     np.testing.assert_allclose([float(row["Ref."]) for row in rows], prior.mean)
 
 
-def test_second_run_repeats_no_task_and_writes_equal_files(small: SmallStudy):
+def test_second_run_repeats_no_task_and_writes_equal_files(small: SmallStudy, symbid_here):
     def files(folder: Path) -> dict[str, bytes]:
         found = (path for path in sorted(folder.rglob("*")) if path.is_file())
         return {str(path.relative_to(small.out)): path.read_bytes() for path in found}
 
     work = small.out / "work"
     before, times = files(small.out), [path.stat().st_mtime_ns for path in work.rglob("*")]
-    again = symbid("study", small.file, "--out", small.out, "--workers", 1)
+    again = symbid_here("study", small.file, "--out", small.out, "--workers", 1)
     assert again.returncode == 0, again.stderr
     assert again.stderr.count("all complete") == 4
     assert times == [path.stat().st_mtime_ns for path in work.rglob("*")]
@@ -155,18 +155,18 @@ def test_deleted_results_are_computed_again_exactly(small: SmallStudy):
     before = json.loads(lost[0].read_text())
     for file in lost:
         file.unlink()
-    with worker_pool(2) as pool:
+    with worker_pool(1) as pool:
         for stage in study_stages(small.plan, folder):
             run_tasks(pool, stage.tasks, lambda _: None)
     assert all(file.exists() for file in lost)
     assert json.loads(lost[0].read_text()) == before
 
 
-def test_another_plan_is_rejected_and_files_stay(small: SmallStudy, tmp_path: Path):
+def test_another_plan_is_rejected_and_files_stay(small: SmallStudy, symbid_here, tmp_path: Path):
     other = tmp_path / "other.yaml"
     other.write_text(small.file.read_text().replace("prior_seed: 8", "prior_seed: 9"))
     page = (small.out / "report.html").read_bytes()
-    refused = symbid("study", other, "--out", small.out)
+    refused = symbid_here("study", other, "--out", small.out)
     assert refused.returncode == 2
     assert "another plan" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1

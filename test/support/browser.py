@@ -71,12 +71,15 @@ class OpenPage:
         """Like `overflow`, for pages in which other elements, by a CSS selector, may scroll."""
         return self.tab.evaluate(_OVERFLOW, may_scroll)
 
-    def printed_pages(self) -> list[str]:
-        """Print on A4 and return the text of each page."""
+    def printed_pages(self, read: int = 2) -> list[str]:
+        """Print on A4 and return the text of the first pages, and an empty text for each other.
+
+        To read a page full of figures takes a second.
+        """
         from pypdf import PdfReader
 
         document = PdfReader(BytesIO(self.tab.pdf(format="A4", print_background=True)))
-        return [page.extract_text() for page in document.pages]
+        return [page.extract_text() if i < read else "" for i, page in enumerate(document.pages)]
 
 
 class Browser:
