@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import blas, lapack, qr
+from scipy.linalg import blas, qr
 from scipy.sparse import csr_array
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
@@ -22,6 +22,7 @@ from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.dynamics.unmeasured_contacts import possible_states
 from symbid_ros.errors import DataError, EstimateError
+from symbid_ros.estimation.qr_update import fold_rows
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 
@@ -393,17 +394,10 @@ class Information:
 
 
 def _updated(factor: FloatArray, rows: FloatArray) -> FloatArray:
-    """Return the triangular factor with rows folded in; LAPACK's tpqrt keeps its zeros."""
-    width = len(factor)
+    """Return the triangular factor, which is overwritten, with rows folded in."""
     # LAPACK overwrites its input, and the rows may be another information's factor.
-    block = np.array(rows, order="F")
-    updated, _, _, info = lapack.dtpqrt(
-        0, min(32, width), factor, block, overwrite_a=True, overwrite_b=True
-    )
-    if info != 0:
-        raise ValueError(f"LAPACK dtpqrt rejected argument {-info}")
-    triangle: FloatArray = updated
-    return triangle
+    fold_rows(factor, np.array(rows, order="F"))
+    return factor
 
 
 def stacked_factor(*blocks: FloatArray) -> FloatArray:

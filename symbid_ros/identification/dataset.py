@@ -14,6 +14,7 @@ from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
+from symbid_ros.identification.folding_pool import FoldingPool, available_cores
 from symbid_ros.identification.options import IdentifyOptions
 from symbid_ros.identification.segment_store import SegmentStore
 from symbid_ros.model.parameters import ParameterSet
@@ -29,11 +30,12 @@ from symbid_ros.signals.weak_form import (
     MOTION,
     Channel,
     RowBuilder,
+    block_rows,
     check_windows,
+    cut_into_blocks,
     equation_rows,
     sampled_rows,
     suitable_windows,
-    windowed_rows,
 )
 
 # Slices are whole blocks, and no window crosses a block, so the cuts do not change the results.
@@ -254,18 +256,21 @@ class Processing:
         Window lengths to try, s; a log uses the shortest that suit its rate.
     full_rate : bool
         Whether every sample has a row before averaging.
+    jobs : int
+        Threads that build and fold rows averaged over windows.
     """
 
     smoothing: Smoothing | None = None
     windows: tuple[float, ...] = ALL_WINDOWS
     full_rate: bool = False
+    jobs: int = field(default=1, compare=False)
 
     @classmethod
     def of(cls, options: IdentifyOptions) -> "Processing":
         """Return the processing that the options choose."""
         if options.row_filter == "weak":
             windows = ALL_WINDOWS if options.window is None else (options.window,)
-            return cls(windows=windows, full_rate=options.full_rate)
+            return cls(None, windows, options.full_rate, options.jobs or available_cores())
         if options.row_filter == "savitzky_golay":
             return cls(SavitzkyGolay(options.window or SavitzkyGolay.window))
         low_pass = LowPass() if options.cutoff is None else LowPass(options.cutoff)
@@ -359,6 +364,7 @@ def fold_dataset(
             windows,
             candidates=parameters.candidates,
             full_rate=processing.full_rate,
+            jobs=processing.jobs,
         )
         samples = concatenated(probes)
         observations = tuple(one for one in observations if one.rows.samples > 0)
@@ -387,25 +393,26 @@ def observe(
     *,
     candidates: bool = False,
     full_rate: bool = False,
+    jobs: int = 1,
 ) -> tuple[Observations, ...]:
     """Fold the windowed rows of aligned segments, for each window length.
 
     Each segment adds rows for the window lengths that suit its rate; others may stay empty.
     ``candidates`` tells whether the rows are those of candidate terms, ``full_rate`` whether every
-    sample has a row before averaging.
+    sample has a row before averaging, and ``jobs`` how many threads build and fold rows.
     """
-    observations = {
+    empty = {
         window: Observations.empty(layout, window, candidates=candidates) for window in windows
     }
-    for segment in segments:
-        used = suitable_windows(windows, segment.rate)
-        for blocks in windowed_rows(segment, build, used, noisy_channels, full_rate=full_rate):
-            for window, block in zip(used, blocks, strict=True):
-                observations[window] = observations[window].fold([block])
-        covered = fingerprint(segment)
-        for window in used:
-            observations[window] = observations[window].covering(covered)
-    return tuple(observations.values())
+    with FoldingPool(empty, jobs) as pool:
+        for segment in segments:
+            used = suitable_windows(windows, segment.rate)
+            for block in cut_into_blocks(segment):
+                pool.submit(
+                    used, block_rows, block, build, used, noisy_channels, full_rate=full_rate
+                )
+            pool.cover(used, fingerprint(segment))
+        return pool.finish()
 
 
 def _check_rates(

@@ -245,6 +245,12 @@ class IdentifyOptions(ContactOptions):
         metavar="EFFORT FORCE MOMENT",
         unset="those of the residuals",
     )
+    jobs: int | None = option(
+        None,
+        "Number of threads that read and build rows; results do not depend on it.",
+        minimum=1,
+        unset="the cores there are",
+    )
     no_holdout: bool = option(
         False, "Skip the trial without the last quarter of the log, which checks the result."
     )

@@ -355,30 +355,44 @@ def windowed_rows(
         Whether to build a row for every sample, although the low-pass leaves fewer that are
         independent.
     """
-    low_pass, edge = prefilter(segment.rate)
-    decimator = None if full_rate else _decimator(segment.rate, low_pass, edge, min(windows))
+    for block in cut_into_blocks(segment):
+        yield block_rows(block, build, windows, noisy_channels, full_rate=full_rate)
+
+
+def cut_into_blocks(segment: Segment) -> Iterator[Segment]:
+    """Yield the parts of a segment in which the low-pass settles, none across a block's end."""
+    _, edge = prefilter(segment.rate)
     blocks = segment.stamp // block_length(segment.rate)
     edges = np.searchsorted(blocks, np.arange(blocks[0], blocks[-1] + 2))
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        if stop - start <= 2 * edge + 1:
-            continue
-        block = segment.cut(start, stop)
-        if decimator is None:
-            readings = smoothed(block, low_pass, edge)
-        else:
-            readings = decimated(block, decimator)
-        centres = _centres(block.stamp[-1 - edge] - block.stamp[edge], windows)
-        weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
-        mean = noisy = _averages(build(readings), weights)
-        if noisy_channels:
-            noisy_block = add_noise(block, noisy_channels)
-            if decimator is None:
-                more = smoothed(noisy_block, low_pass, edge)
-            else:
-                more = decimated(noisy_block, decimator, (block, readings))
-            noisy = _averages(build(more), weights)
-        stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
-        yield tuple(_windowed_rows_of(*parts) for parts in zip(mean, noisy, stamps, strict=True))
+        if stop - start > 2 * edge + 1:
+            yield segment.cut(start, stop)
+
+
+def block_rows(
+    block: Segment,
+    build: RowBuilder,
+    windows: Sequence[float],
+    noisy_channels: Sequence[Channel] = MOTION,
+    *,
+    full_rate: bool = False,
+) -> tuple[WindowedRows, ...]:
+    """Return the rows of a block, for each window length; see :func:`windowed_rows`."""
+    low_pass, edge = prefilter(block.rate)
+    decimator = _decimator(block.rate, low_pass, edge, min(windows))
+
+    def samples(of: Segment, similar: tuple[Segment, SensorSamples] | None) -> SensorSamples:
+        return smoothed(of, low_pass, edge) if full_rate else decimated(of, decimator, similar)
+
+    readings = samples(block, None)
+    centres = _centres(block.stamp[-1 - edge] - block.stamp[edge], windows)
+    weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
+    mean = noisy = _averages(build(readings), weights)
+    if noisy_channels:
+        more = samples(add_noise(block, noisy_channels), (block, readings))
+        noisy = _averages(build(more), weights)
+    stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
+    return tuple(_windowed_rows_of(*parts) for parts in zip(mean, noisy, stamps, strict=True))
 
 
 def _decimator(rate: float, low_pass: LowPass, edge: int, window: float) -> Decimator:
