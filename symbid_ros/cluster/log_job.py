@@ -31,7 +31,7 @@ from symbid_ros.cluster.log_tasks import (
     read_part,
 )
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, Severity
-from symbid_ros.dynamics.regressor import Samples
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError, OptionError
 from symbid_ros.estimation.archive import unpack_observations
 from symbid_ros.estimation.prior import Prior
