@@ -3,14 +3,20 @@
 The equation of motion is K φ = y (Eq. 6, 10–14, 2.46–2.49).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
-from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import Term
-from symbid_ros.dynamics.inertial_rows import body_integrals, dense_rows
+from symbid_ros.dynamics.inertial_rows import (
+    PackedLayout,
+    averaged_rows,
+    body_integrals,
+    dense_rows,
+)
 from symbid_ros.dynamics.kinematics import (
     JointTable,
     LinkPoses,
@@ -185,7 +191,8 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     first_joint = 6 * model.floating
     K, y = dense_rows(parameters, samples)
     if len(parameters) > parameters.inertial:
-        _fill_joint_terms(K, parameters, samples)
+        for coordinates, places, factor in _term_entries(parameters, samples):
+            K[:, coordinates, places] = factor
     model.fold_followers(K)
     for payload in parameters.payloads:
         carried = (samples.stamp >= payload.start) & (samples.stamp < payload.stop)
@@ -204,6 +211,50 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     return Rows(K, y)
 
 
+def has_linear_rows(parameters: ParameterSet) -> bool:
+    """Return whether averages of K and y follow from averages of their columns.
+
+    Payloads come and go, and the columns of loads and rows without unmeasured contacts are
+    products of factors that vary in time.
+    """
+    return (
+        not parameters.payloads and "load" not in parameters.terms and not parameters.model.contacts
+    )
+
+
+def averaged_equation_of_motion(
+    parameters: ParameterSet, samples: Samples, weights: csr_array
+) -> tuple[FloatArray, FloatArray]:
+    """Return weighted sums of the regressor over windows, without storing that of each sample.
+
+    Parameters
+    ----------
+    parameters : ParameterSet
+        With :func:`has_linear_rows`.
+    samples : Samples
+        N samples.
+    weights : (W, N) csr_array
+        Weights of the samples in each window; a window's samples are consecutive.
+
+    Returns
+    -------
+    K : (W, n, p) float64
+        Sums of K.
+    y : (N, n) float64
+        Generalised force y of each sample.
+    """
+    model = parameters.model
+    layout = PackedLayout.of(parameters)
+    K = np.zeros((weights.shape[0], model.dof, len(parameters)))
+    K[:, layout.row, layout.column], y = averaged_rows(parameters, samples, layout, weights)
+    for coordinates, places, factor in _term_entries(parameters, samples):
+        K[:, coordinates, places] = weights @ factor
+    model.fold_followers(K)
+    if parameters.known_terms:
+        y -= known_force(parameters, samples)
+    return K, y
+
+
 def known_force(parameters: ParameterSet, samples: Samples) -> FloatArray:
     """Return the generalised force (N, n) of known friction and armature, zero at the base."""
     content = _joint_terms(parameters, samples)
@@ -215,27 +266,36 @@ def known_force(parameters: ParameterSet, samples: Samples) -> FloatArray:
     return force
 
 
-def _fill_joint_terms(K: FloatArray, parameters: ParameterSet, samples: Samples) -> None:
-    """Write the columns of joint terms and sensor offsets, each joint's into its own row."""
+def _term_entries(
+    parameters: ParameterSet, samples: Samples
+) -> Iterator[tuple[IntArray, IntArray, FloatArray]]:
+    """Yield coordinates (k,), parameters (k,) and factors (N, k) of joint terms and offsets.
+
+    Each joint's term enters its own row.
+    """
     content = _joint_terms(parameters, samples)
     joints, first = parameters.joints, 6 * parameters.model.floating
     for term, columns in parameters.term_columns.items():
         if term in content:
             factor = np.broadcast_to(content[term], samples.velocity.shape)
-            K[:, first + joints, range(columns.start, columns.stop)] = factor[:, joints]
+            yield first + joints, np.arange(columns.start, columns.stop), factor[:, joints]
     for coupling, coupled in parameters.coupling_columns.items():
         content = _coupled_terms(parameters, coupling, samples)
         for joint, ratio in zip(coupling.joints, coupling.ratios, strict=True):
             if joint in parameters.link_side:
                 continue
             for term, column in coupled.items():
-                K[:, first + joint, column] = ratio * content[term]
-    for ripple, columns in parameters.ripple_columns.items():
-        K[:, first + ripple.joint, columns] = ripple.columns(samples.position)
+                factor = ratio * content[term]
+                yield np.array([first + joint]), np.array([column]), factor[:, None]
+    for ripple, own in parameters.ripple_columns.items():
+        places = np.arange(len(parameters))[own]
+        coordinates = np.full(len(places), first + ripple.joint)
+        yield coordinates, places, ripple.columns(samples.position)
     offset = parameters.sensor_offsets.start
     for place in parameters.model.wrist_sensors.values():
         # The effort of these joints is minus the reading, which contains the offset.
-        K[:, range(first + place.start, first + place.stop), range(offset, offset + 6)] = -1.0
+        factor = np.full((len(samples), 6), -1.0)
+        yield first + np.arange(place.start, place.stop), np.arange(offset, offset + 6), factor
         offset += 6
 
 

@@ -7,7 +7,7 @@ from threading import Event
 
 from symbid_ros.identification.accumulator import BlockAccumulator, TimeSpan, build_block_rows
 from symbid_ros.signals.sensor_samples import SensorSamples
-from symbid_ros.signals.weak_form import RowBuilder, SampledRows
+from symbid_ros.signals.weak_form import EquationRows, RowBuilder, SampledRows
 
 
 class BlockWorker:
@@ -69,7 +69,10 @@ class BlockWorker:
         self._pool.shutdown(cancel_futures=True)
 
     def _add_rows(self, block: TimeSpan) -> BlockAccumulator:
-        rows = build_block_rows(block, self._build_paced, self._windows)
+        build = self._build
+        if not (isinstance(build, EquationRows) and build.skips_samples):
+            build = self._build_paced
+        rows = build_block_rows(block, build, self._windows)
         # The only thread of the pool writes it, one block after the other.
         self._accumulated = self._accumulated.with_block(rows)
         return self._accumulated

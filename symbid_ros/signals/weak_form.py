@@ -17,15 +17,17 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, vstack
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.choices import SLIDING_TERMS
 from symbid_ros.dynamics.regressor import (
     Rows,
+    averaged_equation_of_motion,
     coulomb_column,
     equation_of_motion,
     friction_state,
+    has_linear_rows,
     slipping,
 )
 from symbid_ros.dynamics.samples import Samples
@@ -164,17 +166,50 @@ class WindowedRows:
         return WindowedRows(mean, noise, self.slips, self.stamp)
 
 
-def equation_rows(parameters: ParameterSet) -> RowBuilder:
-    """Return a builder of rows in the robot's parameters from sensor samples."""
+@dataclass(frozen=True)
+class EquationRows:
+    """Builds rows in the robot's parameters, a ``RowBuilder`` that can also average them."""
 
-    def build(readings: SensorSamples) -> Iterator[SampledRows]:
+    parameters: ParameterSet
+
+    def __call__(self, readings: SensorSamples) -> Iterator[SampledRows]:
+        """Yield the rows of sensor samples."""
+        for part in self._samples(readings).blocks(CHUNK):
+            yield sampled_rows(self.parameters, part)
+
+    @property
+    def skips_samples(self) -> bool:
+        """Whether averages need no rows of single samples, and take few milliseconds."""
+        return has_linear_rows(self.parameters)
+
+    def averages(self, readings: SensorSamples, weights: Sequence[csr_array]) -> "list[_Average]":
+        """Return averages over windows, without rows of single samples where that is possible."""
+        parameters = self.parameters
+        if not self.skips_samples:
+            return _averages(self(readings), weights)
+        samples = self._samples(readings)
+        stacked = csr_array(vstack(weights))
+        K, y = averaged_equation_of_motion(parameters, samples, stacked)
+        _, n, p = K.shape
+        empty = Rows(np.empty((len(samples), n, 0)), y)
+        forces = _averages(iter([_valid_rows(parameters, samples, empty)]), weights)
+        starts = np.cumsum([0, *(len(each.flat) for each in forces)])
+        return [
+            replace(one, flat=np.concatenate([part.reshape(-1, n * p), one.flat], 1), shape=(n, p))
+            for one, part in zip(forces, np.split(K, starts[1:-1]), strict=True)
+        ]
+
+    def _samples(self, readings: SensorSamples) -> Samples:
+        parameters = self.parameters
         samples = at_base(readings, parameters.model)
         if not SLIDING_TERMS.isdisjoint((*parameters.terms, *parameters.known_terms)):
             samples = with_filtered_friction(samples, parameters.model, readings.recorded)
-        for part in samples.blocks(CHUNK):
-            yield sampled_rows(parameters, part)
+        return samples
 
-    return build
+
+def equation_rows(parameters: ParameterSet) -> EquationRows:
+    """Return a builder of rows in the robot's parameters from sensor samples."""
+    return EquationRows(parameters)
 
 
 def with_filtered_friction(
@@ -206,16 +241,20 @@ def with_filtered_friction(
 
 def sampled_rows(parameters: ParameterSet, samples: Samples) -> SampledRows:
     """Return the equation of motion at single samples, and where it holds."""
+    return _valid_rows(parameters, samples, equation_of_motion(parameters, samples))
+
+
+def _valid_rows(parameters: ParameterSet, samples: Samples, rows: Rows) -> SampledRows:
     touching, contacts = samples.touching, parameters.model.contacts
-    rows = valid_rows(
+    sampled = valid_rows(
         samples.stamp,
-        equation_of_motion(parameters, samples),
+        rows,
         valid_coordinates(parameters, samples.velocity, touching),
         slipping_coordinates(parameters, samples.velocity, touching),
     )
     if contacts is None or touching is None:
-        return rows
-    return replace(rows, touching=touching, loads=contacts.loads)
+        return sampled
+    return replace(sampled, touching=touching, loads=contacts.loads)
 
 
 def valid_rows(
@@ -387,10 +426,10 @@ def block_rows(
     readings = samples(block, None)
     centres = _centres(block.stamp[-1 - edge] - block.stamp[edge], windows)
     weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
-    mean = noisy = _averages(build(readings), weights)
+    mean = noisy = _averages_of(build, readings, weights)
     if noisy_channels:
         more = samples(add_noise(block, noisy_channels), (block, readings))
-        noisy = _averages(build(more), weights)
+        noisy = _averages_of(build, more, weights)
     stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
     return tuple(_windowed_rows_of(*parts) for parts in zip(mean, noisy, stamps, strict=True))
 
@@ -473,6 +512,14 @@ class _Average:
     touching: FloatArray | None
     loads: BoolArray | None
     shape: tuple[int, int]
+
+
+def _averages_of(
+    build: RowBuilder, readings: SensorSamples, weights: Sequence[csr_array]
+) -> list[_Average]:
+    if isinstance(build, EquationRows):
+        return build.averages(readings, weights)
+    return _averages(build(readings), weights)
 
 
 def _averages(parts: Iterator[SampledRows], weights: Sequence[csr_array]) -> list[_Average]:

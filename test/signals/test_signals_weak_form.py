@@ -1,5 +1,6 @@
 """Windowed rows against explicit sums, for exact motions of random trees."""
 
+import itertools
 from dataclasses import replace
 from itertools import pairwise
 
@@ -315,3 +316,23 @@ def test_blocks_are_the_shortest_that_hold_enough_samples(rate, seconds):
 def test_the_low_pass_before_differentiation_follows_the_rate(rate, cutoff, edge):
     low_pass, discarded = prefilter(rate)
     assert (low_pass.cutoff, discarded) == (pytest.approx(cutoff), edge)
+
+
+@pytest.mark.parametrize("terms", [(), ("viscous", "coulomb", "armature", "offset", "stribeck")])
+@pytest.mark.parametrize("full_rate", [True, False])
+def test_averages_without_single_rows_equal_those_of_single_rows(terms, full_rate):
+    parameters = ParameterSet(random_robot(5, links=6), terms)
+    exact = analytic_segment(parameters, 4.0, 6, rate=500.0)
+    segment = noisy(exact, np.random.default_rng(3), **NOISE)
+    segment.effort[700:720, 1] = np.nan
+    build = equation_rows(parameters)
+    assert build.skips_samples
+    some, others = (
+        list(windowed_rows(segment, each, WINDOWS, full_rate=full_rate))
+        for each in (build, build.__call__)
+    )
+    for one, other in zip(itertools.chain(*some), itertools.chain(*others), strict=True):
+        np.testing.assert_array_equal(one.valid, other.valid)
+        for sums, singles in ((one.mean, other.mean), (one.noise, other.noise)):
+            np.testing.assert_allclose(sums.K, singles.K, atol=1e-12 * np.abs(one.mean.K).max())
+            np.testing.assert_allclose(sums.y, singles.y, atol=1e-12 * np.abs(one.mean.y).max())
