@@ -49,8 +49,8 @@ class LogOptions:
     )
     drive_topic: tuple[str, ...] = option(
         (),
-        "Odometry topic of a wheeled base, which counts as fixed while it is parked: the times at "
-        "which it drives are left out.",
+        "Topic of a wheeled base's Odometry, or of an Imu on it. The base counts as fixed while it "
+        "is parked; the times at which it drives are left out.",
         group=GROUP,
     )
     pose_frame: str = option(

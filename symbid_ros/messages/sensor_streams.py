@@ -13,11 +13,11 @@ from symbid_ros.arrays import FloatArray, IntArray
 from symbid_ros.errors import DataError
 from symbid_ros.messages.decoder import DecodedBatch, TopicDecoder
 from symbid_ros.messages.topics import SelectedTopics, Topic
-from symbid_ros.messages.types import ODOMETRY, read_stamp
+from symbid_ros.messages.types import IMU, ODOMETRY, read_stamp
 from symbid_ros.options import robot_file_line
 from symbid_ros.signals.base_pose import PoseStream
 from symbid_ros.signals.defects import Defect, DefectCounts, DefectError, kept_in_order, seconds
-from symbid_ros.signals.driving import driving_intervals, is_driving
+from symbid_ros.signals.driving import driving_intervals, is_accelerating, is_driving
 from symbid_ros.signals.joint_merging import merged_joints
 from symbid_ros.signals.streams import ImuStream, JointStream, Streams, WrenchStream
 
@@ -318,7 +318,11 @@ def build_pose_stream(decoder: TopicDecoder, tracked: str, tally: DefectCounts) 
 
 
 def read_driving(decoder: TopicDecoder, tally: DefectCounts) -> tuple[tuple[int, int], ...]:
-    """Return the times, ns, at which a base drives according to its Odometry."""
+    """Return the times, ns, at which a base drives according to its Odometry or IMU."""
+    if decoder.topic.msgtype == IMU:
+        imu = build_imu_stream(decoder, tally)
+        moves = is_accelerating(imu.stamp, imu.angular_velocity, imu.linear_acceleration)
+        return driving_intervals(imu.stamp, moves)
     stamp = read_stamps(decoder)
     linear, angular = (read_field(decoder, f"twist.twist.{name}") for name in ("linear", "angular"))
     kept = _in_order(np.arange(len(stamp)), stamp, tally)

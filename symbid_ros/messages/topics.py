@@ -15,6 +15,7 @@ from symbid_ros.options import robot_file_line
 TRUTH = "ground_truth"
 UNLIMITED = {"sec": 9223372036, "nsec": 854775807}
 POSES = ODOMETRY, POSE
+DRIVES = ODOMETRY, IMU
 TOPIC_OPTIONS = {
     JOINT_STATE: "joint_topic",
     IMU: "imu_topic",
@@ -82,7 +83,7 @@ class TopicSelection:
     poses : tuple of str
         Odometry and PoseStamped topics of tracked frames.
     drives : tuple of str
-        Odometry topics of wheeled bases.
+        Odometry or Imu topics of wheeled bases.
     """
 
     joints: tuple[str, ...] | None = None
@@ -157,6 +158,15 @@ class SelectedTopics:
         """All topics with stamps, joint states first."""
         return (*self.joints, *self.imus, *self.wrenches, *self.poses, *self.drives)
 
+    def takes_any_frame(self, topic: Topic) -> bool:
+        """Return whether messages of a topic may have a frame that the model lacks.
+
+        Poses and wrenches beside them may be given in a frame of the world. An IMU that tells when
+        the base drives needs no frame.
+        """
+        is_in_world = topic in self.poses or (bool(self.poses) and topic in self.wrenches)
+        return is_in_world or topic in self.drives
+
     def flagged_frame(self, topic: Topic) -> str:
         """Return the frame of the contact that a topic of flags is about."""
         frames = {_bare(name): frame for name, frame in self.mapping.flagged.items()}
@@ -192,7 +202,7 @@ class TopicSelector:
             or self._matches(topic, IMU, self.selection.imus, None)
             or self._matches(topic, WRENCH, self.selection.wrenches, "wrench")
             or any(self._matches(topic, kind, self.selection.poses, None) for kind in POSES)
-            or self._matches(topic, ODOMETRY, self.selection.drives, None)
+            or any(self._matches(topic, kind, self.selection.drives, None) for kind in DRIVES)
             or self._matches(topic, BOOL, tuple(self.selection.mapping.flagged), None)
         )
 
@@ -219,14 +229,16 @@ class TopicSelector:
                 f"{robot_file_line('joint_topic', *(topic.name for topic in joints))}",
                 "E212",
             )
+        drives = tuple(self._find_named(name, *DRIVES) for name in self.selection.drives)
+        imus = self._find(IMU, self.selection.imus, None)
         chosen = SelectedTopics(
             joints,
-            self._find(IMU, self.selection.imus, None),
+            tuple(topic for topic in imus if topic not in drives),
             self._find(WRENCH, self.selection.wrenches, "wrench"),
             self.selection.mapping,
             self.selection.joint_names,
             poses=tuple(self._find_named(name, *POSES) for name in self.selection.poses),
-            drives=tuple(self._find_named(name, ODOMETRY) for name in self.selection.drives),
+            drives=drives,
             flags=tuple(self._find_named(name, BOOL) for name in self.selection.mapping.flagged),
         )
         for topic in (*chosen.all, *chosen.flags):

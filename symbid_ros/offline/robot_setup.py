@@ -4,12 +4,9 @@ Names are matched first. Then the equation of motion, with the model's inertias 
 wrong signs and units, as in `symbid bag doctor`.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from symbid_ros.arrays import concatenated
 from symbid_ros.atomic_write import write_text
@@ -19,16 +16,17 @@ from symbid_ros.diagnosis.doctor import diagnose
 from symbid_ros.diagnosis.findings import Diagnosis, Kind, Severity
 from symbid_ros.diagnosis.forces import GAINS
 from symbid_ros.diagnosis.wrist_evidence import unnamed_sensors
+from symbid_ros.dynamics.unmeasured_contacts import with_contacts
 from symbid_ros.errors import BagError, DataError, ModelError, SymbidError
 from symbid_ros.identification.dataset import AlignedLog
-from symbid_ros.messages.log_options import LogOptions
 from symbid_ros.messages.topics import TRUTH, Topic, TopicSelection, describe_topics
-from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
+from symbid_ros.messages.types import IMU, JOINT_STATE, POSE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.model.wrist_sensors import with_wrist_sensors
+from symbid_ros.offline.base_topics import contact_flags, odometry_topics, pose_topics
 from symbid_ros.offline.name_matching import match_names, most_similar
-from symbid_ros.options import options_of
+from symbid_ros.offline.robot_setup_file import RobotSetup
 from symbid_ros.signals.alignment import suggested_prefix
 from symbid_ros.signals.sensor_samples import probed
 from symbid_ros.signals.streams import JointStream, Streams
@@ -37,121 +35,8 @@ SPAN = 4 * 10**9  # ns of a log that show its names
 # A gain is corrected if it is known to this share.
 KNOWN = 0.25
 ANGLES = "roll", "pitch", "yaw"
+CONTACT_KINDS = "", ":point"  # with and without a moment
 ROUNDS = 3  # of corrections, since one wrong sign can hide another
-
-
-@dataclass
-class RobotSetup:
-    """What a robot file says.
-
-    Attributes
-    ----------
-    model : Path
-    base : {"floating", "fixed"}
-    options : dict of str to list of str
-        Values of fields of `LogOptions` and `IdentifyOptions`.
-    comments : dict of str to list of str
-        Lines about each option, and about the file under the empty name.
-    diagnosis : Diagnosis or None
-        What the doctor says of the log, read with these options.
-    """
-
-    model: Path
-    base: str
-    options: dict[str, list[str]] = field(default_factory=dict)
-    comments: dict[str, list[str]] = field(default_factory=dict)
-    diagnosis: Diagnosis | None = None
-
-    def note(self, option: str, line: str) -> None:
-        """Add a comment about an option."""
-        lines = self.comments.setdefault(option, [])
-        if line not in lines:
-            lines.append(line)
-
-    def add(self, option: str, value: str, reason: str = "") -> None:
-        """Add a value of an option."""
-        self.options.setdefault(option, []).append(value)
-        if reason:
-            self.note(option, reason)
-
-    @property
-    def log_options(self) -> LogOptions:
-        """The options that say how to read a log."""
-        names = {option.name for option in options_of(LogOptions)}
-        given: dict[str, Any] = {
-            name: tuple(values) for name, values in self.options.items() if name in names
-        }
-        return LogOptions(**given)
-
-    def write(self, path: Path) -> None:
-        """Write the robot file."""
-        write_text(path, "\n".join(self._lines()) + "\n")
-
-    def _lines(self) -> Iterator[str]:
-        yield "# How to read the logs of this robot: a ROS parameter file."
-        yield "# Commands:  symbid identify BAG --robot THIS_FILE --out FOLDER"
-        yield "# Node:      ros2 run symbid_ros identifier --ros-args --params-file THIS_FILE"
-        for line in self.comments.get("", []):
-            yield f"# {line}"
-        yield "/**:"
-        yield "  ros__parameters:"
-        yield f"    model: {_scalar(str(self.model))}"
-        yield f"    base: {self.base}"
-        for name, what in DESCRIPTIONS.items():
-            values = self.options.get(name, [])
-            yield ""
-            for line in (what, *self.comments.get(name, [])):
-                yield f"    # {line}"
-            if values:
-                yield f"    {name}:"
-                yield from (f"      - {_scalar(value)}" for value in values)
-            else:
-                yield f"    # {name}: {EXAMPLES[name]}"
-
-
-# Options in the order of the file, with the comment above each.
-DESCRIPTIONS = {
-    "joint_topic": "Topics of joint states.",
-    "imu_topic": "Topics of IMUs, which a floating base needs.",
-    "wrench_topic": "Topics of wrench sensors, one for each contact.",
-    "rename_joint": "NAME_IN_LOG:=NAME_IN_MODEL of joints.",
-    "rename_frame": "NAME_IN_LOG:=NAME_IN_MODEL of the sensors' frames.",
-    "hold_joint": "JOINT:=POSITION in rad (m) of joints that the log lacks.",
-    "effort_scale": "JOINT:=NM_PER_UNIT of efforts that are not in Nm (N), such as currents.",
-    "drive_gain": "Joints whose effort_scale is uncertain; its error is identified, not live.",
-    "flip_wrench": "Frames whose sensor measures the wrench of the robot on its environment.",
-    "rotate_imu": "FRAME:=ROLL,PITCH,YAW in degrees of an IMU's axes in its frame of the model.",
-    "contact": "Frames at which something touches the robot without a wrench sensor.",
-    "wrist_sensor": "Frames of force/torque sensors between two links, with a payload beyond them.",
-    "effort_side": "Where efforts are measured: motor or link (behind the gear).",
-    "coupling": "Sums of joints with which one motor turns.",
-    "ripple": "JOINT:PERIODS in a turn of torques that repeat with the joint's angle.",
-    "sensor_errors": "Sensor errors to identify.",
-    "prior_percent": "Standard deviation of the model's values in percent of each value.",
-    "total_mass": "Weighed mass of the robot in kg. It sets the scale of all masses.",
-    "joint_terms": "Friction, armature and offsets: auto, none, or names of terms.",
-}
-EXAMPLES = {
-    "joint_topic": "[/joint_states]",
-    "imu_topic": "[/imu/data]",
-    "wrench_topic": "[/left_foot/wrench]",
-    "rename_joint": "[j1:=shoulder_joint]",
-    "rename_frame": "[xsens:=imu_link]",
-    "hold_joint": "[wrist_joint:=0.0]",
-    "effort_scale": "[elbow_joint:=0.11]",
-    "drive_gain": "[elbow_joint]",
-    "flip_wrench": "[left_sole]",
-    "rotate_imu": "['imu_link:=180,0,90']",
-    "contact": "[left_sole]",
-    "wrist_sensor": "[tool0]",
-    "effort_side": "[motor]",
-    "coupling": "[joint_5+joint_6]",
-    "ripple": "['joint_6:4']",
-    "sensor_errors": "[torque_gain]",
-    "prior_percent": "25.0",
-    "total_mass": "42.0",
-    "joint_terms": "[auto]",
-}
 
 
 def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> RobotSetup:
@@ -164,7 +49,8 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     bags : sequence of Path
         Bags of one recording.
     base : {"auto", "floating", "fixed"}
-        Whether the base of a URDF may move; auto: as the model says, and fixed without any IMU.
+        Whether the base of a URDF may move; auto: as the model says, and fixed with neither an IMU
+        nor a PoseStamped.
 
     Raises
     ------
@@ -177,8 +63,8 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
         if count and TRUTH not in topic.name.split("/")
     }
     robot = load_model(model, base)
-    has_imu = any(topic.msgtype == IMU for topic in topics)
-    if base == "auto" and robot.floating and not has_imu:
+    has_motion = any(topic.msgtype in (IMU, POSE) for topic in topics)
+    if base == "auto" and robot.floating and not has_motion:
         robot = load_model(model, "fixed")
     robot = bag_log(bags).applied_to(robot)
     setup = RobotSetup(model.absolute(), "floating" if robot.floating else "fixed")
@@ -187,6 +73,11 @@ def inspect_robot(model: Path, bags: Sequence[Path], base: Base = "auto") -> Rob
     if robot.floating:
         inspector.match_sensors(IMU, "imu_topic")
     inspector.match_sensors(WRENCH, "wrench_topic")
+    if robot.floating:
+        inspector.find_contacts()
+        inspector.find_poses()
+    else:
+        inspector.find_drives()
     inspector.find_wrist_sensors()
     inspector.correct_signs_and_units()
     return setup
@@ -309,6 +200,51 @@ class _Inspector:
             if name != frame:
                 self.setup.add("rename_frame", f"{frame}:={name}")
 
+    def find_contacts(self) -> None:
+        """Name the contacts without wrench sensors about which flags tell."""
+        flags = contact_flags(self.topics, self.robot)
+        if not flags:
+            return
+        if self.setup.options.get("wrench_topic"):
+            self.setup.note("contact_flag", f"Not needed beside wrenches: {', '.join(flags)}.")
+            return
+        for kind in CONTACT_KINDS if len(flags) == 2 else CONTACT_KINDS[1:]:
+            contacts = [f"{frame}{kind}" for frame in flags.values()]
+            try:
+                with_contacts(self.robot, contacts)
+            except ModelError:
+                continue  # wrenches of this kind would explain any motion
+            self.setup.options["contact"] = contacts
+            self.setup.note("contact", "CHECK: feet without a moment end in :point.")
+            for topic, frame in flags.items():
+                self.setup.add(
+                    "contact_flag", f"{topic}:={frame}", "CHECK: true must mean that it touches."
+                )
+            return
+
+    def find_poses(self) -> None:
+        """Name the topic of the base's pose if there is no IMU."""
+        poses = pose_topics(self.topics)
+        found = [*poses, *odometry_topics(self.topics)]
+        if self.setup.options.get("imu_topic"):
+            for topic in found:
+                self.setup.note(
+                    "pose_topic", f"Beside the IMU, {topic} may be given if it is measured."
+                )
+        elif found:
+            self.setup.add("pose_topic", found[0], "CHECK: it must be measured, not estimated.")
+            if poses:
+                self.setup.add("pose_frame", self.robot.link_names[0], "CHECK: this is a guess.")
+
+    def find_drives(self) -> None:
+        """Name the topic that tells when a wheeled base drives."""
+        odometry = odometry_topics(self.topics)
+        if len(odometry) == 1:
+            self.setup.add("drive_topic", odometry[0], "The base counts as fixed while it stands.")
+            return
+        for topic in odometry or [each.name for each in self._of_type(IMU)]:
+            self.setup.note("drive_topic", f"If the base has wheels, {topic} may be given.")
+
     def find_wrist_sensors(self) -> None:
         """Name the wrench sensors whose force is that of a body fixed to them."""
         if self.robot.floating or not self.setup.options.get("wrench_topic"):
@@ -342,8 +278,10 @@ class _Inspector:
     def _diagnosed(self) -> Diagnosis:
         """Return what the doctor says of the log, read with the options so far."""
         log = bag_log(self.bags, self.robot, TopicSelection.of(self.setup.log_options))
-        sensors = self.setup.options.get("wrist_sensor", [])
-        return diagnose(log, with_wrist_sensors(self.robot, sensors))
+        sensors, contacts = (
+            self.setup.options.get(name, []) for name in ("wrist_sensor", "contact")
+        )
+        return diagnose(log, with_contacts(with_wrist_sensors(self.robot, sensors), contacts))
 
     def _correct(self, found: Diagnosis) -> bool:
         """Change signs and units as the diagnosis implies; return whether any changed."""
@@ -429,8 +367,3 @@ def _preference(topic: str, joints: JointStream) -> tuple[bool, bool, int, str]:
     """Return a key that sorts measured joint states before commands."""
     has_efforts = bool((joints.effort == joints.effort).any())
     return topic.rsplit("/", 1)[-1] != "joint_states", not has_efforts, topic.count("/"), topic
-
-
-def _scalar(value: str) -> str:
-    """Return a text as YAML, in quotes where needed."""
-    return yaml.safe_dump(value, width=10_000).splitlines()[0]

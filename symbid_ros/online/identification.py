@@ -140,7 +140,12 @@ class OnlineIdentification:
         self.lost_blocks = self.clock_jumps = 0
         model = self._parameters.model
         self.checks = {
-            topic: MessageCheck(topic, model, selected.mapping, is_tracked=bool(selected.poses))
+            topic: MessageCheck(
+                topic,
+                model,
+                selected.mapping,
+                takes_any_frame=selected.takes_any_frame(topic),
+            )
             for topic in selected.all
         }
         self._posterior: Posterior | None = None

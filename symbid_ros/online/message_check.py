@@ -7,7 +7,7 @@ from symbid_ros.errors import DataError
 from symbid_ros.messages.layout import Layout
 from symbid_ros.messages.sensor_mapping import SAME, SensorMapping
 from symbid_ros.messages.single_message import MessagePattern, SingleMessageDecoder
-from symbid_ros.messages.topics import POSES, Topic
+from symbid_ros.messages.topics import Topic
 from symbid_ros.messages.types import IMU, JOINT_STATE, NANO, ODOMETRY, POSE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.defects import CLOCK_JUMP, seconds
@@ -43,8 +43,8 @@ class MessageCheck:
         The robot's joints and frames.
     mapping : SensorMapping
         Names of joints and frames in the messages.
-    is_tracked : bool
-        Whether the robot's pose is measured, so that wrenches may be given in axes of the world.
+    takes_any_frame : bool
+        Whether messages may have a frame that the model lacks, such as one of the world.
 
     Attributes
     ----------
@@ -62,15 +62,14 @@ class MessageCheck:
         model: RobotModel,
         mapping: SensorMapping = SAME,
         *,
-        is_tracked: bool = False,
+        takes_any_frame: bool = False,
     ) -> None:
         self._topic = topic
         self._messages = SingleMessageDecoder(topic)
         self._patterns: list[MessagePattern] = []
         self._joints = mapping.recorded_joints(model.measured_joint_names)
         self._frames, self._mapping = known_frames(model), mapping
-        # A pose is given in a frame of the world, which the model does not know.
-        self._takes_any_frame = topic.msgtype in POSES or (is_tracked and topic.msgtype == WRENCH)
+        self._takes_any_frame = takes_any_frame
         self._last: int | None = None
         self._held: tuple[int, bytes] | None = None
         self._warned = float("-inf")

@@ -147,13 +147,16 @@ def effort_residual_message(estimate: Estimate, stamp: Time) -> JointState:
 
 
 def wrench_residual_message(estimate: Estimate, base: str, stamp: Time) -> WrenchStamped:
-    """Return the root mean square of a floating base's wrench residual."""
+    """Return the root mean square of a floating base's wrench residual.
+
+    NaN where unmeasured contacts leave no row of that coordinate.
+    """
     residual = estimate.residual_rmse
     message = WrenchStamped()
     message.header.stamp, message.header.frame_id = stamp, base
     for axis in "xyz":
-        setattr(message.wrench.torque, axis, residual[f"base/moment_{axis}"])
-        setattr(message.wrench.force, axis, residual[f"base/force_{axis}"])
+        setattr(message.wrench.torque, axis, residual.get(f"base/moment_{axis}", np.nan))
+        setattr(message.wrench.force, axis, residual.get(f"base/force_{axis}", np.nan))
     return message
 
 

@@ -11,13 +11,14 @@ from symbid_ros.errors import DataError
 from symbid_ros.messages.sensor_mapping import SensorMapping
 from symbid_ros.messages.single_message import SingleMessageDecoder
 from symbid_ros.messages.topics import (
+    DRIVES,
     POSES,
     SelectedTopics,
     Topic,
     TopicSelection,
     TopicSelector,
 )
-from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, ODOMETRY, POSE, WRENCH
+from symbid_ros.messages.types import BOOL, IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.online.message_check import known_frames
 from symbid_ros.ros.raw_subscription import PolledGroup, RawSubscription, subscribe
@@ -128,6 +129,9 @@ class SensorTopics:
         self._subscribe(self._wanted(topics))
         poses = [one for one in self._candidates.values() if one.topic.msgtype in POSES]
         others = [one for one in self._candidates.values() if one.topic.msgtype not in POSES]
+        for candidate in others:
+            # An IMU that tells when the base drives may have any frame.
+            candidate.is_placed |= candidate.topic.name in self.own.selection.drives
         for candidate in poses:
             candidate.examine(frozenset(), self.own.selection.mapping)
         frames = known_frames(self.model) | {one.frame for one in poses if one.is_placed}
@@ -147,7 +151,7 @@ class SensorTopics:
         order = self.own.selection.joints or ()
         return SelectedTopics(
             tuple(sorted(by_type[JOINT_STATE], key=lambda topic: order.index(topic.name))),
-            by_type[IMU],
+            tuple(one for one in by_type[IMU] if one.name not in self.own.selection.drives),
             by_type[WRENCH],
             self.own.selection.mapping,
             self.own.selection.joint_names,
@@ -158,7 +162,10 @@ class SensorTopics:
                 if topic.name in self.own.selection.poses
             ),
             drives=tuple(
-                topic for topic in by_type[ODOMETRY] if topic.name in self.own.selection.drives
+                topic
+                for kind in DRIVES
+                for topic in by_type[kind]
+                if topic.name in self.own.selection.drives
             ),
             flags=by_type[BOOL],
         )
@@ -339,17 +346,18 @@ def missing_topics(
     """
     missing: dict[str, str] = {}
     names = {topic.name for topic in found}
-    for parameter, msgtype, wanted in (
-        ("joint_topic", JOINT_STATE, selection.joints),
-        ("imu_topic", IMU, selection.imus),
-        ("wrench_topic", WRENCH, selection.wrenches),
-        ("contact_flag", BOOL, tuple(selection.mapping.flagged)),
-        ("pose_topic", ODOMETRY, selection.poses),
-        ("drive_topic", ODOMETRY, selection.drives),
+    for parameter, msgtypes, wanted in (
+        ("joint_topic", (JOINT_STATE,), selection.joints),
+        ("imu_topic", (IMU,), selection.imus),
+        ("wrench_topic", (WRENCH,), selection.wrenches),
+        ("contact_flag", (BOOL,), tuple(selection.mapping.flagged)),
+        ("pose_topic", POSES, selection.poses),
+        ("drive_topic", DRIVES, selection.drives),
     ):
         for name in wanted or ():
             if f"/{name.lstrip('/')}" not in names:
-                kind = POSE if msgtype == ODOMETRY and POSE in graph.get(name, ()) else msgtype
+                types = graph.get(name, ())
+                kind = next((one for one in msgtypes if one in types), msgtypes[0])
                 missing[name] = _describe_missing(name, kind, parameter, graph)
     kinds = {topic.msgtype for topic in found}
     if selection.joints is None and JOINT_STATE not in kinds:

@@ -16,7 +16,8 @@ from symbid_ros.errors import OptionError
 from symbid_ros.model.load import load_model
 from symbid_ros.offline.name_matching import match_names
 from symbid_ros.offline.robot_file import OF_THE_NODE, load_robot_file
-from symbid_ros.offline.robot_setup import DESCRIPTIONS, EXAMPLES, inspect_robot
+from symbid_ros.offline.robot_setup import inspect_robot
+from symbid_ros.offline.robot_setup_file import DESCRIPTIONS, EXAMPLES
 from symbid_ros.package_paths import config_file
 
 # Nm per ampere of the motors, whose signs differ.

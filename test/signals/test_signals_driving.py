@@ -7,9 +7,16 @@ from random_robots import random_robot
 
 from symbid_ros.errors import DataError
 from symbid_ros.identification.dataset import AlignedLog, joined_segments
-from symbid_ros.messages.types import ODOMETRY, fill_stamp, odometry_layout
+from symbid_ros.messages.types import (
+    IMU,
+    ODOMETRY,
+    fill_message,
+    fill_stamp,
+    imu_layout,
+    odometry_layout,
+)
 from symbid_ros.offline.bags import load_bag
-from symbid_ros.signals.driving import SETTLING, driving_intervals, is_driving
+from symbid_ros.signals.driving import SETTLING, driving_intervals, is_accelerating, is_driving
 from symbid_ros.signals.log import Log
 
 SECOND = 10**9
@@ -37,6 +44,47 @@ def test_speeds_of_a_parked_base_are_those_of_noise():
     expected = ((2 * SECOND - SETTLING, 4 * SECOND + SETTLING),)
     assert driving_intervals(stamp, is_driving(linear, angular)) == expected
     assert driving_intervals(stamp, np.zeros(5, bool)) == ()
+
+
+# Start and end of each time that is left out on the base of `imu_on_base`, s.
+LEFT_OUT = np.array([[1.9, 4.9], [5.4, 8.4], [9.4, 11.6]])
+
+
+def imu_on_base(stamp, seed=1):
+    """Return readings on a base that starts at 3 s, stops at 6.5 s, and turns from 10 to 11 s.
+
+    The sensor is tilted and has offsets. An arm shakes the base a little all the time.
+    """
+    rng = np.random.default_rng(seed)
+    seconds = stamp * 1e-9
+    rate = 0.01 + 3e-3 * rng.standard_normal((len(stamp), 3))
+    force = [0.3, -0.2, 9.7] + 0.05 * rng.standard_normal((len(stamp), 3))
+    force[:, 0] += 0.2 * np.sin(2 * np.pi * 11 * seconds)
+    for begin, change in ((3.0, 0.4), (6.5, -0.4)):
+        force[(seconds >= begin) & (seconds < begin + 0.8), 0] += change
+    rate[(seconds >= 10.0) & (seconds < 11.0), 2] += 0.1
+    return rate, force
+
+
+@pytest.mark.parametrize("rate", [50, 200, 1000])
+def test_an_imu_tells_when_a_base_accelerates_or_turns(rate):
+    stamp = np.arange(0, 15 * SECOND, SECOND // rate)
+    moves = driving_intervals(stamp, is_accelerating(stamp, *imu_on_base(stamp)))
+    # At constant velocity it counts as parked.
+    np.testing.assert_allclose(1e-9 * np.array(moves), LEFT_OUT, atol=0.2)
+
+
+def test_a_bag_with_an_imu_on_the_base_leaves_out_its_driving_times(arm, streams, tmp_path):
+    stamp = streams.joints.stamp
+    records = imu_layout("base_imu").records(len(stamp))
+    rate, force = imu_on_base(stamp)
+    fill_message(records, stamp, angular_velocity=rate, linear_acceleration=force)
+    bag = write_bag(streams, tmp_path / "bag", [("/base/imu", IMU, stamp, records)])
+    log = load_bag(bag, arm, drive_topic=("/base/imu",))
+    assert log.streams().imus == ()
+    ends = [1e-9 * one.stamp[[0, -1]] for one in segments_of(log, arm)]
+    parked = np.concatenate([[0.0], LEFT_OUT.ravel(), [15.0]]).reshape(-1, 2)
+    np.testing.assert_allclose(ends, parked, atol=0.2)
 
 
 def test_arrays_and_bags_leave_out_the_same_times(arm, streams, tmp_path):

@@ -16,11 +16,13 @@ from symbid_ros.messages.types import (
     BOOL,
     IMU,
     JOINT_STATE,
+    POSE,
     WRENCH,
     fill_message,
     fill_wrench,
     imu_layout,
     joint_state_layout,
+    pose_layout,
     wrench_layout,
 )
 from symbid_ros.model.parameters import ParameterSet
@@ -180,6 +182,11 @@ def record_log(log, model, path: Path) -> Path:
                 records = imu_layout("imu_link").records(len(stamp))
                 fill_message(records, stamp, **columns)
                 channel = writer.add_topic(topic, IMU)
+            elif topic == "/base/pose":
+                records = pose_layout("map").records(len(stamp))
+                place, turn = columns["pose"][:, :3], columns["pose"][:, 3:]
+                fill_message(records, stamp, **{"pose.position": place, "pose.orientation": turn})
+                channel = writer.add_topic(topic, POSE)
             else:
                 records = wrench_layout(topic.split("/")[1]).records(len(stamp))
                 fill_wrench(records, stamp, **columns)

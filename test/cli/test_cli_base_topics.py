@@ -1,0 +1,84 @@
+"""`symbid init` finds flags of contacts, measured poses and the odometry of a wheeled base."""
+
+import pytest
+import yaml
+from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
+from random_logs import LogPlan, random_streams, write_bag
+from random_robots import random_robot
+
+from symbid_ros.bags import bag_log, read_streams
+from symbid_ros.messages.topics import Topic, TopicSelection
+from symbid_ros.messages.types import BOOL, ODOMETRY, POSE, fill_stamp, odometry_layout, pose_layout
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.offline.base_topics import contact_flags
+from symbid_ros.offline.robot_file import load_robot_file
+from symbid_ros.offline.robot_setup import inspect_robot
+
+
+@pytest.fixture(scope="module")
+def urdf(tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "quadruped.urdf"
+    path.write_text(quadruped_urdf())
+    return path
+
+
+@pytest.fixture(scope="module")
+def steps(urdf):
+    log = standing_log(load_model(urdf), 5.0, 3, friction=0.0, steps=True)
+    return {topic: columns for topic, columns in log.items() if not topic.endswith("/wrench")}
+
+
+def test_flags_are_matched_to_feet(urdf):
+    robot = load_model(urdf)
+    others = [Topic("/LF_foot/enabled", BOOL), Topic("/charger/contact", BOOL)]
+    for form in ("/contact/{}", "/{}_foot/in_contact", "/{}_touches_ground"):
+        topics = {Topic(form.format(foot[:2].lower()), BOOL): foot for foot in FEET}
+        found = contact_flags([*others, *topics], robot)
+        assert found == {topic.name: foot for topic, foot in topics.items()}
+
+
+def test_contacts_of_a_legged_robot_are_listed(urdf, steps, tmp_path):
+    bag = record_log(steps, load_model(urdf), tmp_path / "bag")
+    setup = inspect_robot(urdf, [bag])
+    assert setup.base == "floating"
+    assert sorted(setup.options["contact"]) == sorted(f"{foot}:point" for foot in FEET)
+    assert sorted(setup.options["contact_flag"]) == sorted(
+        f"/{foot}/contact:={foot}" for foot in FEET
+    )
+    setup.write(tmp_path / "robot.yaml")
+    read = load_robot_file(tmp_path / "robot.yaml")
+    assert read["contact_flag"] == setup.options["contact_flag"]
+    assert "CHECK: true must mean that it touches." in (tmp_path / "robot.yaml").read_text()
+
+
+def test_a_measured_pose_replaces_an_imu(urdf, steps, tmp_path):
+    robot = load_model(urdf)
+    joints = {topic: one for topic, one in steps.items() if topic == "/joint_states"}
+    plain = read_streams([record_log(joints, robot, tmp_path / "plain")])
+    records = pose_layout("map").records(len(plain.joints.stamp))
+    fill_stamp(records, plain.joints.stamp)
+    records["pose.orientation"][...] = [0, 0, 0, 1]
+    further = [("/mocap/pose", POSE, plain.joints.stamp, records)]
+    setup = inspect_robot(urdf, [write_bag(plain, tmp_path / "bag", further)])
+    assert setup.base == "floating"
+    assert setup.options["pose_topic"] == ["/mocap/pose"]
+    setup.write(tmp_path / "robot.yaml")
+    text = yaml.safe_load((tmp_path / "robot.yaml").read_text())
+    assert text["/**"]["ros__parameters"]["pose_frame"] == "base"
+    assert setup.log_options.pose_frame == "base"
+
+
+def test_the_odometry_of_a_wheeled_base_is_listed(tmp_path):
+    arm = random_robot(3, links=3, floating=False, wrench_frames=0)
+    (tmp_path / "arm.urdf").write_text(urdf_text(arm))
+    streams = random_streams(arm, LogPlan(rate=100.0, count=400), 1)
+    stamp = streams.joints.stamp
+    records = odometry_layout("odom", "base_link").records(len(stamp))
+    fill_stamp(records, stamp)
+    bag = write_bag(streams, tmp_path / "bag", [("/odom", ODOMETRY, stamp, records)])
+    setup = inspect_robot(tmp_path / "arm.urdf", [bag])
+    assert setup.base == "fixed"
+    assert setup.options["drive_topic"] == ["/odom"]
+    log = bag_log([bag], arm, TopicSelection.of(setup.log_options))
+    assert log.streams().driving == ()

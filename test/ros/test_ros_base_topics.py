@@ -1,0 +1,119 @@
+"""Live contact flags, poses of the base, and the odometry or IMU of a wheeled base."""
+
+import json
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
+from random_logs import LogPlan, random_streams, write_bag
+from random_robots import random_robot
+from std_srvs.srv import Trigger
+
+from symbid_ros.dynamics.unmeasured_contacts import with_contacts
+from symbid_ros.estimation.archive import load_archive
+from symbid_ros.identification.api import identify
+from symbid_ros.messages.types import (
+    IMU,
+    ODOMETRY,
+    fill_message,
+    fill_stamp,
+    imu_layout,
+    odometry_layout,
+)
+from symbid_ros.model.export_urdf import urdf_text
+from symbid_ros.model.load import load_model
+from symbid_ros.offline.bags import load_bag
+from symbid_ros.signals.driving import SETTLING
+
+QUICK = {"joint_terms": "none", "window": 0.321}
+SECOND = 10**9
+POINTS = tuple(f"{foot}:point" for foot in FEET)
+
+
+def played(graph, bag: Path, out: Path, **parameters: object) -> dict:
+    """Play a bag to an identifier at full speed; return its last line and save its result."""
+    live = graph.start("identifier", out=out, lag=30.0, **QUICK, **parameters)
+    player = graph.start("player", bag=f"['{bag}']", rate=0.0, wait_for_subscribers=True)
+    assert player.ended().status == 0
+    client = graph.node.create_client(Trigger, "/identifier/save")
+    graph.wait_until(client.service_is_ready)
+    answer = client.call_async(Trigger.Request())
+    graph.wait_until(answer.done)
+    live.send(signal.SIGINT)
+    ended = live.ended()
+    assert answer.result().success, ended
+    assert ended.status == 0
+    return json.loads(ended.out.splitlines()[-1])
+
+
+def informations(folder: Path) -> list[np.ndarray]:
+    return [one.rows.factor.T @ one.rows.factor for one in load_archive(folder / "information.npz")]
+
+
+def assert_same(live: Path, offline: Path) -> None:
+    for found, expected in zip(informations(live), informations(offline), strict=True):
+        scale = np.sqrt(np.diag(expected))
+        assert np.all(np.abs(found - expected) <= 1e-9 * np.outer(scale, scale))
+
+
+def test_contact_flags_and_the_pose_of_the_base(graph, tmp_path: Path) -> None:
+    urdf = tmp_path / "quadruped.urdf"
+    urdf.write_text(quadruped_urdf())
+    robot = load_model(urdf)
+    log = standing_log(robot, 6.0, 3, friction=0.0, steps=True, captured=True)
+    kept = {"/joint_states", "/base/pose", *(f"/{foot}/contact" for foot in FEET)}
+    bag = record_log(
+        {name: one for name, one in log.items() if name in kept}, robot, tmp_path / "b"
+    )
+    flags = [f"/{foot}/contact:={foot}" for foot in FEET]
+    options = {"pose_topic": "/base/pose", "pose_frame": "base", "contact": ",".join(POINTS)}
+    ended = played(
+        graph, bag, tmp_path / "live", model=urdf, contact_flag=json.dumps(flags), **options
+    )
+    assert set(ended["received"]) == {"/joint_states", "/base/pose"}
+    (found,) = load_archive(tmp_path / "live" / "information.npz")
+    # Without flags, all four contacts are eliminated at all times, which leaves few joints a row.
+    all_touch = with_contacts(robot, POINTS)
+    assert all_touch.contacts is not None
+    names = found.layout.coordinates
+    has_rows = {name for name, count in zip(names, found.counts.diagonal(), strict=True) if count}
+    assert has_rows > {names[index] for index in all_touch.contacts.coordinates}
+
+
+@pytest.mark.parametrize("kind", [ODOMETRY, IMU])
+def test_a_wheeled_base_is_left_out_while_it_drives(graph, tmp_path: Path, kind: str) -> None:
+    arm = random_robot(3, links=3, floating=False, wrench_frames=0)
+    urdf = tmp_path / "arm.urdf"
+    urdf.write_text(urdf_text(arm))
+    streams = random_streams(arm, LogPlan(rate=200.0, count=2400, start=10 * SECOND), 1)
+    stamp = streams.joints.stamp
+    drives = (stamp >= 14 * SECOND) & (stamp < 16 * SECOND)
+    if kind == ODOMETRY:
+        records = odometry_layout("odom", "base_link").records(len(stamp))
+        fill_stamp(records, stamp)
+        records["twist.twist.linear"][...] = 0.2 * drives[:, None] * [1, 0, 0]
+    else:
+        records = imu_layout("base_imu").records(len(stamp))
+        force = np.tile([0.0, 0.0, 9.81], (len(stamp), 1))
+        fill_message(
+            records,
+            stamp,
+            angular_velocity=0.1 * drives[:, None] * [0, 0, 1],
+            linear_acceleration=force,
+        )
+    bag = write_bag(streams, tmp_path / "bag", [("/base/motion", kind, stamp, records)])
+    ended = played(
+        graph, bag, tmp_path / "live", model=urdf, base="fixed", drive_topic="/base/motion"
+    )
+    assert set(ended["received"]) == {"/joint_states", "/base/motion"}
+    robot = load_model(urdf, "fixed")
+    log = load_bag(bag, robot, drive_topic=("/base/motion",))
+    identify(robot, log, joint_terms=("none",), window=0.321, no_holdout=True).save(
+        tmp_path / "offline"
+    )
+    assert_same(tmp_path / "live", tmp_path / "offline")
+    ((begin, end),) = log.streams().driving
+    assert begin == pytest.approx(14 * SECOND - SETTLING, abs=0.2 * SECOND)
+    assert end == pytest.approx(16 * SECOND + SETTLING, abs=0.2 * SECOND)
