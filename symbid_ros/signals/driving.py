@@ -1,7 +1,6 @@
 """Times at which a wheeled base drives, which are left out: the base counts as fixed."""
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 
@@ -42,6 +41,13 @@ def is_accelerating(stamp: IntArray, rate: FloatArray, force: FloatArray) -> Boo
     force : (N, 3) float64
         Specific force, m/s².
     """
+    # Its import takes as long as that of the rest, and few robots need it.
+    from scipy.ndimage import (  # noqa: PLC0415
+        maximum_filter1d,
+        minimum_filter1d,
+        uniform_filter1d,
+    )
+
     if len(stamp) < 2:
         return np.ones(len(stamp), dtype=bool)
     period = 1e-9 * float(np.median(np.diff(stamp)))
