@@ -111,8 +111,8 @@ $(VENV)/.installed: pyproject.toml requirements.txt requirements-pypi.txt requir
 	$(BIN)/python -c 'from symbid_ros.dynamics import inertial_rows; inertial_rows.compile_kernel()'
 	@touch $@
 
-$(VENV)/.installed-dev: requirements-dev.txt $(VENV)/.installed
-	$(INSTALL) 'symbid_ros[study,dask]' -r requirements-dev.txt
+$(VENV)/.installed-dev: requirements-dev.txt requirements-docs.txt $(VENV)/.installed
+	$(INSTALL) 'symbid_ros[study,dask,docs]' -r requirements-dev.txt
 	@touch $@
 
 $(VENV)/.installed-docs: requirements-docs.txt $(VENV)/.installed

@@ -1,12 +1,18 @@
-"""Takes the screenshots of a report for the documentation.
+"""Takes the screenshots of the documentation, docs/images/*.png.
 
-``python docs/screenshots.py result/report.html`` writes report_light.png, report_dark.png and
-report_phone.png to docs/images/. It needs Chromium and the packages of requirements-dev.txt.
+    python docs/screenshots.py report result/report.html
+    python docs/screenshots.py plan plan/plan.html
+    python docs/screenshots.py live
+
+The last one runs the nodes of `symbid demo --online --web`, with a payload after 15 s. It needs
+Chromium and the packages of requirements-dev.txt.
 """
 
 import argparse
 import io
 import sys
+import tempfile
+from contextlib import ExitStack
 from pathlib import Path
 
 from PIL import Image
@@ -14,39 +20,88 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "test" / "support"))
 
-from browser import DESKTOP, PHONE, find_chromium, started_browser  # noqa: E402
+from browser import DESKTOP, PHONE, Browser, find_chromium, started_browser  # noqa: E402
 
-COLOURS = 200
-# Name, width of the window, dark or light, and height of the picture, px.
-SHOTS = (
-    ("light", DESKTOP, False, 1350),
-    ("dark", DESKTOP, True, 1350),
-    ("phone", PHONE, True, 1350),
-)
+from symbid_ros.cli.demo import MEMORY, PAYLOAD, draw_demo_prior  # noqa: E402
+from symbid_ros.cli.processes import NodeProcess, private_graph  # noqa: E402
+from symbid_ros.package_paths import config_file  # noqa: E402
+
+COLOURS = 256
+PAYLOAD_TIME, SECONDS = 15.0, 40.0  # s; when the payload is attached, and the picture taken
+# Of each kind of page: name of the picture, width of the window, dark or light, height, px.
+SHOTS = {
+    "report": (
+        ("report_light", DESKTOP, False, 1350),
+        ("report_dark", DESKTOP, True, 1350),
+        ("report_phone", PHONE, True, 1350),
+    ),
+    "plan": (("plan", 1100, False, 880),),
+    "live": (("live", 1180, False, 860),),
+}
 
 
 def main() -> None:
-    """Take all screenshots."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("report", type=Path, help="HTML file of `symbid report`")
+    """Take the pictures of one page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("kind", choices=SHOTS)
+    parser.add_argument("page", type=Path, nargs="?", help="HTML file of a report or plan")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images")
     arguments = parser.parse_args()
+    if (arguments.page is None) != (arguments.kind == "live"):
+        parser.error("give the HTML file of a report or plan, and none for live")
     executable = find_chromium()
     if executable is None:
         sys.exit("no Chromium found; install it or set SYMBID_CHROMIUM")
-    with started_browser(executable) as browser:
-        for name, width, dark, height in SHOTS:
-            with browser.page(arguments.report, width, dark=dark) as page:
-                page.tab.wait_for_load_state("networkidle")
-                clip = {"x": 0, "y": 0, "width": width, "height": height}
-                pixels = page.tab.screenshot(clip=clip, full_page=True)
-                if page.problems:
-                    sys.exit(f"{arguments.report}: {page.problems[0]}")
-            picture = Image.open(io.BytesIO(pixels)).convert("RGB")
-            path = arguments.out / f"report_{name}.png"
+    with ExitStack() as stack:
+        address: Path | str | None = arguments.page
+        if address is None:
+            address = live_address(stack)
+        browser = stack.enter_context(started_browser(executable))
+        seconds = SECONDS if arguments.kind == "live" else 0.0
+        for name, width, dark, height in SHOTS[arguments.kind]:
+            picture = photograph(browser, address, (width, height), dark=dark, seconds=seconds)
+            path = arguments.out / f"{name}.png"
             # A palette takes a third of the space, and figures have few colours.
-            picture.quantize(COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+            picture.quantize(COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE).save(
+                path, optimize=True
+            )
             print(f"{path}: {path.stat().st_size // 1000} kB")
+
+
+def photograph(
+    browser: Browser, address: str | Path, size: tuple[int, int], *, dark: bool, seconds: float
+) -> Image.Image:
+    """Return the top of a page, some seconds after it was opened."""
+    width, height = size
+    with browser.page(address, width, dark=dark) as page:
+        page.tab.set_viewport_size({"width": width, "height": height})
+        page.tab.wait_for_timeout(1000 * seconds + 500)
+        pixels = page.tab.screenshot()
+        if page.problems:
+            sys.exit(f"{address}: {page.problems[0]}")
+    return Image.open(io.BytesIO(pixels)).convert("RGB")
+
+
+def live_address(stack: ExitStack) -> str:
+    """Start a simulated robot, its identifier and the page, and return the page's address."""
+    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+    model = config_file("symbitron.xml")
+    draw_demo_prior(folder, model, 25.0, 0)
+    common = {"model": str(model), "prior": str(folder / "prior.json")}
+    motion = {"moves": 60, "wait_for_subscribers": True, "subscribers": 1}
+    motion |= {"payload_time": PAYLOAD_TIME} | PAYLOAD
+    graph = stack.enter_context(private_graph())
+
+    def start(name: str, parameters: dict[str, object], file: str | None = None) -> NodeProcess:
+        node = NodeProcess(name, parameters, graph, folder / f"{name}.log", file=file)
+        return stack.enter_context(node)
+
+    start("identifier", common | {"memory": MEMORY}, "identifier.yaml")
+    page = start("web_monitor", common | {"port": 0})
+    start("mujoco_bridge", motion, "bridge.yaml")
+    return page.first_line()
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """The command ``symbid``: its subcommands, and errors as one line with exit status 2."""
 
+import inspect
 import logging
 import os
 from typing import Annotated, Any
@@ -114,7 +115,16 @@ def _command() -> Any:
     """Return the click command that typer builds, with all subcommands."""
     command = typer.main.get_command(app)
     _hide_types_of_flags(command)
+    _join_lines_of_help(command)
     return command
+
+
+def _join_lines_of_help(command: Any) -> None:
+    """Let the terminal break the lines of each paragraph of help."""
+    paragraphs = inspect.cleandoc(command.help or "").split("\n\n")
+    command.help = "\n\n".join(" ".join(each.split()) for each in paragraphs)
+    for subcommand in getattr(command, "commands", {}).values():
+        _join_lines_of_help(subcommand)
 
 
 def _hide_types_of_flags(command: Any, parent: Any = None) -> None:

@@ -79,7 +79,7 @@ class Section:
     tables : tuple of Table
     figures : tuple of CaptionedFigure
     folded : bool
-        Whether the tables are folded.
+        Whether the tables are folded, and left out of a print.
     """
 
     anchor: str
@@ -194,16 +194,16 @@ def study_sections(results: StudyResults) -> tuple[Section, ...]:
         sections += _prediction_sections(results, plan.figures)
     if plan.closed_loop is not None:
         sections.append(_closed_loop_section(results, plan.closed_loop))
-    if plan.thesis:
-        sections.append(_filter_section(results))
     if plan.accelerations is not None:
         sections.append(_acceleration_section(results, plan.accelerations))
+    if plan.thesis:
+        sections.append(_filter_section(results))
     if plan.thesis:
         sections += _conclusion_sections(results)
     sections.append(Section("tables", "Tables", tables=short))
     if plan.equation is not None:
         table = equation_table(load_equation_residuals(results.folder))
-        sections.append(Section("equation", "Equation of motion", tables=(table,)))
+        sections.append(Section("equation", "Equation of motion", tables=(table,), folded=True))
     if folded:
         sections.append(Section("more", "More tables", tables=tuple(folded), folded=True))
     return tuple(sections)
@@ -350,4 +350,5 @@ def _closed_loop_section(results: StudyResults, loop: ClosedLoopPlan) -> Section
         conclusions=closed_loop_conclusions(together),
         tables=tuple(balance_table(prior, runs) for prior, runs in by_prior.items()),
         figures=(closed_loop_figure(labelled, about),),
+        folded=True,
     )

@@ -1,5 +1,6 @@
 """Meaning of options, and protection of earlier results."""
 
+import itertools
 import re
 import subprocess
 import sys
@@ -25,6 +26,14 @@ def test_help_shows_no_value_beside_a_flag(symbid_here, words):
     assert shown.returncode == 0
     assert "--help" in shown.stdout
     assert not re.search(r"<bool>|BOOL", shown.stdout)
+
+
+def test_lines_of_help_are_filled(symbid_here):
+    shown = symbid_here("simulate", "--help").stdout.splitlines()
+    begin = next(i for i, line in enumerate(shown) if "With --trajectory, the robot" in line)
+    lines = shown[begin : shown.index(" " * len(shown[0]), begin)]
+    for line, below in itertools.pairwise(lines):
+        assert len(line.rstrip()) + len(below.split()[0]) + 1 >= len(line) - 1
 
 
 def test_a_simulated_bag_is_replaced_only_with_overwrite(symbid_here, tmp_path):

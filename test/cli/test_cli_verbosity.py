@@ -2,6 +2,8 @@
 
 import os
 import pty
+import select
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +15,7 @@ from symbid_ros.cli.app import app
 from symbid_ros.progress import report, reported_to
 
 SYMBID = Path(sys.executable).parent / "symbid"
+DEADLINE = 300.0  # s; only a hang takes longer
 
 
 def commands(command, name="symbid"):
@@ -101,14 +104,77 @@ def test_bash_completes_commands_and_options() -> None:
 
 
 @pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_get_a_script_and_completions(shell) -> None:
-    def asked(instruction: str, **variables: str) -> str:
-        environment = {**os.environ, "_SYMBID_COMPLETE": instruction, **variables}
-        ended = subprocess.run(
-            [SYMBID], env=environment, capture_output=True, text=True, check=False
-        )
-        return ended.stdout
+def test_other_shells_get_completions(shell) -> None:
+    """What the scripts of the shells ask for, also where these are not installed."""
+    asked = {
+        "_SYMBID_COMPLETE": f"complete_{shell}",
+        "_TYPER_COMPLETE_ARGS": "symbid val",
+        "_TYPER_COMPLETE_FISH_ACTION": "get-args",
+    }
+    ended = subprocess.run(
+        [SYMBID], env={**os.environ, **asked}, capture_output=True, text=True, check=False
+    )
+    assert "validate" in ended.stdout
 
-    assert "symbid" in asked(f"source_{shell}")
-    words = {"_TYPER_COMPLETE_ARGS": "symbid val", "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
-    assert "validate" in asked(f"complete_{shell}", **words)
+
+def test_fish_completes_commands_and_options(tmp_path) -> None:
+    if shutil.which("fish") is None:
+        pytest.skip("no fish found: its completion is not tested")
+    script = (
+        "env _SYMBID_COMPLETE=source_fish symbid | source; "
+        "complete -C 'symbid iden'; complete -C 'symbid identify --joint-te'"
+    )
+    ended = subprocess.run(
+        ["fish", "--no-config", "-c", script],
+        env=shell_environment(tmp_path),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    words = [line.split("\t")[0] for line in ended.stdout.splitlines()]
+    assert words == ["identify", "--joint-terms"]
+
+
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [("iden", "identify"), ("identify --joint-te", "--joint-terms"), ("diff resu", "result")],
+)
+def test_zsh_completes_commands_options_and_files_at_its_prompt(tmp_path, typed, completed) -> None:
+    if shutil.which("zsh") is None:
+        pytest.skip("no zsh found: its completion is not tested")
+    (tmp_path / "result").mkdir()
+    main, terminal = pty.openpty()
+    with subprocess.Popen(
+        ["zsh", "-f", "-i"],
+        stdin=terminal,
+        stdout=terminal,
+        stderr=terminal,
+        cwd=tmp_path,
+        env=shell_environment(tmp_path),
+        start_new_session=True,
+    ) as shell:
+        os.close(terminal)
+        setup = (
+            'autoload -Uz compinit; compinit -u -D; eval "$(_SYMBID_COMPLETE=source_zsh symbid)"'
+        )
+        os.write(main, f"{setup}; echo rea''dy\n".encode())
+        read_until(main, "ready\r\n")
+        os.write(main, f"symbid {typed}\t".encode())
+        read_until(main, completed)
+        shell.kill()
+    os.close(main)
+
+
+def shell_environment(home: Path) -> dict[str, str]:
+    """Return an environment in which a shell finds the command and no one's settings."""
+    path = f"{SYMBID.parent}{os.pathsep}{os.environ['PATH']}"
+    return {**os.environ, "PATH": path, "HOME": str(home), "TERM": "xterm", "COLUMNS": "120"}
+
+
+def read_until(terminal: int, text: str) -> None:
+    """Read what a terminal shows until it contains a text."""
+    shown = b""
+    while text.encode() not in shown:
+        ready, _, _ = select.select([terminal], [], [], DEADLINE)
+        assert ready, shown
+        shown += os.read(terminal, 1 << 16)
