@@ -265,7 +265,8 @@ def test_alarms_come_first_and_end_with_status_1(
     (tmp_path / "certain.json").write_text(json.dumps(certain))
     out = tmp_path / "out"
     ended = symbid_here(
-        "identify", short, "--model", model, "--prior", tmp_path / "certain.json", "--out", out
+        *("identify", short, "--model", model, "--prior", tmp_path / "certain.json"),
+        *("--joint-terms", "none", "--out", out),
     )
     assert ended.returncode == 1
     assert {path.name for path in out.iterdir()} == FILES

@@ -65,11 +65,6 @@ class Observer:
             assert time.monotonic() < deadline, "the condition did not come about"
             self._executor.spin_once(timeout_sec=0.05)
 
-    def spin(self, seconds: float) -> None:
-        """Spin for a while."""
-        deadline = time.monotonic() + seconds
-        self.wait_until(lambda: time.monotonic() >= deadline, seconds + DEADLINE)
-
     def close(self) -> None:
         """Destroy the node."""
         self._executor.shutdown()
@@ -197,7 +192,7 @@ NODES = ("identifier", "recorder", "monitor", "balance_controller", "mujoco_brid
 
 
 def soak(duration: float, folder: Path) -> Soak:
-    """Run all nodes for ``duration`` seconds with foreign traffic and return the results."""
+    """Run all nodes for ``duration`` simulated seconds with foreign traffic and return the results."""
     with unused_domain() as domain:
         environment = os.environ | {
             "ROS_DOMAIN_ID": str(domain),
@@ -232,8 +227,10 @@ def _soaked(duration: float, folder: Path, processes: Processes, observer: Obser
         subscribers=2,  # recorder and identifier
     )
     simulation, streams = "/mujoco_bridge: simulation", "/identifier: streams"
-    observer.wait_until(lambda: health.count(simulation, "steps") > 0)
-    observer.spin(duration)
+    # Simulated time: a busy machine is slower than the robot.
+    observer.wait_until(
+        lambda: health.count(simulation, "steps") > 1000 * duration, 10 * duration + DEADLINE
+    )
 
     assert call(observer, SetBool, "/mujoco_bridge/pause", data=True).success
     observer.wait_until(lambda: health.message(simulation) == "paused")
@@ -270,7 +267,10 @@ def _difference(saved: Path, steps: int, folder: Path) -> float:
         *(BIN / "symbid", "identify", folder / "undisturbed", "--model", MODEL),
         *("--prior-percent", "25", "--out", expected),
     ]
-    subprocess.run(list(map(str, command)), check=True, capture_output=True, timeout=DEADLINE)
+    ended = subprocess.run(
+        list(map(str, command)), capture_output=True, text=True, check=False, timeout=DEADLINE
+    )
+    assert ended.returncode in (0, 1), ended.stderr  # 1: alarms, as of a short log
     pairs = zip(*(load_archive(one / "information.npz") for one in (saved, expected)), strict=True)
     for one, other in pairs:
         assert (one.window, one.rows.samples) == (other.window, other.rows.samples)
@@ -290,7 +290,7 @@ def _difference(saved: Path, steps: int, folder: Path) -> float:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--duration", type=float, default=300.0, help="seconds")
+    parser.add_argument("--duration", type=float, default=300.0, help="simulated seconds")
     duration = parser.parse_args().duration
     with tempfile.TemporaryDirectory() as folder:
         found = soak(duration, Path(folder))
