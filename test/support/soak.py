@@ -192,7 +192,7 @@ NODES = ("identifier", "recorder", "monitor", "balance_controller", "mujoco_brid
 
 
 def soak(duration: float, folder: Path) -> Soak:
-    """Run all nodes for ``duration`` simulated seconds with foreign traffic and return the results."""
+    """Run all nodes among foreign traffic for ``duration`` simulated seconds."""
     with unused_domain() as domain:
         environment = os.environ | {
             "ROS_DOMAIN_ID": str(domain),
