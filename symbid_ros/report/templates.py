@@ -5,7 +5,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import jinja2
+from markupsafe import Markup, escape
 
+from symbid_ros.options import spelled
 from symbid_ros.report.formatting import significant, with_std
 
 PACKAGE = "symbid_ros.report"
@@ -40,6 +42,7 @@ def page_template(
         "significant": significant,
         "with_std": with_std,
         "unbroken_units": unbroken_units,
+        "with_flags": with_flags,
         **(filters or {}),
     }
     return environment.get_template(name)
@@ -48,6 +51,13 @@ def page_template(
 def unbroken_units(text: str) -> str:
     """Return a text without line breaks between numbers and their units."""
     return _UNIT.sub("\N{NO-BREAK SPACE}", text)
+
+
+def with_flags(message: str) -> Markup:
+    """Return a message as HTML in which options, named in backquotes, are flags of the command."""
+    return Markup(
+        spelled(str(escape(message)), lambda name: f"<code>--{name.replace('_', '-')}</code>")
+    )
 
 
 def shared_css() -> str:

@@ -64,6 +64,11 @@ class TestAlarms:
             Page(render(content_with_verdict(alarms=self.alarms[:1])))
         )
 
+    def test_alarms_name_options_as_flags(self) -> None:
+        alarm = "1 < 2 Nm unexplained; give `sensor_errors` torque_gain"
+        page = render(content_with_verdict(alarms=(alarm,)))
+        assert "1 &lt; 2 Nm unexplained; give <code>--sensor-errors</code> torque_gain" in page
+
     def test_a_page_without_alarms_says_so(self) -> None:
         page = Page(render(content_with_verdict()))
         text = text_of(page)
