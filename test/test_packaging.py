@@ -204,11 +204,14 @@ class TestInstallation:
         assert parameter.partition(":=")[0] in done.stderr
         assert "Traceback" not in done.stderr
 
-    def test_holds_the_report_template(self, installation: Path) -> None:
-        names = {
-            path.name for path in installation.glob(f"{PACKAGE}/lib/python*/*/{PACKAGE}/report/*")
-        }
-        assert {"report.html", "report.css"} <= names
+    def test_holds_all_parts_of_pages(self, installation: Path) -> None:
+        (package,) = installation.glob(f"{PACKAGE}/lib/python*/*/{PACKAGE}")
+
+        def parts(folder: Path) -> set[Path]:
+            kinds = {".html", ".css", ".js"}
+            return {one.relative_to(folder) for one in folder.rglob("*") if one.suffix in kinds}
+
+        assert parts(package) == parts(ROOT / PACKAGE) != set()
 
 
 def test_colcon_runs_the_tests(installation: Path) -> None:

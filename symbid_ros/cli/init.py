@@ -34,7 +34,7 @@ def init(
         bool, typer.Option("--overwrite", help="Replace files of these names.")
     ] = False,
 ) -> None:
-    """Write a robot file: topics, names, signs and units that a log and a model differ in.
+    """Write a robot file: how topics, names, signs and units of a log differ from the model.
 
     With --foxglove it writes a layout for Foxglove that suits the robot.
 

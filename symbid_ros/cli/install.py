@@ -62,7 +62,7 @@ def apply(
         bool, typer.Option("--overwrite", help="Replace existing files of --out, --xacro-yaml.")
     ] = False,
 ) -> None:
-    """Write the identified numbers into your URDF or MJCF, whose other bytes stay.
+    """Write the identified numbers into your URDF or MJCF, and change nothing else in it.
 
     The earlier file is kept as FILE.orig. Links and joints must be those of the result. The written
     file is read again and compared.
