@@ -17,7 +17,7 @@ import pinocchio
 from tables import markdown, save_plot
 from threadpoolctl import threadpool_limits
 
-from symbid_ros.dynamics.inertial_rows import PackedLayout, dense_rows, packed_rows
+from symbid_ros.dynamics.inertial_rows import dense_rows, packed_rows
 from symbid_ros.dynamics.samples import Samples
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -90,10 +90,9 @@ def microseconds(calls: tuple[Callable[[], None], ...], count: int, repeats: int
 def own(model: RobotModel, count: int) -> tuple[Callable[[], None], Callable[[], None]]:
     """Return calls that compute packed and dense rows of random samples."""
     parameters, samples = ParameterSet(model), random_samples(model, count)
-    layout = PackedLayout.of(parameters)
 
     def packed() -> None:
-        packed_rows(parameters, samples, layout)
+        packed_rows(parameters, samples)
 
     def dense() -> None:
         dense_rows(parameters, samples)

@@ -9,9 +9,11 @@ rows omit these structural zeros.
 
 import logging
 import os
+import weakref
 from dataclasses import dataclass
 from functools import cache
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -45,8 +47,10 @@ UNIT_PSEUDO_INERTIA = pseudo_inertia(np.eye(10)).reshape(10, 16)
 # Forces depend on mass and first moments alone, the first four of a link's ten parameters.
 FORCE_COLUMNS = 4
 
+NO_WINDOWS = np.zeros(0, dtype=np.int64), np.zeros(1, dtype=np.int64), np.zeros(0)
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class PackedLayout:
     """Places of the structural non-zeros of a robot's inertial columns.
 
@@ -54,24 +58,32 @@ class PackedLayout:
     ----------
     row, column : (w,) int64
         Coordinate and parameter of each, by coordinates and then by parameters.
-    start : (J, L) int64
-        Where the columns of a link with parameters begin in a joint's row; -1 if it does not load
-        the joint.
+    place : (w,) int64
+        Their places in a flat K (n p).
+    joints : tuple of arrays
+        Fields of the kernel's ``Tree``.
     """
 
     row: IntArray
     column: IntArray
-    start: IntArray
+    place: IntArray
+    joints: tuple[Any, ...]
 
     @classmethod
     def of(cls, parameters: ParameterSet) -> "PackedLayout":
-        """Return the layout of the inertial columns of a robot."""
+        """Return the layout of the inertial columns of a robot, which is computed once."""
+        # By identity, because parameters are immutable but hold arrays, which have no hash.
+        key = id(parameters)
+        if key not in _LAYOUTS:
+            _LAYOUTS[key] = cls._computed(parameters)
+            weakref.finalize(parameters, _LAYOUTS.pop, key, None).atexit = False
+        return _LAYOUTS[key]
+
+    @classmethod
+    def _computed(cls, parameters: ParameterSet) -> "PackedLayout":
         model, links = parameters.model, parameters.links
-        ranks = np.arange(len(links))
         loads = model.ancestors[:, links]
-        sizes = np.array(
-            [10 if joint.kind == "revolute" else FORCE_COLUMNS for joint in model.joints]
-        )
+        sizes = np.array([10 if one.kind == "revolute" else FORCE_COLUMNS for one in model.joints])
         if model.floating:
             loads = np.concatenate([np.ones((6, len(links)), dtype=bool), loads])
             sizes = np.concatenate([[10] * 3, [FORCE_COLUMNS] * 3, sizes])
@@ -81,11 +93,39 @@ class PackedLayout:
         start = np.full((len(loads), len(model.links)), -1, dtype=np.int64)
         start[row, links[rank]] = end - size
         within = np.arange(end[-1] if len(end) else 0) - np.repeat(end - size, size)
-        column = 10 * np.repeat(ranks[rank], size) + within
-        return cls(np.repeat(row, size), column, start[6 * model.floating :])
+        column = 10 * np.repeat(rank, size) + within
+        row = np.repeat(row, size)
+        joints = _joint_arrays(parameters, start[6 * model.floating :])
+        return cls(row, column, row * len(parameters) + column, joints)
 
     def __len__(self) -> int:
         return len(self.row)
+
+
+_LAYOUTS: dict[int, PackedLayout] = {}
+
+
+def _joint_arrays(parameters: ParameterSet, start: IntArray) -> tuple[Any, ...]:
+    """Return the fields of the kernel's ``Tree``.
+
+    ``start`` (J, L) tells where the columns of a link begin in a joint's row, -1 for none.
+    """
+    joints = JointTable.of(parameters.model.joints)
+    rank = np.full(start.shape[1], -1, dtype=np.int64)
+    rank[parameters.links] = np.arange(len(parameters.links))
+    link, joint = np.nonzero(start.T >= 0)
+    return (
+        joints.parent,
+        joints.pose,
+        joints.reference[:, 0].copy(),
+        joints.revolute[:, 0].copy(),
+        rank,
+        len(parameters.links),
+        parameters.model.floating,
+        np.searchsorted(link, np.arange(start.shape[1] + 1)),
+        joint.copy(),
+        start[joint, link],
+    )
 
 
 def dense_rows(parameters: ParameterSet, samples: Samples) -> tuple[FloatArray, FloatArray]:
@@ -95,25 +135,22 @@ def dense_rows(parameters: ParameterSet, samples: Samples) -> tuple[FloatArray, 
     if _kernel() is None:
         K[:, :, parameters.inertial :] = 0.0
         return K, _fill_by_numpy(parameters, samples, K[:, :, : parameters.inertial])
-    layout = PackedLayout.of(parameters)
-    index = layout.row * len(parameters) + layout.column
     rows = K.reshape(len(samples), model.dof * len(parameters))
-    return K, _evaluate(parameters, samples, layout, rows=(index, rows))
+    return K, _evaluate(parameters, samples, rows=(PackedLayout.of(parameters).place, rows))
 
 
-def packed_rows(
-    parameters: ParameterSet, samples: Samples, layout: PackedLayout
-) -> tuple[FloatArray, FloatArray]:
-    """Return the packed inertial columns (N, w) and y (N, n)."""
+def packed_rows(parameters: ParameterSet, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """Return the packed inertial columns (N, w) and y (N, n); see :class:`PackedLayout`."""
+    layout = PackedLayout.of(parameters)
     if _kernel() is None:
         K, y = dense_rows(parameters, samples)
         return K[:, layout.row, layout.column], y
     rows = np.empty((len(samples), len(layout)))
-    return rows, _evaluate(parameters, samples, layout, rows=(np.arange(len(layout)), rows))
+    return rows, _evaluate(parameters, samples, rows=(np.arange(len(layout)), rows))
 
 
 def averaged_rows(
-    parameters: ParameterSet, samples: Samples, layout: PackedLayout, weights: csr_array
+    parameters: ParameterSet, samples: Samples, weights: csr_array
 ) -> tuple[FloatArray, FloatArray]:
     """Return weighted sums (W, w) of packed inertial columns, and y (N, n) of all samples.
 
@@ -123,19 +160,17 @@ def averaged_rows(
     ----------
     parameters : ParameterSet
     samples : Samples
-    layout : PackedLayout
     weights : (W, N) csr_array
         Weights of the samples in each window; a window's samples are consecutive.
     """
+    sums = np.zeros((weights.shape[0], len(PackedLayout.of(parameters))))
     if _kernel() is None:
-        sums = np.zeros((weights.shape[0], len(layout)))
         y = np.empty((len(samples), parameters.model.dof))
         for part in cache_blocks(len(samples), len(parameters.model.links)):
-            rows, y[part] = packed_rows(parameters, samples[part], layout)
+            rows, y[part] = packed_rows(parameters, samples[part])
             sums += weights[:, part] @ rows
         return sums, y
-    sums = np.empty((weights.shape[0], len(layout)))
-    return sums, _evaluate(parameters, samples, layout, sums=(weights, sums))
+    return sums, _evaluate(parameters, samples, sums=(weights, sums))
 
 
 def compile_kernel() -> None:
@@ -168,9 +203,12 @@ def _loaded_kernel(choice: str) -> ModuleType | None:
             "E941",
         ) from error
     if not kernel.is_cached():
+        folder = kernel.cache_folder()
         logger.warning(
-            "compiling the regressor for this computer, once: some 10 s (kept in %s)",
-            kernel.cache_folder() or "no folder, because none can be written",
+            "compiling the regressor for this computer: some 10 s, %s",
+            f"once (kept in {folder})"
+            if folder
+            else "at every start, because no folder can be written; set NUMBA_CACHE_DIR",
         )
     return kernel
 
@@ -178,7 +216,6 @@ def _loaded_kernel(choice: str) -> ModuleType | None:
 def _evaluate(
     parameters: ParameterSet,
     samples: Samples,
-    layout: PackedLayout,
     *,
     rows: tuple[IntArray, FloatArray] | None = None,
     sums: tuple[csr_array, FloatArray] | None = None,
@@ -187,22 +224,7 @@ def _evaluate(
     kernel = _kernel()
     assert kernel is not None
     model, count = parameters.model, len(samples)
-    joints = JointTable.of(model.joints)
-    rank = np.full(len(model.links), -1, dtype=np.int64)
-    rank[parameters.links] = np.arange(len(parameters.links))
-    link, joint = np.nonzero(layout.start.T >= 0)
-    tree = kernel.Tree(
-        joints.parent,
-        joints.pose,
-        joints.reference[:, 0].copy(),
-        joints.revolute[:, 0].copy(),
-        rank,
-        len(parameters.links),
-        model.floating,
-        np.searchsorted(link, np.arange(len(model.links) + 1)),
-        joint.copy(),
-        layout.start[joint, link],
-    )
+    layout = PackedLayout.of(parameters)
     motion = kernel.Motion(
         _plain(samples.position),
         _plain(samples.velocity),
@@ -223,13 +245,15 @@ def _evaluate(
         model.ancestors,
     )
     if rows is None:
-        rows = np.zeros(len(layout), dtype=np.int64), np.empty((count, 0))
-    weights, totals = (csr_array((0, count)), np.empty((0, 0))) if sums is None else sums
-    first = weights.indices[np.minimum(weights.indptr[:-1], max(weights.nnz - 1, 0))]
-    windows = kernel.Windows(
-        first.astype(np.int64), weights.indptr.astype(np.int64), _plain(weights.data)
-    )
+        rows = layout.place, np.empty((count, 0))
+    windows, totals = kernel.Windows(*NO_WINDOWS), np.empty((0, 0))
+    if sums is not None:
+        weights, totals = sums
+        first = np.append(weights.indices, 0)[weights.indptr[:-1]]
+        starts = weights.indptr.astype(np.int64)
+        windows = kernel.Windows(first.astype(np.int64), starts, _plain(weights.data))
     y = np.empty((count, model.dof))
+    tree = kernel.Tree(*layout.joints)
     kernel.evaluate(tree, motion, loads, *rows, windows, totals, y)
     model.fold_followers(y)
     return y
@@ -237,7 +261,8 @@ def _evaluate(
 
 def _plain(values: FloatArray) -> FloatArray:
     """Return an array of the one kind that the kernel is compiled for."""
-    return np.require(values, np.float64, ["C", "W"])
+    is_plain = values.dtype == np.float64 and values.flags.c_contiguous and values.flags.writeable
+    return values if is_plain else np.require(values, np.float64, ["C", "W"])
 
 
 def _fill_by_numpy(parameters: ParameterSet, samples: Samples, K: FloatArray) -> FloatArray:

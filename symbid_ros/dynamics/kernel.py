@@ -11,7 +11,6 @@ The functions read no constant of another module: Numba's cache of compiled code
 changes of this file.
 """
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -504,11 +503,11 @@ def cache_folder() -> Path | None:
 
 
 def is_cached() -> bool:
-    """Return whether the function was compiled before, since this file changed."""
-    folder = cache_folder()
-    if folder is None:
+    """Return whether this version of the function was compiled before."""
+    if cache_folder() is None:
         return False
-    version = "{}{}".format(*sys.version_info[:2])
-    indexes = folder.glob(f"{Path(__file__).stem}.{_evaluate.__name__}-*.py{version}.nbi")
-    changed = Path(__file__).stat().st_mtime
-    return any(index.stat().st_mtime >= changed for index in indexes)
+    try:
+        # Numba compares the contents of this file with those that it compiled.
+        return bool(evaluate._cache._cache_file._load_index())
+    except AttributeError:  # another version of Numba: the user waits without an explanation
+        return True

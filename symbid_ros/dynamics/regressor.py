@@ -246,7 +246,7 @@ def averaged_equation_of_motion(
     model = parameters.model
     layout = PackedLayout.of(parameters)
     K = np.zeros((weights.shape[0], model.dof, len(parameters)))
-    K[:, layout.row, layout.column], y = averaged_rows(parameters, samples, layout, weights)
+    K[:, layout.row, layout.column], y = averaged_rows(parameters, samples, weights)
     for coordinates, places, factor in _term_entries(parameters, samples):
         K[:, coordinates, places] = weights @ factor
     model.fold_followers(K)

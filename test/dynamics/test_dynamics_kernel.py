@@ -67,8 +67,8 @@ def test_the_kernel_equals_numpy_on_random_trees(problem):
         for choice in ("numpy", "numba"):
             patch.setenv(KERNEL, choice)
             rows = equation_of_motion(parameters, samples)
-            packed = packed_rows(parameters, samples, layout)
-            averaged = averaged_rows(parameters, samples, layout, weights)
+            packed = packed_rows(parameters, samples)
+            averaged = averaged_rows(parameters, samples, weights)
             results.append((rows.K, rows.y, *packed, *averaged))
     assert_equal(results[1], results[0])
     # Nothing but structural zeros is left out.
