@@ -5,7 +5,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Event, Thread
+from threading import Event, Thread, current_thread, main_thread
 from typing import NoReturn
 
 SIGNALS = signal.SIGINT, signal.SIGTERM
@@ -55,6 +55,29 @@ def interruptible(stop: Event) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Handle signals that arrive during the block at its end.
+
+    Use it around steps that an exception must not separate, such as the start of a process and the
+    assignment of its handle.
+    """
+    arrived: list[int] = []
+    # Only the main thread is interrupted by signals; one that is ignored stays ignored.
+    is_main = current_thread() is main_thread()
+    before = {number: signal.getsignal(number) for number in (*SIGNALS, signal.SIGHUP) if is_main}
+    before = {number: handler for number, handler in before.items() if callable(handler)}
+    for number in before:
+        signal.signal(number, lambda number, _: arrived.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in arrived:
+            signal.raise_signal(number)
 
 
 def exit_on_signals() -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from symbid_ros.errors import SymbidError
 from symbid_ros.package_paths import config_file
-from symbid_ros.shutdown import exit_on_signals
+from symbid_ros.shutdown import deferred, exit_on_signals
 
 STOPPING_TIME = 120.0  # s; a recorder has to finish its bag, possibly on a busy machine
 
@@ -68,15 +68,20 @@ class NodeProcess:
         for key, value in parameters.items():
             arguments += ["-p", f"{key}:={json.dumps(value)}"]  # read as YAML, which includes JSON
         start = f"from symbid_ros.ros.start import {name}; {name}()"
-        with log.open("wb") as stream:
-            self._process = subprocess.Popen(
-                [sys.executable, "-c", start, "--ros-args", *arguments],
-                env=dict(environment),
-                stdout=None if is_shown else subprocess.PIPE,
-                stderr=stream,
-                # Ctrl-C then reaches only the parent, which stops its nodes in order.
-                start_new_session=True,
-            )
+        try:
+            # A signal's exception inside Popen would leave a process that nobody ends.
+            with log.open("wb") as stream, deferred():
+                self._process = subprocess.Popen(
+                    [sys.executable, "-c", start, "--ros-args", *arguments],
+                    env=dict(environment),
+                    stdout=None if is_shown else subprocess.PIPE,
+                    stderr=stream,
+                    # Ctrl-C then reaches only the parent, which stops its nodes in order.
+                    start_new_session=True,
+                )
+        except (KeyboardInterrupt, SystemExit):
+            self.__exit__()
+            raise
 
     def __enter__(self) -> "NodeProcess":
         return self

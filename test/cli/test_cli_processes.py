@@ -1,10 +1,14 @@
-"""Unused ROS domains are found and reserved."""
+"""Nodes end with the command, and unused ROS domains are found and reserved."""
+
+import os
+import signal
+import subprocess
 
 import pytest
 import rclpy
 from rclpy.context import Context
 
-from symbid_ros.cli.processes import unused_domain
+from symbid_ros.cli.processes import NodeProcess, unused_domain
 from symbid_ros.errors import SymbidError
 
 
@@ -33,3 +37,20 @@ def test_a_domain_with_a_node_is_in_use(tmp_path, monkeypatch, discovery: str) -
     context.try_shutdown()
     with unused_domain([domain]) as again:
         assert again == domain
+
+
+def test_a_signal_while_a_node_starts_leaves_no_process(tmp_path, monkeypatch) -> None:
+    started: list[subprocess.Popen[bytes]] = []
+
+    class Interrupted(subprocess.Popen):
+        def __init__(self, *arguments, **options) -> None:
+            super().__init__(*arguments, **options)
+            started.append(self)
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(subprocess, "Popen", Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        NodeProcess("monitor", {}, os.environ, tmp_path / "log")
+    (process,) = started
+    assert process.returncode is not None
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
