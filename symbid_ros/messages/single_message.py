@@ -3,6 +3,7 @@
 import struct
 from array import array
 from collections.abc import Iterable
+from math import isnan
 
 import numpy as np
 
@@ -93,7 +94,10 @@ class MessagePattern:
         """Return whether a serialised message has this layout."""
         if not 0 <= len(payload) - self._size <= MAX_TRAILING:
             return False
-        return all(payload[place] == expected for place, expected in self._constant)
+        for place, expected in self._constant:  # a generator would take twice as long
+            if payload[place] != expected:
+                return False
+        return True
 
     def stamp(self, payload: bytes) -> tuple[int, int]:
         """Return seconds and nanoseconds of the header's stamp."""
@@ -107,7 +111,11 @@ class MessagePattern:
         The path is empty if there is no such field.
         """
         for path, (form, offset) in self._fields.items():
-            if any(map(largest.__lt__, map(abs, form.unpack_from(payload, offset)))):
+            values = form.unpack_from(payload, offset)
+            # Two comparisons settle most messages; comparisons with NaN prove nothing.
+            if max(values) <= largest and min(values) >= -largest and not isnan(sum(values)):
+                continue
+            if any(map(largest.__lt__, map(abs, values))):
                 return path
         return ""
 

@@ -38,6 +38,10 @@ class Topic:
     name: str
     msgtype: str
 
+    def __hash__(self) -> int:
+        # Live messages look up their topic often, and a string remembers its hash.
+        return hash(self.name)
+
 
 @dataclass(frozen=True)
 class OfferedQos:

@@ -36,7 +36,7 @@ from symbid_ros.ros.raw_subscription import RawSubscription
 from symbid_ros.ros.reporting import FaultReporter, StatusPublisher
 from symbid_ros.ros.sensor_topics import SensorTopics, resolve_topics
 
-POLL = 0.005  # s; queues take far longer to fill
+POLL = 0.01  # s; queues take far longer to fill
 FOREVER = 2**63 - 1  # ns
 LONGEST_DRAIN = 1.0  # s; on a machine that is too slow, queues never run empty
 # Cost of an exact estimate, relative to the estimates in between.
