@@ -15,7 +15,7 @@ P = ParamSpec("P")
 Rows = tuple[WindowedRows, ...]
 
 # Blocks whose rows are folded at once: each fold copies the factors.
-BATCH = 4
+BATCH = 2
 
 
 def available_cores() -> int:
