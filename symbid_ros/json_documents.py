@@ -20,6 +20,7 @@ VERSIONS = {
     "difference": 1,
     "estimate": 1,
     "evaluation": 1,
+    "fleet": 1,
     "plan": 1,
     "prior": 1,
     "validation": 1,

@@ -16,6 +16,7 @@ from symbid_ros.cli.demo import demo
 from symbid_ros.cli.estimates import evaluate, identify, prior, report
 from symbid_ros.cli.excite import excite
 from symbid_ros.cli.flags import flag
+from symbid_ros.cli.fleet import fleet
 from symbid_ros.cli.init import init
 from symbid_ros.cli.install import apply, diff
 from symbid_ros.cli.live import live
@@ -46,6 +47,7 @@ COMMANDS = (
     live,
     validate,
     compare,
+    fleet,
     diff,
     apply,
     evaluate,

@@ -1,0 +1,59 @@
+"""``symbid fleet``."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from symbid_ros.cli.verbosity import progress_shown
+
+
+def fleet(
+    results: Annotated[
+        list[Path],
+        typer.Argument(help="Folders of identifications, one for each robot.", show_default=False),
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="HTML file to write.", show_default=False)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Compare robots of one type: what they have in common, and which one differs where.
+
+    All must be identified with the same model. Joint terms are chosen for all together.
+
+    Exit status: 0 no robot differs, 1 at least one does, 2 error.
+    """
+    from symbid_ros.atomic_write import check_output_file, write_text
+    from symbid_ros.identification.fleet import fleet_document, fleet_of_results
+    from symbid_ros.report.fleet_page import fleet_rows, render_fleet
+
+    if out is not None:
+        check_output_file(out)
+    with progress_shown():
+        found = fleet_of_results(results)
+    if out is not None:
+        write_text(out, render_fleet(found))
+    document = fleet_document(found)
+    if as_json:
+        typer.echo(json.dumps(document, indent=1))
+    else:
+        console = Console(highlight=False)
+        table = Table()
+        for title in ("link", "kg", "± kg", "one robot ± kg", *found.robots):
+            table.add_column(title, justify="left" if title == "link" else "right", no_wrap=True)
+        for row in fleet_rows(found):
+            table.add_row(*row)
+        console.print(table)
+        spread = ", ".join(f"{name} {100 * size:.2g} %" for name, size in found.spread.items())
+        console.print(Text(f"between robots: {spread}"), soft_wrap=True)
+        style = "bold red" if found.deviations else "green"
+        console.print(Text(str(document["verdict"]), style=style), soft_wrap=True)
+        if out is not None:
+            console.print(Text(f"wrote {out}"), soft_wrap=True)
+    if found.deviations:
+        raise typer.Exit(1)

@@ -1,0 +1,508 @@
+"""Several robots of one type: common parameters, spread between robots, and robots that differ.
+
+Robot r has the parameters φ_r = μ + δ_r. The common ones have the prior of the model, μ ~ N(φ̄, P).
+The deviations δ_r ~ N(0, D) have a variance for all moments of links and one for each joint term,
+relative to the values, and a gain that all efforts of one robot have in common. These variances are
+those that make the data most probable, with μ integrated out (restricted maximum likelihood:
+Patterson and Thompson 1971, Biometrika 58(3)), by the fixed-point iteration of Harville 1977,
+J. Am. Stat. Assoc. 72(358).
+
+The data rows are b_r = A_r (μ + δ_r) + ε, with V_r = 1 + A_r D A_rᵀ. A link of robot r that has
+changed by E t shows it in the score g = Eᵀ A_rᵀ V_r⁻¹ (b_r - A_r μ̂). Without a change g has the
+covariance M = Eᵀ A_rᵀ W A_r E, so gᵀ M⁺ g is χ² distributed. Each link of each robot is tested.
+Holm's correction (1979, Scand. J. Stat. 6(2)) keeps the chance of any false alarm below ``LEVEL``.
+A place that fails the test is named if its evidence, ½ gᵀ (1 + M)⁻¹ g - ½ log det (1 + M), also
+exceeds the prior odds against it, one in as many as there are places. The one with the largest
+evidence comes first. Then the spread is estimated again without it, and so on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.stats import chi2
+
+from symbid_ros.arrays import FloatArray
+from symbid_ros.estimation.mass_scale import FORCE_SCALE_STD
+from symbid_ros.estimation.posterior import Posterior
+from symbid_ros.estimation.prior_std import body_covariance, payload_std, term_scale
+from symbid_ros.model.parameters import ParameterSet
+
+LEVEL = 0.01  # chance of a false alarm in the whole fleet
+# Information below which a direction of a robot is not used, relative to the prior's.
+LEAST_INFORMATION = 1e-6
+LINKS = "links"  # group of all moments of all links
+# Relative deviations between robots: from where the iteration starts, and the smallest.
+FIRST_SPREAD, LEAST_SPREAD = 0.01, 1e-4
+ITERATIONS = 200
+CONVERGED = 1e-3
+# Relative deviation of a link that is denser or lighter than the others of the fleet.
+DENSER = 0.25
+# Places whose evidence is smaller than the best one's by this, nat, are ruled out.
+DISTINGUISHABLE = 5.0
+# A deviation of a joint term of which nothing is known, relative to that of the prior.
+LEAST_TERM = 0.02
+
+
+@dataclass(frozen=True)
+class FleetMember:
+    """One robot of a fleet.
+
+    Attributes
+    ----------
+    name : str
+    posterior : Posterior
+        From its own data and the prior that all members share.
+    """
+
+    name: str
+    posterior: Posterior
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A place at which one robot differs from the others.
+
+    Attributes
+    ----------
+    robot, place : str
+        Name of the robot, and of the link or joint.
+    p_value : float
+        Chance of such a deviation anywhere in a fleet of equal robots, up to its usual spread.
+    evidence : float
+        Log-likelihood ratio of this deviation to none, nat.
+    relative, relative_std : float or None
+        Relative change of the whole link, if its mass is distributed as in the others; None for a
+        joint.
+    change, std : (k,) float64
+        Change of the place's parameters, SI units, and its standard deviations.
+    columns : tuple of int
+        Columns of these parameters.
+    alternatives : tuple of str
+        Other places of this robot that explain its data about as well.
+    """
+
+    robot: str
+    place: str
+    p_value: float
+    evidence: float
+    relative: float | None
+    relative_std: float | None
+    change: FloatArray
+    std: FloatArray
+    columns: tuple[int, ...]
+    alternatives: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class FleetEstimate:
+    """Parameters of a fleet.
+
+    Attributes
+    ----------
+    parameters : ParameterSet
+        The p columns.
+    common, common_std : (p,) float64
+        Common parameters, SI units.
+    values, stds : (R, p) float64
+        Parameters of each robot, given the fleet.
+    own_stds : (R, p) float64
+        Standard deviations of each robot's parameters from its own data.
+    single_stds : (R, p) float64
+        Standard deviations of the common parameters from one robot's data and the spread.
+    robots : tuple of str
+    spread : dict of str to float
+        Relative standard deviation between robots of the moments of ``"links"`` and of each
+        joint term.
+    deviations : tuple of Deviation
+        Robots that differ, the most evident first.
+    tests : int
+        Number of places and robots that were tested.
+    """
+
+    parameters: ParameterSet
+    common: FloatArray
+    common_std: FloatArray
+    values: FloatArray
+    stds: FloatArray
+    own_stds: FloatArray
+    single_stds: FloatArray
+    robots: tuple[str, ...]
+    spread: dict[str, float]
+    deviations: tuple[Deviation, ...]
+    tests: int
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A link or joint that may differ, with deviations t ~ N(0, 1) of its parameters E t.
+
+    Attributes
+    ----------
+    name : str
+    columns : tuple of int
+        Columns of its parameters.
+    any_change : (p, k) float64
+        E of any change, in SI units.
+    denser : (p, 1) float64 or None
+        E of a link whose mass is distributed as before.
+    """
+
+    name: str
+    columns: tuple[int, ...]
+    any_change: FloatArray
+    denser: FloatArray | None
+
+
+def estimate_fleet(members: Sequence[FleetMember], parameters: ParameterSet) -> FleetEstimate:
+    """Estimate common parameters and the spread between robots, and name robots that differ.
+
+    Parameters
+    ----------
+    members : sequence of FleetMember
+        At least three robots with the same prior.
+    parameters : ParameterSet
+        Columns of their posteriors.
+    """
+    prior = members[0].posterior.prior
+    L = prior.covariance_factor()
+    typical = np.mean([one.posterior.mean for one in members], axis=0)
+    single = np.sqrt(np.mean([one.posterior.std**2 for one in members], axis=0))
+    # A value that is not known may be as large as its deviation.
+    size = np.hypot(typical, single)
+    fit = _Fit.of(
+        [data_rows(one.posterior) for one in members], _groups(parameters, typical, size, L)
+    )
+    places = _places(parameters, typical)
+    scaled = [_scaled(place, L) for place in places]
+    found: list[tuple[int, int, float, float, tuple[str, ...]]] = []
+    while True:
+        tested = [
+            (*_test(fit, robot, one), robot, index)
+            for robot in range(len(members))
+            for index, one in enumerate(scaled)
+            if (robot, index) not in [(entry[0], entry[1]) for entry in found]
+        ]
+        # Holm: the p-value of the next deviation counts the tests that are left.
+        count = len(tested)
+        odds = np.log(count / LEVEL)
+        significant = [one for one in tested if one[1] * count < LEVEL and one[0] > odds]
+        if not significant or len(found) >= len(members) * len(places) // 2:
+            break
+        evidence, p_value, robot, index = max(significant)
+        near = tuple(
+            places[other].name
+            for value, p, own, other in sorted(tested, reverse=True)
+            if own == robot
+            and other != index
+            and value > evidence - DISTINGUISHABLE
+            and p * count < LEVEL
+        )
+        found.append((robot, index, evidence, p_value * count, near))
+        fit = fit.with_deviation(robot, scaled[index][0])
+    mean, covariance = fit.common
+    common = prior.mean + L @ mean
+    common_std = _norms(L @ np.linalg.cholesky(covariance))
+    values, stds = [], []
+    for robot in range(len(members)):
+        own, spread = fit.member(robot)
+        values.append(prior.mean + L @ own)
+        stds.append(_norms(L @ _root(spread)))
+    deviations = [
+        replace(
+            _deviation(fit, robot, places[index], scaled[index], L),
+            robot=members[robot].name,
+            p_value=p_value,
+            evidence=evidence,
+            alternatives=near,
+        )
+        for robot, index, evidence, p_value, near in found
+    ]
+    return FleetEstimate(
+        parameters,
+        common,
+        common_std,
+        np.array(values),
+        np.array(stds),
+        np.array([one.posterior.std for one in members]),
+        np.array([_norms(L @ _root(fit.alone(robot))) for robot in range(len(members))]),
+        tuple(one.name for one in members),
+        {name: float(size) for name, size in zip(fit.names, fit.sizes, strict=True)},
+        tuple(sorted(deviations, key=lambda one: -one.evidence)),
+        len(members) * len(places),
+    )
+
+
+def data_rows(found: Posterior) -> tuple[FloatArray, FloatArray]:
+    """Return whitened rows A (k, p) and targets b (k,) that hold what the data alone say.
+
+    They are about x with φ = φ̄ + L x, where x ~ N(0, 1) is the prior. Residuals that are correlated
+    in time are allowed for.
+    """
+    L = found.prior.covariance_factor()
+    R = found.factor @ L
+    precision = R.T @ R
+    h = precision @ np.linalg.solve(L, found.mean - found.prior.mean)
+    values, V = np.linalg.eigh(precision - np.eye(len(h)))
+    kept = values > max(LEAST_INFORMATION, 1e-12 * values[-1])
+    root = np.sqrt(values[kept])
+    U = V[:, kept] * root
+    # J = U Uᵀ and h = U b. Correlated residuals add a covariance to b.
+    b = V[:, kept].T @ h / root
+    if found.excess_score is not None:
+        excess = (V[:, kept] / root).T @ (L.T @ found.excess_score)
+        whitening = np.linalg.cholesky(np.eye(len(b)) + excess @ excess.T)
+        return np.linalg.solve(whitening, U.T), np.linalg.solve(whitening, b)
+    return U.T, b
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Rows of all robots with the spread between these, in prior deviations.
+
+    Attributes
+    ----------
+    rows : list of ((k, p), (k,))
+        A and b of each robot.
+    names : tuple of str
+        Names of the groups of parameters that have a spread of their own.
+    factors : tuple of (p, q) float64
+        B of each group: deviations of 1 have the covariance B Bᵀ.
+    sizes : (g,) float64
+        Relative deviations.
+    gain : (p, 1) float64
+        Deviation of all parameters with the gain of a robot's efforts.
+    free : tuple of tuple of (p, k) float64
+        Factors of further deviations of each robot.
+    """
+
+    rows: list[tuple[FloatArray, FloatArray]]
+    names: tuple[str, ...]
+    factors: tuple[FloatArray, ...]
+    sizes: FloatArray
+    gain: FloatArray
+    free: tuple[tuple[FloatArray, ...], ...]
+
+    @classmethod
+    def of(
+        cls,
+        rows: list[tuple[FloatArray, FloatArray]],
+        groups: tuple[dict[str, FloatArray], FloatArray],
+    ) -> "_Fit":
+        """Estimate the spread of each group."""
+        factors, gain = groups
+        first = np.full(len(factors), FIRST_SPREAD)
+        nothing: tuple[tuple[FloatArray, ...], ...] = ((),) * len(rows)
+        return cls(rows, tuple(factors), tuple(factors.values()), first, gain, nothing)._converged()
+
+    def with_deviation(self, robot: int, factor: FloatArray) -> "_Fit":
+        """Return the fit with a further deviation of one robot."""
+        free = list(self.free)
+        free[robot] = (*free[robot], factor)
+        return _Fit(
+            self.rows, self.names, self.factors, self.sizes, self.gain, tuple(free)
+        )._converged()
+
+    def _converged(self) -> "_Fit":
+        sizes = self.sizes
+        fit = self
+        for _ in range(ITERATIONS):
+            updated = np.maximum(sizes * np.sqrt(fit._ratios()), LEAST_SPREAD)
+            change = np.max(np.abs(np.log(updated / sizes)), initial=0.0)
+            sizes = updated
+            fit = _Fit(self.rows, self.names, self.factors, sizes, self.gain, self.free)
+            if change < CONVERGED:
+                break
+        return fit
+
+    def _ratios(self) -> FloatArray:
+        """Squares of the groups' scores over their expected values, (g,)."""
+        totals = np.zeros((2, len(self.factors)))
+        for score, information in self.scores:
+            for group, factor in enumerate(self.factors):
+                totals[0, group] += np.sum((factor.T @ score) ** 2)
+                totals[1, group] += np.sum((information @ factor) * factor)
+        return np.asarray(totals[0] / np.maximum(totals[1], 1e-300))
+
+    def spread_factor(self, robot: int) -> FloatArray:
+        """Return F (p, q) with the covariance D = F Fᵀ of a robot's deviations."""
+        scaled = [size * one for size, one in zip(self.sizes, self.factors, strict=True)]
+        return np.concatenate([*scaled, self.gain, *self.free[robot]], axis=1)
+
+    @cached_property
+    def whitened(self) -> list[tuple[FloatArray, FloatArray]]:
+        """V^(-1/2) A and V^(-1/2) b of each robot."""
+        found = []
+        for robot, (A, b) in enumerate(self.rows):
+            moved = A @ self.spread_factor(robot)
+            root = np.linalg.cholesky(np.eye(len(b)) + moved @ moved.T)
+            found.append((np.linalg.solve(root, A), np.linalg.solve(root, b)))
+        return found
+
+    @cached_property
+    def common(self) -> tuple[FloatArray, FloatArray]:
+        """Mean (p,) and covariance (p, p) of the common parameters."""
+        parts = self.whitened
+        p = self.gain.shape[0]
+        precision = np.eye(p) + sum(A.T @ A for A, _ in parts)
+        covariance = np.linalg.inv(precision)
+        mean = covariance @ sum(A.T @ b for A, b in parts)
+        return mean, (covariance + covariance.T) / 2
+
+    def alone(self, robot: int) -> FloatArray:
+        """Return the covariance (p, p) of the common parameters from one robot's data."""
+        A, _ = self.whitened[robot]
+        return np.asarray(np.linalg.inv(np.eye(A.shape[1]) + A.T @ A))
+
+    @cached_property
+    def scores(self) -> list[tuple[FloatArray, FloatArray]]:
+        """The score (p,) of each robot's deviation, and its covariance (p, p)."""
+        mean, covariance = self.common
+        found = []
+        for A, b in self.whitened:
+            information = A.T @ A
+            spread = information - information @ covariance @ information
+            found.append((A.T @ (b - A @ mean), spread))
+        return found
+
+    def member(self, robot: int) -> tuple[FloatArray, FloatArray]:
+        """Return mean (p,) and covariance (p, p) of a robot's parameters, given all robots."""
+        mean, covariance = self.common
+        A, b = self.whitened[robot]
+        F = self.spread_factor(robot)
+        D = F @ F.T
+        moved = D @ A.T  # covariance of the deviation with the whitened rows
+        left = np.eye(len(mean)) - moved @ A
+        spread = D - moved @ moved.T + left @ covariance @ left.T
+        return mean + moved @ (b - A @ mean), spread
+
+
+def _groups(
+    parameters: ParameterSet, typical: FloatArray, size: FloatArray, L: FloatArray
+) -> tuple[dict[str, FloatArray], FloatArray]:
+    """Return the factors of the groups of parameters, and of the gain, in prior deviations."""
+    p, first = len(parameters), parameters.inertial
+    blocks = [_root(body_covariance(phi, 100.0)) for phi in parameters.link_phi(typical)]
+    groups = {LINKS: np.zeros((p, first))}
+    groups[LINKS][:first] = block_diag(*blocks)
+    least = np.zeros(p)
+    least[first:] = LEAST_TERM * term_scale(parameters)
+    size = np.maximum(size, least)
+    for term, columns in parameters.term_columns.items():
+        indices = np.arange(p)[columns]
+        factor = np.zeros((p, len(indices)))
+        factor[indices, np.arange(len(indices))] = size[indices]
+        groups[term] = factor
+    inverse = np.linalg.inv(L)
+    scaled = {name: inverse @ factor for name, factor in groups.items()}
+    return scaled, inverse @ (FORCE_SCALE_STD * typical[:, None])
+
+
+def _places(parameters: ParameterSet, typical: FloatArray) -> list[_Place]:
+    """Return the links and joints that may differ."""
+    p = len(parameters)
+    places = []
+    added = payload_std(parameters, typical)
+    for index, (name, phi) in enumerate(
+        zip(parameters.link_names, parameters.link_phi(typical), strict=True)
+    ):
+        columns = slice(10 * index, 10 * index + 10)
+        factor, denser = np.zeros((p, 10)), np.zeros((p, 1))
+        factor[columns] = np.diag(added[index])
+        denser[columns, 0] = DENSER * phi
+        places.append(_Place(name, tuple(range(10 * index, 10 * index + 10)), factor, denser))
+    scale = term_scale(parameters)
+    for index, joint in enumerate(parameters.joints.tolist()):
+        columns_of = [columns.start + index for columns in parameters.term_columns.values()]
+        if not columns_of:
+            continue
+        factor = np.zeros((p, len(columns_of)))
+        for place, column in enumerate(columns_of):
+            factor[column, place] = scale[column - parameters.inertial]
+        name = parameters.model.joint_names[joint]
+        places.append(_Place(name, tuple(columns_of), factor, None))
+    return places
+
+
+def _scaled(place: _Place, L: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    """Return the factors of a place in prior deviations."""
+    inverse = np.asarray(np.linalg.inv(L))
+    return inverse @ place.any_change, None if place.denser is None else inverse @ place.denser
+
+
+def _test(
+    fit: _Fit, robot: int, factors: tuple[FloatArray, FloatArray | None]
+) -> tuple[float, float]:
+    """Return evidence and p-value of a deviation of a robot."""
+    score, information = fit.scores[robot]
+    evidences, p_values = [], []
+    for factor in factors:
+        if factor is None:
+            continue
+        g, M = factor.T @ score, factor.T @ information @ factor
+        H = np.eye(len(g)) + M
+        evidences.append(float(g @ np.linalg.solve(H, g) - np.linalg.slogdet(H)[1]) / 2)
+        values, V = np.linalg.eigh(M)
+        shown = values > 1.0  # directions in which a typical change exceeds its deviation
+        if shown.any():
+            square = float(np.sum((V[:, shown].T @ g) ** 2 / values[shown]))
+            p_values.append(float(chi2.sf(square, np.count_nonzero(shown))))
+    count = len(evidences)
+    evidence = float(np.logaddexp.reduce(evidences) - np.log(count))
+    # Without a direction in which a change would show, nothing can be tested.
+    return evidence, min([1.0, *(len(p_values) * one for one in p_values)])
+
+
+def _deviation(
+    fit: _Fit,
+    robot: int,
+    place: _Place,
+    factors: tuple[FloatArray, FloatArray | None],
+    L: FloatArray,
+) -> Deviation:
+    """Return the size of a deviation that the fit contains."""
+    any_change, denser = factors
+    free = list(fit.free)
+    free[robot] = tuple(one for one in free[robot] if one is not any_change)
+    without = _Fit(fit.rows, fit.names, fit.factors, fit.sizes, fit.gain, tuple(free))
+    score, information = without.scores[robot]
+    H = np.eye(any_change.shape[1]) + any_change.T @ information @ any_change
+    covariance = np.linalg.inv(H)
+    columns = list(place.columns)
+    own = (L @ any_change)[columns]
+    relative = relative_std = None
+    if denser is not None:
+        weight = float((denser.T @ information @ denser).item())
+        if weight > 1:  # otherwise a typical change would not show
+            relative = DENSER * float((denser.T @ score).item()) / weight
+            # The link's own parameters, to which the change is relative, are not known exactly.
+            inverse = np.linalg.inv(L)[:, columns]
+            effect = inverse.T @ information @ denser[:, 0] * DENSER / weight
+            known = (L @ fit.common[1] @ L.T)[np.ix_(columns, columns)]
+            doubt = abs(relative) * float(np.sqrt(effect @ known @ effect))
+            relative_std = float(np.hypot(DENSER / np.sqrt(weight), doubt))
+    return Deviation(
+        "",
+        place.name,
+        0.0,
+        0.0,
+        relative,
+        relative_std,
+        own @ covariance @ (any_change.T @ score),
+        np.sqrt(np.einsum("ij,jk,ik->i", own, covariance, own)),
+        place.columns,
+        (),
+    )
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return F with F Fᵀ equal to a covariance that may be singular."""
+    values, V = np.linalg.eigh((covariance + covariance.T) / 2)
+    root: FloatArray = V * np.sqrt(np.maximum(values, 0.0))
+    return root
+
+
+def _norms(factor: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(factor, axis=1))

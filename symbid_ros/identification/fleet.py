@@ -1,0 +1,188 @@
+"""Results of several robots of one type, made comparable: equal columns, prior and windows."""
+
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from pathlib import Path
+
+import numpy as np
+
+from symbid_ros.errors import DataError, EstimateError
+from symbid_ros.estimation.archive import load_archive
+from symbid_ros.estimation.estimate import load_estimate
+from symbid_ros.estimation.fleet import Deviation, FleetEstimate, FleetMember, estimate_fleet
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.identification.loaded_problem import load_information
+from symbid_ros.identification.options import IdentifyOptions
+from symbid_ros.identification.prediction import load_result_robot
+from symbid_ros.identification.problem import Problem
+from symbid_ros.identification.solver import Solver
+from symbid_ros.identification.stored_information import columns_of
+from symbid_ros.json_documents import versioned
+from symbid_ros.model.tree import RobotModel
+
+FEWEST = 3  # robots of a fleet
+ALIKE = "identify all robots with the same model, joint terms and sensors"
+
+
+def fleet_of_results(folders: Sequence[Path]) -> FleetEstimate:
+    """Compare the robots of saved results, each named by its folder.
+
+    Raises
+    ------
+    SymbidError
+        When there are fewer than three results, or a result is invalid or of another type of robot.
+    """
+    names = [folder.resolve().name for folder in folders]
+    # Of two robots, nobody can tell which one has changed.
+    if len(set(names)) < max(len(names), FEWEST):
+        raise EstimateError(
+            f"a fleet needs the results of at least {FEWEST} robots, in folders with different "
+            "names",
+            "E960",
+        )
+    first = load_estimate(folders[0] / "estimate.json")
+    for folder in folders[1:]:
+        other = load_estimate(folder / "estimate.json")
+        prior = dict(zip(other.names, other.prior.tolist(), strict=True))
+        shared = [name for name in first.names if name in prior]
+        expected = [first.prior[first.names.index(name)] for name in shared]
+        found = [prior[name] for name in shared]
+        if set(first.consistent) != set(other.consistent) or not np.allclose(
+            found, expected, rtol=1e-6, atol=1e-12
+        ):
+            raise EstimateError(
+                f"{folder}: was identified with another model than {folders[0]}; {ALIKE}", "E961"
+            )
+    robot = load_result_robot(folders[0], first)
+    parameters = first.parameters_of(robot)
+    data = {
+        name: load_archive(folder / "information.npz")
+        for name, folder in zip(names, folders, strict=True)
+    }
+    # The file of the result holds the identified values.
+    prior = dict(zip(first.names, first.prior.tolist(), strict=True))
+    model = parameters.apply(np.array([prior[name] for name in parameters.names]))
+    return fleet(model, data)
+
+
+def fleet(robot: RobotModel, data: Mapping[str, tuple[Observations, ...]]) -> FleetEstimate:
+    """Compare robots of one type by the information of their logs.
+
+    Joint terms, the prior's scale and the length of windows are chosen for all robots together.
+
+    Parameters
+    ----------
+    robot : RobotModel
+        Nominal model of all.
+    data : mapping of str to tuple of Observations
+        By name of the robot.
+
+    Raises
+    ------
+    EstimateError
+        When the robots' data have other columns, or no length of windows in common.
+    """
+    # A robot may run at the same time as another one, so seconds may be equal.
+    together: tuple[Observations, ...] = reduce(_merged, data.values())
+    if together[0].slipping is None:
+        terms = columns_of(robot, together).terms
+    else:
+        chosen = load_information(robot, together, IdentifyOptions()).solver.problem.choice
+        terms = () if chosen is None else chosen.terms
+    options = IdentifyOptions(joint_terms=terms or ("none",))
+    pooled = load_information(robot, together, options).solver
+    members = []
+    for name, observations in data.items():
+        problem = load_information(robot, observations, options).solver.problem
+        window = [one for one in problem.observations if one.window == pooled.chosen.window]
+        if not window:
+            raise EstimateError(
+                f"{name}: has no rows over windows of {1e3 * pooled.chosen.window:g} ms; record "
+                "all robots at one rate",
+                "E961",
+            )
+        own = Problem(tuple(window), problem.parameters, pooled.posterior.prior)
+        members.append(FleetMember(name, Solver.of(own).posterior))
+    return estimate_fleet(members, pooled.problem.parameters)
+
+
+def describe_deviation(found: Deviation) -> str:
+    """Return a deviation as a clause, such as ``robot_3: forearm_link is 10.1 ± 0.4 % heavier``."""
+    if found.relative is None or found.relative_std is None:
+        text = f"{found.robot}: {found.place} has other friction or armature"
+    else:
+        word = "heavier" if found.relative > 0 else "lighter"
+        percent, std = 100 * abs(found.relative), 100 * found.relative_std
+        text = f"{found.robot}: {found.place} is {percent:.1f} ± {std:.1f} % {word}"
+    if found.alternatives:
+        text += f", or {' or '.join(found.alternatives)} has changed"
+    return text
+
+
+def fleet_verdict(found: FleetEstimate) -> str:
+    """Return which robots differ, in one sentence."""
+    if not found.deviations:
+        return f"No robot differs from the others ({found.tests} links and joints tested)"
+    return "; ".join(map(describe_deviation, found.deviations))
+
+
+def fleet_document(found: FleetEstimate) -> dict[str, object]:
+    """Return what ``symbid fleet --json`` prints."""
+    names, units = found.parameters.names, found.parameters.units
+    single = np.median(found.single_stds, axis=0)
+    document = {
+        "verdict": fleet_verdict(found),
+        "model": found.parameters.model.name,
+        "tests": found.tests,
+        "deviations": [
+            {
+                "robot": one.robot,
+                "place": one.place,
+                "p_value": one.p_value,
+                "evidence_nat": one.evidence,
+                "relative": one.relative,
+                "relative_std": one.relative_std,
+                "alternatives": list(one.alternatives),
+                "parameters": {
+                    names[column]: {
+                        "change": float(change),
+                        "std": float(std),
+                        "unit": units[column],
+                    }
+                    for column, change, std in zip(one.columns, one.change, one.std, strict=True)
+                },
+            }
+            for one in found.deviations
+        ],
+        "spread": found.spread,
+        "parameters": {
+            name: {
+                "value": float(found.common[i]),
+                "std": float(found.common_std[i]),
+                "single_std": float(single[i]),
+                "unit": units[i],
+                "robots": {
+                    robot: {"value": float(values[i]), "std": float(stds[i])}
+                    for robot, values, stds in zip(
+                        found.robots, found.values, found.stds, strict=True
+                    )
+                },
+            }
+            for i, name in enumerate(names)
+        },
+    }
+    return versioned("fleet", document)
+
+
+def _merged(
+    one: tuple[Observations, ...], two: tuple[Observations, ...]
+) -> tuple[Observations, ...]:
+    """Return the information of two robots, for each window length that both have."""
+    known = {each.window: each for each in two}
+    try:
+        merged = tuple(each.merge(known[each.window]) for each in one if each.window in known)
+    except DataError as error:
+        raise EstimateError(f"{error}; {ALIKE}", "E961") from None
+    if not merged:
+        raise EstimateError(f"no window length is common to all robots; {ALIKE}", "E961")
+    return merged
