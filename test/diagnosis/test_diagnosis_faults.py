@@ -41,11 +41,12 @@ def kept(messages: Messages, rows: np.ndarray) -> None:
 
 @pytest.fixture(scope="module")
 def log(simulated, tmp_path_factory) -> Path:
-    """A standing log at 500 Hz, half the work of the robot's own rate."""
+    """The first 11 s of a standing log at 500 Hz, a third of the work of the whole."""
     bag = simulated("smooth", moves=3, motion_seed=21, noise_seed=5)
 
     def halved(messages: Messages) -> None:
-        kept(messages, np.arange(len(messages.records)) % 2 == 0)
+        rows = np.arange(len(messages.records))
+        kept(messages, (rows % 2 == 0) & (rows < 11_000))
 
     return edit_bag(bag, tmp_path_factory.mktemp("log") / "half", dict.fromkeys(TOPICS, halved))
 

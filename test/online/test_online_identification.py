@@ -205,15 +205,15 @@ def test_a_backward_clock_jump_restarts_the_clock_and_loses_nothing(
     assert_same(live.solve(exactly=True).found.observations, twice)
 
 
-def test_a_run_resumes_from_saved_information(start, feed, offline, tmp_path: Path) -> None:
-    first = start()
+def test_a_run_resumes_from_saved_information(start, feed, folded, tmp_path: Path) -> None:
+    first = start(**LINKS)
     feed.between(0.0, 8.0).into(first)
     saved = first.solve(exactly=True).found
     write_archive(tmp_path / "information.npz", saved.observations)
-    second = start(information=tmp_path / "information.npz")
+    second = start(information=tmp_path / "information.npz", **LINKS)
     feed.between(8.0, np.inf).into(second)
     observations = second.solve(exactly=True).found.observations
-    assert_same(observations, offline.solver.problem.data)
+    assert_same(observations, folded)
 
 
 def test_forgetting_discounts_old_rows_and_the_prior(start, feed) -> None:

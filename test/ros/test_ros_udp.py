@@ -18,7 +18,7 @@ from nav_msgs.msg import Odometry
 from udp_packets import DRIVES, command, hello, measurement, sequence_and_stamp
 
 COMMANDS, SIMULATION = "/mujoco_bridge: commands", "/mujoco_bridge: simulation"
-SECONDS = 8
+SECONDS = 4
 DEADLINE = 300.0  # s; only a hang takes longer
 # On a busy machine a process may wait longer than the default timeout.
 PATIENT = {
