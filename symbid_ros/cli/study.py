@@ -10,17 +10,10 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress
 
 from symbid_ros.cli.cluster import Dask, print_dashboard
-from symbid_ros.cli.verbosity import shows_progress
+from symbid_ros.cli.verbosity import progress_columns, shows_progress
 
 # Tasks take up to a minute, so the remaining time is estimated from many of them, s.
 SPEED_PERIOD = 300.0
@@ -55,19 +48,11 @@ def study(
     folder = StudyFolder(out.absolute() if dask else out)
     folder.reserve(content, overwrite=overwrite)
     console = Console(stderr=True)
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
     stages = study_stages(content, folder)
     total = sum(task.cost for stage in stages for task in stage.tasks)
     with (
         Progress(
-            *columns,
+            *progress_columns(),
             console=console,
             disable=not shows_progress(console),
             speed_estimate_period=SPEED_PERIOD,

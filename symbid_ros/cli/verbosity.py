@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
+    ProgressColumn,
     TaskID,
     TaskProgressColumn,
     TextColumn,
@@ -82,12 +83,9 @@ def shows_progress(console: Console) -> bool:
     return console.is_terminal and logging.getLogger(PACKAGE).level <= logging.WARNING
 
 
-@contextmanager
-def progress_shown() -> Iterator[None]:
-    """Show the steps that the code reports as a bar on a terminal, and log how long each took."""
-    # The errors' stream, so that the output can be piped.
-    console = Console(stderr=True)
-    columns = (
+def progress_columns() -> tuple[ProgressColumn, ...]:
+    """Return the parts of a progress bar: step, bar, share, time taken and time left."""
+    return (
         TextColumn("{task.description}"),
         BarColumn(),
         TaskProgressColumn(),
@@ -95,8 +93,15 @@ def progress_shown() -> Iterator[None]:
         TextColumn("left"),
         TimeRemainingColumn(),
     )
+
+
+@contextmanager
+def progress_shown() -> Iterator[None]:
+    """Show the steps that the code reports as a bar on a terminal, and log how long each took."""
+    # The errors' stream, so that the output can be piped.
+    console = Console(stderr=True)
     with Progress(
-        *columns,
+        *progress_columns(),
         console=console,
         transient=True,
         disable=not shows_progress(console),
