@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from symbid_ros.cli.flags import BaseKind, ModelOrRobot, Robot, require_model, with_flags
 from symbid_ros.cli.verbosity import shows_progress
 from symbid_ros.excitation.options import ExciteOptions
-from symbid_ros.simulation.joint_sensors import JointSensorOptions
+from symbid_ros.simulation.joint_sensors import BaseSensorOptions, JointSensorOptions
 
 
 @with_flags
@@ -23,6 +23,7 @@ def excite(
     base: BaseKind = "auto",
     options: ExciteOptions,
     sensors: JointSensorOptions,
+    base_sensors: BaseSensorOptions,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace an earlier plan in --out.")
     ] = False,
@@ -31,6 +32,9 @@ def excite(
 
     The trajectory keeps the limits of positions, velocities, accelerations and efforts. The output
     lists the standard deviation that each parameter will have after the recording.
+
+    With --feet the robot stands: its base moves, its feet stay, and the forces of the ground remain
+    inside friction cones and soles.
 
     Ctrl-C ends the search; the best trajectory so far is written.
     """
@@ -44,7 +48,8 @@ def excite(
 
     require_no_files(out, FILES, overwrite=overwrite)
     check_writable(out)
-    problem = excitation_problem(load_model(require_model(model), base), options, sensors)
+    loaded = load_model(require_model(model), base)
+    problem = excitation_problem(loaded, options, sensors, base_sensors)
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
     is_complete = True

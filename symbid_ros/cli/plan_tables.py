@@ -9,7 +9,7 @@ from rich.text import Text
 
 from symbid_ros.cli.flags import flag
 from symbid_ros.excitation.files import FILES
-from symbid_ros.excitation.page import closest_links
+from symbid_ros.excitation.page import closest_links, contacts_used
 from symbid_ros.excitation.plan import ExcitationPlan
 from symbid_ros.model.inertia import PARAMETERS
 from symbid_ros.options import spelled
@@ -26,11 +26,12 @@ def print_plan(plan: ExcitationPlan, out: Path) -> None:
     design = plan.problem.design
     lines = [
         f"{design.seconds:g} s, {design.seconds / design.series.period:g} periods of "
-        f"{design.series.period:g} s, after {plan.approach:g} s from any posture to the start",
+        f"{design.series.period:g} s, after {plan.approach:g} s from "
+        f"{'the stance' if plan.contact_usage else 'any posture'} to the start",
         f"{int(plan.determined.sum())} of {len(plan.std)} parameters expected to be determined, "
         f"{plan.gain:.0f} bits to gain",
         *(f"assumed: {each}" for each in plan.problem.limits.assumed),
-        *filter(None, [closest_links(plan)]),
+        *filter(None, [contacts_used(plan), closest_links(plan)]),
         *(f"not checked: {spelled(each, flag)}" for each in plan.problem.unchecked),
         f"wrote {out}/: {', '.join(name for name in FILES if (out / name).exists())}",
     ]

@@ -12,12 +12,13 @@ from symbid_ros.cli.verbosity import shows_progress
 from symbid_ros.errors import OptionError
 from symbid_ros.options import options_of
 from symbid_ros.shutdown import stop_on_signals
-from symbid_ros.simulation.joint_sensors import JointSensorOptions
+from symbid_ros.simulation.joint_sensors import BaseSensorOptions, JointSensorOptions
 from symbid_ros.simulation.options import SimulateOptions, TruthOptions
 
 if TYPE_CHECKING:
     from symbid_ros.model.tree import RobotModel
     from symbid_ros.simulation.simulator import Simulator
+    from symbid_ros.simulation.standing_robot import StandingSimulator
     from symbid_ros.simulation.tracking import TrackingSimulator
 
 
@@ -28,9 +29,9 @@ def simulate(
     trajectory: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of `symbid excite`, or CSV file with positions of joints, for a robot on "
-            "a fixed base to follow; needs --model. Of the options of scenarios, --noise-seed, "
-            "--ideal and --friction apply as well."
+            help="Folder of `symbid excite`, or CSV file in it, for a robot to follow; for one on "
+            "a fixed base any CSV file with positions of joints. Needs --model. Of the options of "
+            "scenarios, --noise-seed, --ideal and --friction apply as well."
         ),
     ] = None,
     model: ModelOrRobot = None,
@@ -39,6 +40,7 @@ def simulate(
     options: SimulateOptions,
     truth: TruthOptions,
     sensors: JointSensorOptions,
+    base_sensors: BaseSensorOptions,
     true_model: Annotated[
         Path | None,
         typer.Option(
@@ -73,14 +75,18 @@ def simulate(
     from symbid_ros.model.load import load_model
     from symbid_ros.simulation.recording import record
 
-    simulator: Simulator | TrackingSimulator
+    simulator: Simulator | TrackingSimulator | StandingSimulator
     if trajectory is None:
         _require_scenario(model)
         simulator = _scenario_simulator(options)
     else:
         _require_tracking(options)
         simulator = _tracking_simulator(
-            load_model(require_model(model), base), trajectory, options, truth, sensors
+            load_model(require_model(model), base),
+            trajectory,
+            options,
+            truth,
+            (sensors, base_sensors),
         )
         true_model = true_model or out.with_name(f"{out.name}_truth.xml")
     clear_folder(out, _is_simulated_bag, "a bag", overwrite=overwrite)
@@ -134,12 +140,24 @@ def _tracking_simulator(
     trajectory: Path,
     options: SimulateOptions,
     truth: TruthOptions,
-    sensors: JointSensorOptions,
-) -> "TrackingSimulator":
-    from symbid_ros.excitation.rehearsal import draw_truth
+    both: tuple[JointSensorOptions, BaseSensorOptions],
+) -> "TrackingSimulator | StandingSimulator":
+    from symbid_ros.excitation.rehearsal import draw_truth, standing_simulator
     from symbid_ros.simulation.joint_trajectory import read_trajectory
     from symbid_ros.simulation.tracking import TrackingSimulator, effort_capacity
 
+    seed = None if options.ideal else options.noise_seed
+    sensors, base_sensors = both
+    if robot.floating:
+        return standing_simulator(
+            robot,
+            trajectory,
+            truth=truth,
+            has_friction=options.friction,
+            sensors=sensors,
+            base_sensors=base_sensors,
+            seed=seed,
+        )
     motion = read_trajectory(trajectory, robot.measured_joint_names)
     return TrackingSimulator(
         draw_truth(
@@ -152,7 +170,7 @@ def _tracking_simulator(
         motion,
         sensors=sensors,
         capacity=effort_capacity(robot),
-        seed=None if options.ideal else options.noise_seed,
+        seed=seed,
     )
 
 

@@ -14,6 +14,8 @@ from symbid_ros.atomic_write import staged, write_text
 from symbid_ros.bags import BagWriter
 from symbid_ros.excitation.page import render_page
 from symbid_ros.excitation.plan import ExcitationPlan
+from symbid_ros.excitation.rehearsal import PLAN_FILE
+from symbid_ros.excitation.standing_motion import StandingMotion
 from symbid_ros.json_documents import versioned
 from symbid_ros.messages.types import TRAJECTORY, trajectory_message
 from symbid_ros.package_paths import package_version
@@ -26,7 +28,7 @@ from symbid_ros.simulation.joint_trajectory import (
     VELOCITY,
 )
 
-PLAN_FILE, PAGE, PRIOR_FILE = "plan.json", "plan.html", "prior.json"
+PAGE, PRIOR_FILE = "plan.html", "prior.json"
 BAG, GOAL_FILE = "trajectory_bag", "goal.yaml"
 VALIDATION_FILE, VALIDATION_BAG = "validation.csv", "validation_bag"
 FILES = (
@@ -73,11 +75,15 @@ def csv_text(plan: ExcitationPlan) -> str:
     """Return the trajectory as CSV: time, then position, velocity, acceleration and effort."""
     seconds = plan.problem.design.seconds
     time = np.arange(round(seconds * CSV_RATE) + 1) / CSV_RATE
-    kinds = (POSITION, VELOCITY, ACCELERATION, EFFORT)
     columns = np.concatenate([*plan.motion(time), plan.torque(time)], axis=1)
+    kinds = (POSITION, VELOCITY, ACCELERATION, EFFORT)
+    header = [TIME, *(f"{name}/{kind}" for kind in kinds for name in plan.joints.names)]
+    if isinstance(plan.joints, StandingMotion):
+        names, others = plan.joints.other_columns(plan.course(time))
+        header, columns = [*header, *names], np.hstack([columns, others])
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow([TIME, *(f"{name}/{kind}" for kind in kinds for name in plan.joints.names)])
+    writer.writerow(header)
     for instant, row in zip(time.tolist(), columns.tolist(), strict=True):
         writer.writerow([f"{instant:.{DIGITS}g}", *(f"{value:.{DIGITS}g}" for value in row)])
     return stream.getvalue()
@@ -139,7 +145,9 @@ def document(plan: ExcitationPlan) -> dict[str, object]:
         "rate_hz": problem.sensors.rate,
         "effort_noise_percent": problem.sensors.effort_noise,
         "position_noise_rad": problem.sensors.position_noise,
-        "coefficients": dict(zip(names, plan.coefficients.T.tolist(), strict=True)),
+        "coefficients": dict(
+            zip(plan.joints.coordinates, plan.coefficients.T.tolist(), strict=True)
+        ),
         "joints": {
             name: {
                 "lower": float(limits.lower[index]),
@@ -147,14 +155,17 @@ def document(plan: ExcitationPlan) -> dict[str, object]:
                 "velocity": float(limits.speed[index]),
                 "acceleration": float(limits.acceleration[index]),
                 "effort": _finite(float(limits.effort[index])),
+                "noise_effort": float(problem.capacity[place]),
                 "used": {kind: float(shares[index]) for kind, shares in usage.items()},
             }
-            for index, name in enumerate(names)
+            for index, (name, place) in enumerate(zip(names, plan.joints.indices, strict=True))
         },
         "assumed": list(limits.assumed),
         "smallest_distance_m": _finite(plan.closest[0]) if plan.closest is not None else None,
         "closest_links": plan.closest[1] if plan.closest is not None else "",
         "unchecked": list(problem.unchecked),
+        "feet": _feet(plan),
+        "contacts_used": plan.contact_usage,
         "parameters": {
             name: {
                 "unit": unit,
@@ -175,6 +186,18 @@ def document(plan: ExcitationPlan) -> dict[str, object]:
         },
     }
     return versioned("plan", content)
+
+
+def _feet(plan: ExcitationPlan) -> dict[str, object]:
+    """Return the feet on which the robot stands; none on a fixed base."""
+    if not isinstance(plan.joints, StandingMotion):
+        return {}
+    contacts = plan.problem.parameters.model.contacts
+    unmeasured = () if contacts is None else contacts.frames
+    return {
+        foot.frame: {"sole_m": foot.sole.tolist(), "has_sensor": foot.frame not in unmeasured}
+        for foot in plan.joints.stance.feet
+    }
 
 
 def _finite(value: float) -> float | None:

@@ -5,6 +5,7 @@ Ganseman, Tükel, De Schutter and Van Brussel 1997, Optimal robot excitation and
 Trans. Robotics and Automation 13(5)).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -82,16 +83,43 @@ class DrivenJoints:
         The joints that move.
     posture : (J,) float64
         Position of the joints that do not move.
+    effort : (D,) float64
+        Largest effort that a trajectory may use, Nm or N; infinite for none.
     """
 
     model: RobotModel
     indices: tuple[int, ...]
     posture: FloatArray
+    effort: FloatArray
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the joints that move."""
         return tuple(self.model.joint_names[index] for index in self.indices)
+
+    @property
+    def coordinates(self) -> tuple[str, ...]:
+        """Names of the functions of time: each joint has its own."""
+        return self.names
+
+    @property
+    def rest(self) -> FloatArray:
+        """(D,) coordinates of a robot at rest."""
+        return self.posture[list(self.indices)]
+
+    def torques(self, motion: FloatArray, force: FloatArray) -> FloatArray:
+        """Return the efforts (N, D) of the joints for generalised forces (N, n)."""
+        return np.asarray(force[:, list(self.indices)])
+
+    def limited(self, motion: FloatArray) -> tuple[Samples, Callable[[FloatArray], FloatArray]]:
+        """Return the motion, and the shares of efforts (N, D) as a function of forces (N, n)."""
+        return self.samples(motion), lambda force: self.torques(motion, force) / self.effort
+
+    def slopes(self, motion: FloatArray) -> FloatArray:
+        """Return the derivatives (N, J, D) of all joints' positions by the coordinates."""
+        chosen = np.zeros((len(self.model.joints), len(self.indices)))
+        chosen[list(self.indices), range(len(self.indices))] = 1.0
+        return np.broadcast_to(chosen, (motion.shape[1], *chosen.shape))
 
     def samples(self, motion: FloatArray) -> Samples:
         """Return the motion of the robot for position, velocity and acceleration (3, N, D)."""

@@ -77,21 +77,23 @@ class JointLimits:
             effort=effort * self.effort,
         )
 
-    def usage(self, motion: FloatArray, torque: FloatArray) -> dict[str, FloatArray]:
+    def usage(self, motion: FloatArray, torque: FloatArray | None = None) -> dict[str, FloatArray]:
         """Return the largest share (D,) of each limit that a motion and its torques use.
 
         Parameters
         ----------
         motion : (3, N, D) float64
             Position, velocity and acceleration.
-        torque : (N, D) float64
+        torque : (N, D) float64, optional
         """
-        return {
+        shares = {
             "position": np.abs((motion[0] - self.centre) / self.half_width).max(axis=0),
             "velocity": (np.abs(motion[1]) / self.speed).max(axis=0),
             "acceleration": (np.abs(motion[2]) / self.acceleration).max(axis=0),
-            "effort": (np.abs(torque) / self.effort).max(axis=0),
         }
+        if torque is not None:
+            shares["effort"] = (np.abs(torque) / self.effort).max(axis=0)
+        return shares
 
 
 def joint_limits(

@@ -29,8 +29,8 @@ GROWTH, SHRINKAGE = 1.6, 0.4
 LEAST_SHARE = 0.1  # of the predicted gain that a step must reach
 FIRST_CURVATURE = 1.0  # nat per squared coefficient
 DAMPING = 0.2
-AIM = 0.97  # share of limits on efforts and distances that a program aims at; steps may use all
-NEAR = 0.5  # share of an effort limit from which it is linearized
+AIM = 0.97  # share of nonlinear limits that a program aims at; steps may use all
+NEAR = 0.5  # share of a nonlinear limit from which it is linearized
 KEEP_EVERY = 10  # iterations; to check a trajectory between samples takes as long as some of them
 CANDIDATES = 4  # random trajectories drawn for each start; the best become starts
 RETRIES = 40  # random starts that are tried for a feasible one
@@ -45,7 +45,7 @@ class Design:
     series : FourierSeries
     expected : ExpectedInformation
     limits : JointLimits
-        Of the D joints that move.
+        Of the D coordinates: positions, velocities and accelerations.
     clearance : Clearance or None
         Distances to keep; None if nothing has a shape.
     samples : int
@@ -81,15 +81,15 @@ class Design:
     def gain(self, coefficients: FloatArray) -> float:
         """Return the expected gain of information for coefficients (m, D), nat."""
         motion = self.series.motion(coefficients, self.time)
-        rows = self.expected.rows(motion)
+        rows = self.expected.measured_rows(motion)
         return self.expected.gain(self.repeats * self.expected.information(rows))
 
     def excess(self, coefficients: FloatArray, time: FloatArray | None = None) -> float:
         """Return the largest share of any limit that is used; at most 1 is feasible."""
         motion = self.series.motion(coefficients, self.time if time is None else time)
-        torque = self.expected.rows(motion) @ self.expected.values
-        driven = torque[:, list(self.expected.joints.indices)]
-        used = max(float(each.max()) for each in self.limits.usage(motion, driven).values())
+        used = max(float(each.max()) for each in self.limits.usage(motion).values())
+        if used <= 1.0:
+            used = max(used, float(np.abs(self.expected.shares(motion)).max(initial=0.0)))
         if used > 1.0 or self.clearance is None:  # distances take much longer
             return used
         return max(used, self.clearance.usage(self.expected.joints.samples(motion).position))
@@ -182,7 +182,7 @@ class TrajectoryOptimizer:
             raise OptionError(
                 f"{self.design.expected.joints.model.source}: no random motion keeps the limits "
                 "and distances; check the collision shapes, or give a lower `floor`, a smaller "
-                "`clearance` or `no_collision`",
+                "`clearance` or `no_collision`; of a standing robot another `posture`",
                 "E584",
             )
         for number, start in enumerate(candidates[:starts], start=1):
@@ -227,7 +227,7 @@ class TrajectoryOptimizer:
         motion = self._basis @ point.reshape(self._shape)
         evaluation = self.design.expected.evaluate(motion, self.design.repeats)
         slope = np.einsum("otm,otd->md", self._basis, evaluation.gain_slopes).ravel()
-        blocks = [*self._motion_limits(motion), *self._effort_limits(evaluation)]
+        blocks = [*self._motion_limits(motion), *self._other_limits(evaluation)]
         if self.design.clearance is not None:
             blocks += self._clearances(motion)
         rows, room = zip(*blocks, strict=True)
@@ -243,13 +243,12 @@ class TrajectoryOptimizer:
             yield rows, 1.0 - share.ravel()
             yield -rows, 1.0 + share.ravel()
 
-    def _effort_limits(self, evaluation: Evaluation) -> Iterator[tuple[csc_array, FloatArray]]:
-        """Yield rows and room of the limits of efforts, where they are near."""
-        for joint, index in enumerate(self.design.expected.joints.indices):
-            share = evaluation.torque[:, index] / self.design.limits.effort[joint]
+    def _other_limits(self, evaluation: Evaluation) -> Iterator[tuple[csc_array, FloatArray]]:
+        """Yield rows and room of limits of efforts and contacts, where they are near."""
+        for index, share in enumerate(evaluation.shares.T):
             near = np.flatnonzero(np.abs(share) > NEAR)
             sign = np.sign(share[near])
-            slopes = evaluation.torque_slopes[:, near, index] / self.design.limits.effort[joint]
+            slopes = evaluation.share_slopes[:, near, index]
             rows = np.einsum("otm,t,otd->tmd", self._basis[:, near], sign, slopes)
             yield csc_array(rows.reshape(len(near), self._size)), AIM - np.abs(share[near])
 
@@ -257,9 +256,10 @@ class TrajectoryOptimizer:
         """Yield rows and room of the distances between links, where they are small."""
         assert self.design.clearance is not None
         joints = self.design.expected.joints
+        by_coordinate = joints.slopes(motion)
         for share, slopes in self.design.clearance.shares(joints.samples(motion).position):
             near = np.flatnonzero(share > 0)
-            moved = slopes[near][:, list(joints.indices)]
+            moved = np.einsum("tj,tjd->td", slopes[near], by_coordinate[near])
             rows = np.einsum("tm,td->tmd", self._basis[0, near], moved)
             yield csc_array(rows.reshape(len(near), self._size)), AIM - share[near]
 
@@ -311,8 +311,7 @@ class TrajectoryOptimizer:
 
     def _at_rest(self) -> FloatArray:
         coefficients = np.zeros(self._shape)
-        joints = self.design.expected.joints
-        coefficients[0] = joints.posture[list(joints.indices)]
+        coefficients[0] = self.design.expected.joints.rest
         return coefficients
 
 

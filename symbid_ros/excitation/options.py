@@ -6,6 +6,7 @@ from pathlib import Path
 from symbid_ros.options import check_values, option
 
 LIMITS = "Limits"
+STANDING = "Standing robots"
 KNOWN = "What is known before"
 
 
@@ -101,6 +102,52 @@ class ExciteOptions:
     )
     no_collision: bool = option(
         False, "Do not keep links apart from each other and the floor.", group=LIMITS
+    )
+    feet: tuple[str, ...] = option(
+        (),
+        "Frames on which a robot with a floating base stands, comma-separated, as FRAME for a "
+        "flat sole, or FRAME:point. The base then moves, and the feet stay.",
+        unset="the base is fixed",
+        group=STANDING,
+    )
+    contact: tuple[str, ...] = option(
+        (),
+        "Those of the feet that have no wrench sensor, as FRAME or FRAME:point, as in `symbid "
+        "identify`.",
+        unset="all feet have one",
+        group=STANDING,
+    )
+    posture: tuple[str, ...] = option(
+        (),
+        "Joint positions of the standing robot, as JOINT=VALUE, comma-separated; others are 0.",
+        unset="the keyframe standing of an MJCF, or the crouch of a quadruped",
+        group=STANDING,
+    )
+    ground_friction: float = option(
+        0.4,
+        "Friction coefficient that the forces of the ground may use.",
+        minimum=0.01,
+        maximum=2.0,
+        group=STANDING,
+    )
+    sole_margin: float = option(
+        0.03,
+        "Distance of the centre of pressure from the edges of a sole.",
+        unit="m",
+        minimum=0.0,
+        maximum=0.2,
+        group=STANDING,
+    )
+    base_speed: float = option(
+        0.3, "Largest speed of the base.", unit="m/s", minimum=0.001, maximum=10.0, group=STANDING
+    )
+    turn_speed: float = option(
+        1.0,
+        "Largest angular velocity of the base.",
+        unit="rad/s",
+        minimum=0.001,
+        maximum=20.0,
+        group=STANDING,
     )
 
     def __post_init__(self) -> None:

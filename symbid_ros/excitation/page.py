@@ -34,6 +34,7 @@ def render_page(plan: ExcitationPlan) -> str:
         joints=plan.joints.names,
         usage=plan.usage(),
         closest=closest_links(plan),
+        contacts=contacts_used(plan),
         groups=_groups(plan),
         notes=_notes(plan),
     )
@@ -56,6 +57,13 @@ def closest_links(plan: ExcitationPlan) -> str:
     if not pair:
         return "no links come close to each other"
     return f"smallest distance {1e3 * distance:.0f} mm, between {pair}"
+
+
+def contacts_used(plan: ExcitationPlan) -> str:
+    """Return the largest use of each limit of the contacts as a sentence; empty without feet."""
+    used = plan.contact_usage
+    listed = ", ".join(f"{name} {100 * share:.0f} %" for name, share in used.items())
+    return f"used of the limits of contacts: {listed}" if used else ""
 
 
 def _height(share: float) -> float:

@@ -1,93 +1,38 @@
-"""From a robot and options to a trajectory, with what it will tell before anyone moves."""
+"""A designed trajectory, with what it will tell before anyone moves."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
 
 import numpy as np
-from scipy.ndimage import minimum_filter1d
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.choices import Term
-from symbid_ros.dynamics.regressor import equation_of_motion, slipping
-from symbid_ros.errors import OptionError
-from symbid_ros.estimation.prior import Prior, consistent_prior
 from symbid_ros.estimation.verdict import DETERMINED
-from symbid_ros.excitation.clearance import Clearance
-from symbid_ros.excitation.fourier import DrivenJoints, FourierSeries
-from symbid_ros.excitation.limits import JointLimits, joint_limits
-from symbid_ros.excitation.objective import ExpectedInformation
-from symbid_ros.excitation.optimizer import Design
+from symbid_ros.excitation.objective import MotionSpace
 from symbid_ros.excitation.options import ExciteOptions
-from symbid_ros.identification.result_files import load_estimated_model
-from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.excitation.problem import ExcitationProblem, fixed_base_problem
+from symbid_ros.excitation.standing import standing_problem
+from symbid_ros.excitation.standing_motion import StandingMotion
 from symbid_ros.model.tree import RobotModel
-from symbid_ros.simulation.joint_sensors import JointSensorOptions
-from symbid_ros.simulation.tracking import effort_capacity, effort_std, position_std
-
-DESIGN_TERMS = "viscous", "coulomb", "armature", "offset"
-DEFAULT_TERMS = "viscous", "coulomb", "armature"
-# Window whose rows are expected, s: the noise of positions enters through their second derivative.
-WINDOW = 0.161
-SAMPLES_PER_HARMONIC = 20
-POSTURES = 200  # random ones, for mean inertias and for pairs of links that are always close
+from symbid_ros.simulation.joint_sensors import BaseSensorOptions, JointSensorOptions
 
 
-@dataclass(frozen=True)
-class ExcitationProblem:
-    """A robot, its limits and sensors: everything that a trajectory is designed for.
+def excitation_problem(
+    robot: RobotModel,
+    options: ExciteOptions,
+    sensors: JointSensorOptions,
+    base_sensors: BaseSensorOptions | None = None,
+) -> ExcitationProblem:
+    """Check a robot and options, and return what a trajectory is designed for.
 
-    Attributes
-    ----------
-    options : ExciteOptions
-    sensors : JointSensorOptions
-    limits : JointLimits
-        Complete limits of the D joints that move; the trajectory uses shares of them.
-    design : Design
-    capacity : (J,) float64
-        Largest effort of each joint, Nm or N, of which the noise of efforts is a share.
-    unchecked : tuple of str
-        Collisions that are not checked.
-    prior : Prior or None
-        Distribution before the motion; None if it is that of an earlier result.
+    Raises
+    ------
+    SymbidError
+        When the base floats and no feet are named, no joint is driven, the robot cannot stand, or
+        an option is invalid.
     """
-
-    options: ExciteOptions
-    sensors: JointSensorOptions
-    limits: JointLimits
-    design: Design
-    capacity: FloatArray
-    unchecked: tuple[str, ...] = ()
-    prior: Prior | None = None
-
-    @property
-    def parameters(self) -> ParameterSet:
-        """The p parameters."""
-        return self.design.expected.parameters
-
-    @property
-    def prior_std(self) -> FloatArray:
-        """(p,) standard deviations before the motion."""
-        return np.asarray(np.linalg.norm(self.design.expected.factor, axis=1))
-
-    def expected_factor(self, coefficients: FloatArray) -> FloatArray:
-        """Return L (p, r) of the covariance L Lᵀ after a recording of the trajectory.
-
-        Unlike the gain that is optimised, this counts a joint with friction only while it slips
-        during a whole window, as an identification does.
-        """
-        design, expected = self.design, self.design.expected
-        count = round(design.series.period * self.sensors.rate)
-        time = np.arange(count) / self.sensors.rate
-        samples = expected.joints.samples(design.series.motion(coefficients, time))
-        K = equation_of_motion(expected.parameters, samples).K
-        if {"viscous", "coulomb"} & set(expected.parameters.terms):
-            used = slipping(expected.parameters, samples.velocity)
-            width = max(1, round(WINDOW * self.sensors.rate))
-            kept = minimum_filter1d(used.astype(np.int8), width, axis=0, mode="wrap")
-            K *= kept[..., None]
-        information = expected.information(K) * design.seconds / design.series.period
-        return expected.posterior_factor(information)
+    if options.feet:
+        return standing_problem(robot, options, sensors, base_sensors or BaseSensorOptions())
+    return fixed_base_problem(robot, options, sensors)
 
 
 @dataclass(frozen=True)
@@ -98,7 +43,7 @@ class ExcitationPlan:
     ----------
     problem : ExcitationProblem
     coefficients : (m, D) float64
-        Of the Fourier series of each joint that moves.
+        Of the Fourier series of each coordinate.
     validation : (m, D) float64
         Of another, random trajectory within the limits, to validate the result.
     is_complete : bool
@@ -111,8 +56,8 @@ class ExcitationPlan:
     is_complete: bool = True
 
     @property
-    def joints(self) -> DrivenJoints:
-        """The joints that move."""
+    def joints(self) -> MotionSpace:
+        """The coordinates and joints that move."""
         return self.problem.design.expected.joints
 
     @cached_property
@@ -136,20 +81,38 @@ class ExcitationPlan:
         return self.problem.design.gain(self.coefficients) / float(np.log(2))
 
     def motion(self, time: FloatArray) -> FloatArray:
-        """Return position, velocity and acceleration (3, N, D) at times (N,), s."""
+        """Return position, velocity and acceleration of the joints that move, (3, N, D)."""
+        samples, moved = self.joints.samples(self.course(time)), list(self.joints.indices)
+        orders = samples.position, samples.velocity, samples.acceleration
+        return np.ascontiguousarray(np.stack([order[:, moved] for order in orders]))
+
+    def course(self, time: FloatArray) -> FloatArray:
+        """Return coordinates, their rates and accelerations (3, N, C) at times (N,), s."""
         return self.problem.design.series.motion(self.coefficients, time)
 
     def torque(self, time: FloatArray) -> FloatArray:
         """Return the torques (N, D) that the model's values need, Nm or N."""
-        expected = self.problem.design.expected
-        torque = expected.rows(self.motion(time)) @ expected.values
-        return np.asarray(torque[:, self.joints.indices])
+        expected, course = self.problem.design.expected, self.course(time)
+        return self.joints.torques(course, expected.rows(course) @ expected.values)
 
     def usage(self) -> dict[str, FloatArray]:
         """Return the largest share (D,) of each complete limit that is used, by its name."""
-        period = self.problem.design.series.period
-        time = np.linspace(0, period, 20 * self.problem.design.samples)
-        return self.problem.limits.usage(self.motion(time), self.torque(time))
+        return self.problem.limits.usage(self.motion(self._period), self.torque(self._period))
+
+    @cached_property
+    def contact_usage(self) -> dict[str, float]:
+        """Largest share of each limit of the contacts, by its name; none on a fixed base."""
+        if not isinstance(self.joints, StandingMotion):
+            return {}
+        expected, course = self.problem.design.expected, self.course(self._period)
+        shares = self.joints.contact_shares(course, expected.rows(course) @ expected.values)
+        return {name: float(each.max()) for name, each in shares.items()}
+
+    @property
+    def _period(self) -> FloatArray:
+        """Dense instants of one period, s."""
+        design = self.problem.design
+        return np.linspace(0, design.series.period, 20 * design.samples)
 
     @cached_property
     def closest(self) -> tuple[float, str] | None:
@@ -158,7 +121,7 @@ class ExcitationPlan:
         if clearance is None:
             return None
         time = self.problem.design.instants(4 * self.problem.design.samples)
-        return clearance.smallest(self.joints.samples(self.motion(time)).position)
+        return clearance.smallest(self.joints.samples(self.course(time)).position)
 
     @property
     def approach(self) -> float:
@@ -166,175 +129,3 @@ class ExcitationPlan:
         limits = self.problem.design.limits
         # A quintic from rest to rest has 15/8 of its mean speed in the middle.
         return float(np.ceil(1.875 * np.max(2 * limits.half_width / limits.speed)))
-
-
-def excitation_problem(
-    robot: RobotModel, options: ExciteOptions, sensors: JointSensorOptions
-) -> ExcitationProblem:
-    """Check a robot and options, and return what a trajectory is designed for.
-
-    Raises
-    ------
-    SymbidError
-        When the base floats, no joint is driven, or an option is invalid.
-    """
-    if robot.floating:
-        raise OptionError(
-            f"{robot.source}: its base floats; give `base` fixed for a robot whose base is clamped "
-            "or hangs firmly",
-            "E581",
-        )
-    parameters, values, factor, prior = _known(robot, options)
-    indices = _moving(robot, options.joints)
-    named = {robot.joint_names[index]: robot.joints[index] for index in indices}
-    limits = joint_limits(named, {}, options.limits)
-    used = limits.scaled(options.position_share, options.speed_share, options.effort_share)
-    posture = np.array([min(max(0.0, joint.lower), joint.upper) for joint in robot.joints])
-    posture[list(indices)] = limits.centre
-    joints = DrivenJoints(parameters.model, indices, posture)
-    series = FourierSeries(options.period, options.harmonics)
-    expected = ExpectedInformation(parameters, values, factor, np.ones(robot.dof), joints)
-    postures = _random_postures(joints, used)
-    capacity, remarks = _capacity(robot, limits)
-    limits = replace(limits, assumed=(*limits.assumed, *remarks))
-    precision = _precision(robot, sensors, capacity, expected, postures)
-    clearance, unchecked = _clearance(parameters.model, options, joints, postures)
-    return ExcitationProblem(
-        options,
-        sensors,
-        limits,
-        Design(
-            series,
-            replace(expected, precision=precision),
-            used,
-            clearance,
-            SAMPLES_PER_HARMONIC * options.harmonics,
-            sensors.rate,
-            series.period * np.ceil(options.seconds / series.period - 1e-9),
-        ),
-        capacity,
-        unchecked,
-        prior,
-    )
-
-
-def _clearance(
-    robot: RobotModel, options: ExciteOptions, joints: DrivenJoints, postures: FloatArray
-) -> tuple[Clearance | None, tuple[str, ...]]:
-    """Return the distances to keep, and what is not checked."""
-    if options.no_collision:
-        return None, ("collisions, as `no_collision` says",)
-    motion = np.zeros((3, *postures.shape))
-    motion[0] = postures
-    position = joints.samples(motion).position
-    clearance = Clearance(robot, options.clearance, position, options.floor)
-    remarks = clearance.remarks
-    if options.floor is None:
-        remarks = (*remarks, "a floor or table; give `floor`")
-    return (None if clearance.is_empty else clearance), remarks
-
-
-def _known(
-    robot: RobotModel, options: ExciteOptions
-) -> tuple[ParameterSet, FloatArray, FloatArray, Prior | None]:
-    """Return the parameters, their expected values, L of their covariance, and their prior."""
-    if options.information is not None:
-        folder = options.information
-        known = load_estimated_model(folder if folder.is_dir() else folder.parent, robot)
-        unknown = set(known.parameters.terms) - set(DESIGN_TERMS)
-        further = known.parameters.couplings or known.parameters.ripples
-        if known.deviation_factor is None or unknown or further:
-            raise OptionError(
-                f"{folder}: has no covariance of links, viscous, coulomb, armature and offset "
-                "alone; identify with `method` map_lmi and name these `joint_terms`",
-                "E582",
-            )
-        return known.parameters, known.values, known.deviation_factor, None
-    named = [name for part in ",".join(options.joint_terms).split(",") if (name := part.strip())]
-    terms = DEFAULT_TERMS if named in ([], ["auto"]) else tuple(named)
-    if unknown_terms := set(terms) - {*DESIGN_TERMS, "none"}:
-        raise OptionError(
-            f"`joint_terms`: {min(unknown_terms)!r} cannot be planned; give none or any of "
-            f"{', '.join(DESIGN_TERMS)}",
-            "E501",
-        )
-    chosen = () if "none" in terms else cast(tuple[Term, ...], terms)
-    parameters = ParameterSet(robot, chosen)
-    prior = consistent_prior(parameters, options.prior_percent)
-    return parameters, prior.mean, prior.covariance_factor(), prior
-
-
-def _moving(robot: RobotModel, names: tuple[str, ...]) -> tuple[int, ...]:
-    """Return the joints that move: those named, or all that have a drive and a range."""
-    named = [name for part in ",".join(names).split(",") if (name := part.strip())]
-    for name in named:
-        if name not in robot.measured_joint_names:
-            raise OptionError(
-                f"`joints`: {robot.source} has no joint {name!r} that moves by itself; name any of "
-                f"{', '.join(robot.measured_joint_names)}",
-                "E583",
-            )
-    chosen = []
-    for name in named or robot.measured_joint_names:
-        joint = robot.joints[robot.joint_names.index(name)]
-        if joint.effort > 0 and joint.lower < joint.upper:
-            chosen.append(robot.joint_names.index(name))
-        elif named:
-            raise OptionError(
-                f"{robot.source}: joint {name} has no range or no effort, so no drive moves it; "
-                "correct its limits, or leave it out of `joints`",
-                "E583",
-            )
-    if not chosen:
-        raise OptionError(
-            f"{robot.source}: no joint has a range and an effort above zero; correct the limits in "
-            "the model",
-            "E583",
-        )
-    return tuple(chosen)
-
-
-def _random_postures(joints: DrivenJoints, limits: JointLimits) -> FloatArray:
-    """Return positions (N, D) within the limits, the same in every call."""
-    shares = np.random.default_rng(0).uniform(-1, 1, (POSTURES, len(limits.names)))
-    return np.asarray(limits.centre + shares * limits.half_width)
-
-
-def _capacity(robot: RobotModel, limits: JointLimits) -> tuple[FloatArray, tuple[str, ...]]:
-    """Return the largest effort (J,) of each joint, and remarks about those without a limit."""
-    capacity = effort_capacity(robot)
-    remarks = []
-    for name, effort in zip(limits.names, limits.effort.tolist(), strict=True):
-        place = robot.joint_names.index(name)
-        if np.isfinite(effort):
-            capacity[place] = effort
-        else:
-            remarks.append(f"{name}: noise of efforts as for a drive of {capacity[place]:.3g}")
-    return capacity, tuple(remarks)
-
-
-def _precision(
-    robot: RobotModel,
-    sensors: JointSensorOptions,
-    capacity: FloatArray,
-    expected: ExpectedInformation,
-    postures: FloatArray,
-) -> FloatArray:
-    """Return the inverse variance (J,) of one sample's row, noise of efforts and positions.
-
-    Positions are differentiated twice, and a window of length W weights them by the second
-    derivative of its Hann shape, whose rms is 2 (π / W)² √(4/3) of the window's own.
-    """
-    variance = effort_std(sensors, capacity) ** 2
-    gain = 2 * (np.pi / WINDOW) ** 2 * np.sqrt(4 / 3)
-    acceleration = gain * position_std(sensors, robot)
-    moved = np.flatnonzero(np.isin(np.arange(len(robot.joints)), expected.joints.indices))
-    motion = np.zeros((3, *postures.shape))
-    motion[0] = postures
-    rest = expected.rows(motion) @ expected.values
-    for place, joint in enumerate(moved):
-        motion[2] = 0.0
-        motion[2, :, place] = 1.0
-        inertia = expected.rows(motion) @ expected.values - rest
-        variance = variance + np.mean(inertia**2, axis=0) * acceleration[joint] ** 2
-    return np.asarray(1.0 / variance)

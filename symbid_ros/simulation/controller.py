@@ -13,7 +13,6 @@ import scipy.linalg
 from symbid_ros.arrays import FloatArray
 from symbid_ros.simulation.controller_model import ControllerModel
 from symbid_ros.simulation.plant import RobotFailureError, State
-from symbid_ros.simulation.trajectory import Trajectory
 
 
 class _NarrowInstructions(ModuleType):
@@ -101,24 +100,37 @@ class BalanceGains:
         )
 
 
+class Reference(Protocol):
+    """A motion over time, such as :class:`symbid_ros.simulation.trajectory.Trajectory`."""
+
+    @property
+    def duration(self) -> float:
+        """Seconds."""
+        ...
+
+    def at(self, time: float) -> FloatArray:
+        """Return position, velocity and acceleration at ``time`` (s) as the rows of a (3, D)."""
+        ...
+
+
 @dataclass(frozen=True)
 class BalanceTask:
     """Reference motion of the balance controller.
 
     Attributes
     ----------
-    com : Trajectory
+    com : Reference
         Centre of mass in the world, m.
     attitude : (4,) float64
         Initial quaternion wxyz of the base in the world.
-    turns : Trajectory
+    turns : Reference
         Rotation vectors of the base from there, in base axes, rad. Only the position is used:
         feedback without feed-forward smooths the jumps of the acceleration.
     """
 
-    com: Trajectory
+    com: Reference
     attitude: FloatArray
-    turns: Trajectory
+    turns: Reference
 
     @property
     def duration(self) -> float:

@@ -1,15 +1,17 @@
-"""Options of the joint sensors of an arm, for commands that start without NumPy."""
+"""Options of the sensors of a robot, for commands that start without NumPy."""
 
 from dataclasses import dataclass
 
 from symbid_ros.options import check_values, option
 
 GROUP = "Joint sensors"
+BASE = "IMU and wrench sensors of a standing robot"
+MOMENT_ARM = 0.1  # m, of the noise of moments
 
 
 @dataclass(frozen=True)
 class JointSensorOptions:
-    """Joint sensors of an arm, for expected deviations and for simulations.
+    """Joint sensors of a robot, for expected deviations and for simulations.
 
     Raises
     ------
@@ -45,3 +47,49 @@ class JointSensorOptions:
     def __post_init__(self) -> None:
         """Refuse invalid values."""
         check_values(self)
+
+
+@dataclass(frozen=True)
+class BaseSensorOptions:
+    """IMU and wrench sensors of a standing robot, for expected deviations and for simulations.
+
+    Raises
+    ------
+    OptionError
+        When a value is invalid.
+    """
+
+    gyro_noise: float = option(
+        2e-3,
+        "Standard deviation of the noise of angular velocities, at the rate of the joint states.",
+        unit="rad/s",
+        minimum=0.0,
+        maximum=1.0,
+        group=BASE,
+    )
+    accelerometer_noise: float = option(
+        2e-2,
+        "Standard deviation of the noise of accelerations.",
+        unit="m/s²",
+        minimum=0.0,
+        maximum=10.0,
+        group=BASE,
+    )
+    wrench_noise: float = option(
+        0.1,
+        "Standard deviation of the noise of the feet's forces, in percent of the weight; of "
+        "moments by a lever of 0.1 m.",
+        unit="%",
+        minimum=1e-6,
+        maximum=100.0,
+        group=BASE,
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse invalid values."""
+        check_values(self)
+
+    def wrench_std(self, weight: float) -> tuple[float, ...]:
+        """Return the deviations of (moment; force) for a robot of a weight in N."""
+        force = self.wrench_noise / 100 * weight
+        return (*3 * (MOMENT_ARM * force,), *3 * (force,))

@@ -16,6 +16,9 @@ from symbid_ros.user_files import open_regular
 TRAJECTORY_FILE = "trajectory.csv"
 TIME = "time"
 POSITION, VELOCITY, ACCELERATION, EFFORT = "position", "velocity", "acceleration", "effort"
+# Of a floating base: position, m, and quaternion wxyz.
+BASE_POSE = tuple(f"base/{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+CENTRE_OF_MASS = tuple(f"com/{name}" for name in "xyz")  # m, in the world
 # A quintic spline needs six points.
 FEWEST_POINTS = 6
 MAX_BYTES = 256 * 2**20
@@ -33,11 +36,20 @@ class JointTrajectory:
         Seconds, strictly increasing from 0.
     position : (N, D) float64
         rad or m.
+    effort : (N, D) float64, optional
+        Nm or N.
+    base : (N, 7) float64, optional
+        Position, m, and quaternion wxyz of a floating base.
+    com : (N, 3) float64, optional
+        Centre of mass of the model in the world, m.
     """
 
     names: tuple[str, ...]
     time: FloatArray
     position: FloatArray
+    effort: FloatArray | None = None
+    base: FloatArray | None = None
+    com: FloatArray | None = None
 
     @property
     def duration(self) -> float:
@@ -53,12 +65,19 @@ class JointTrajectory:
         """Return position, velocity and acceleration (3, N, D) at times (N,), s."""
         return np.stack([spline(time) for spline in self._splines])  # type: ignore[operator]
 
+    def effort_at(self, time: FloatArray) -> FloatArray:
+        """Return the efforts (N, D) at times (N,), s; zero if there are none."""
+        if self.effort is None:
+            return np.zeros((len(time), len(self.names)))
+        return np.asarray(make_interp_spline(self.time, self.effort, k=3)(time))
+
 
 def read_trajectory(path: Path, joints: Sequence[str]) -> JointTrajectory:
     """Read a trajectory of a robot from a CSV file, or from the folder of `symbid excite`.
 
     The first line names the columns: ``time``, and ``JOINT`` or ``JOINT/position`` for each joint
-    that moves. Columns ``JOINT/velocity``, ``JOINT/acceleration`` and ``JOINT/effort`` are ignored.
+    that moves. Efforts, ``JOINT/effort``, the base's pose and the centre of mass are read if all
+    their columns are present. ``JOINT/velocity`` and ``JOINT/acceleration`` are ignored.
 
     Parameters
     ----------
@@ -92,7 +111,9 @@ def read_trajectory(path: Path, joints: Sequence[str]) -> JointTrajectory:
             places[name] = column
         elif joint in joints and kind == POSITION:
             places[joint] = column
-        elif name != TIME and not (joint in joints and kind in (VELOCITY, ACCELERATION, EFFORT)):
+        elif name not in {TIME, *BASE_POSE, *CENTRE_OF_MASS} and not (
+            joint in joints and kind in (VELOCITY, ACCELERATION, EFFORT)
+        ):
             raise SimulationError(
                 f"{file}: column {name!r} is not a joint of the robot; name its columns "
                 f"{TIME!r} and one of {', '.join(joints)}",
@@ -116,4 +137,9 @@ def read_trajectory(path: Path, joints: Sequence[str]) -> JointTrajectory:
             f"{file}: needs at least {FEWEST_POINTS} lines of finite numbers with increasing times",
             "E681",
         )
-    return JointTrajectory(tuple(places), time - time[0], values[:, list(places.values())])
+    efforts = [f"{name}/{EFFORT}" for name in places]
+    others = [
+        values[:, [header.index(name) for name in names]] if {*names} <= {*header} else None
+        for names in (efforts, BASE_POSE, CENTRE_OF_MASS)
+    ]
+    return JointTrajectory(tuple(places), time - time[0], values[:, list(places.values())], *others)

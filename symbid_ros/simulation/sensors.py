@@ -2,13 +2,13 @@
 
 from collections import deque
 from dataclasses import dataclass
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.simulation.plant import SCALAR_LAST, Truth
-from symbid_ros.simulation.settings import ChannelValues
 from symbid_ros.simulation.systematic_errors import SystematicErrors
 
 
@@ -93,6 +93,14 @@ SCALAR_FIRST = np.array([3, 0, 1, 2])
 JOINTS, IMU, PLATES = 0, 1, 2  # indices in SystematicErrors.delays
 
 
+class ChannelNoise(Protocol):
+    """Standard deviations of the noise of all channels."""
+
+    def by_channel(self, joints: int, wrenches: int) -> FloatArray:
+        """Return the values of 3 J + 6 + 6 F channels: joints, IMU, wrenches."""
+        ...
+
+
 class Sensors:
     """Encoders, torque sensors, IMU and wrench sensors with systematic errors and white noise.
 
@@ -107,7 +115,7 @@ class Sensors:
     wrench_count : int
         Number of wrench sensors, force plates first. Sensors after the plates have noise but no
         systematic errors.
-    noise : ChannelValues or None
+    noise : ChannelNoise or None
         Standard deviations of white Gaussian noise; None for sensors without noise.
     seed : int
         Seed of the noise.
@@ -119,7 +127,7 @@ class Sensors:
         self,
         driven: BoolArray,
         wrench_count: int,
-        noise: ChannelValues | None,
+        noise: ChannelNoise | None,
         seed: int,
         errors: SystematicErrors,
     ) -> None:

@@ -48,7 +48,7 @@ def effort_std(sensors: JointSensorOptions, capacity: FloatArray) -> FloatArray:
 
 
 def static_torques(robot: RobotModel) -> FloatArray:
-    """Return the torques (N, J) that hold a robot on a fixed base in random postures, Nm or N.
+    """Return the torques (N, J) that hold a robot by its base in random postures, Nm or N.
 
     The postures are the same in every call. A joint without limits turns by up to 90 degrees.
     """
@@ -71,7 +71,8 @@ def static_torques(robot: RobotModel) -> FloatArray:
         wrenches=np.zeros((POSTURES, 0, 6)),
         wrench_frames=(),
     )
-    return np.asarray(equation_of_motion(plain, samples).K @ plain.values)
+    force = equation_of_motion(plain, samples).K @ plain.values
+    return np.asarray(force[:, 6 * robot.floating :])
 
 
 def effort_capacity(robot: RobotModel) -> FloatArray:
@@ -150,8 +151,8 @@ class TrackingSimulator:
     ) -> None:
         if truth.floating:
             raise SimulationError(
-                f"{truth.source}: its base floats, and a trajectory of joints needs a fixed one; "
-                "give `base` fixed",
+                f"{truth.source}: its base floats, and this trajectory needs a fixed one; give "
+                "`base` fixed, or design the trajectory with `feet`",
                 "E682",
             )
         self.joint_names, self.base_frame = truth.joint_names, truth.links[0].name
