@@ -51,6 +51,7 @@ def main() -> None:
     options.add_argument("parts", nargs="*", default=["random", "rehearsals"])
     options.add_argument("--robot", default="ur5")
     options.add_argument("--draws", type=int, default=20)
+    options.add_argument("--truths", type=int, help="of rehearsals; default: as many as draws")
     options.add_argument("--starts", type=int, default=2)
     options.add_argument("--speed-share", type=float, default=0.8)
     options.add_argument("--floor", type=float)
@@ -89,7 +90,7 @@ def main() -> None:
         if "random" in given.parts:
             compare(plan, given.draws)
         if "rehearsals" in given.parts:
-            rehearse(plan, given.draws)
+            rehearse(plan, given.truths or given.draws)
 
 
 def compare(plan: ExcitationPlan, draws: int) -> None:

@@ -1,0 +1,242 @@
+"""Excitation of standing robots: closed chains, ground forces, and the simulated stance."""
+
+from dataclasses import replace
+from importlib.metadata import files
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+import pytest
+from scipy.spatial.transform import Rotation
+
+from symbid_ros.dynamics.contact import contact_jacobian
+from symbid_ros.dynamics.kinematics import link_poses
+from symbid_ros.dynamics.regressor import equation_of_motion
+from symbid_ros.dynamics.stance_forces import smallest_forces
+from symbid_ros.errors import ModelError, OptionError, SimulationError
+from symbid_ros.excitation.files import write_plan
+from symbid_ros.excitation.optimizer import TrajectoryOptimizer
+from symbid_ros.excitation.options import ExciteOptions
+from symbid_ros.excitation.plan import ExcitationPlan, excitation_problem
+from symbid_ros.excitation.rehearsal import standing_simulator
+from symbid_ros.excitation.stance_options import find_stance
+from symbid_ros.model.load import load_model
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.package_paths import config_file
+from symbid_ros.simulation.joint_sensors import BaseSensorOptions, JointSensorOptions
+from symbid_ros.simulation.options import TruthOptions
+
+SENSORS = JointSensorOptions(rate=100.0)
+POINTS = tuple(f"{name}_FOOT:point" for name in ("FL", "FR", "HL", "HR"))
+SOLES = ("left_sole", "right_sole")
+SHORT = {"period": 4.0, "seconds": 4.0, "harmonics": 2}
+
+
+@pytest.fixture(scope="module")
+def solo():
+    (found,) = (each for each in files("example-robot-data") or () if each.name == "solo12.urdf")
+    robot = load_model(Path(str(found.locate())), "floating")
+    drives = (replace(joint, effort=2.7, speed=10.0) for joint in robot.joints)
+    return replace(robot, joints=tuple(drives))
+
+
+@pytest.fixture(scope="module")
+def symbitron():
+    return load_model(config_file("symbitron.xml"))
+
+
+@pytest.fixture(scope="module")
+def plans(solo, symbitron, tmp_path_factory):
+    """Folders and plans of both robots, found by a few steps of the search."""
+    found = {}
+    for name, robot, feet in (("solo", solo, POINTS), ("symbitron", symbitron, SOLES)):
+        options = ExciteOptions(feet=feet, no_collision=True, **SHORT)
+        problem = excitation_problem(robot, options, SENSORS)
+        optimizer = TrajectoryOptimizer(problem.design, seed=0)
+        optimizer.run(starts=1, iterations=12)
+        plan = ExcitationPlan(problem, optimizer.best, optimizer.random)
+        folder = tmp_path_factory.mktemp("standing") / name
+        write_plan(plan, folder)
+        found[name] = folder, plan
+    return found
+
+
+def random_motion(seed: int, count: int, size: float) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    return size * rng.uniform(-1, 1, (3, count, 6))
+
+
+def test_the_feet_stay_and_the_base_goes_where_it_should(solo):
+    stance = find_stance(solo, ExciteOptions(feet=POINTS))
+    motion = random_motion(0, 20, 0.15)
+    samples, poses = stance.samples(motion)
+    feet, _ = stance.feet_poses(poses.base_position, poses.base_rotation, poses.position)
+    np.testing.assert_allclose(feet, np.broadcast_to(stance.places[0], feet.shape), atol=1e-7)
+    height = stance.base_position[2]
+    moved = (poses.base_position - stance.base_position) / height
+    np.testing.assert_allclose(moved, motion[0, :, :3], atol=1e-6)
+    turned = stance.base_rotation.T @ poses.base_rotation
+    np.testing.assert_allclose(
+        Rotation.from_matrix(turned).as_rotvec(), motion[0, :, 3:], atol=1e-6
+    )
+    # The feet are at rest: the Jacobian maps base twist and joint rates to zero.
+    J = contact_jacobian(solo, stance.frames, link_poses(solo, samples.position))
+    linear = np.einsum("nji,nj->ni", poses.base_rotation, height * motion[1, :, :3])
+    rates = np.hstack([samples.base_angular_velocity, linear, samples.velocity])
+    slip = np.einsum("nij,nj->ni", J, rates).reshape(20, 4, 6)[:, :, 3:]
+    np.testing.assert_allclose(slip, 0.0, atol=1e-4)
+
+
+def test_a_sole_stays_flat_on_a_leg_with_a_joint_without_drive(symbitron):
+    stance = find_stance(symbitron, ExciteOptions(feet=SOLES))
+    low = random_motion(1, 30, 0.04)[0] - [0, 0, 0.04, 0, 0, 0]  # the knees are nearly straight
+    poses = stance.poses(low)
+    assert poses.slip.max() < 1e-4
+    _, rotation = stance.feet_poses(poses.base_position, poses.base_rotation, poses.position)
+    np.testing.assert_allclose(rotation[..., 2, 2], 1.0, atol=1e-5)
+
+
+def test_ground_forces_are_the_rates_of_momentum_that_pinocchio_computes(plans):
+    _, plan = plans["solo"]
+    stance, robot = plan.joints.stance, plan.joints.model
+    course = plan.course(np.linspace(0.0, 4.0, 7))
+    samples, poses = stance.samples(course)
+    links = ParameterSet(robot)
+    force = equation_of_motion(links, samples).K @ links.values
+    found = smallest_forces(stance, poses, force, plan.joints.driven)
+    model = pinocchio.buildModelFromUrdf(robot.source, pinocchio.JointModelFreeFlyer())
+    data, mass = model.createData(), pinocchio.computeTotalMass(model)
+    order = [model.joints[model.getJointId(joint)].idx_v for joint in robot.joint_names]
+    for row in range(len(course[0])):
+        q, v, a = pinocchio.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+        rotation = poses.base_rotation[row]
+        q[:3], q[3:7] = poses.base_position[row], Rotation.from_matrix(rotation).as_quat()
+        q[np.add(order, 1)] = samples.position[row]
+        v[:3] = rotation.T @ (course[1, row, :3] * stance.base_position[2])
+        v[3:6] = samples.base_angular_velocity[row]
+        v[order], a[order] = samples.velocity[row], samples.acceleration[row]
+        a[3:6] = samples.base_angular_acceleration[row]
+        # Pinocchio's acceleration is the spatial one, and the sensor's contains minus gravity.
+        coordinate = samples.base_specific_force[row] + rotation.T @ robot.gravity
+        a[:3] = coordinate - np.cross(v[3:6], v[:3])
+        rate = pinocchio.computeCentroidalMomentumTimeVariation(model, data, q, v, a)
+        forces = found.wrench[row, :, 3:]
+        total = forces.sum(axis=0) + mass * robot.gravity
+        np.testing.assert_allclose(total, rate.linear, atol=1e-3)
+        about = np.cross(stance.places[0] - data.com[0], forces).sum(axis=0)
+        np.testing.assert_allclose(about, rate.angular, atol=1e-3)
+
+
+def test_no_torque_acts_on_a_joint_without_drive(plans):
+    _, plan = plans["symbitron"]
+    space = plan.joints
+    stance, robot = space.stance, space.model
+    samples, poses = stance.samples(plan.course(np.linspace(0.0, 4.0, 9)))
+    links = ParameterSet(robot)
+    force = equation_of_motion(links, samples).K @ links.values
+    found = smallest_forces(stance, poses, force, space.driven)
+    assert np.all(found.torque[:, ~space.driven] == 0.0)
+    J = contact_jacobian(robot, stance.frames, link_poses(robot, samples.position))
+    # From the middle of the soles back to the frames' origins.
+    wrench = found.wrench.copy()
+    for index, foot in enumerate(stance.feet):
+        wrench[:, index, :3] += np.cross(foot.middle, wrench[:, index, 3:])
+    given = np.einsum("nij,ni->nj", J, wrench.reshape(len(wrench), -1))
+    given[:, 6:] += found.torque
+    np.testing.assert_allclose(given, force, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["solo", "symbitron"])
+def test_a_plan_keeps_all_limits_and_gains_information(plans, name):
+    _, plan = plans[name]
+    assert max(plan.contact_usage.values()) <= 1.001
+    used = {kind: shares.max() for kind, shares in plan.usage().items()}
+    assert used["position"] <= 0.951
+    assert max(used["velocity"], used["acceleration"]) <= 0.801
+    assert used["effort"] <= 0.701
+    random = replace(plan, coefficients=plan.validation)
+    assert plan.gain > random.gain + 1
+
+
+@pytest.mark.parametrize("name", ["solo", "symbitron"])
+def test_the_true_robot_stands_while_it_follows_the_plan(plans, name):
+    """The true links differ by up to 25 %; all feet remain loaded, soles flat on the ground."""
+    folder, plan = plans[name]
+    robot = plan.joints.model
+    simulator = standing_simulator(
+        robot,
+        folder,
+        truth=TruthOptions(truth_seed=3),
+        has_friction=False,
+        sensors=SENSORS,
+        base_sensors=BaseSensorOptions(),
+        seed=None,
+    )
+    instants = [simulator.step() for _ in range(simulator.steps)]
+    force = np.array([each.wrenches for each in instants])
+    weight = 9.81 * simulator.truth.phi[:, 0].sum()
+    rotation = np.array(
+        [Rotation.from_quat(each.base_orientation).as_matrix() for each in instants]
+    )
+    position = np.array([each.true_position for each in instants])
+    order = [simulator.joint_names.index(joint) for joint in robot.joint_names]
+    place = np.array([each.base_position for each in instants])
+    feet, turned = plan.joints.stance.feet_poses(place, rotation, position[:, order])
+    vertical = np.einsum("nfij,nfj->nfi", turned, force[:, :, :3])[..., 2]
+    assert vertical.min() > 0.02 * weight
+    assert vertical.sum(axis=1).mean() == pytest.approx(weight, rel=0.01)
+    assert np.abs(feet - plan.joints.stance.places[0]).max() < 0.005
+    wanted = plan.motion(np.arange(len(instants)) / SENSORS.rate)[0]
+    followed = position[:, [simulator.joint_names.index(joint) for joint in plan.joints.names]]
+    assert np.sqrt(np.mean((followed - wanted) ** 2)) < 0.05
+
+
+def test_feet_without_sensors_leave_rows_without_their_forces(solo):
+    options = ExciteOptions(feet=POINTS, contact=POINTS, no_collision=True, **SHORT)
+    problem = excitation_problem(solo, options, SENSORS)
+    expected = problem.design.expected
+    motion = random_motion(2, 6, 0.05)
+    K = expected.measured_rows(motion)
+    used = problem.parameters.model.contacts.coordinates
+    assert np.flatnonzero(np.diag(expected.precision)).tolist() == used.tolist()
+    # Forces at the feet change the generalised force, but none of these rows.
+    complete = expected.rows(motion)
+    assert len(used) < complete.shape[1]
+    measured = excitation_problem(solo, replace(options, contact=()), SENSORS)
+    shape = (problem.design.series.size, 6)
+    coefficients = 0.03 * np.random.default_rng(3).normal(size=shape)
+    assert problem.design.gain(coefficients) < measured.design.gain(coefficients)
+    assert np.all(np.isfinite(K))
+
+
+@pytest.mark.parametrize(
+    ("robot", "options", "code"),
+    [
+        ("solo", {"feet": ("FL_FOOT:sphere",)}, "E920"),
+        ("solo", {"feet": POINTS, "joints": ("FL_HAA",)}, "E920"),
+        ("solo", {"feet": POINTS[:2]}, "E921"),
+        ("solo", {"feet": POINTS, "posture": ("FL_KFE=-1",)}, "E921"),
+        ("symbitron", {"feet": SOLES, "posture": ("R_knee=1",)}, "E922"),
+        ("symbitron", {"feet": ("imu_link",)}, "E923"),
+    ],
+)
+def test_a_stance_that_is_none_is_refused(request, robot, options, code):
+    with pytest.raises((ModelError, OptionError)) as error:
+        excitation_problem(request.getfixturevalue(robot), ExciteOptions(**options), SENSORS)
+    assert error.value.code == code
+
+
+def test_a_plan_of_another_robot_is_refused(plans, symbitron, tmp_path):
+    folder, _ = plans["solo"]
+    for path, code in ((folder, "E925"), (tmp_path, "E925")):
+        with pytest.raises(SimulationError) as error:
+            standing_simulator(
+                symbitron,
+                path,
+                truth=TruthOptions(),
+                has_friction=False,
+                sensors=SENSORS,
+                base_sensors=BaseSensorOptions(),
+                seed=None,
+            )
+        assert error.value.code == code
