@@ -150,7 +150,9 @@ class TrajectoryOptimizer:
             scale = self._largest_scale(coefficients)
             if scale > 0:
                 return self._shrunk(coefficients, scale)
-        return None
+        about = self._at_rest()[0]
+        scale = self._largest_scale(coefficients, largest=1.0, about=about)
+        return self._shrunk(coefficients, scale, about) if scale > 0 else None
 
     def run(self, starts: int, iterations: int) -> FloatArray:
         """Optimise from several starts and return the best coefficients (m, D).
@@ -267,32 +269,40 @@ class TrajectoryOptimizer:
         """Store coefficients, shrunk into the limits if needed, if they are the best so far."""
         if not np.all(np.isfinite(coefficients)) or self.design.gain(coefficients) < self.best_gain:
             return
-        scale = self._largest_scale(coefficients, largest=1.0)
+        scale, about = self._largest_scale(coefficients, largest=1.0), None
+        if scale <= 0:  # a standing robot may be unable to rest in the middle of its motion
+            about = self._at_rest()[0]
+            scale = self._largest_scale(coefficients, largest=1.0, about=about)
         if scale <= 0:
             return
-        feasible = self._shrunk(coefficients, scale)
+        feasible = self._shrunk(coefficients, scale, about)
         gain = self.design.gain(feasible)
         if gain > self.best_gain:
             self.best, self.best_gain = feasible, gain
 
-    def _largest_scale(self, coefficients: FloatArray, largest: float = 8.0) -> float:
-        """Return the largest factor on the waves within all limits, 0 if the centre is not."""
+    def _largest_scale(
+        self, coefficients: FloatArray, largest: float = 8.0, about: FloatArray | None = None
+    ) -> float:
+        """Return the largest factor of `_shrunk` within all limits, 0 if rest is not."""
         time = self.design.instants(4 * self.design.samples)
         if largest == 1.0 and self.design.excess(coefficients, time) <= 1.0:
             return 1.0
-        if self.design.excess(self._shrunk(coefficients, 0.0), time[:1]) > 1.0:
+        if self.design.excess(self._shrunk(coefficients, 0.0, about), time[:1]) > 1.0:
             return 0.0
         low, high = 0.0, largest
         for _ in range(12):
             middle = (low + high) / 2
-            fits = self.design.excess(self._shrunk(coefficients, middle), time) <= 1.0
+            fits = self.design.excess(self._shrunk(coefficients, middle, about), time) <= 1.0
             low, high = (middle, high) if fits else (low, middle)
         return low
 
     @staticmethod
-    def _shrunk(coefficients: FloatArray, scale: float) -> FloatArray:
+    def _shrunk(
+        coefficients: FloatArray, scale: float, about: FloatArray | None = None
+    ) -> FloatArray:
+        """Return the motion with smaller waves, about its own middle or coordinates (D,)."""
         scaled = scale * coefficients
-        scaled[0] = coefficients[0]
+        scaled[0] = coefficients[0] if about is None else about + scale * (coefficients[0] - about)
         return scaled
 
     def _draw(self) -> FloatArray:

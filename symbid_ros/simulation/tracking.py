@@ -94,7 +94,10 @@ def without_drive_terms(robot: RobotModel) -> RobotModel:
 def with_drive_terms(
     robot: RobotModel, effort: FloatArray, random: np.random.Generator
 ) -> RobotModel:
-    """Return the robot with random friction and armature in proportion to efforts (J,), Nm."""
+    """Return the robot whose drives have random friction and armature.
+
+    They are in proportion to efforts (J,), Nm. Joints without a drive remain as they are.
+    """
     joints = tuple(
         replace(
             joint,
@@ -102,7 +105,7 @@ def with_drive_terms(
             friction_loss=COULOMB * size * random.uniform(1 - SPREAD, 1 + SPREAD),
             armature=ARMATURE * size * random.uniform(1 - SPREAD, 1 + SPREAD),
         )
-        if joint.mimic is None
+        if joint.mimic is None and joint.effort > 0
         else joint
         for joint, size in zip(robot.joints, effort.tolist(), strict=True)
     )

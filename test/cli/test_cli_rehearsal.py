@@ -21,8 +21,10 @@ SHORT = ("--starts", "1", "--iterations", "12", "--seconds", "20")
 def shown_commands(model: str) -> list[list[str]]:
     """Return the words of the commands for a model file, and of those on their results."""
     lines = re.findall(r"^(?:\$ )?symbid (.+)$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
-    is_hung = model.startswith("anymal")
-    return [shlex.split(line) for line in lines if ("anymal" in line) == is_hung]
+    stem = model.removesuffix(".urdf")
+    others = {"anymal", "solo12", "symbitron"} - {stem}
+    named = [line for line in lines if not any(other in line for other in others)]
+    return [shlex.split(line) for line in named if stem == "my_arm" or stem in line]
 
 
 def write_model(name: str, folder: Path) -> None:

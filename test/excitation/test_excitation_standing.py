@@ -47,14 +47,18 @@ def symbitron():
 
 @pytest.fixture(scope="module")
 def plans(solo, symbitron, tmp_path_factory):
-    """Folders and plans of both robots, found by a few steps of the search."""
+    """Folders and plans: a few steps of the search for one robot, random motion of the other."""
     found = {}
     for name, robot, feet in (("solo", solo, POINTS), ("symbitron", symbitron, SOLES)):
         options = ExciteOptions(feet=feet, no_collision=True, **SHORT)
         problem = excitation_problem(robot, options, SENSORS)
         optimizer = TrajectoryOptimizer(problem.design, seed=0)
-        optimizer.run(starts=1, iterations=12)
-        plan = ExcitationPlan(problem, optimizer.best, optimizer.random)
+        random = optimizer.draw()
+        best = random
+        if name == "solo":
+            optimizer._climb(random, number=1, starts=1, iterations=10)
+            best = optimizer.best
+        plan = ExcitationPlan(problem, best, random)
         folder = tmp_path_factory.mktemp("standing") / name
         write_plan(plan, folder)
         found[name] = folder, plan
@@ -146,9 +150,8 @@ def test_no_torque_acts_on_a_joint_without_drive(plans):
     np.testing.assert_allclose(given, force, atol=1e-8)
 
 
-@pytest.mark.parametrize("name", ["solo", "symbitron"])
-def test_a_plan_keeps_all_limits_and_gains_information(plans, name):
-    _, plan = plans[name]
+def test_a_plan_keeps_all_limits_and_gains_information(plans):
+    _, plan = plans["solo"]
     assert max(plan.contact_usage.values()) <= 1.001
     used = {kind: shares.max() for kind, shares in plan.usage().items()}
     assert used["position"] <= 0.951
