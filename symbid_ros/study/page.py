@@ -189,7 +189,7 @@ def study_sections(results: StudyResults) -> tuple[Section, ...]:
     # Figures come first, on screens as on paper.
     sections: list[Section] = []
     if not plan.thesis:
-        sections += _comparison_sections(results)
+        sections.append(_comparison_section(results))
     if plan.figures is not None:
         sections += _prediction_sections(results, plan.figures)
     if plan.closed_loop is not None:
@@ -250,20 +250,24 @@ def _realistic_conclusion(results: StudyResults, figures: FigurePlan) -> Conclus
     return realistic_conclusion(ideal, realistic)
 
 
-def _comparison_sections(results: StudyResults) -> Iterator[Section]:
+def _comparison_section(results: StudyResults) -> Section:
     """Compare the data sets of a study without counterpart in the thesis."""
     plan, scores, data = results.plan, results.scores, [*results.plan.data]
     cutoff = plan.filters[0] if len(plan.filters) == 1 else None
-    for index, prior in enumerate(map(str, plan.priors)):
-        figure = comparison_figure(
-            scores, data, prior, plan.compared, cutoff, shown=plan.shown_metrics
-        )
-        yield Section(
-            f"comparison-{index}",
-            f"Priors {prior}",
-            sentences=data_sentences(scores, data, prior, plan.methods),
-            figures=(figure,),
-        )
+    is_single = len(plan.priors) == 1
+    sentences: list[str] = []
+    for prior in map(str, plan.priors):
+        label = "" if is_single else f"Priors {prior}. "
+        sentences += (f"{label}{one}" for one in data_sentences(scores, data, prior, plan.methods))
+    return Section(
+        "comparison",
+        f"Priors {plan.priors[0]}" if is_single else "Comparison",
+        sentences=tuple(sentences),
+        figures=tuple(
+            comparison_figure(scores, data, prior, plan.compared, cutoff, shown=plan.shown_metrics)
+            for prior in map(str, plan.priors)
+        ),
+    )
 
 
 def _filter_section(results: StudyResults) -> Section:
