@@ -63,6 +63,7 @@ NOT_RUN = {
     r"symbid .*(plan|rehears|other_anymal)": "takes minutes; test_cli_rehearsal.py runs it",
     r"symbid identify .*--information": "test_cli_identify.py continues a run like this",
     r"symbid (identify|validate) .*--robot": "test_cli_robot_file.py runs them with such a file",
+    r"symbid .*--dask": "needs a cluster; test/cluster runs the commands on a local one",
     r"symbid study\b": "runs for hours; test_study_small.py runs a small one",
     r"symbid live\b": "identifies a running robot until Ctrl-C; test_cli_live.py runs it",
     r"symbid udp-client\b": "needs a simulated robot; test_cli_udp_client.py runs it",
