@@ -150,11 +150,9 @@ def packed_rows(parameters: ParameterSet, samples: Samples) -> tuple[FloatArray,
 
 
 def averaged_rows(
-    parameters: ParameterSet, samples: Samples, weights: csr_array
-) -> tuple[FloatArray, FloatArray]:
-    """Return weighted sums (W, w) of packed inertial columns, and y (N, n) of all samples.
-
-    The rows of single samples are not stored.
+    parameters: ParameterSet, samples: Samples, weights: csr_array, phi: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return weighted sums of packed rows, without storing the rows of single samples.
 
     Parameters
     ----------
@@ -162,15 +160,30 @@ def averaged_rows(
     samples : Samples
     weights : (W, N) csr_array
         Weights of the samples in each window; a window's samples are consecutive.
+    phi : (V, inertial) float64
+        Inertial parameters of which the generalised force is wanted.
+
+    Returns
+    -------
+    sums : (W, w) float64
+        Of the packed inertial columns.
+    y : (N, n) float64
+        Generalised force of efforts and wrenches.
+    forces : (V, N, n) float64
+        K φ of each of the parameters.
     """
-    sums = np.zeros((weights.shape[0], len(PackedLayout.of(parameters))))
+    layout = PackedLayout.of(parameters)
+    sums = np.zeros((weights.shape[0], len(layout)))
+    forces = np.empty((len(phi), len(samples), parameters.model.dof))
     if _kernel() is None:
         y = np.empty((len(samples), parameters.model.dof))
         for part in cache_blocks(len(samples), len(parameters.model.links)):
-            rows, y[part] = packed_rows(parameters, samples[part])
-            sums += weights[:, part] @ rows
-        return sums, y
-    return sums, _evaluate(parameters, samples, sums=(weights, sums))
+            K, y[part] = dense_rows(parameters, samples[part])
+            sums += weights[:, part] @ K[:, layout.row, layout.column]
+            forces[:, part] = np.moveaxis(K[:, :, : parameters.inertial] @ phi.T, 2, 0)
+        return sums, y, forces
+    y = _evaluate(parameters, samples, sums=(weights, sums), forces=(phi, forces))
+    return sums, y, forces
 
 
 def compile_kernel() -> None:
@@ -219,8 +232,9 @@ def _evaluate(
     *,
     rows: tuple[IntArray, FloatArray] | None = None,
     sums: tuple[csr_array, FloatArray] | None = None,
+    forces: tuple[FloatArray, FloatArray] | None = None,
 ) -> FloatArray:
-    """Let the kernel write rows or sums over windows, and return y (N, n)."""
+    """Let the kernel write rows, sums over windows or forces, and return y (N, n)."""
     kernel = _kernel()
     assert kernel is not None
     model, count = parameters.model, len(samples)
@@ -252,9 +266,14 @@ def _evaluate(
         first = np.append(weights.indices, 0)[weights.indptr[:-1]]
         starts = weights.indptr.astype(np.int64)
         windows = kernel.Windows(first.astype(np.int64), starts, _plain(weights.data))
+    phi, products = np.empty((0, 0)), np.empty((0, 0, 0))
+    if forces is not None:
+        phi, products = forces[0][:, layout.column], forces[1]
     y = np.empty((count, model.dof))
     tree = kernel.Tree(*layout.joints)
-    kernel.evaluate(tree, motion, loads, *rows, windows, totals, y)
+    kernel.evaluate(
+        tree, motion, loads, *rows, windows, totals, layout.row, _plain(phi), products, y
+    )
     model.fold_followers(y)
     return y
 

@@ -463,15 +463,36 @@ def _add_windows(tile, first, count, windows, weights, means):
             means[window, k] += _weighted_sum(weights, tile[k * LANES : (k + 1) * LANES])
 
 
-def _evaluate(tree, motion, loads, index, rows, windows, means, y):
-    """Write rows (N, c) or the means (W, w) of their packed columns, and y (N, n).
+@_compiled
+def _add_forces(tile, first, count, row, phi, totals, forces):
+    """Write the products (V, N, n) of a tile's rows with parameters (V, w) of the packed columns.
+
+    ``row`` (w,) are the coordinates of the packed columns.
+    """
+    dof = forces.shape[2]
+    for v in range(len(phi)):
+        totals[:] = 0.0
+        for k in range(len(row)):
+            value = phi[v, k]
+            if value != 0.0:
+                total = totals[row[k] * LANES : (row[k] + 1) * LANES]
+                column = tile[k * LANES : (k + 1) * LANES]
+                for s in range(LANES):
+                    total[s] += value * column[s]
+        for s in range(count):
+            for i in range(dof):
+                forces[v, first + s, i] = totals[i * LANES + s]
+
+
+def _evaluate(tree, motion, loads, index, rows, windows, means, row, phi, forces, y):
+    """Write rows (N, c) or the means (W, w) of their packed columns, forces and y (N, n).
 
     Without columns c or windows W the respective result is omitted. ``index`` (w,) are the columns
-    of the packed ones in ``rows``.
+    of the packed ones in ``rows``. Forces (V, N, n) are the products with parameters (V, w).
     """
     states = np.empty((len(tree.parent) + 1, STATE))
     lanes, weights, wrench = np.empty(3 * LANES), np.empty(LANES), np.empty(WRENCH)
-    tile = np.empty(len(index) * LANES)
+    tile, totals = np.empty(len(index) * LANES), np.empty(y.shape[1] * LANES)
     means[:] = 0.0
     for first in range(0, len(y), LANES):
         count = min(LANES, len(y) - first)
@@ -481,6 +502,8 @@ def _evaluate(tree, motion, loads, index, rows, windows, means, y):
             _scatter(tile, first, count, index, rows)
         if len(means) > 0:
             _add_windows(tile, first, count, windows, weights, means)
+        if len(phi) > 0:
+            _add_forces(tile, first, count, row, phi, totals, forces)
 
 
 def _cached() -> Any:

@@ -137,7 +137,7 @@ def _by_kind(values: tuple[float, float], joints: Sequence[Joint]) -> FloatArray
 
 
 def load_column(
-    parameters: ParameterSet, samples: Samples, K: FloatArray, y: FloatArray
+    parameters: ParameterSet, samples: Samples, needed: FloatArray, y: FloatArray
 ) -> FloatArray:
     """Return sign(q̇) |τ| (N, J), Coulomb friction in proportion to the load of the gear.
 
@@ -150,8 +150,8 @@ def load_column(
     ----------
     parameters : ParameterSet
     samples : Samples
-    K : (N, n, p) float64
-        Regressor; the columns of links are used.
+    needed : (N, n) float64
+        Generalised force of the reference inertias.
     y : (N, n) float64
         Generalised force, from which that of the efforts is subtracted.
     """
@@ -159,8 +159,7 @@ def load_column(
     own = np.zeros_like(y)
     own[:, first:] = samples.effort
     parameters.model.fold_followers(own)
-    needed = K[:, first:, : parameters.inertial] @ parameters.load_reference
-    load: FloatArray = np.abs(np.nan_to_num(needed - (y - own)[:, first:]))
+    load: FloatArray = np.abs(np.nan_to_num((needed - (y - own))[:, first:]))
     return load * sliding_column(samples)
 
 
@@ -195,12 +194,13 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
             K[:, coordinates, places] = factor
     model.fold_followers(K)
     for payload in parameters.payloads:
-        carried = (samples.stamp >= payload.start) & (samples.stamp < payload.stop)
         column = 10 * int(np.searchsorted(parameters.links, payload.link))
+        carried = payload.is_carried(samples.stamp)
         y -= carried[:, None] * (K[:, :, column : column + 10] @ payload.phi)
     if "load" in parameters.terms and model.contacts is None:  # else the load is unknown
         columns = parameters.term_columns["load"]
-        factor = load_column(parameters, samples, K, y)[:, parameters.joints]
+        needed = K[:, :, : parameters.inertial] @ parameters.load_reference
+        factor = load_column(parameters, samples, needed, y)[:, parameters.joints]
         K[:, first_joint + parameters.joints, range(columns.start, columns.stop)] = factor
     if parameters.known_terms:
         y -= known_force(parameters, samples)
@@ -212,14 +212,11 @@ def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
 
 
 def has_linear_rows(parameters: ParameterSet) -> bool:
-    """Return whether averages of K and y follow from averages of their columns.
+    """Return whether the rows are linear in K and y with constant factors.
 
-    Payloads come and go, and the columns of loads and rows without unmeasured contacts are
-    products of factors that vary in time.
+    Rows without unmeasured contacts are not: their combinations vary with the posture.
     """
-    return (
-        not parameters.payloads and "load" not in parameters.terms and not parameters.model.contacts
-    )
+    return parameters.model.contacts is None
 
 
 def averaged_equation_of_motion(
@@ -245,11 +242,26 @@ def averaged_equation_of_motion(
     """
     model = parameters.model
     layout = PackedLayout.of(parameters)
+    phi = np.zeros((1 + len(parameters.payloads), parameters.inertial))
+    phi[0] = parameters.load_reference
+    for place, payload in enumerate(parameters.payloads, start=1):
+        phi[place].reshape(-1, 10)[np.searchsorted(parameters.links, payload.link)] = payload.phi
+    if "load" not in parameters.terms and not parameters.payloads:
+        phi = phi[:0]
     K = np.zeros((weights.shape[0], model.dof, len(parameters)))
-    K[:, layout.row, layout.column], y = averaged_rows(parameters, samples, weights)
+    packed, y, forces = averaged_rows(parameters, samples, weights, phi)
+    K[:, layout.row, layout.column] = packed
     for coordinates, places, factor in _term_entries(parameters, samples):
         K[:, coordinates, places] = weights @ factor
-    model.fold_followers(K)
+    for force in (K, *forces):
+        model.fold_followers(force)
+    for payload, force in zip(parameters.payloads, forces[1:], strict=True):
+        y -= payload.is_carried(samples.stamp)[:, None] * force
+    if "load" in parameters.terms:
+        columns = parameters.term_columns["load"]
+        factor = load_column(parameters, samples, forces[0], y)[:, parameters.joints]
+        coordinates = 6 * model.floating + parameters.joints
+        K[:, coordinates, range(columns.start, columns.stop)] = weights @ factor
     if parameters.known_terms:
         y -= known_force(parameters, samples)
     return K, y

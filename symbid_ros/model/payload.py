@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray
+from symbid_ros.arrays import BoolArray, FloatArray, IntArray
 from symbid_ros.errors import ModelError
 from symbid_ros.model.inertia import phi_from_com
 from symbid_ros.model.tree import RobotModel
@@ -31,6 +31,11 @@ class Payload:
     phi: FloatArray
     start: int = FIRST
     stop: int = LAST
+
+    def is_carried(self, stamp: IntArray) -> BoolArray:
+        """Return whether the robot carries it at stamps (N,)."""
+        carried: BoolArray = (stamp >= self.start) & (stamp < self.stop)
+        return carried
 
     @classmethod
     def parse(cls, text: str, model: RobotModel) -> "Payload":

@@ -68,7 +68,8 @@ def test_the_kernel_equals_numpy_on_random_trees(problem):
             patch.setenv(KERNEL, choice)
             rows = equation_of_motion(parameters, samples)
             packed = packed_rows(parameters, samples)
-            averaged = averaged_rows(parameters, samples, weights)
+            phi = np.random.default_rng(0).normal(size=(2, parameters.inertial))
+            averaged = averaged_rows(parameters, samples, weights, phi)
             results.append((rows.K, rows.y, *packed, *averaged))
     assert_equal(results[1], results[0])
     # Nothing but structural zeros is left out.

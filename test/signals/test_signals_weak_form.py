@@ -12,6 +12,7 @@ from random_robots import random_robot, with_drives
 
 from symbid_ros.dynamics.regressor import COULOMB_SPEED, Rows
 from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.model.payload import Payload
 from symbid_ros.signals.filters import LowPass
 from symbid_ros.signals.sensor_samples import smoothed
 from symbid_ros.signals.weak_form import (
@@ -318,11 +319,15 @@ def test_the_low_pass_before_differentiation_follows_the_rate(rate, cutoff, edge
     assert (low_pass.cutoff, discarded) == (pytest.approx(cutoff), edge)
 
 
-@pytest.mark.parametrize("terms", [(), ("viscous", "coulomb", "armature", "offset", "stribeck")])
+@pytest.mark.parametrize("terms", [(), ("viscous", "coulomb", "load", "armature", "offset")])
 @pytest.mark.parametrize("full_rate", [True, False])
 def test_averages_without_single_rows_equal_those_of_single_rows(terms, full_rate):
     parameters = ParameterSet(random_robot(5, links=6), terms)
     exact = analytic_segment(parameters, 4.0, 6, rate=500.0)
+    if "load" in terms:
+        stop = int(exact.stamp[900])
+        payload = Payload(3, np.array([2.0, 0.2, 0.0, 0.1, 0.1, 0, 0, 0.1, 0, 0.1]), stop=stop)
+        parameters = replace(parameters, payloads=(payload,))
     segment = noisy(exact, np.random.default_rng(3), **NOISE)
     segment.effort[700:720, 1] = np.nan
     build = equation_rows(parameters)
