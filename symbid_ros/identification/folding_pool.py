@@ -1,10 +1,11 @@
 """Rows of blocks built and folded by several threads, with the same result as by one."""
 
+import ctypes
 import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from functools import partial
+from functools import cache, partial
 from types import TracebackType
 from typing import ParamSpec, Self
 
@@ -16,6 +17,7 @@ Rows = tuple[WindowedRows, ...]
 
 # Blocks whose rows are folded at once: each fold copies the factors.
 BATCH = 2
+RELEASE_PERIOD = 4  # blocks after which freed memory is released
 
 
 def available_cores() -> int:
@@ -48,6 +50,7 @@ class FoldingPool:
         self._waiting: deque[tuple[Sequence[float], Future[Rows]]] = deque()
         self._batch: dict[float, list[WindowedRows]] = {window: [] for window in observations}
         self._folding: dict[float, Future[Observations]] = {}
+        self._added = 0
 
     def __enter__(self) -> Self:
         return self
@@ -91,7 +94,9 @@ class FoldingPool:
             self._take_oldest()
         for window in self._batch:
             self._fold(window)
-        return tuple(map(self._current, self._observations))
+        found = tuple(map(self._current, self._observations))
+        _release_free_memory()
+        return found
 
     def _take_oldest(self) -> None:
         windows, rows = self._waiting.popleft()
@@ -102,6 +107,9 @@ class FoldingPool:
             self._batch[window].append(part)
             if len(self._batch[window]) >= BATCH:
                 self._fold(window)
+        self._added += 1
+        if self._added % RELEASE_PERIOD == 0:
+            _release_free_memory()
 
     def _fold(self, window: float) -> None:
         """Fold the batch of one window length, after those before it."""
@@ -118,3 +126,23 @@ class FoldingPool:
         if folding is not None:
             self._observations[window] = folding.result()
         return self._observations[window]
+
+
+def _release_free_memory() -> None:
+    """Return freed memory to the operating system, where the C library can.
+
+    glibc keeps what each thread has freed, so that threads that use large arrays in turn occupy
+    several times what they need.
+    """
+    trim = _malloc_trim()
+    if trim is not None:
+        trim(0)
+
+
+@cache
+def _malloc_trim() -> Callable[[int], int] | None:
+    try:
+        trim: Callable[[int], int] = ctypes.CDLL(None).malloc_trim
+    except (AttributeError, OSError, TypeError):  # musl, macOS and Windows lack it
+        return None
+    return trim
