@@ -64,6 +64,7 @@ NOT_RUN = {
     r"symbid identify .*--information": "test_cli_identify.py continues a run like this",
     r"symbid (identify|validate) .*--robot": "test_cli_robot_file.py runs them with such a file",
     r"symbid .*--dask": "needs a cluster; test/cluster runs the commands on a local one",
+    r"symbid fleet\b": "needs several robots; test_identification_fleet.py compares some",
     r"symbid study\b": "runs for hours; test_study_small.py runs a small one",
     r"symbid live\b": "identifies a running robot until Ctrl-C; test_cli_live.py runs it",
     r"symbid udp-client\b": "needs a simulated robot; test_cli_udp_client.py runs it",
