@@ -57,6 +57,8 @@ LONGEST = (
     "test_cli_demo.py",
     "test_ros_player.py",
     "test_simulation_scenario.py",
+    "test_cluster_identify.py",
+    "test_cluster_study.py",
     "test_ros_udp.py",
     "test_identification_change_monitor.py",
     "test_identification_validation.py",

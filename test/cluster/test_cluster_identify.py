@@ -28,6 +28,8 @@ from symbid_ros.model.load import load_model
 from symbid_ros.offline.bags import BagRequest
 from symbid_ros.progress import reported_to
 
+pytest.importorskip("distributed", reason="clusters are not tested: Dask is not installed")
+
 BAGS = 12
 # Bags of one minute each, of which a few seconds are recorded.
 SPACING = 61_000_000_000

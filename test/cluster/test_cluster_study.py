@@ -2,7 +2,10 @@
 
 import shutil
 
+import pytest
 from small_study import symbid
+
+pytest.importorskip("distributed", reason="clusters are not tested: Dask is not installed")
 
 PLAN = """\
 title: A study of one log
