@@ -187,7 +187,7 @@ def rehearse(plan: ExcitationPlan, draws: int) -> None:
         error = estimate.value[rows] - [exact[names[i]] for i in some]
         ratios.append(error / plan.std[some])
         kept = estimate.determined[rows] & (estimate.std[rows] > 0)
-        own.append((error / estimate.std[rows])[kept])
+        own.append(error[kept] / estimate.std[rows][kept])
         print(
             f"| {seed} | {rms(ratios[-1]):.2f} | {rms(own[-1]):.2f} | "
             f"{'; '.join(alarm[:50] for alarm in found.alarms) or 'none'} |",

@@ -56,7 +56,7 @@ def plans(solo, symbitron, tmp_path_factory):
         random = optimizer.draw()
         best = random
         if name == "solo":
-            optimizer._climb(random, number=1, starts=1, iterations=10)
+            optimizer._climb(random, number=1, starts=1, iterations=6)
             best = optimizer.best
         plan = ExcitationPlan(problem, best, random)
         folder = tmp_path_factory.mktemp("standing") / name
