@@ -51,6 +51,7 @@ def main() -> None:
     options.add_argument("parts", nargs="*", default=["random", "rehearsals"])
     options.add_argument("--robot", default="ur5")
     options.add_argument("--draws", type=int, default=20)
+    options.add_argument("--default-prior", action="store_true", help="in rehearsals")
     options.add_argument("--truths", type=int, help="of rehearsals; default: as many as draws")
     options.add_argument("--starts", type=int, default=2)
     options.add_argument("--speed-share", type=float, default=0.8)
@@ -90,7 +91,7 @@ def main() -> None:
         if "random" in given.parts:
             compare(plan, given.draws)
         if "rehearsals" in given.parts:
-            rehearse(plan, given.truths or given.draws)
+            rehearse(plan, given.truths or given.draws, has_prior=not given.default_prior)
 
 
 def compare(plan: ExcitationPlan, draws: int) -> None:
@@ -145,7 +146,7 @@ def known_deviations(problem: ExcitationProblem, coefficients: FloatArray) -> Fl
     return np.asarray(np.linalg.norm(problem.expected_factor(coefficients), axis=1))
 
 
-def rehearse(plan: ExcitationPlan, draws: int) -> None:
+def rehearse(plan: ExcitationPlan, draws: int, *, has_prior: bool = True) -> None:
     """Print the pooled ratio of errors to the deviations that were expected."""
     problem = plan.problem
     robot = plan.joints.model
@@ -178,7 +179,7 @@ def rehearse(plan: ExcitationPlan, draws: int) -> None:
         else:
             truth = draw_truth(robot, percent=25, seed=seed, has_friction=True)
             log = simulated_log(truth, robot, trajectory, problem.sensors, seed)
-        found = sy.identify(robot, log, prior=prior, no_holdout=True)
+        found = sy.identify(robot, log, prior=prior if has_prior else None, no_holdout=True)
         exact = true_values(truth)
         estimate = found.estimate
         place = {name: index for index, name in enumerate(estimate.names)}
