@@ -17,6 +17,7 @@ SensorErrorKind = Literal[
     "imu_mounting",
     "imu_bias",
     "encoder_offset",
+    "compliance",
 ]
 
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -26,6 +27,8 @@ FILTERS: tuple[Filter, ...] = get_args(Filter)
 CHANNELS: tuple[Channels, ...] = get_args(Channels)
 TERMS: tuple[Term, ...] = get_args(Term)
 SENSOR_ERROR_KINDS: tuple[SensorErrorKind, ...] = get_args(SensorErrorKind)
+# Those that calibration usually leaves. Elastic joints are a property of the robot.
+TYPICAL_ERRORS = tuple(kind for kind in SENSOR_ERROR_KINDS if kind != "compliance")
 
 
 class JointTerm(NamedTuple):

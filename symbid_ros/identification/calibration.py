@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
+from symbid_ros.dynamics.samples import Samples
 from symbid_ros.errors import DataError
 from symbid_ros.estimation.information import RowLayout
 from symbid_ros.estimation.observations import Observations
@@ -17,6 +18,7 @@ from symbid_ros.identification.drive_gains import SPREAD, InitialFactors
 from symbid_ros.identification.problem import Problem
 from symbid_ros.signals.log import Log
 from symbid_ros.signals.sensor_errors import (
+    COMPLIANCE,
     DRIVE_GAIN,
     CalibratingRows,
     LinearizationPoint,
@@ -43,6 +45,9 @@ ASSUMED = (
     "`payload`, leave a calibrated joint out of `drive_gain`, or give the `total_mass` of a "
     "floating robot"
 )
+# Deflection of an elastic joint under its root mean square effort, rad or m: a prior deviation. An
+# effort below this share of the largest counts as that.
+DEFLECTION, LEAST_EFFORT = 2e-3, 0.02
 # Deviation of a fixed gain, as a share of its prior deviation.
 FIXED = 1e-6
 # The linearisation point need not be exact.
@@ -179,6 +184,8 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
                 found_by_checks = request.mountings[frame]
                 mean[part] = found_by_checks.rotation
                 std[part] = np.maximum(std[part], found_by_checks.std)
+    if COMPLIANCE in errors.kinds:
+        std[errors.places[COMPLIANCE]] = compliance_std(dataset.samples)
     prior = problem.prior.extended(errors.names, mean, std)
     layout = RowLayout.of(parameters).extended(errors.names, errors.structure(parameters.model))
     p = len(parameters)
@@ -207,7 +214,12 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
             count=parameters.inertial,
             tolerance=POINT_CONVERGED,
         )
-        point = LinearizationPoint(found.mean[:p], found.mean[p:])
+        theta = found.mean[p:].copy()
+        if COMPLIANCE in errors.kinds:
+            # About rigid joints, because rates of a noisy deflection would enter the motion. The
+            # squares of deflections are negligible.
+            theta[errors.places[COMPLIANCE]] = 0.0
+        point = LinearizationPoint(found.mean[:p], theta)
     build = CalibratingRows(parameters, errors, point)
     return replace(
         problem,
@@ -219,6 +231,13 @@ def calibrate(problem: Problem, dataset: Dataset, request: SensorErrorRequest) -
         calibrated_rows=build,
         remarks=remarks,
     )
+
+
+def compliance_std(samples: Samples) -> FloatArray:
+    """Return the prior deviations (J,) of compliances, rad/Nm, by the sizes of the efforts."""
+    size = np.sqrt(np.mean(np.nan_to_num(samples.effort) ** 2, axis=0))
+    std: FloatArray = DEFLECTION / np.maximum(size, max(LEAST_EFFORT * size.max(), 1e-9))
+    return std
 
 
 def _scale_row(

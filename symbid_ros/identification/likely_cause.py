@@ -12,7 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray, IntArray
-from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
+from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS, TYPICAL_ERRORS
 from symbid_ros.dynamics.regressor import Rows, coulomb_column, friction_state, stribeck_column
 from symbid_ros.errors import SymbidError
 from symbid_ros.estimation.unexplained import UnexplainedForce, force_text
@@ -22,7 +22,12 @@ from symbid_ros.identification.solver import Identification
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.segments import Segment
-from symbid_ros.signals.sensor_errors import CalibratingRows, LinearizationPoint, SensorErrors
+from symbid_ros.signals.sensor_errors import (
+    COMPLIANCE,
+    CalibratingRows,
+    LinearizationPoint,
+    SensorErrors,
+)
 from symbid_ros.signals.sensor_samples import SensorSamples
 from symbid_ros.signals.weak_form import RowBuilder, SampledRows, block_length, windowed_rows
 
@@ -53,9 +58,9 @@ EFFECTS = {
     "load": "friction in proportion to the load",
     "presliding": "friction that lags behind a reversal",
     "delay": "a delay",
-    "elasticity": "elasticity",
     "torque_gain": "gains of the efforts",
     "encoder_offset": "encoder offsets",
+    "compliance": "elasticity",
     "imu_mounting": "the mounting of the IMU",
     "imu_bias": "the bias of the IMU",
     "plate_offset": "offsets of the wrench sensors",
@@ -242,7 +247,7 @@ class CandidateRows:
         if not singles:
             return None
         best = max(singles.values(), key=lambda cause: cause.gain)
-        of_sensors = [one for one in self.candidates if one.kind in SENSOR_ERROR_KINDS]
+        of_sensors = [one for one in self.candidates if one.kind in TYPICAL_ERRORS]
         if len(of_sensors) > 1:
             together = tried(SEVERAL, *of_sensors)
             if 1 - together.gain < MOSTLY * (1 - best.gain):
@@ -427,12 +432,8 @@ class _Builder:
             here = slice(start, start + count)
             columns = np.zeros((count, n, own.shape[2]))
             columns[:, first:] = own[here]
-            more = [part.rows.K]
-            if self.errors is not None:
-                place = self.errors.places["encoder_offset"]
-                offset = part.rows.K[:, :, known + place.start : known + place.stop]
-                more.append(offset * effort[here, None])
-            yield replace(part, rows=Rows(np.concatenate([*more, columns], axis=2), part.rows.y))
+            K = np.concatenate([part.rows.K, columns], axis=2)
+            yield replace(part, rows=Rows(K, part.rows.y))
             start += count
 
     def _own_columns(self, readings: SensorSamples, effort: FloatArray) -> FloatArray:
@@ -474,10 +475,8 @@ class _Builder:
             for kind, place in self.errors.places.items():
                 owners = tuple(name.rpartition("/")[0] for name in self.errors.names[place])
                 columns = K[:, :, known + place.start : known + place.stop]
-                found.append(Candidate(kind, owners, columns, self.errors.std[place]))
-            start = known + len(self.errors)
-            columns = K[:, :, start : start + len(joints)]
-            found.append(Candidate("elasticity", joints, columns))
+                std = None if kind == COMPLIANCE else self.errors.std[place]
+                found.append(Candidate(kind, owners, columns, std))
         return [one for one in found if np.any(one.columns)]
 
 

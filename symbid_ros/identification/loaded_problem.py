@@ -25,6 +25,7 @@ from symbid_ros.identification.calibration import (
     with_fixed_gains,
     without_terms,
 )
+from symbid_ros.identification.compliance import shows_compliance
 from symbid_ros.identification.contacts import with_contact_options
 from symbid_ros.identification.couplings import find_couplings
 from symbid_ros.identification.dataset import (
@@ -71,7 +72,7 @@ from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.payload import Payload, with_payloads
 from symbid_ros.model.tree import RobotModel
 from symbid_ros.signals.log import Log
-from symbid_ros.signals.sensor_errors import DRIVE_GAIN
+from symbid_ros.signals.sensor_errors import COMPLIANCE, DRIVE_GAIN
 
 # Reads and checks a log on other machines, for the parameters and their prior.
 LogReader = Callable[[IdentifyOptions, ParameterSet, Prior], tuple[Dataset, LogChecks]]
@@ -250,6 +251,11 @@ def load_problem(
         solver = _build_solver(
             options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
         )
+    if options.finds_compliance and shows_compliance(solver, dataset):
+        options = replace(options, sensor_errors=(COMPLIANCE,))
+        solver = _build_solver(
+            options, inputs, parameters, prior, dataset=dataset, tares=tares, checks=checks
+        )
     return LoadedProblem(
         options, inputs, parameters, prior, dataset, solver, validation, tares, checks, digests
     )
@@ -295,7 +301,7 @@ def load_information(
     if any(len(one.layout.parameters) > len(parameters) for one in observations):
         raise EstimateError(
             "information: includes sensor errors, which belong to one log; identify that log "
-            "without `sensor_errors` and `tare`",
+            "without `tare` and with `sensor_errors` none",
             "E505",
         )
     for name in (

@@ -10,6 +10,7 @@ from symbid_ros.choices import (
     GAUSSIAN,
     SENSOR_ERROR_KINDS,
     TERMS,
+    TYPICAL_ERRORS,
     Channels,
     Criterion,
     Filter,
@@ -180,9 +181,10 @@ class IdentifyOptions(ContactOptions):
     )
     sensor_errors: tuple[str, ...] = option(
         (),
-        f"Sensor errors to identify: typical (all of these), or a comma-separated list of "
-        f"{', '.join(SENSOR_ERROR_KINDS)}.",
+        f"Sensor errors to identify: typical (those that calibration leaves), none, or a "
+        f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)} (joints that bend).",
         group=JOINTS,
+        unset="compliance if a log of an arm shows it, otherwise none",
     )
     filter: Filter | None = option(
         None,
@@ -433,6 +435,11 @@ class IdentifyOptions(ContactOptions):
         return not self.ripples and self._searches
 
     @property
+    def finds_compliance(self) -> bool:
+        """Whether elasticity of joints is searched for in the log."""
+        return not self._named_sensor_errors and self._searches
+
+    @property
     def _searches(self) -> bool:
         """Whether terms other than candidates are searched for in the log."""
         added = self.sensor_error_kinds, self.information, self.drive_gain, self.contacts
@@ -457,20 +464,22 @@ class IdentifyOptions(ContactOptions):
         named = set(self._named_sensor_errors)
         if not named and self.tare:
             named = {"typical"}
-        return tuple(kind for kind in SENSOR_ERROR_KINDS if named & {kind, "typical"})
+        if "typical" in named:
+            named |= set(TYPICAL_ERRORS)
+        return tuple(kind for kind in SENSOR_ERROR_KINDS if kind in named)
 
     @property
     def _named_sensor_errors(self) -> list[str]:
         return names(self.sensor_errors)
 
     def _check_sensor_errors(self) -> None:
-        known = "typical", *SENSOR_ERROR_KINDS
+        known = "typical", "none", *SENSOR_ERROR_KINDS
         if self.sensor_errors and not self._named_sensor_errors:
             raise OptionError(f"`sensor_errors` is empty; give {' or '.join(known)}", "E501")
         for name in self._named_sensor_errors:
             if name not in known:
                 raise OptionError(
-                    f"`sensor_errors`: {name!r} is not known; give typical or any of "
+                    f"`sensor_errors`: {name!r} is not known; give typical, none or any of "
                     f"{', '.join(SENSOR_ERROR_KINDS)}",
                     "E501",
                 )

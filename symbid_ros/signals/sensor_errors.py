@@ -31,6 +31,7 @@ DEVIATIONS = {
     "imu_mounting": (np.radians(0.15),) * 3,
     "imu_bias": (0.002,) * 3 + (0.02,) * 3,  # rad/s, m/s²
     "encoder_offset": (np.radians(0.11),),
+    "compliance": (1e-4,),  # rad/Nm; logs replace it by one in proportion to the efforts
     "drive_gain": (1.0,),  # relative to the first guess
 }
 UNITS = {
@@ -41,9 +42,10 @@ UNITS = {
     "imu_mounting": ("rad",) * 3,
     "imu_bias": ("rad/s",) * 3 + ("m/s^2",) * 3,
     "encoder_offset": ("rad",),
+    "compliance": ("rad/Nm",),
     "drive_gain": ("1",),
 }
-DRIVE_GAIN = "drive_gain"
+DRIVE_GAIN, COMPLIANCE = "drive_gain", "compliance"
 KINDS = SENSOR_ERROR_KINDS
 ALL_KINDS = (*KINDS, DRIVE_GAIN)
 
@@ -183,6 +185,7 @@ class SensorErrors:
         )
         wrenches[:, :, :3] += np.cross(self.of_kind("plate_pose", theta), wrenches[:, :, 3:])
         mounting, bias = self.of_kind("imu_mounting", theta), self.of_kind("imu_bias", theta)
+        readings = _behind_gears(readings, self.of_kind(COMPLIANCE, theta)[:, 0])
         corrected = replace(
             readings,
             position=readings.position - self.of_kind("encoder_offset", theta)[:, 0],
@@ -205,6 +208,28 @@ class SensorErrors:
         )
 
 
+def _behind_gears(readings: SensorSamples, compliance: FloatArray) -> SensorSamples:
+    """Return the motion behind gears that bend under the efforts, from that of the motors.
+
+    With compliance c (J,) and effort τ a link's position is q - cτ, and its rates are the
+    derivatives (Spong 1987, Modeling and control of elastic joint robots, ASME J. Dyn. Syst. Meas.
+    Control 109).
+    """
+    if not compliance.any():
+        return readings
+    deflection = compliance * np.nan_to_num(readings.effort)
+    rates, time = [deflection], 1e-9 * (readings.stamp - readings.stamp[0])
+    for _ in range(2):
+        last = rates[-1]
+        rates.append(np.gradient(last, time, axis=0) if len(time) > 1 else np.zeros_like(last))
+    return replace(
+        readings,
+        position=readings.position - rates[0],
+        velocity=readings.velocity - rates[1],
+        acceleration=readings.acceleration - rates[2],
+    )
+
+
 def _component_names(kind: str) -> tuple[str, ...]:
     if kind in _PAIRS:
         return tuple(f"{kind}_{part}{axis}" for part in _PAIRS[kind] for axis in _AXES[3])
@@ -215,7 +240,7 @@ def _component_names(kind: str) -> tuple[str, ...]:
 # interpolated.
 COLUMN_PERIOD_NS = 20_000_000
 CHUNK = 4096
-STEP = 1e-4  # of a finite difference, rad, rad/s or m/s²
+STEP = 1e-4  # of a finite difference, rad, rad/s or m/s²; of deflections at the largest effort
 
 
 @dataclass(frozen=True)
@@ -236,9 +261,13 @@ def error_columns(
     theta = linearization.theta
     model = parameters.model
 
-    def residual(at: FloatArray) -> FloatArray:
+    def residual(
+        at: FloatArray,
+        parameters: ParameterSet = parameters,
+        phi: FloatArray = linearization.phi,
+    ) -> FloatArray:
         rows = equation_of_motion(parameters, at_base(errors.corrected(readings, at), model))
-        difference: FloatArray = rows.y - rows.K @ linearization.phi
+        difference: FloatArray = rows.y - rows.K @ phi
         return difference
 
     C = np.zeros((len(readings), model.dof, len(errors)))
@@ -249,6 +278,17 @@ def error_columns(
                 shifted = theta.copy()
                 shifted[column] += STEP
                 C[:, :, column] = (residual(shifted) - unshifted) / STEP
+        elif kind == COMPLIANCE:
+            # Links move behind the gears. Friction and rotors move with the motors.
+            bare = parameters.with_known_values({})
+            phi = linearization.phi.copy()
+            phi[parameters.inertial :] = 0.0
+            rigid = residual(theta, bare, phi)
+            step = STEP / max(float(np.abs(np.nan_to_num(readings.effort)).max()), 1.0)
+            for column in range(place.start, place.stop):
+                shifted = theta.copy()
+                shifted[column] += step
+                C[:, :, column] = (residual(shifted, bare, phi) - rigid) / step
         elif kind == "torque_gain":
             rows = 6 * model.floating + np.flatnonzero(errors.driven)
             gain = errors.of_kind(kind, theta)[:, 0]

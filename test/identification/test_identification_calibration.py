@@ -10,6 +10,7 @@ from foreign_bags import imu, joint_state, wrench, write_rosbags
 from random_robots import CONFIG, random_robot
 
 from symbid_ros.bags import bag_log
+from symbid_ros.choices import TYPICAL_ERRORS
 from symbid_ros.errors import DataError, OptionError, SymbidError
 from symbid_ros.estimation.posterior import posterior
 from symbid_ros.estimation.prior import draw_prior
@@ -21,7 +22,7 @@ from symbid_ros.messages.types import IMU, JOINT_STATE, WRENCH
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.offline.bags import BagRequest
-from symbid_ros.signals.sensor_errors import DEVIATIONS, KINDS, SensorErrors
+from symbid_ros.signals.sensor_errors import DEVIATIONS, SensorErrors
 from symbid_ros.signals.weak_form import WINDOWS
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
@@ -145,7 +146,7 @@ class TestCure:
         verdict = calibrated.solve("map_lmi").estimate.verdict
         segment = next(iter(calibrated.dataset.segments))
         errors = SensorErrors.of(
-            KINDS, calibrated.parameters.model, segment.wrench_frames, segment.imu_frames
+            TYPICAL_ERRORS, calibrated.parameters.model, segment.wrench_frames, segment.imu_frames
         )
         assert tuple(quantity.name for quantity in verdict.sensors) == errors.names
         assert tuple(quantity.unit for quantity in verdict.sensors) == errors.units
@@ -195,7 +196,9 @@ def test_sensors_of_any_tree_are_calibrated(seed, floating):
     rng = np.random.default_rng(seed)
     parameters = ParameterSet(random_robot(seed, links=4, floating=floating))
     perfect = analytic_segment(parameters, 3.9, seed, start=0.05)
-    errors = SensorErrors.of(KINDS, parameters.model, perfect.wrench_frames, perfect.imu_frames)
+    errors = SensorErrors.of(
+        TYPICAL_ERRORS, parameters.model, perfect.wrench_frames, perfect.imu_frames
+    )
     theta = errors.std * rng.standard_normal(len(errors))
     levels = {"position": 1e-5, "rate": 2e-3, "acceleration": 0.02, "effort": 0.05, "wrench": 0.3}
     segment = noisy(spoilt(perfect, errors, theta), rng, **levels)
@@ -203,7 +206,7 @@ def test_sensors_of_any_tree_are_calibrated(seed, floating):
     offset = errors.of_kind("plate_offset", theta)[0]
     tare = {errors.wrench_frames[0]: Tare(offset, np.repeat([1e-3, 1e-2], 3))}
     prior = draw_prior(parameters, "percent", 25, seed)
-    found = calibrate(Problem((), parameters, prior), log, SensorErrorRequest(KINDS, tare))
+    found = calibrate(Problem((), parameters, prior), log, SensorErrorRequest(TYPICAL_ERRORS, tare))
 
     p = len(parameters)
     assert found.sensor_names == errors.names
@@ -226,7 +229,7 @@ def test_sensors_without_noise_are_calibrated():
     segment = analytic_segment(parameters, 3.9, 1, start=0.05)
     log = Dataset(source="log", segments=(segment,), samples=None, observations=())
     prior = draw_prior(parameters, "percent", 25, 1)
-    found = calibrate(Problem((), parameters, prior), log, SensorErrorRequest(KINDS, {}))
+    found = calibrate(Problem((), parameters, prior), log, SensorErrorRequest(TYPICAL_ERRORS, {}))
     after = posterior(found.observations[-1], found.prior, count=len(parameters))
     assert np.all(np.isfinite(after.mean))
     assert np.all(after.std <= found.prior.std * (1 + 1e-9))

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from symbid_ros.choices import SENSOR_ERROR_KINDS, TERMS
+from symbid_ros.choices import TERMS, TYPICAL_ERRORS
 from symbid_ros.errors import OptionError
 from symbid_ros.identification.dataset import Processing
 from symbid_ros.identification.options import IdentifyOptions
@@ -70,8 +70,9 @@ def test_values_are_converted_to_the_type_of_their_field() -> None:
 
 def test_sensor_errors_are_named_or_all() -> None:
     assert IdentifyOptions().sensor_error_kinds == ()
-    assert IdentifyOptions(tare="bag").sensor_error_kinds == SENSOR_ERROR_KINDS
-    assert IdentifyOptions(sensor_errors="typical").sensor_error_kinds == SENSOR_ERROR_KINDS
+    assert IdentifyOptions(tare="bag").sensor_error_kinds == TYPICAL_ERRORS
+    assert IdentifyOptions(sensor_errors="typical").sensor_error_kinds == TYPICAL_ERRORS
+    assert IdentifyOptions(sensor_errors="none").sensor_error_kinds == ()
     named = IdentifyOptions(sensor_errors=(" torque_gain, plate_offset,",), tare="bag")
     assert named.sensor_error_kinds == ("plate_offset", "torque_gain")
 

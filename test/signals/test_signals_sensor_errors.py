@@ -7,6 +7,7 @@ import pytest
 from analytic_log import analytic_samples, noisy, readings_of, segment_of, spoilt
 from random_robots import CONFIG, random_robot
 
+from symbid_ros.choices import TYPICAL_ERRORS
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.model.load import load_model
 from symbid_ros.model.parameters import ParameterSet
@@ -44,7 +45,7 @@ def exact_readings(parameters, count, seed, step=PERIOD_NS):
     return readings_of(model, samples, ("imu_link",) if model.floating else ())
 
 
-def all_errors(parameters, readings, kinds=KINDS):
+def all_errors(parameters, readings, kinds=TYPICAL_ERRORS):
     return SensorErrors.of(kinds, parameters.model, readings.wrench_frames, readings.imu_frames)
 
 
@@ -105,11 +106,12 @@ def test_names_units_deviations_and_places_agree(robot):
     parameters = parameters_of(robot)
     readings = exact_readings(parameters, 1, 0)
     model = parameters.model
-    errors = all_errors(parameters, readings)
+    errors = all_errors(parameters, readings, KINDS)
     assert len(errors) == len(errors.names) == len(errors.units) == len(errors.std)
     assert len(set(errors.names)) == len(errors)
     driven = [joint.name for joint in model.joints if joint.effort > 0]
-    owners = {"torque_gain": driven, "encoder_offset": list(model.joint_names)}
+    joints = list(model.joint_names)
+    owners = {"torque_gain": driven, "encoder_offset": joints, "compliance": joints}
     end = 0
     for kind in KINDS:
         place = errors.places[kind]
@@ -174,7 +176,7 @@ def perfect():
     return simulated_readings("")[1]
 
 
-@pytest.mark.parametrize("kind", ["typical", *(k for k in KINDS if k != "imu_bias")])
+@pytest.mark.parametrize("kind", ["typical", *(k for k in TYPICAL_ERRORS if k != "imu_bias")])
 def test_the_simulators_errors_are_undone_to_the_last_digit(kind, perfect):
     drawn, wrong = simulated_readings(kind)
     parameters = parameters_of("symbitron")
