@@ -3,12 +3,17 @@
 import json
 import signal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Odometry
 from quadruped_log import FEET, quadruped_urdf, record_log, standing_log
 from random_logs import LogPlan, random_streams, write_bag
 from random_robots import random_robot
+from sensor_msgs.msg import Imu, JointState
+from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from symbid_ros.dynamics.unmeasured_contacts import with_contacts
@@ -32,20 +37,33 @@ SECOND = 10**9
 POINTS = tuple(f"{foot}:point" for foot in FEET)
 
 
-def played(graph, bag: Path, out: Path, **parameters: object) -> dict:
-    """Play a bag to an identifier at full speed; return its last line and save its result."""
-    live = graph.start("identifier", out=out, lag=30.0, **QUICK, **parameters)
+def played(
+    graph, bag: Path, out: Path, topics: dict[str, type], **parameters: object
+) -> dict[str, Any]:
+    """Play a bag to an identifier at full speed, save its result, and return its last line."""
+    # They keep the topics on the graph when the player ends before the identifier has found them.
+    publishers = [graph.node.create_publisher(kind, name, 10) for name, kind in topics.items()]
+    live = graph.start(
+        "identifier", out=out, lag=30.0, settle=0.0, queue_depth=10_000, **QUICK, **parameters
+    )
     player = graph.start("player", bag=f"['{bag}']", rate=0.0, wait_for_subscribers=True)
     assert player.ended().status == 0
     client = graph.node.create_client(Trigger, "/identifier/save")
     graph.wait_until(client.service_is_ready)
-    answer = client.call_async(Trigger.Request())
-    graph.wait_until(answer.done)
+
+    def is_saved() -> bool:
+        answer = client.call_async(Trigger.Request())
+        graph.wait_until(answer.done)
+        return answer.result().success
+
+    graph.wait_until(is_saved)
+    for one in publishers:
+        graph.node.destroy_publisher(one)
     live.send(signal.SIGINT)
     ended = live.ended()
-    assert answer.result().success, ended
-    assert ended.status == 0
-    return json.loads(ended.out.splitlines()[-1])
+    assert ended.status == 0, ended.err
+    found: dict[str, Any] = json.loads(ended.out.splitlines()[-1])
+    return found
 
 
 def informations(folder: Path) -> list[np.ndarray]:
@@ -68,9 +86,11 @@ def test_contact_flags_and_the_pose_of_the_base(graph, tmp_path: Path) -> None:
         {name: one for name, one in log.items() if name in kept}, robot, tmp_path / "b"
     )
     flags = [f"/{foot}/contact:={foot}" for foot in FEET]
+    topics = {"/joint_states": JointState, "/base/pose": PoseStamped}
+    topics |= {f"/{foot}/contact": Bool for foot in FEET}
     options = {"pose_topic": "/base/pose", "pose_frame": "base", "contact": ",".join(POINTS)}
     ended = played(
-        graph, bag, tmp_path / "live", model=urdf, contact_flag=json.dumps(flags), **options
+        graph, bag, tmp_path / "live", topics, model=urdf, contact_flag=json.dumps(flags), **options
     )
     assert set(ended["received"]) == {"/joint_states", "/base/pose"}
     (found,) = load_archive(tmp_path / "live" / "information.npz")
@@ -104,8 +124,9 @@ def test_a_wheeled_base_is_left_out_while_it_drives(graph, tmp_path: Path, kind:
             linear_acceleration=force,
         )
     bag = write_bag(streams, tmp_path / "bag", [("/base/motion", kind, stamp, records)])
+    topics = {"/joint_states": JointState, "/base/motion": Odometry if kind == ODOMETRY else Imu}
     ended = played(
-        graph, bag, tmp_path / "live", model=urdf, base="fixed", drive_topic="/base/motion"
+        graph, bag, tmp_path / "live", topics, model=urdf, base="fixed", drive_topic="/base/motion"
     )
     assert set(ended["received"]) == {"/joint_states", "/base/motion"}
     robot = load_model(urdf, "fixed")
