@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 import symbid_ros as sy
 from symbid_ros.dynamics.regressor import equation_of_motion
 from symbid_ros.estimation.base_parameters import base_parameters
-from symbid_ros.estimation.prior import consistent_prior
+from symbid_ros.estimation.prior import planning_prior
 from symbid_ros.excitation.files import write_plan
 from symbid_ros.excitation.optimizer import TrajectoryOptimizer
 from symbid_ros.excitation.options import ExciteOptions
@@ -156,7 +156,7 @@ def rehearse(plan: ExcitationPlan, draws: int, *, has_prior: bool = True) -> Non
     names = problem.parameters.names
     ratios, own = [], []
     prior = Path(folder.name) / "prior.json"
-    consistent_prior(problem.parameters).write(prior)
+    planning_prior(problem.parameters).write(prior)
     print("| truth | rms of error/expected σ | of error/σ of the estimate | alarms |")
     print("|---|---|---|---|", flush=True)
     for seed in range(draws):

@@ -17,6 +17,7 @@ from symbid_ros.estimation.prior_std import (
     body_covariance,
     consistent_std,
     is_stated,
+    link_floor,
     percent_floor,
     percent_std,
     term_scale,
@@ -208,8 +209,7 @@ def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT)
 
     Every mass moment of a link is uniform within ± ``percent`` %, as drawn by :func:`draw_prior`
     with "consistent". Unlike with :func:`model_prior`, a zero in the file is as uncertain as the
-    link's extent allows. Joint terms have the deviations of unknown ones, because files
-    often state placeholders.
+    link's extent allows. Joint terms have the deviations of :func:`model_prior`.
 
     Raises
     ------
@@ -218,9 +218,7 @@ def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT)
     """
     prior = model_prior(parameters, percent)
     variances = np.diag(prior.std**2)
-    terms = np.arange(parameters.inertial, len(parameters))
-    variances[terms, terms] = np.maximum(prior.std[terms], term_scale(parameters)) ** 2
-    floor = percent_floor(parameters, percent) ** 2
+    floor = link_floor(parameters, percent) ** 2
     for index, phi in enumerate(parameters.link_phi(parameters.values)):
         own = slice(10 * index, 10 * index + 10)
         covariance = body_covariance(phi, percent)
@@ -230,6 +228,25 @@ def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT)
     scale = np.sqrt(np.diag(variances))
     factor = scale[:, None] * np.linalg.cholesky(variances / np.outer(scale, scale))
     return replace(prior, kind=f"model, consistent {percent:g}", std=scale, factor=factor)
+
+
+def planning_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
+    """Return :func:`consistent_prior` with the deviations of unknown joint terms.
+
+    Files often state placeholders for friction, which must not make it look known to a plan.
+
+    Raises
+    ------
+    PriorError
+        When ``percent`` is not positive.
+    """
+    prior = consistent_prior(parameters, percent)
+    terms = slice(parameters.inertial, None)
+    std = prior.std.copy()
+    std[terms] = np.maximum(std[terms], term_scale(parameters))
+    # Joint terms are independent of all others, so a row of the factor scales with its deviation.
+    factor = (std / prior.std)[:, None] * prior.covariance_factor()
+    return replace(prior, std=std, factor=factor)
 
 
 def absolute_model_prior(parameters: ParameterSet, amount: float) -> Prior:

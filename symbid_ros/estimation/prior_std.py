@@ -82,6 +82,13 @@ def consistent_covariance(root: FloatArray, half_width: float) -> FloatArray:
     return covariance
 
 
+def link_floor(parameters: ParameterSet, percent: float) -> FloatArray:
+    """Return :func:`percent_floor`, and what any payload allows beyond wrist sensors."""
+    floor = percent_floor(parameters, percent)
+    _widen_beyond_sensors(floor, parameters)
+    return floor
+
+
 def body_std(phi: FloatArray, percent: float) -> FloatArray:
     """Return the deviations (10,) of a link φ of which every moment is uniform ± percent.
 

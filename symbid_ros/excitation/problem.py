@@ -10,7 +10,7 @@ from symbid_ros.arrays import BoolArray, FloatArray
 from symbid_ros.choices import Term
 from symbid_ros.dynamics.regressor import equation_of_motion, slipping
 from symbid_ros.errors import OptionError
-from symbid_ros.estimation.prior import Prior, consistent_prior
+from symbid_ros.estimation.prior import Prior, planning_prior
 from symbid_ros.excitation.clearance import Clearance
 from symbid_ros.excitation.fourier import DrivenJoints, FourierSeries
 from symbid_ros.excitation.limits import JointLimits, joint_limits
@@ -193,7 +193,7 @@ def known_before(
         )
     chosen = () if "none" in terms else cast(tuple[Term, ...], terms)
     parameters = ParameterSet(robot, chosen)
-    prior = consistent_prior(parameters, options.prior_percent)
+    prior = planning_prior(parameters, options.prior_percent)
     return parameters, prior.mean, prior.covariance_factor(), prior
 
 

@@ -9,7 +9,7 @@ from documented_robots import ur5_urdf
 from scipy.sparse import csc_array
 
 from symbid_ros.errors import OptionError
-from symbid_ros.estimation.prior import consistent_prior
+from symbid_ros.estimation.prior import planning_prior
 from symbid_ros.excitation.fourier import FourierSeries
 from symbid_ros.excitation.limits import joint_limits
 from symbid_ros.excitation.optimizer import (
@@ -143,7 +143,7 @@ def test_the_expected_covariance_is_that_of_rows_with_the_stated_noise(problem, 
     K = ideal.design.expected.rows(plan.motion(time))
     std = 1e-3 * ideal.limits.effort
     rows = (K / std[:, None]).reshape(-1, K.shape[2])
-    prior = consistent_prior(ideal.parameters)
+    prior = planning_prior(ideal.parameters)
     covariance = prior.factor @ prior.factor.T / np.outer(prior.std, prior.std)
     precision = np.linalg.inv(covariance) + (rows * prior.std).T @ (rows * prior.std)
     expected = np.sqrt(np.diag(np.linalg.inv(precision)))
