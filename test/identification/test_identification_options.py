@@ -107,8 +107,9 @@ def test_no_option_exists_in_one_front_end_only() -> None:
     parameters = {parameter.name for parameter in PARAMETERS}
     assert flags >= NAMES
     assert parameters >= NAMES
-    # A node has `bag`, never overwrites, and reads a robot file as its parameter file.
-    only_the_command = {"bags", "overwrite", "robot", "context"}
+    # A node has `bag`, never overwrites, reads a robot file as its parameter file, and works on one
+    # machine.
+    only_the_command = {"bags", "overwrite", "robot", "dask", "context"}
     assert flags - NAMES - only_the_command <= parameters
 
 
