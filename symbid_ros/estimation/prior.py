@@ -230,6 +230,29 @@ def consistent_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT)
     return replace(prior, kind=f"model, consistent {percent:g}", std=scale, factor=factor)
 
 
+def default_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
+    """Return a prior around a model file of which nobody says how good it is.
+
+    A link may be another body than in the file, as with :func:`consistent_prior`, and each number
+    may be wrong by itself, as with :func:`model_prior`. Their covariances add up, because either
+    alone is far too certain of a file with the other kind of error: a wrong mass beside a right
+    inertia contradicts the first, and a centre of mass beside the file's axis the second.
+
+    Raises
+    ------
+    PriorError
+        When ``percent`` is not positive.
+    """
+    prior = consistent_prior(parameters, percent)
+    factor = prior.covariance_factor()
+    variances = factor @ factor.T
+    links = np.arange(parameters.inertial)
+    variances[links, links] += model_prior(parameters, percent).std[links] ** 2
+    std = np.sqrt(np.diag(variances))
+    factor = std[:, None] * np.linalg.cholesky(variances / np.outer(std, std))
+    return replace(prior, kind=f"model, default {percent:g}", std=std, factor=factor)
+
+
 def planning_prior(parameters: ParameterSet, percent: float = DEFAULT_PERCENT) -> Prior:
     """Return :func:`consistent_prior` with the deviations of unknown joint terms.
 

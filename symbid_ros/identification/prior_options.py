@@ -13,7 +13,7 @@ from symbid_ros.estimation.posterior import PseudoMeasurements
 from symbid_ros.estimation.prior import (
     Prior,
     absolute_model_prior,
-    consistent_prior,
+    default_prior,
     load_prior,
     model_prior,
 )
@@ -93,7 +93,7 @@ def choose_prior(options: IdentifyOptions, parameters: ParameterSet) -> Prior:
         return absolute_model_prior(parameters, options.prior_absolute)
     if options.prior_percent is not None:
         return model_prior(parameters, options.prior_percent)
-    return consistent_prior(parameters)
+    return default_prior(parameters)
 
 
 def with_load_reference(

@@ -17,6 +17,7 @@ from symbid_ros.estimation.prior import (
     Prior,
     absolute_model_prior,
     consistent_prior,
+    default_prior,
     draw_prior,
     load_prior,
     model_prior,
@@ -91,6 +92,20 @@ def test_the_covariance_of_a_consistent_prior_is_that_of_its_draws(symbitron):
         # The standard error of a covariance of 600 draws is at most .06.
         np.testing.assert_allclose(sample, expected[np.ix_(own, own)], atol=0.3)
     np.testing.assert_allclose(found.mean, symbitron.values)
+
+
+@pytest.mark.parametrize("kind", ["percent", "consistent"])
+def test_the_default_prior_expects_both_kinds_of_wrong_files(symbitron, kind):
+    prior = default_prior(symbitron, 25)
+    links = np.arange(symbitron.inertial)
+    # In units of the prior's deviations, no direction of an error is more than expected.
+    errors = [
+        draw_prior(symbitron, kind, 25, seed).mean[links] - symbitron.values[links]
+        for seed in range(300)
+    ]
+    units = np.linalg.solve(prior.covariance_factor()[np.ix_(links, links)], np.transpose(errors))
+    largest = np.linalg.svd(units / np.sqrt(len(errors)), compute_uv=False)[0]
+    assert largest**2 < 2.5
 
 
 @pytest.mark.parametrize("points", [1, 2, 3])
