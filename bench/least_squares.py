@@ -54,7 +54,7 @@ class Sampled:
     period: float
     cutoff: float
     kept: slice
-    slipping: float
+    slipping: float = SLIPPING
 
     def filtered(self, values: FloatArray) -> FloatArray:
         """Return values (N, ...) as rows (M, ...), filtered as the measured forces are."""
@@ -141,7 +141,7 @@ def solve(regressor: FloatArray, samples: Sampled) -> FloatArray:
         # A column that differs from a combination of others by rounding or noise of the
         # differentiation alone counts as dependent.
         scale = np.linalg.norm(rows, axis=0)
-        scale[scale == 0.0] = 1.0
+        scale[scale < 1e-12 * scale.max()] = 1.0  # zero but for rounding
         found = np.linalg.lstsq(rows / scale, (force * weight)[used], rcond=1e-8)[0] / scale
         squares = np.where(used, force - regressor @ found, 0.0) ** 2
         spread = np.sqrt(squares.sum(axis=0) / np.maximum(used.sum(axis=0), 1))
