@@ -88,6 +88,8 @@ def _truncated_estimates(
     plan: Plan, folder: StudyFolder, data: str, spread: PriorSpread, prior: Prior
 ) -> Estimates:
     estimates: Estimates = {}
+    if not plan.truncated_methods:
+        return estimates
     log, ideal = plan.data[data], plan.validation_log(data)
     for cutoff in plan.filters:
         validation = folder.rows(ideal, log.sensors, cutoff)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import DESKTOP, PHONE
-from small_study import PLAN, SmallStudy
+from small_study import PLAN, SmallStudy, symbid
 
 from symbid_ros.bags import bag_log
 from symbid_ros.estimation.prior import draw_prior
@@ -30,6 +30,8 @@ from symbid_ros.signals.filters import LowPass
 from symbid_ros.simulation.options import SimulateOptions
 from symbid_ros.simulation.recording import record
 from symbid_ros.simulation.simulator import Simulator
+from symbid_ros.study.draws import StudyResults
+from symbid_ros.study.plan import load_plan
 from symbid_ros.study.stages import study_stages
 from symbid_ros.study.study_folder import StudyFolder
 from symbid_ros.study.task_runner import run_tasks, worker_pool
@@ -171,6 +173,21 @@ def test_another_plan_is_rejected_and_files_stay(small: SmallStudy, symbid_here,
     assert "another plan" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
     assert (small.out / "report.html").read_bytes() == page
+
+
+@pytest.mark.parametrize("method", ["ols", "map"])
+def test_study_of_one_method(tmp_path: Path, method: str):
+    file = tmp_path / "one.yaml"
+    file.write_text(
+        "title: One method\nabout: It needs the rows of no other.\niterations: 1\n"
+        "data: { short: { scenario: smooth, moves: 1, motion_seed: 5, noise_seed: 6 } }\n"
+        "validation: { scenario: smooth, moves: 1, motion_seed: 7, noise: 0.0 }\n"
+        f"priors: [{{ percent: 25.0 }}]\nmethods: [{method}]\n"
+    )
+    result = symbid("study", file, "--out", tmp_path / "out", "--workers", 1)
+    assert result.returncode == 0, result.stderr
+    results = StudyResults.read(load_plan(str(file))[0], StudyFolder(tmp_path / "out"))
+    assert method in {case.method for case in results.draws}
 
 
 def test_interrupted_study_leaves_no_process_and_no_partial_bag(tmp_path: Path):
