@@ -314,6 +314,9 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
         at = np.linalg.solve(information, weight * columns.T @ read)
         ratio = float(at[0])
         left = float(np.sum((read - columns @ at) ** 2)) / rows.samples
+    # Friction near rest leaves residuals in which so small a load cannot be seen.
+    if max(abs(ratio), 1.0) * np.sqrt(float(load @ load) / rows.samples) < SMALL_SHARE * size:
+        return 1.0, GAIN_STD
     std = float(np.sqrt(np.linalg.inv(information)[0, 0]))
     if layout.wrench_frames or PLAUSIBLE[0] < ratio < PLAUSIBLE[1]:
         return _away_from_zero(ratio), std

@@ -40,6 +40,21 @@ def test_the_doctor_finds_a_correct_log_of_a_calm_robot_clean(standing) -> None:
         assert diagnosis.figures[f"{foot}/gain"] == pytest.approx(1.0, abs=0.05)
 
 
+def test_the_doctor_claims_no_gain_of_a_joint_that_rubs_far_more_than_it_carries() -> None:
+    """The wrist of this UR10 carries 6 mNm, 34 mNm by the model file, and rubs with 0.8 Nm."""
+    seed = 102
+    robot, _ = foreign_robots.load_robot("ur10")
+    rng = np.random.default_rng(seed)
+    motion = foreign_robots.move(robot, (), rng, 60.0)
+    load = foreign_robots.torque(foreign_robots.plain(robot), motion)
+    size = np.sqrt(np.mean(load**2, axis=0))
+    size = np.maximum(size, 0.05 * size.max())
+    truth = foreign_robots.with_friction(robot, True, size, rng)
+    log = foreign_robots.record(truth, motion, size, rng)
+    model = foreign_robots.inaccurate(truth, False, size, seed, rng)
+    assert diagnose(log, model).findings == ()
+
+
 def test_an_arm_is_identified_with_default_options() -> None:
     trial = foreign_robots.trial("z1", "present", 3, 12.0)
     assert trial.default < 0.01 * trial.prior
