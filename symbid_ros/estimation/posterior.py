@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.optimize import brentq
 
 from symbid_ros.arrays import FloatArray
@@ -27,6 +27,9 @@ APPROXIMATE_TOLERANCE, APPROXIMATE_TURNS = 1e-6, 15
 
 # Largest share of a direction's information that is subtracted as noise, which is only estimated.
 MAX_NOISE_SHARE = 0.75
+# Share of the prior's information by which noise may exceed the data's without a correction, where
+# half of the digits suffice.
+NEGLIGIBLE_EXCESS = 1e-6
 
 # Directions with less information than this, absolute (in prior deviations) or relative to the
 # best one, are not used to judge the prior.
@@ -134,34 +137,38 @@ class Posterior:
 
         def log_volume(factor: FloatArray) -> float:
             rows = factor[:count] / self.prior.std[:count, None]
-            return float(np.sum(np.log(np.linalg.svd(rows, compute_uv=False))))
+            triangle = np.linalg.qr(rows.T, mode="r")
+            return float(np.sum(np.log(np.abs(triangle.diagonal()))))
 
         return log_volume(self.prior.covariance_factor()) - log_volume(self.deviation_factor)
 
 
 @dataclass(frozen=True)
 class _Square:
-    """The cost ‖A x - b‖² minus the noise's xᵀT x - 2 tᵀx, with x in prior deviations.
+    """The cost xᵀG x - 2 gᵀx minus the noise's xᵀT x - 2 tᵀx, with x in prior deviations.
 
     Attributes
     ----------
-    A : (k, p) float64
-        Factor of the rows.
-    b : (k,) float64
-        Right-hand side of the factor.
+    G : (p, p) float64
+        Moments AᵀA of the rows.
+    g : (p,) float64
+        Moments Aᵀb of the rows with their right-hand sides.
     T : (p, p) float64
         Moments NᵀN of the noise in the rows.
     t : (p,) float64
         Moments Nᵀc of the noise on both sides.
     covariance : (n, n) float64
         Covariance that whitened the rows.
+    rows : (k, p + 1) float64 or None
+        [A b] with all digits, of which G and g have half; None if these suffice.
     """
 
-    A: FloatArray
-    b: FloatArray
+    G: FloatArray
+    g: FloatArray
     T: FloatArray
     t: FloatArray
     covariance: FloatArray
+    rows: FloatArray | None
 
     @classmethod
     def of(
@@ -191,30 +198,30 @@ class _Square:
         precision = whitening.T @ whitening
         # From [K y] to rows in prior deviations: [K y] to_prior = [K L, y - K mean].
         to_prior = np.block([[L, -mean[:, None]], [np.zeros(len(mean)), 1.0]])
+        rows, measured = None, np.zeros((0, len(mean) + 1))
+        if pseudo_measurements is not None:
+            measured = np.column_stack([pseudo_measurements.rows, pseudo_measurements.targets])
         if approximate:
-            moment = observations.rows.whitened_moment(precision)
-            rows = _root(to_prior.T @ moment @ to_prior)
+            moment = observations.rows.whitened_moment(precision) + measured.T @ measured
+            moment = to_prior.T @ moment @ to_prior
         else:
-            rows = observations.rows.whitened(whitening) @ to_prior
-        A, b = rows[:, :-1], rows[:, -1]
+            rows = np.concatenate([observations.rows.whitened(whitening), measured]) @ to_prior
+            moment = rows.T @ rows
         noise = to_prior.T @ observations.noise.whitened_moment(precision) @ to_prior
         noise *= observations.plausible_noise(phi, covariance)
-        if pseudo_measurements is not None:
-            A = np.concatenate([A, pseudo_measurements.rows @ L])
-            b = np.concatenate([b, pseudo_measurements.targets - pseudo_measurements.rows @ mean])
-        return cls(A, b, noise[:-1, :-1], noise[:-1, -1], covariance)
+        G, g = moment[:-1, :-1], moment[:-1, -1]
+        return cls(G, g, noise[:-1, :-1], noise[:-1, -1], covariance, rows)
 
-    def minimum(self, scale: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """Return x (p,), the factor R (p, p) of the precision and the largest share of noise."""
-        p = self.A.shape[1]
-        square = stacked_factor(
-            np.column_stack([self.A, self.b]),
-            np.column_stack([np.diag(1 / scale), np.zeros(p)]),
-        )
-        R, target = square[:p, :p], square[:p, p]
-        x = solve_triangular(R, target)
+    def minimum(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return x (p,) and the factor R (p, p) of the precision."""
+        if self.rows is None:
+            regular = self._regular_factor(scale)
+            if regular is not None:
+                x = scale * cho_solve((regular, False), scale * (self.g - self.t))
+                return x, regular / scale
+        R, x = self._with_noise(scale)
         # Noise is subtracted along the generalised eigenvectors of noise and total information.
-        inverse = solve_triangular(R, np.eye(p))
+        inverse = solve_triangular(R, np.eye(len(R)))
         share, V = np.linalg.eigh(inverse.T @ self.T @ inverse)
         kept = np.clip(share, 0.0, MAX_NOISE_SHARE)
         pull = kept / np.where(share > 0, share, 1.0)
@@ -225,7 +232,38 @@ class _Square:
         _, values, Vt = np.linalg.svd(factor * scale, full_matrices=False)
         least = np.maximum(values, 1.0)
         x = scale * (Vt.T @ ((values / least) ** 2 * (Vt @ (x / scale))))
-        return x, least[:, None] * Vt / scale, float(share.max(initial=0.0))
+        return x, least[:, None] * Vt / scale
+
+    def noise_share(self, scale: FloatArray) -> float:
+        """Return the largest share of a direction's information that is noise."""
+        R, _ = self._with_noise(scale)
+        inverse = solve_triangular(R, np.eye(len(R)))
+        return float(np.linalg.eigvalsh(inverse.T @ self.T @ inverse).max(initial=0.0))
+
+    def _with_noise(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the factor R (p, p) of the precision and x (p,) before noise is subtracted."""
+        p = len(self.g)
+        if self.rows is None:
+            R = cholesky(self.G * np.outer(scale, scale) + np.eye(p))
+            return R / scale, scale * cho_solve((R, False), scale * self.g)
+        square = stacked_factor(self.rows, np.column_stack([np.diag(1 / scale), np.zeros(p)]))
+        R = square[:p, :p]
+        return R, solve_triangular(R, square[:p, p])
+
+    def _regular_factor(self, scale: FloatArray) -> FloatArray | None:
+        """Return the factor (p, p) of G - T with the prior, in deviations of the scaled prior.
+
+        It is None where noise is a large share of the information, or exceeds it: then less is
+        subtracted.
+        """
+        outer, one = np.outer(scale, scale), np.eye(len(scale))
+        G, T = self.G * outer, self.T * outer
+        try:
+            cholesky(MAX_NOISE_SHARE * (G + one) - T)
+            cholesky(G - T + NEGLIGIBLE_EXCESS * one)
+            return np.asarray(cholesky(G - T + one), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            return None
 
     def evidence_scale(self, count: int) -> float:
         """Return the factor λ on the first ``count`` deviations that makes the data most probable.
@@ -233,14 +271,19 @@ class _Square:
         Σ is held constant (MacKay 1992, Neural Computation 4(3)), and noise in the regressor is
         subtracted here too.
         """
-        x, R, _ = self.minimum(np.ones(self.A.shape[1]))
-        # The gradient RᵀR x of the rows at the prior's mean is H x₀ plus noise of covariance W,
-        # where H is W without the regressor's noise.
-        values, V = np.linalg.eigh(self.A.T @ self.A)
+        # The gradient of the rows at the prior's mean is H x₀ plus noise of covariance G, where H
+        # is G without the regressor's noise.
+        ones = np.ones(len(self.g))
+        if self._regular_factor(ones) is not None:
+            H, gradient = self.G - self.T, self.g - self.t
+        else:
+            x, R = self.minimum(ones)
+            H, gradient = R.T @ R - np.eye(len(x)), R.T @ (R @ x)
+        values, V = np.linalg.eigh(self.G)
         some = values > max(MIN_INFORMATION, MIN_RELATIVE_INFORMATION * values[-1])
         root = V[:, some] / np.sqrt(values[some])
-        A, b = root.T @ (R.T @ R - np.eye(len(x))), root.T @ (R.T @ (R @ x))
-        others = self.A.shape[1] - count
+        A, b = root.T @ H, root.T @ gradient
+        others = len(self.g) - count
         # Rows that remain after marginalising the other parameters.
         rows = np.column_stack([A[:, count:], A[:, :count], b])
         of_prior = np.eye(others, rows.shape[1])
@@ -262,13 +305,6 @@ class _Square:
         if slope(low) * slope(high) >= 0:
             return float(np.exp(grid[best]))
         return float(np.exp(brentq(slope, low, high)))
-
-
-def _root(moment: FloatArray) -> FloatArray:
-    """Return A with AᵀA equal to the moment, to the moment's precision."""
-    values, V = np.linalg.eigh(moment)
-    root: FloatArray = np.sqrt(np.maximum(values, 0.0))[:, None] * V.T
-    return root
 
 
 def posterior(
@@ -326,7 +362,7 @@ def posterior(
         if empirical:
             scale[:count] = square.evidence_scale(count)
         before = x
-        x, factor, share = square.minimum(scale)
+        x, factor = square.minimum(scale)
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
         if change < tolerance and not coarse:
             break
@@ -342,8 +378,8 @@ def posterior(
         factor=precision,
         prior=prior.widened(scale),
         covariance=square.covariance,
-        prior_scale=square.evidence_scale(count) / float(scale[0]),
-        noise_share=share,
+        prior_scale=1.0 if empirical else square.evidence_scale(count),
+        noise_share=square.noise_share(scale),
         chosen_scale=float(scale[0]),
         is_scaled=empirical,
     )

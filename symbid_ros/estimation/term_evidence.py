@@ -159,7 +159,8 @@ def cross_validated(
             if not terms:
                 break
             loss = _LeftOut(found, free, groups, part)
-            gains = [loss.without(i) - loss.without(None) for i in terms]
+            before = loss.without(None)
+            gains = [loss.without(i) - before for i in terms]
             worst = int(np.argmin(gains))
             if gains[worst] > 0:
                 break

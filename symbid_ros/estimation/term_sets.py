@@ -181,42 +181,32 @@ class TermSets:
             (True,) if self._kept[i] else (False,) if self._fixed[i] else (False, True)
             for i in places
         ]
-        admissible, scores = [], []
-        for one in product(*choices):
-            is_free = np.array(one, dtype=bool)
-            score = self._score(places, is_free, shift, covariance)
-            if score is not None:
-                admissible.append(is_free)
-                scores.append(score)
-        return _JointSets(places, np.array(admissible), np.array(scores), shift, covariance)
+        sets = np.array(list(product(*choices)), dtype=bool)
+        is_possible, score = self._scores(places, sets, shift, covariance)
+        return _JointSets(places, sets[is_possible], score[is_possible], shift, covariance)
 
-    def _score(
-        self, places: IntArray, free: BoolArray, shift: FloatArray, covariance: FloatArray
-    ) -> float | None:
-        """Return the score of a set; None if it is impossible."""
-        kinds = set(self._kinds[places[free]])
-        # Stribeck friction is by how much friction exceeds Coulomb's at low speed, presliding by
-        # how much it lags behind.
-        if (
-            not kinds.isdisjoint({"stribeck", "presliding"})
-            and "coulomb" in self._kinds[places]
-            and "coulomb" not in kinds
-        ):
-            return None
-        optional = free & ~self._kept[places]
-        cost = float(self._cost[places[optional]].sum())
-        taken = ~free
-        if not taken.any():
-            left, square = shift, 0.0
-        else:
-            pull = np.linalg.solve(covariance[np.ix_(taken, taken)], shift[taken])
-            left = shift - covariance[:, taken] @ pull
-            square = float(shift[taken] @ pull)
+    def _scores(
+        self, places: IntArray, sets: BoolArray, shift: FloatArray, covariance: FloatArray
+    ) -> tuple[BoolArray, FloatArray]:
+        """Return which sets (k, m) of free terms are possible, and the score (k,) of each."""
+        kinds, kept = self._kinds[places], self._kept[places]
+        optional = sets & ~kept
+        cost = optional @ self._cost[places]
+        # C⁻¹ d of the fixed terms, with rows and columns of the identity for the free ones.
+        taken = ~sets
+        fixed = np.where(taken[:, :, None] & taken[:, None, :], covariance, np.eye(len(places)))
+        pull = np.linalg.solve(fixed, np.where(taken, shift, 0.0)[:, :, None])[:, :, 0]
+        left = np.where(taken, 0.0, shift - pull @ covariance)
         # A negative friction or armature is impossible, so its size supports nothing.
         value = self._prior[places] + left
-        if np.any(optional & self._nonnegative[places] & (value < 0) & (left < 0)):
-            return None
-        return -0.5 * square - cost
+        negative = optional & self._nonnegative[places] & (value < 0) & (left < 0)
+        is_possible = ~negative.any(axis=1)
+        # Stribeck friction is by how much friction exceeds Coulomb's at low speed, presliding by
+        # how much it lags behind.
+        if "coulomb" in kinds:
+            beside = sets[:, np.isin(kinds, ["stribeck", "presliding"])].any(axis=1)
+            is_possible &= sets[:, kinds == "coulomb"].any(axis=1) | ~beside
+        return is_possible, -0.5 * (pull @ shift) - cost
 
     def _beside(self, places: IntArray, free: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Return shift and covariance of a joint's terms, the others' fixed ones at their means."""

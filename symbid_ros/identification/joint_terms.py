@@ -202,8 +202,8 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
             _Selection.of(problem, everything & ~slipping, stated, previous, slips=False)
         )
     last = selections[-1]
-    free = last.free
-    if last.signed_drives and "armature" in parameters.terms:
+    free, signed = last.free, last.has_signed_drives()
+    if signed and "armature" in parameters.terms:
         # What lowers the inertia that efforts show acts on all joints alike.
         free = free.copy()
         armature = parameters.term_columns["armature"]
@@ -216,11 +216,11 @@ def choose_terms(problem: Problem, previous: TermChoice | None = None) -> TermCh
             *resting_joints(problem.observations, parameters),
             *replaceable_terms(parameters, free),
             *inseparable_terms(selections[0].inseparable, parameters, free),
-            *([SIGNED_DRIVES] if last.signed_drives else []),
+            *([SIGNED_DRIVES] if signed else []),
         ),
         slips,
-        last.deviations,
-        last.signed_drives,
+        last.deviations(),
+        signed,
     )
 
 
@@ -266,18 +266,31 @@ class _Selection:
     Attributes
     ----------
     free : (p,) bool
-    deviations : (p + s, k) float64
-        Of all unknowns, due to other sets that explain the data as well.
     inseparable : tuple of tuple of int
         Pairs of terms that the data do not tell apart.
-    signed_drives : bool
-        Whether the data contradict positive armature and friction.
+    found : Posterior
+        With all candidates free.
+    rows : Observations
+        The rows that it is from.
+    sets : TermSets
+        The sets that were compared.
+    parameters : ParameterSet
     """
 
     free: BoolArray
-    deviations: FloatArray
     inseparable: tuple[tuple[int, int], ...]
-    signed_drives: bool
+    found: Posterior
+    rows: Observations
+    sets: TermSets
+    parameters: ParameterSet
+
+    def deviations(self) -> FloatArray:
+        """Return N (p + s, k) of all unknowns, due to other sets that explain the data as well."""
+        return self.sets.deviations(np.flatnonzero(self.free))
+
+    def has_signed_drives(self) -> bool:
+        """Return whether the data contradict positive armature and friction."""
+        return contradicts_signs(self.found, self.parameters, self.rows)
 
     @classmethod
     def of(
@@ -304,21 +317,20 @@ class _Selection:
         replaced = set(terms[evidence.mixed() | evidence.hidden_offsets()].tolist())
         before = set() if previous is None else set(np.flatnonzero(previous.free).tolist())
 
-        def selected(kept: set[int], fixed: set[int]) -> tuple[BoolArray, FloatArray]:
+        def selected(kept: set[int], fixed: set[int]) -> tuple[BoolArray, TermSets]:
             sets = TermSets(found, parameters, terms, kept=kept, fixed=fixed, before=before)
             free = ~is_term
             free[sets.best()] = True
             if chosen.groups is not None:
                 free = cross_validated(free, kept | replaced, found, chosen, parameters)
-            return free, sets.deviations(np.flatnonzero(free))
+            return free, sets
 
-        free, deviations = selected(of_file | (ambiguous if resolved else unresolved), set())
+        free, sets = selected(of_file | (ambiguous if resolved else unresolved), set())
         # The drives of a robot are alike: if those that the log resolves have no armature, the
         # others have none either.
         if ambiguous and 2 * np.count_nonzero(free[resolved]) < len(resolved):
-            free, deviations = selected(of_file, ambiguous)
-        signed = contradicts_signs(found, parameters, chosen)
-        return cls(free, deviations, evidence.inseparable(), signed)
+            free, sets = selected(of_file, ambiguous)
+        return cls(free, evidence.inseparable(), found, chosen, sets, parameters)
 
 
 def rows_of(observations: Sequence[Observations], *, slips: bool) -> tuple[Observations, ...]:
