@@ -160,14 +160,6 @@ class RowLayout:
             flat[:, place.stop - 1] = rows.y[:, coordinate]
         return flat
 
-    def residual_map(self, phi: FloatArray) -> FloatArray:
-        """Return B (w, n) such that flat row @ B = y - K φ for parameters φ (p,)."""
-        B = np.zeros((self.width, len(self.coordinates)))
-        for coordinate, (columns, place) in enumerate(zip(self.columns, self.slices, strict=True)):
-            B[place.start : place.stop - 1, coordinate] = -phi[columns]
-            B[place.stop - 1, coordinate] = 1.0
-        return B
-
 
 def random_motions(model: RobotModel, count: int) -> Samples:
     """Return ``count`` noise-free random states and accelerations, the same in every call.
@@ -213,15 +205,23 @@ class Information:
     ----------
     layout : RowLayout
         Layout of the flat rows.
-    factor : (w, w) float64
-        Upper triangular R with RᵀR = Σ rowᵀ row.
+    root : (r, w) float64
+        R with RᵀR = Σ rowᵀ row; upper triangular if square.
     samples : float
         Number of samples folded in; the effective number if old ones are discounted.
     """
 
     layout: RowLayout
-    factor: FloatArray
+    root: FloatArray
     samples: float
+
+    @cached_property
+    def factor(self) -> FloatArray:
+        """Upper triangular R (w, w) with RᵀR = Σ rowᵀ row.
+
+        Of a restriction to fewer columns it is computed when needed: comparisons need moments only.
+        """
+        return self.root if self.root.shape == (self.layout.width,) * 2 else _triangle(self.root)
 
     @classmethod
     def empty(cls, layout: RowLayout) -> "Information":
@@ -251,7 +251,7 @@ class Information:
         """Return the information with every row's weight times ``share``, from 0 to 1."""
         if self.samples == 0:
             return self
-        return Information(self.layout, np.sqrt(share) * self.factor, share * self.samples)
+        return Information(self.layout, np.sqrt(share) * self.root, share * self.samples)
 
     def merge(self, other: "Information") -> "Information":
         """Return the sum of both informations.
@@ -277,13 +277,14 @@ class Information:
             np.array([*(self.layout.parameters[i] in kept for i in each), True], dtype=bool)
             for each in self.layout.columns
         ]
-        return Information(layout, _triangle(self.factor[:, np.concatenate(columns)]), self.samples)
+        # Indexing the transpose keeps the order of LAPACK.
+        return Information(layout, self.root.T[np.concatenate(columns)].T, self.samples)
 
     def column_squares(self, coordinate: int, column: int) -> float:
         """Return Σ K_ij² of coordinate i and parameter j; zero for a structural zero."""
         place = np.flatnonzero(self.layout.columns[coordinate] == column)
         start = self.layout.slices[coordinate].start
-        return float(np.sum(self.factor[:, start + place] ** 2))
+        return float(np.sum(self.root[:, start + place] ** 2))
 
     def coordinate_factor(self, coordinate: int) -> FloatArray:
         """Return the triangular factor of [K_i y_i] of one coordinate, structural zeros omitted."""
@@ -328,28 +329,17 @@ class Information:
         return half + half.T
 
     @cached_property
-    def _is_filled(self) -> BoolArray:
-        """(w,) rows of the factor that are not zero; few samples fill few rows of a wide factor.
-
-        At least one row is kept, because BLAS refuses matrices without rows.
-        """
-        size = np.abs(self.factor).max(axis=1, initial=0.0)
-        filled = size > 1e-15 * size.max(initial=0.0)
-        filled[:1] |= not filled.any()
-        return np.asarray(filled)
-
-    @cached_property
     def _filled(self) -> FloatArray:
-        """The factor without its zero rows."""
-        if self._is_filled.all():
-            return self.factor
-        return np.asfortranarray(self.factor[self._is_filled])
+        """The root without its zero rows."""
+        is_filled = _is_filled(self.root)
+        return self.root if is_filled.all() else np.asfortranarray(self.root[is_filled])
 
     @cached_property
     def _parts(self) -> tuple[FloatArray, ...]:
         """Each coordinate's slice of the factor, transposed, without its zero rows."""
+        is_filled = _is_filled(self.factor)
         return tuple(
-            np.ascontiguousarray(self.factor[: place.stop, place][self._is_filled[: place.stop]].T)
+            np.ascontiguousarray(self.factor[: place.stop, place][is_filled[: place.stop]].T)
             for place in self.layout.slices
         )
 
@@ -371,11 +361,16 @@ class Information:
     def target_squares(self) -> FloatArray:
         """Σ y² (n,) over all samples."""
         ends = [place.stop - 1 for place in self.layout.slices]
-        return np.asarray(np.sum(self.factor[:, ends] ** 2, axis=0))
+        return np.asarray(np.sum(self.root[:, ends] ** 2, axis=0))
 
     def residual_moment(self, phi: FloatArray) -> FloatArray:
         """Return Σ e eᵀ (n, n) over all samples, e = y - K φ, for φ (p,)."""
-        residual = self._filled @ self.layout.residual_map(phi)
+        residual = np.column_stack(
+            [
+                self._filled[:, place] @ np.append(-phi[columns], 1.0)
+                for columns, place in zip(self.layout.columns, self.layout.slices, strict=True)
+            ]
+        )
         moment: FloatArray = residual.T @ residual
         return moment
 
@@ -391,6 +386,17 @@ class Information:
         """Return the root mean square of y - K φ per coordinate."""
         squares = np.diag(self.residual_moment(phi)) / max(self.samples, 1)
         return dict(zip(self.layout.coordinates, np.sqrt(squares).tolist(), strict=True))
+
+
+def _is_filled(root: FloatArray) -> BoolArray:
+    """Return which rows (r,) are not zero; few samples fill few rows of a wide factor.
+
+    At least one row is kept, because BLAS refuses matrices without rows.
+    """
+    size = np.abs(root).max(axis=1, initial=0.0)
+    filled = size > 1e-15 * size.max(initial=0.0)
+    filled[:1] |= not filled.any()
+    return np.asarray(filled)
 
 
 def _updated(factor: FloatArray, rows: FloatArray) -> FloatArray:

@@ -24,6 +24,8 @@ REWHITENINGS = 20
 CONVERGED = 1e-9  # in posterior standard deviations
 # Later iterations, or those closer to convergence, need all digits.
 APPROXIMATE_TOLERANCE, APPROXIMATE_TURNS = 1e-6, 15
+# Changes below this that no longer halve are rounding.
+ROUNDING = 1e-5
 
 # Largest share of a direction's information that is subtracted as noise, which is only estimated.
 MAX_NOISE_SHARE = 0.75
@@ -227,12 +229,16 @@ class _Square:
         pull = kept / np.where(share > 0, share, 1.0)
         step = V.T @ (inverse.T @ (self.T @ x - self.t))
         x = x + inverse @ (V @ (pull / (1 - kept) * step))
-        factor = (V * np.sqrt(1 - kept)) @ V.T @ R
+        factor = np.sqrt(1 - kept)[:, None] * (V.T @ (R * scale))
+        if self.rows is None:
+            squares, V = np.linalg.eigh(factor.T @ factor)
+        else:
+            _, values, Vt = np.linalg.svd(factor, full_matrices=False)
+            squares, V = values**2, Vt.T
         # The noise is an estimate. Where it exceeds the information, only the prior remains.
-        _, values, Vt = np.linalg.svd(factor * scale, full_matrices=False)
-        least = np.maximum(values, 1.0)
-        x = scale * (Vt.T @ ((values / least) ** 2 * (Vt @ (x / scale))))
-        return x, least[:, None] * Vt / scale
+        least = np.maximum(squares, 1.0)
+        x = scale * (V @ (squares / least * (V.T @ (x / scale))))
+        return x, np.sqrt(least)[:, None] * V.T / scale
 
     def noise_share(self, scale: FloatArray) -> float:
         """Return the largest share of a direction's information that is noise."""
@@ -348,7 +354,7 @@ def posterior(
     scale = np.ones(len(mean))
     x = np.zeros(len(mean)) if start is None else np.linalg.solve(L, start - mean)
     # Weights and solution alternate. Most iterations are the early ones, which need fewer digits.
-    coarse = True
+    coarse, last = True, np.inf
     for turn in range(REWHITENINGS):
         square = _Square.of(
             observations,
@@ -364,11 +370,11 @@ def posterior(
         before = x
         x, factor = square.minimum(scale)
         change = np.linalg.norm(factor @ (x - before)) / np.sqrt(len(x))
-        if change < tolerance and not coarse:
+        is_rounding = 0.5 * last < change < ROUNDING
+        if not coarse and (change < tolerance or is_rounding):
             break
-        coarse = (
-            coarse and change > max(tolerance, APPROXIMATE_TOLERANCE) and turn < APPROXIMATE_TURNS
-        )
+        is_close = change <= max(tolerance, APPROXIMATE_TOLERANCE) or turn >= APPROXIMATE_TURNS
+        coarse, last = coarse and not is_close and not is_rounding, change
         if approximate and not coarse:
             break
     phi = mean + L @ x
