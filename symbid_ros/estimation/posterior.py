@@ -139,7 +139,7 @@ class Posterior:
 
         def log_volume(factor: FloatArray) -> float:
             rows = factor[:count] / self.prior.std[:count, None]
-            triangle = np.linalg.qr(rows.T, mode="r")
+            triangle = np.asarray(np.linalg.qr(rows.T, mode="r"), dtype=np.float64)
             return float(np.sum(np.log(np.abs(triangle.diagonal()))))
 
         return log_volume(self.prior.covariance_factor()) - log_volume(self.deviation_factor)
@@ -216,11 +216,9 @@ class _Square:
 
     def minimum(self, scale: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return x (p,) and the factor R (p, p) of the precision."""
-        if self.rows is None:
-            regular = self._regular_factor(scale)
-            if regular is not None:
-                x = scale * cho_solve((regular, False), scale * (self.g - self.t))
-                return x, regular / scale
+        found = self._from_moments(scale) if self.rows is None else None
+        if found is not None:
+            return found
         R, x = self._with_noise(scale)
         # Noise is subtracted along the generalised eigenvectors of noise and total information.
         inverse = solve_triangular(R, np.eye(len(R)))
@@ -256,20 +254,28 @@ class _Square:
         R = square[:p, :p]
         return R, solve_triangular(R, square[:p, p])
 
-    def _regular_factor(self, scale: FloatArray) -> FloatArray | None:
-        """Return the factor (p, p) of G - T with the prior, in deviations of the scaled prior.
+    def _from_moments(self, scale: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Return :meth:`minimum` with half the digits.
 
-        It is None where noise is a large share of the information, or exceeds it: then less is
-        subtracted.
+        It is None where noise is so large a share of the information that less is subtracted.
         """
         outer, one = np.outer(scale, scale), np.eye(len(scale))
-        G, T = self.G * outer, self.T * outer
+        total, noise = self.G * outer + one, self.T * outer
         try:
-            cholesky(MAX_NOISE_SHARE * (G + one) - T)
-            cholesky(G - T + NEGLIGIBLE_EXCESS * one)
-            return np.asarray(cholesky(G - T + one), dtype=np.float64)
+            cholesky(MAX_NOISE_SHARE * total - noise)
         except np.linalg.LinAlgError:
             return None
+        precision, target = total - noise, scale * (self.g - self.t)
+        try:
+            # Only the prior remains where noise exceeds the information, which is nowhere here.
+            cholesky(precision - (1 - NEGLIGIBLE_EXCESS) * one)
+            R = cholesky(precision)
+            x = cho_solve((R, False), target)
+        except np.linalg.LinAlgError:
+            squares, V = np.linalg.eigh(precision)
+            least = np.maximum(squares, 1.0)
+            x, R = V @ (V.T @ target / least), np.sqrt(least)[:, None] * V.T
+        return scale * x, R / scale
 
     def evidence_scale(self, count: int) -> float:
         """Return the factor λ on the first ``count`` deviations that makes the data most probable.
@@ -277,14 +283,11 @@ class _Square:
         Σ is held constant (MacKay 1992, Neural Computation 4(3)), and noise in the regressor is
         subtracted here too.
         """
-        # The gradient of the rows at the prior's mean is H x₀ plus noise of covariance G, where H
-        # is G without the regressor's noise.
         ones = np.ones(len(self.g))
-        if self._regular_factor(ones) is not None:
-            H, gradient = self.G - self.T, self.g - self.t
-        else:
-            x, R = self.minimum(ones)
-            H, gradient = R.T @ R - np.eye(len(x)), R.T @ (R @ x)
+        x, R = self._from_moments(ones) or self.minimum(ones)
+        # The gradient RᵀR x of the rows at the prior's mean is H x₀ plus noise of covariance G,
+        # where H is G without the regressor's noise.
+        H, gradient = R.T @ R - np.diag(ones), R.T @ (R @ x)
         values, V = np.linalg.eigh(self.G)
         some = values > max(MIN_INFORMATION, MIN_RELATIVE_INFORMATION * values[-1])
         root = V[:, some] / np.sqrt(values[some])

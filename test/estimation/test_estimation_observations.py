@@ -242,7 +242,7 @@ def test_few_rows_in_a_wide_factor_are_all_used():
     full = log.observations().rows
     factor = np.triu(np.random.default_rng(5).normal(size=full.factor.shape))
     factor[:, ::3] = 0.0
-    sparse = replace(full, root=factor)
+    sparse = replace(full, factor=factor)
     G = np.linalg.inv(noise_root(np.random.default_rng(5), len(full.layout.coordinates)))
     R = sparse.whitened(G)
     expected = sparse.whitened_moment(G.T @ G)

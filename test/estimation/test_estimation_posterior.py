@@ -151,6 +151,28 @@ def test_the_factor_gives_what_stacked_rows_give(name, seed, monkeypatch):
         assert 0.001 < found.noise_share < 0.75
 
 
+@pytest.mark.parametrize("empirical", [False, True])
+@pytest.mark.parametrize("name", [*CASES, "noise beyond what is subtracted"])
+def test_comparisons_have_half_of_the_digits(name, empirical, monkeypatch):
+    monkeypatch.setattr(production, "REWHITENINGS", 200)
+    monkeypatch.setattr(production, "APPROXIMATE_TURNS", 200)
+    if name.startswith("noise beyond"):
+        monkeypatch.setattr(production, "MAX_NOISE_SHARE", 0.2)
+    log, prior, known = case(1, **CASES.get(name, {"noisy": 0.5}))
+    observations = log.observations()
+    whole = posterior(observations, prior, known, empirical=empirical)
+    near = posterior(
+        observations, prior, known, empirical=empirical, approximate=True, tolerance=1e-6
+    )
+    covariance = whole.deviation_factor @ whole.deviation_factor.T
+    assert_posterior(near, whole.mean, covariance, 1e-4)
+    assert near.noise_share == pytest.approx(whole.noise_share, rel=1e-4)
+    assert near.prior_scale == pytest.approx(whole.prior_scale, rel=1e-4)
+    assert near.chosen_scale == pytest.approx(whole.chosen_scale, rel=1e-4)
+    if name.startswith("noise beyond"):
+        assert whole.noise_share > 0.2
+
+
 @pytest.mark.parametrize("name", ["plain", "correlated prior", "weighed", "masked"])
 def test_the_evidence_is_that_of_all_rows_at_once(name):
     log, prior, known = case(3, count=40, **CASES[name])

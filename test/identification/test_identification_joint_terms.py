@@ -225,6 +225,26 @@ def test_information_about_some_parameters_is_that_of_their_rows():
     np.testing.assert_allclose(
         restricted.factor.T @ restricted.factor, direct.factor.T @ direct.factor, atol=1e-9
     )
+    precision = np.cov(rng.normal(size=(len(y[0]), 20)))
+    phi = rng.normal(size=len(some))
+    discounted = restricted.discounted(0.25), direct.discounted(0.25)
+    for one, other in ((restricted, direct), discounted):
+        for name, given in (
+            ("whitened_moment", precision),
+            ("residual_moment", phi),
+            ("approximate_residual_moment", phi),
+        ):
+            expected = getattr(other, name)(given)
+            limit = 1e-12 * np.abs(expected).max()
+            np.testing.assert_allclose(getattr(one, name)(given), expected, atol=limit)
+        np.testing.assert_allclose(one.target_squares, other.target_squares)
+        for column in range(some.inertial, len(some)):
+            assert one.column_squares(0, column) == pytest.approx(other.column_squares(0, column))
+    fewer = some.names[:-1]
+    np.testing.assert_array_equal(
+        restricted.restricted(fewer).whitened_moment(precision),
+        full.restricted(fewer).whitened_moment(precision),
+    )
 
 
 def test_group_moments_of_some_parameters_are_those_of_their_rows():
