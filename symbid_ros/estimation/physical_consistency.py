@@ -10,6 +10,9 @@ problem about its unconstrained minimum x₀. Then u is in posterior standard de
 objective ½‖u‖² has the identity as Hessian for data of any condition number. The duality gap
 bounds the distance to the optimum, ½‖u - u*‖² ≤ gap, so the solution's accuracy is certified
 regardless of the solver's status.
+
+Most constraints hold at the minimum of the violated ones. So the solver gets those first, and the
+others when its answer violates them. Its variables are then the directions of u that these move.
 """
 
 from dataclasses import dataclass, replace
@@ -46,6 +49,8 @@ _ATTEMPTS: tuple[dict[str, object], ...] = (
     {"equilibrate_enable": False, "max_step_fraction": 0.9, "iterative_refinement_max_iter": 50},
 )
 _INFEASIBLE = {"PrimalInfeasible", "AlmostPrimalInfeasible"}
+# Statuses that further constraints do not change.
+_GIVEN_UP = _INFEASIBLE | {"MaxIterations"}
 
 
 @dataclass(frozen=True)
@@ -146,6 +151,17 @@ class ConicConstraints:
         offset = offset / size
         offset[linear:] += MARGIN * np.tile(_svec(np.eye(4)), links)
         return cls(matrix / size[:, None], offset, equations, linear, links)
+
+    def some(self, chosen: BoolArray) -> "ConicConstraints":
+        """Return the chosen (linear + L,) bounds and links, all equations among them."""
+        rows = self.rows(chosen)
+        linear = int(np.count_nonzero(chosen[: self.linear]))
+        links = int(np.count_nonzero(chosen[self.linear :]))
+        return ConicConstraints(self.matrix[rows], self.offset[rows], self.equations, linear, links)
+
+    def rows(self, chosen: BoolArray) -> BoolArray:
+        """Return which rows (m,) belong to the chosen (linear + L,) bounds and links."""
+        return np.concatenate([chosen[: self.linear], np.repeat(chosen[self.linear :], 10)])
 
     @property
     def cones(self) -> list[object]:
@@ -327,24 +343,38 @@ def _attempt(
     per_link = A[linear:].reshape(constraints.links, 10 * count)
     pull = np.concatenate([np.linalg.norm(rows, axis=1) for rows in (A[:linear], per_link)])
     way = max(1.0, float(np.max(constraints.outside(quadratic.minimum) / pull)))
-    answer = clarabel.DefaultSolver(
-        csc_array(np.eye(count)),
-        np.zeros(count),
-        csc_array(A),
-        constraints.slack(quadratic.minimum) / way,
-        constraints.cones,
-        settings,
-    ).solve()
-    x, accuracy = quadratic.minimum, np.inf
-    u, z = way * np.array(answer.x), way * np.array(answer.z)
-    if np.all(np.isfinite(u)) and np.all(np.isfinite(z)):
+    x, accuracy, iterations = quadratic.minimum, np.inf, 0
+    chosen = constraints.outside(x) > 0.0
+    chosen[: constraints.equations] = True
+    while True:
+        some, rows = constraints.some(chosen), constraints.rows(chosen)
+        # u is a combination of the gradients of these constraints, which Q spans.
+        Q, R = np.linalg.qr(A[rows].T)
+        answer = clarabel.DefaultSolver(
+            csc_array(np.eye(Q.shape[1])),
+            np.zeros(Q.shape[1]),
+            csc_array(R.T),
+            some.slack(quadratic.minimum) / way,
+            some.cones,
+            settings,
+        ).solve()
+        iterations += int(answer.iterations)
+        u, z = way * (Q @ np.array(answer.x)), np.zeros(len(A))
+        z[rows] = way * np.array(answer.z)
+        status, is_finite = str(answer.status), bool(np.all(np.isfinite(np.append(u, z))))
+        if status in _GIVEN_UP or not is_finite:
+            break
+        violated = constraints.outside(quadratic.point(u)) > 0.0
+        if not np.any(violated & ~chosen):
+            break
+        chosen |= violated
+    if is_finite:
         x = constraints.restored(quadratic.point(u))
         if np.all(constraints.outside(x) <= MARGIN / 2):
             z = constraints.multipliers(z)
             stationarity = quadratic.deviations(x) + A.T @ z
             gap = 0.5 * stationarity @ stationarity + abs(constraints.slack(x) @ z)
             accuracy = float(np.sqrt(2.0 * gap))
-    status, iterations = str(answer.status), int(answer.iterations)
     return _solution(quadratic, constraints, x, accuracy, status=status, iterations=iterations)
 
 
