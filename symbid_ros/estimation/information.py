@@ -374,10 +374,13 @@ class Information:
 
     def approximate_residual_moment(self, phi: FloatArray) -> FloatArray:
         """Return :meth:`residual_moment` with half the digits, in a fifth of the time."""
-        n = len(self.layout.coordinates)
         residual = np.append(-phi, 1.0)
-        squares = np.outer(residual, residual).ravel()
-        half: FloatArray = (self._products.T @ squares).reshape(n, n)
+        return self.quadratic_moment(np.outer(residual, residual))
+
+    def quadratic_moment(self, matrix: FloatArray) -> FloatArray:
+        """Return Σ [K y] X [K y]ᵀ (n, n) over all samples for a symmetric X (p + 1, p + 1)."""
+        n = len(self.layout.coordinates)
+        half: FloatArray = (self._products.T @ matrix.ravel()).reshape(n, n)
         return half + half.T
 
     def residual_rmse(self, phi: FloatArray) -> dict[str, float]:
@@ -429,22 +432,27 @@ class _Restriction(Information):
 
     def whitened_moment(self, precision: FloatArray) -> FloatArray:
         """Return Σ [K y]ᵀ P [K y] (p + 1, p + 1) for a precision P (n, n) across coordinates."""
-        some = np.append(self._kept, len(self._whole.layout.parameters))
-        moment: FloatArray = self._whole.whitened_moment(precision)[np.ix_(some, some)]
+        moment: FloatArray = self._whole.whitened_moment(precision)[self._block]
         return moment
 
     def residual_moment(self, phi: FloatArray) -> FloatArray:
         """Return Σ e eᵀ (n, n) over all samples, e = y - K φ, for φ (p,)."""
-        return self._whole.residual_moment(self._with_zeros(phi))
-
-    def approximate_residual_moment(self, phi: FloatArray) -> FloatArray:
-        """Return :meth:`residual_moment` with half the digits, in a fifth of the time."""
-        return self._whole.approximate_residual_moment(self._with_zeros(phi))
-
-    def _with_zeros(self, phi: FloatArray) -> FloatArray:
         whole = np.zeros(len(self._whole.layout.parameters))
         whole[self._kept] = phi
-        return whole
+        return self._whole.residual_moment(whole)
+
+    def quadratic_moment(self, matrix: FloatArray) -> FloatArray:
+        """Return Σ [K y] X [K y]ᵀ (n, n) over all samples for a symmetric X (p + 1, p + 1)."""
+        width = len(self._whole.layout.parameters) + 1
+        whole = np.zeros((width, width))
+        whole[self._block] = matrix
+        return self._whole.quadratic_moment(whole)
+
+    @property
+    def _block(self) -> tuple[IntArray, ...]:
+        """Places of the moments of [K y] in those of the whole."""
+        some = np.append(self._kept, len(self._whole.layout.parameters))
+        return np.ix_(some, some)
 
 
 def _updated(factor: FloatArray, rows: FloatArray) -> FloatArray:

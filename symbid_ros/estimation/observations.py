@@ -231,6 +231,24 @@ class Observations:
         largest = eigh(self.inflation * moment, covariance, eigvals_only=True)[-1]
         return float(1 / max(largest / CHANCE, 1.0))
 
+    def fitted_share(self, variances: FloatArray, covariance: FloatArray) -> FloatArray:
+        """Return the share (n,) of each coordinate's independent rows that the parameters fit.
+
+        It is the trace of the coordinate's part of the hat matrix (Hoaglin and Welsch 1978, Amer.
+        Statist. 32(1)) over the number of its rows: 1 if parameters fit all of them exactly.
+
+        Parameters
+        ----------
+        variances : (p, p) float64
+            Covariance of the parameters.
+        covariance : (n, n) float64
+            Covariance Σ of a row's residual.
+        """
+        moment = self.rows.quadratic_moment(np.pad(variances, (0, 1)))
+        fitted = np.sum(np.linalg.inv(covariance) * moment, axis=1)
+        rows = self.counts.diagonal() / self.inflation
+        return np.asarray(np.where(rows > 0, fitted / np.maximum(rows, 1.0), 0.0))
+
     @property
     def has_coupled_rows(self) -> bool:
         """Whether covariances between coordinates are estimated."""

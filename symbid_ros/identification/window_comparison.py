@@ -12,6 +12,10 @@ from symbid_ros.identification.problem import Problem
 # Change, in posterior standard deviations, at which iterations stop for a comparison.
 COMPARABLE = 1e-2
 
+# Share of a coordinate's independent rows that parameters fit, above which its residuals no longer
+# tell the noise: the weight that they give it grows until the fit is exact.
+MOST_FITTED = 0.5
+
 # Factor by which the number of blocks grows between two comparisons online.
 COMPARE_AGAIN = 2
 
@@ -20,7 +24,9 @@ class WindowComparison:
     """Compares the window lengths of a problem, all at once or step by step.
 
     If sensor noise in the motion dominates some direction, the bias exceeds the standard
-    deviations. Such window lengths are chosen only if all are like that.
+    deviations. If parameters fit most rows of a coordinate, its weight and the information are only
+    apparent, as with long windows of a coordinate that is seldom used. Such window lengths are
+    chosen only if all are like that.
 
     Parameters
     ----------
@@ -52,7 +58,7 @@ class WindowComparison:
             self.step()
         if not self._found:
             return self._candidates[0], None
-        best = _most_informative(self._found, len(self._problem.parameters))
+        best = _most_informative(self._found, self._candidates, len(self._problem.parameters))
         return self._candidates[best], self._found[best].mean
 
 
@@ -129,9 +135,18 @@ def solve_window(
     )
 
 
-def _most_informative(found: Sequence[Posterior], count: int) -> int:
+def _most_informative(found: Sequence[Posterior], rows: Sequence[Observations], count: int) -> int:
     """Return the index of the most informative rows for the first ``count`` parameters."""
-    shares = [one.noise_share for one in found]
-    allowed = max(SUSPICIOUS_NOISE, min(shares))
-    gains = [one.gain(count) for one in found]
-    return max(range(len(found)), key=lambda i: (shares[i] <= allowed, gains[i]))
+    noise, fitted = [], []
+    for one, data in zip(found, rows, strict=True):
+        factor = one.independent_factor
+        noise.append(one.noise_share)
+        fitted.append(float(data.fitted_share(factor @ factor.T, one.covariance).max()))
+    most_noise = max(SUSPICIOUS_NOISE, min(noise))
+    most_fitted = max(MOST_FITTED, min(fitted))
+
+    def rank(index: int) -> tuple[bool, bool, float]:
+        is_clean, is_judged = noise[index] <= most_noise, fitted[index] <= most_fitted
+        return is_clean, is_judged, found[index].gain(count)
+
+    return max(range(len(found)), key=rank)

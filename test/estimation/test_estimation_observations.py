@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from gaussian_logs import gaussian_log, noise_root
+from gaussian_logs import gaussian_log, noise_root, prior_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import eigh
@@ -13,6 +13,7 @@ from scipy.linalg import eigh
 from symbid_ros.errors import DataError, EstimateError
 from symbid_ros.estimation.information import Information
 from symbid_ros.estimation.observations import CHANCE, definite, whiteness
+from symbid_ros.estimation.posterior import posterior
 
 
 def masked(log, seed, columns=2):
@@ -234,6 +235,21 @@ def test_a_moment_that_rounding_made_indefinite_changes_only_on_its_diagonal(exc
     np.linalg.cholesky(found)
     assert found[0, 1] == moment[0, 1], "residuals stay correlated"
     np.testing.assert_allclose(np.diag(found), 1.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("inflation", [1.0, 4 / 3])
+def test_the_fitted_share_is_the_trace_of_the_hat_matrix(inflation):
+    log = replace(masked(gaussian_log(2, count=90), 2), inflation=inflation)
+    prior = prior_of(log, 2)
+    found = posterior(log.observations(), prior)
+    K = log.K * log.valid[:, :, None]
+    weight = np.linalg.inv(found.covariance)
+    H = np.einsum("tia,ij,tjb->ab", K, weight, K)
+    variances = np.linalg.inv(H + np.diag(prior.std**-2.0))
+    hat = np.einsum("tia,ab,tjb,ji->i", K, variances, K, weight)
+    share = log.observations().fitted_share(variances, found.covariance)
+    np.testing.assert_allclose(share, hat / (log.valid.sum(axis=0) / inflation), rtol=1e-9)
+    assert np.sum(share * log.valid.sum(axis=0) / inflation) <= len(prior.std)
 
 
 def test_few_rows_in_a_wide_factor_are_all_used():

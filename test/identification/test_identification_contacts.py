@@ -132,6 +132,14 @@ def test_the_data_choose_the_friction_of_legs_that_swing(robot, true_robot):
     assert sum(one.is_determined for one in named.values()) >= 10
 
 
+def test_windows_that_leave_a_leg_hardly_any_row_are_not_chosen(robot, true_robot):
+    """Each leg swings a fifth of the time: 5 windows of 321 ms, which its friction fits exactly."""
+    rubbing = standing_log(true_robot, 16.0, 5, friction=0.1, steps=True)
+    found = identify(robot, with_flags(robot, rubbing), contact=POINTS)
+    assert found.estimate.rows.window < 0.2
+    assert found.estimate.holdout.percent_after < 1.0
+
+
 def test_flags_in_a_bag_and_live_are_those_of_arrays(robot, steps, tmp_path):
     feet = {f"/{foot}/wrench" for foot in FEET}
     short = {topic: values for topic, values in steps.items() if topic not in feet}
