@@ -92,6 +92,8 @@ class ClusterSegments(DistributedSegments):
     log : str
         The log, as workers get it.
     parts : tuple of Part
+    first : int
+        First stamp of the log, ns.
     known : list of (int, int)
         First and last stamp of each segment, ns, once a fold has told them.
     """
@@ -99,6 +101,7 @@ class ClusterSegments(DistributedSegments):
     cluster: Cluster
     log: str
     parts: tuple[Part, ...]
+    first: int
     known: list[tuple[int, int]] = field(default_factory=list)
 
     def __iter__(self) -> Iterator[Segment]:
@@ -158,7 +161,7 @@ class ClusterSegments(DistributedSegments):
             When the log is unusable.
         """
         columns = describe_columns(parameters)
-        rows = processing.windows, processing.full_rate
+        rows = processing.windows, processing.full_rate, self.first
         tasks = [
             self.cluster.submit(fold_part, self.log, columns, rows, astuple(part), tuple(mean))
             for part in self.parts
@@ -254,7 +257,7 @@ class ClusterRequest:
             options: IdentifyOptions, parameters: ParameterSet, prior: Prior
         ) -> tuple[Dataset, LogChecks]:
             log = describe_log(bags, robot, files, frames, contacts=options, options=request.log)
-            segments = ClusterSegments(cluster, log, tuple(parts))
+            segments = ClusterSegments(cluster, log, tuple(parts), spans[0][0])
             mean = () if options.unchecked else prior.mean[: len(parameters)].tolist()
             return segments.folded(", ".join(bags), parameters, Processing.of(options), mean)
 

@@ -118,7 +118,7 @@ def digest_bag(location: str) -> list[tuple[str, str | None, int | None]]:
 def fold_part(
     log: str,
     columns: str,
-    rows: tuple[Sequence[float], bool],
+    rows: tuple[Sequence[float], bool, int],
     part: tuple[int, ...],
     mean: Sequence[float],
 ) -> dict[str, Any]:
@@ -130,8 +130,9 @@ def fold_part(
         The log, from :func:`describe_log`.
     columns : str
         The parameters, from :func:`describe_columns`.
-    rows : (sequence of float, bool)
-        Lengths of the windows, s, and whether every sample has a row before averaging.
+    rows : (sequence of float, bool, int)
+        Lengths of the windows, s, whether every sample has a row before averaging, and the first
+        stamp of the log, ns.
     part : tuple of int
         Fields of :class:`Part`.
     mean : sequence of float
@@ -139,7 +140,7 @@ def fold_part(
     """
     opened, parameters = _OpenLog.of(log), _parameters(log, columns)
     source, found = opened.source(Part(*part)), None
-    processing = Processing(windows=tuple(rows[0]), full_rate=rows[1])
+    processing = Processing(windows=tuple(rows[0]), full_rate=rows[1], first=rows[2])
     with _turn, _warnings() as messages:
         checks = StreamChecks(parameters.model) if len(mean) else None
         segments = opened.segments(Part(*part), checks)

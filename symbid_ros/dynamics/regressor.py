@@ -179,6 +179,10 @@ class Rows:
     K: FloatArray
     y: FloatArray
 
+    def masked(self, valid: BoolArray) -> "Rows":
+        """Return the rows with zeros where ``valid`` (N, n) is false."""
+        return Rows(self.K * valid[:, :, None], self.y * valid)
+
 
 def equation_of_motion(parameters: ParameterSet, samples: Samples) -> Rows:
     """Return the rows of K φ = y for a block of samples.

@@ -113,7 +113,7 @@ class Observations:
         if not kept:
             return self
         counts = self.counts
-        noisy = [block.noise for block in kept if block.noise.K.any() or block.noise.y.any()]
+        noisy = [block.noise for block in kept if block.noise is not None]
         for block in kept:
             valid = block.valid.astype(np.float64)
             counts = counts + valid.T @ valid

@@ -49,12 +49,15 @@ class BlockRows:
         For each window length, s, that suits the rate: one element for each part of a segment.
     seconds : frozenset of int
         Fingerprints of the seconds covered.
+    first : int or None
+        First stamp of the log, ns; None if there are no segments so far.
     """
 
     start: int
     stop: int
     by_window: Mapping[float, Sequence[WindowedRows]]
     seconds: frozenset[int] = frozenset()
+    first: int | None = None
 
     def of_window(self, window: float) -> Sequence[WindowedRows]:
         """Return the rows of one window length, s."""
@@ -76,16 +79,26 @@ def build_block_rows(
     build: RowBuilder,
     windows: Sequence[float],
     noisy_channels: Sequence[Channel] = MOTION,
+    *,
+    first: int | None = None,
+    replays_all: bool = False,
 ) -> BlockRows:
-    """Return the rows of a time span, equal to those of an offline run."""
+    """Return the rows of a time span, equal to those of an offline run.
+
+    ``first`` is the first stamp of the log, ns, by default that of this span. From there on noise
+    is replayed in fewer and fewer blocks, unless in all.
+    """
+    if first is None and data.segments:
+        first = int(data.segments[0].stamp[0])
+    replayed_from = None if replays_all else first
     rows: dict[float, list[WindowedRows]] = defaultdict(list)
     for segment in data.segments:
         used = suitable_windows(windows, segment.rate)
-        for parts in windowed_rows(segment, build, used, noisy_channels):
+        for parts in windowed_rows(segment, build, used, noisy_channels, first=replayed_from):
             for window, part in zip(used, parts, strict=True):
                 rows[window].append(part)
     seconds = frozenset[int]().union(*map(fingerprint, data.segments))
-    return BlockRows(data.start, data.stop, dict(rows), seconds)
+    return BlockRows(data.start, data.stop, dict(rows), seconds, first)
 
 
 @dataclass(frozen=True)
@@ -102,12 +115,21 @@ class BlockAccumulator:
         End of the last block, ns; None if there is none, or none since a clock jumped back.
     count : int
         Number of blocks.
+    first : int or None
+        First stamp of the log, ns; None before the first segment.
     """
 
     observations: tuple[Observations, ...]
     time_constant: float
     stop: int | None = None
     count: int = 0
+    first: int | None = None
+
+    def rows(self, data: TimeSpan, build: RowBuilder, windows: Sequence[float]) -> BlockRows:
+        """Return the rows of the next block."""
+        # Rows that are forgotten must be represented by newer ones.
+        forgets = self.time_constant < np.inf
+        return build_block_rows(data, build, windows, first=self.first, replays_all=forgets)
 
     def with_block(self, block: BlockRows) -> "BlockAccumulator":
         """Return the information with one more block."""
@@ -117,11 +139,14 @@ class BlockAccumulator:
             _fold(one, weight, block.of_window(one.window)).covering(block.seconds)
             for one in self.observations
         )
-        return replace(self, observations=observations, stop=block.stop, count=self.count + 1)
+        first = block.first if self.first is None else self.first
+        return replace(
+            self, observations=observations, stop=block.stop, count=self.count + 1, first=first
+        )
 
     def with_new_clock(self) -> "BlockAccumulator":
         """Return the same information; the stamps of later blocks start anywhere."""
-        return replace(self, stop=None)
+        return replace(self, stop=None, first=None)
 
 
 class Accumulator:

@@ -4,6 +4,7 @@ import logging
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 
 from symbid_ros.arrays import concatenated
@@ -258,12 +259,16 @@ class Processing:
         Whether every sample has a row before averaging.
     jobs : int
         Threads that build and fold rows averaged over windows.
+    first : int or None
+        First stamp of the log, ns, if the segments are a part of it; from there on, noise is
+        replayed in fewer and fewer blocks. None if they start with it.
     """
 
     smoothing: Smoothing | None = None
     windows: tuple[float, ...] = ALL_WINDOWS
     full_rate: bool = False
     jobs: int = field(default=1, compare=False)
+    first: int | None = field(default=None, compare=False)
 
     @classmethod
     def of(cls, options: IdentifyOptions) -> "Processing":
@@ -365,6 +370,7 @@ def fold_dataset(
             candidates=parameters.candidates,
             full_rate=processing.full_rate,
             jobs=processing.jobs,
+            first=processing.first,
         )
         samples = concatenated(probes)
         observations = tuple(one for one in observations if one.rows.samples > 0)
@@ -394,23 +400,25 @@ def observe(
     candidates: bool = False,
     full_rate: bool = False,
     jobs: int = 1,
+    first: int | None = None,
 ) -> tuple[Observations, ...]:
     """Fold the windowed rows of aligned segments, for each window length.
 
     Each segment adds rows for the window lengths that suit its rate; others may stay empty.
     ``candidates`` tells whether the rows are those of candidate terms, ``full_rate`` whether every
-    sample has a row before averaging, and ``jobs`` how many threads build and fold rows.
+    sample has a row before averaging, and ``jobs`` how many threads build and fold rows. ``first``
+    is the first stamp of the log, ns, by default that of the first segment.
     """
     empty = {
         window: Observations.empty(layout, window, candidates=candidates) for window in windows
     }
     with FoldingPool(empty, jobs) as pool:
         for segment in segments:
+            first = int(segment.stamp[0]) if first is None else first
             used = suitable_windows(windows, segment.rate)
+            build_rows = partial(block_rows, full_rate=full_rate, first=first)
             for block in cut_into_blocks(segment):
-                pool.submit(
-                    used, block_rows, block, build, used, noisy_channels, full_rate=full_rate
-                )
+                pool.submit(used, build_rows, block, build, used, noisy_channels)
             pool.cover(used, fingerprint(segment))
         return pool.finish()
 

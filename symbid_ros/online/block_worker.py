@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from threading import Event
 
-from symbid_ros.identification.accumulator import BlockAccumulator, TimeSpan, build_block_rows
+from symbid_ros.identification.accumulator import BlockAccumulator, TimeSpan
 from symbid_ros.signals.sensor_samples import SensorSamples
 from symbid_ros.signals.weak_form import EquationRows, RowBuilder, SampledRows
 
@@ -72,7 +72,7 @@ class BlockWorker:
         build = self._build
         if not (isinstance(build, EquationRows) and build.skips_samples):
             build = self._build_paced
-        rows = build_block_rows(block, build, self._windows)
+        rows = self._accumulated.rows(block, build, self._windows)
         # The only thread of the pool writes it, one block after the other.
         self._accumulated = self._accumulated.with_block(rows)
         return self._accumulated

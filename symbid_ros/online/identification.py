@@ -254,7 +254,7 @@ class OnlineIdentification:
         blocks, open_block = self._accumulator.blocks, self._scheduler.open_block()
         if open_block is not None and open_block.segments:
             self._select_windows(open_block)
-            blocks = blocks.with_block(build_block_rows(open_block, self._build, self._windows))
+            blocks = blocks.with_block(blocks.rows(open_block, self._build, self._windows))
             self._until = open_block.stop - 1
         problem = self._problem_with(blocks)
         if not problem.observations:

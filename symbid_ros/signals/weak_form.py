@@ -85,6 +85,11 @@ SLIPPING = 0.8
 
 CHUNK = 512
 
+# Blocks from the start of a log whose noise is replayed. The replay estimates a mean, for which it
+# is enough to replay every second, fourth and eighth block later on.
+REPLAYED_BLOCKS = 8
+MOST_DOUBLINGS = 3
+
 Channel = Literal["position", "angular_velocity", "effort", "wrenches"]
 # Channels that are differentiated, whose noise enters the regressor. The accelerometer is excluded:
 # its averaged noise is small compared with gravity, and vibration of the base fills all its bands.
@@ -139,8 +144,9 @@ class WindowedRows:
     ----------
     mean : Rows
         Averaged equation of motion; zero for invalid coordinates.
-    noise : Rows
-        Change of the rows when the noise that enters the regressor is added once more.
+    noise : Rows or None
+        Change of the rows when the noise that enters the regressor is added once more, times the
+        square root of the number of blocks that this one represents; None if another does.
     valid : (N, n) bool
         Coordinates that are used.
     stamp : (N,) int64
@@ -150,7 +156,7 @@ class WindowedRows:
     """
 
     mean: Rows
-    noise: Rows
+    noise: Rows | None
     valid: BoolArray
     stamp: IntArray
     slips: BoolArray | None = None
@@ -159,10 +165,9 @@ class WindowedRows:
         """Return the same windows without the rows of joints that may stick."""
         if self.slips is None:
             return self
-        mean, noise = (
-            Rows(rows.K * self.slips[:, :, None], rows.y * self.slips)
-            for rows in (self.mean, self.noise)
-        )
+        mean, noise = self.mean.masked(self.slips), self.noise
+        if noise is not None:
+            noise = noise.masked(self.slips)
         return WindowedRows(mean, noise, self.slips, self.stamp)
 
 
@@ -377,6 +382,7 @@ def windowed_rows(
     noisy_channels: Sequence[Channel] = MOTION,
     *,
     full_rate: bool = False,
+    first: int | None = None,
 ) -> Iterator[tuple[WindowedRows, ...]]:
     """Yield a segment's rows block by block, for each window length.
 
@@ -393,9 +399,12 @@ def windowed_rows(
     full_rate : bool
         Whether to build a row for every sample, although the low-pass leaves fewer that are
         independent.
+    first : int, optional
+        First stamp of the log, ns: noise is replayed in :func:`represented_blocks`. By default it
+        is replayed in all.
     """
     for block in cut_into_blocks(segment):
-        yield block_rows(block, build, windows, noisy_channels, full_rate=full_rate)
+        yield block_rows(block, build, windows, noisy_channels, full_rate=full_rate, first=first)
 
 
 def cut_into_blocks(segment: Segment) -> Iterator[Segment]:
@@ -415,6 +424,7 @@ def block_rows(
     noisy_channels: Sequence[Channel] = MOTION,
     *,
     full_rate: bool = False,
+    first: int | None = None,
 ) -> tuple[WindowedRows, ...]:
     """Return the rows of a block, for each window length; see :func:`windowed_rows`."""
     low_pass, edge = prefilter(block.rate)
@@ -426,12 +436,39 @@ def block_rows(
     readings = samples(block, None)
     centres = _centres(block.stamp[-1 - edge] - block.stamp[edge], windows)
     weights = [_hann(readings, *window) for window in zip(centres, windows, strict=True)]
-    mean = noisy = _averages_of(build, readings, weights)
-    if noisy_channels:
+    mean = _averages_of(build, readings, weights)
+    noisy: Sequence[_Average | None] = [None] * len(mean)
+    represented = 1
+    if first is not None:
+        length = block_length(block.rate)
+        represented = represented_blocks(int(block.stamp[0]) // length - first // length)
+    if noisy_channels and represented:
         more = samples(add_noise(block, noisy_channels), (block, readings))
         noisy = _averages_of(build, more, weights)
     stamps = [readings.stamp[0] + np.rint(1e9 * each).astype(np.int64) for each in centres]
-    return tuple(_windowed_rows_of(*parts) for parts in zip(mean, noisy, stamps, strict=True))
+    return tuple(
+        _windowed_rows_of(*parts, represented) for parts in zip(mean, noisy, stamps, strict=True)
+    )
+
+
+def represented_blocks(index: int) -> int:
+    """Return how many blocks the noise of a log's block represents; zero if it is not replayed.
+
+    The first ``REPLAYED_BLOCKS`` represent themselves. As many are replayed of the next twice as
+    many, and so on. One is replayed of each group, at places without a period, because the motion
+    may repeat itself.
+
+    Parameters
+    ----------
+    index : int
+        Number of the block since the start of the log; before it all blocks are replayed.
+    """
+    if index < REPLAYED_BLOCKS:
+        return 1
+    doublings = min((1 + index // REPLAYED_BLOCKS).bit_length() - 1, MOST_DOUBLINGS)
+    size = 1 << doublings
+    group, place = divmod(index - REPLAYED_BLOCKS * (size - 1), size)
+    return size if place == int(size * (group * np.sqrt(2) % 1)) else 0
 
 
 def _decimator(rate: float, low_pass: LowPass, edge: int, window: float) -> Decimator:
@@ -547,7 +584,9 @@ def _add(a: _Average, b: _Average) -> _Average:
     return _Average(a.flat + b.flat, a.valid + b.valid, slips, touching, a.loads, a.shape)
 
 
-def _windowed_rows_of(mean: _Average, noisy: _Average, stamp: IntArray) -> WindowedRows:
+def _windowed_rows_of(
+    mean: _Average, noisy: _Average | None, stamp: IntArray, represented: int
+) -> WindowedRows:
     n, p = mean.shape
     valid = mean.valid > SLIPPING
     if mean.touching is not None and mean.loads is not None:
@@ -556,8 +595,10 @@ def _windowed_rows_of(mean: _Average, noisy: _Average, stamp: IntArray) -> Windo
         valid &= ~(changes.astype(float) @ mean.loads > 0)
 
     def rows(flat: FloatArray) -> Rows:
-        K, y = flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]
-        return Rows(K * valid[:, :, None], y * valid)
+        return Rows(flat[:, : n * p].reshape(-1, n, p), flat[:, n * p :]).masked(valid)
 
     slips = None if mean.slips is None else (mean.slips > SLIPPING) & valid
-    return WindowedRows(rows(mean.flat), rows(noisy.flat - mean.flat), valid, stamp, slips)
+    noise = None
+    if noisy is not None:
+        noise = rows(np.sqrt(represented) * (noisy.flat - mean.flat))
+    return WindowedRows(rows(mean.flat), noise, valid, stamp, slips)

@@ -4,9 +4,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from analytic_log import analytic_segment, noisy
 from gaussian_logs import gaussian_log
+from random_robots import random_robot
 
-from symbid_ros.identification.accumulator import Accumulator, BlockAccumulator, BlockRows
+from symbid_ros.estimation.information import RowLayout
+from symbid_ros.estimation.observations import Observations
+from symbid_ros.identification.accumulator import (
+    Accumulator,
+    BlockAccumulator,
+    BlockRows,
+    TimeSpan,
+)
+from symbid_ros.identification.dataset import observe
+from symbid_ros.model.parameters import ParameterSet
+from symbid_ros.signals.segments import cut_to
+from symbid_ros.signals.weak_form import WINDOWS, equation_rows, windowed_rows
 
 SECOND = 1_000_000_000
 BLOCK = 4 * SECOND
@@ -87,3 +100,46 @@ def test_an_infinite_time_constant_keeps_all_weights(log, empty) -> None:
     later = blocks.with_block(block_rows(log, 2 * BLOCK, 3 * BLOCK, THIRD))
     assert_holds(later.observations[0], log, (1.0, FIRST), (1.0, THIRD))
     assert later.observations[0].kept == 1.0
+
+
+def noise_moment(observations):
+    """Return the moments of the replayed noise for each window length."""
+    return [one.noise.factor.T @ one.noise.factor for one in observations]
+
+
+def test_live_blocks_replay_noise_where_an_offline_run_does() -> None:
+    parameters = ParameterSet(random_robot(1, links=3), ("viscous",))
+    exact = analytic_segment(parameters, 100.0, 3, rate=150.0, start=1.5)
+    segment = noisy(exact, np.random.default_rng(0), position=1e-4, rate=5e-3)
+    build, layout = equation_rows(parameters), RowLayout.of(parameters)
+    offline = observe([segment], build, layout, WINDOWS)
+    empty = tuple(Observations.empty(layout, window) for window in WINDOWS)
+
+    def live(time_constant):
+        """Yield the information after each block."""
+        blocks = BlockAccumulator(empty, time_constant)
+        for start in range(0, 102 * SECOND, BLOCK):
+            parts = tuple(cut_to([segment], start, start + BLOCK))
+            span = TimeSpan(start, start + BLOCK, parts)
+            blocks = blocks.with_block(blocks.rows(span, build, WINDOWS))
+            yield blocks.observations
+
+    found = list(live(np.inf))[-1]
+    for one, two in zip(noise_moment(found), noise_moment(offline), strict=True):
+        np.testing.assert_allclose(one, two, atol=1e-10 * np.abs(two).max())
+    # Fewer blocks are replayed, each with the weight of those that it represents.
+    every = [Observations.empty(layout, window) for window in WINDOWS]
+    for rows in windowed_rows(segment, build, WINDOWS):
+        every = [one.fold([part]) for one, part in zip(every, rows, strict=True)]
+    for one, two in zip(offline, every, strict=True):
+        assert one.noise.samples < 0.75 * two.noise.samples
+        shorter, longer = np.trace(noise_moment([one])[0]), np.trace(noise_moment([two])[0])
+        assert shorter == pytest.approx(longer, rel=0.15)
+        np.testing.assert_allclose(
+            one.rows.factor.T @ one.rows.factor,
+            two.rows.factor.T @ two.rows.factor,
+            atol=1e-10 * np.abs(two.rows.factor.T @ two.rows.factor).max(),
+        )
+    # What is forgotten must be represented by newer rows, so each block is replayed.
+    samples = [one[0].noise.samples for one in live(1000.0)]
+    assert np.all(np.diff(samples) > 0)

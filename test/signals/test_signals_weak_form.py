@@ -20,6 +20,7 @@ from symbid_ros.signals.weak_form import (
     BLOCK,
     INFLATION,
     PREFILTER,
+    REPLAYED_BLOCKS,
     SETTLING,
     WINDOWS,
     SampledRows,
@@ -27,6 +28,7 @@ from symbid_ros.signals.weak_form import (
     check_windows,
     equation_rows,
     prefilter,
+    represented_blocks,
     suitable_windows,
     windowed_rows,
 )
@@ -341,3 +343,23 @@ def test_averages_without_single_rows_equal_those_of_single_rows(terms, full_rat
         for sums, singles in ((one.mean, other.mean), (one.noise, other.noise)):
             np.testing.assert_allclose(sums.K, singles.K, atol=1e-12 * np.abs(one.mean.K).max())
             np.testing.assert_allclose(sums.y, singles.y, atol=1e-12 * np.abs(one.mean.y).max())
+
+
+def test_replayed_blocks_represent_all_blocks_evenly():
+    represented = np.array([represented_blocks(index) for index in range(-3, 2000)])[3:]
+    assert (represented[:REPLAYED_BLOCKS] == 1).all()
+    assert set(represented.tolist()) == {0, 1, 2, 4, 8}
+    seen = np.cumsum(represented) - np.arange(1, len(represented) + 1)
+    assert np.abs(seen).max() < 8
+    # Half of the time is replayed in two minutes, and an eighth in the long run.
+    assert np.count_nonzero(represented[:30]) > 15
+    assert np.count_nonzero(represented) == pytest.approx(2000 / 8, rel=0.1)
+    # Motion that repeats itself is replayed in all its phases.
+    places = np.flatnonzero(represented == 8)
+    for period in (2, 3, 4, 5, 8, 16, 24):
+        count = np.bincount(places % period, minlength=period)
+        assert count.min() > 0.7 * count.mean()
+
+
+def test_blocks_before_the_log_are_replayed():
+    assert [represented_blocks(index) for index in (-1000, -1, 0)] == [1, 1, 1]
