@@ -18,8 +18,8 @@ MAY_SCROLL = "pre, .table-wrapper, .math-wrapper, .sidebar-drawer, .toc-drawer"
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory) -> Iterator[Path]:
-    """The built pages; the others would take most of the time."""
+def site(browser, tmp_path_factory) -> Iterator[Path]:
+    """The built pages, if there is a browser; the others would take most of the time."""
     if find_spec("sphinx") is None or find_spec("furo") is None:
         reason = "no Sphinx with Furo found: the documentation's pages are not tested"
         warnings.warn(reason, stacklevel=1)

@@ -248,7 +248,8 @@ def _wrench_findings(topic: str, frame: str, turn: RotationFit, common: float) -
 def _effort_findings(
     topic: str, known: Mapping[str, tuple[float, float]], common: float
 ) -> Iterator[Finding]:
-    negative = [name for name, (gain, std) in known.items() if gain < -DEVIATIONS * std]
+    # The deviation is that of the ratio 1/g, relative to the ratio.
+    negative = [name for name, (gain, std) in known.items() if gain < 0 and DEVIATIONS * std < 1]
     if negative:
         whose = "all joints" if len(negative) > 2 and len(negative) == len(known) else ""
         figures = {f"{name}/gain": known[name][0] / common for name in negative}
@@ -267,7 +268,7 @@ def _effort_findings(
         # The standard deviation includes the errors of the inertias.
         is_significant = abs(gain - common) > DEVIATIONS * std
         reads = common / max(gain, SMALLEST * common)
-        if gain > -DEVIATIONS * std and is_significant and not GAINS[0] < reads < GAINS[1]:
+        if gain > 0 and is_significant and not GAINS[0] < reads < GAINS[1]:
             wrong[name] = reads
     for names in _similar_groups(wrong):
         reads = float(np.median([wrong[name] for name in names]))

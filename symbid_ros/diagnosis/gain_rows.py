@@ -278,6 +278,8 @@ class CoordinateRows:
     ----------
     coordinates : tuple of str
         Their names.
+    units : tuple of str
+        Units of their forces, Nm or N.
     structure : (n, q) bool
         Which of q unknowns affect each coordinate.
     samples : int
@@ -285,6 +287,7 @@ class CoordinateRows:
     """
 
     coordinates: tuple[str, ...]
+    units: tuple[str, ...]
     structure: BoolArray
     samples: int = 0
     _columns: list[IntArray] = field(init=False)

@@ -184,7 +184,10 @@ class GainEstimate:
         return float(self.mean[place]), float(np.sqrt(self.covariance[place, place]))
 
     def effort(self, index: int) -> tuple[float, float]:
-        """Return g of a driven joint and its standard deviation."""
+        """Return g of a driven joint, and the relative standard deviation of the ratio 1/g.
+
+        That is also the deviation by which g differs from one.
+        """
         place = self.sensors.efforts.start + index
         return 1 + float(self.mean[place]), float(np.sqrt(self.covariance[place, place]))
 
@@ -320,10 +323,10 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
     std = float(np.sqrt(np.linalg.inv(information)[0, 0]))
     if layout.wrench_frames or PLAUSIBLE[0] < ratio < PLAUSIBLE[1]:
         return _away_from_zero(ratio), std
-    # Without measured forces an uncertain load attenuates the ratio. The evidence tells whether
+    # Without measured forces an uncertain load attenuates the ratio. Likelihoods tell whether
     # efforts of the right scale explain the readings as well.
     found, right = (
-        log_evidence(
+        log_likelihoods(
             read - one * load,
             np.column_stack([abs(one) * inertias, drives]),
             UNMODELLED * (FLOOR * size) ** 2,
@@ -331,14 +334,20 @@ def effort_scale(problem: GainProblem, gains: GainEstimate, index: int) -> tuple
         )
         for one in (ratio, 1.0)
     )
-    deviations = float(np.sqrt(max(2 * (found - right), 0.0)))
+    gained = min(np.subtract(found, right))
+    deviations = float(np.sqrt(max(2 * gained, 0.0)))
     return _away_from_zero(ratio), max(std, abs(ratio - 1) / max(deviations, 1.0))
 
 
-def log_evidence(
+def log_likelihoods(
     target: FloatArray, columns: FloatArray, least: float, independent: float
-) -> float:
-    """Return the log probability of a target whose noise variance is not known, up to a constant.
+) -> tuple[float, float]:
+    """Return two log likelihoods of a target whose noise variance is not known, up to a constant.
+
+    The first is the evidence, in which the unknowns are marginalised, the second that of their most
+    probable values. A large ratio explains more by its wide columns, which the evidence punishes. A
+    ratio near zero has narrow columns, which the evidence rewards even if the readings agree with a
+    ratio of one, as those of a body do whose centre of mass lies on the axis unlike the model's.
 
     Parameters
     ----------
@@ -357,8 +366,9 @@ def log_evidence(
     weight = np.geomspace(1 / max(square, least), 1 / least, VARIANCES)[:, None]
     ratio = weight * np.maximum(values, 0.0)
     left = weight[:, 0] * square - np.sum(weight**2 * fit / (1 + ratio), axis=1)
-    cost = left + np.sum(np.log1p(ratio), axis=1) - independent * np.log(weight[:, 0])
-    return float(-0.5 * cost.min())
+    best = left - independent * np.log(weight[:, 0])
+    evidence = best + np.sum(np.log1p(ratio), axis=1)
+    return float(-0.5 * evidence.min()), float(-0.5 * best.min())
 
 
 def _away_from_zero(ratio: float) -> float:
@@ -368,12 +378,15 @@ def _away_from_zero(ratio: float) -> float:
 def loads(rows: CoordinateRows, expected: FloatArray) -> FloatArray:
     """Return the largest root mean square load (n,) among coordinates of the same kind.
 
-    The load is the measured one, or the one that the unknowns (q,) imply if that is larger, because
-    a force may lack a sensor.
+    Joints are of two kinds, revolute and prismatic. The load is the measured one, or the one that
+    the unknowns (q,) imply if that is larger, because a force may lack a sensor.
     """
-    names = rows.coordinates
-    vectors = [name for name in names if name.rpartition("/")[2] in COMPONENTS]
-    kinds = np.array([name.rpartition("_")[0] if name in vectors else "" for name in names])
+    kinds = np.array(
+        [
+            name.rpartition("_")[0] if name.rpartition("/")[2] in COMPONENTS else unit
+            for name, unit in zip(rows.coordinates, rows.units, strict=True)
+        ]
+    )
     squares = np.maximum(rows.target_squares, rows.residual_squares(expected))
     largest = np.array([squares[kinds == kind].max() for kind in kinds])
     mean = np.maximum(largest, LEAST**2 * largest.max())

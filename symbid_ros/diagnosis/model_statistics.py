@@ -80,7 +80,9 @@ class ModelStatistics:
         self.gains = GainLayout.of(model, tuple(wrench_frames), tuple(imu_frames))
         structure = RowLayout.of(self.parameters).structure
         self.rows = CoordinateRows(
-            model.coordinates, np.hstack([structure, self.gains.structure(model)])
+            model.coordinates,
+            model.coordinate_units,
+            np.hstack([structure, self.gains.structure(model)]),
         )
         self.standing = tuple(
             StanceGyroMoments(model, index)

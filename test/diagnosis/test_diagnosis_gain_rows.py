@@ -218,7 +218,7 @@ def test_factors_hold_the_moments_of_all_rows():
     rng = np.random.default_rng(0)
     structure = rng.random((3, 6)) < 0.6
     structure[0], structure[1, 2] = True, False
-    rows = CoordinateRows(("base/force_x", "a", "b"), structure)
+    rows = CoordinateRows(("base/force_x", "a", "b"), ("N", "Nm", "Nm"), structure)
     K = rng.normal(size=(50, 3, 6)) * structure
     y = rng.normal(size=(50, 3))
     for part in (slice(0, 20), slice(20, 21), slice(21, 50)):
@@ -238,5 +238,5 @@ def test_factors_hold_the_moments_of_all_rows():
     factor = rows.whitened(deviation)
     np.testing.assert_allclose(factor.T @ factor, dense.T @ dense, atol=1e-10)
     assert factor.shape == (7, 7)
-    empty = CoordinateRows(("a",), structure[:1])
+    empty = CoordinateRows(("a",), ("Nm",), structure[:1])
     np.testing.assert_array_equal(empty.target_squares, [0])

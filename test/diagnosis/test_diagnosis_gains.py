@@ -18,6 +18,7 @@ from symbid_ros.dynamics.regressor import Rows
 
 LAYOUT = GainLayout(("left",), ("imu",), (0, 1), ("hip", "knee"))
 NAMES = ("base/moment_x", "base/moment_y", "base/force_x", "base/force_z", "hip", "knee")
+UNITS = ("Nm", "Nm", "N", "N", "Nm", "Nm")
 
 
 def problem(seed=0, count=200, noise=0.0, theta=None, size=1.0):
@@ -28,7 +29,7 @@ def problem(seed=0, count=200, noise=0.0, theta=None, size=1.0):
     mean = rng.uniform(1, 2, p)
     true = np.append(mean, np.zeros(r) if theta is None else theta)
     y = K @ true + noise * rng.normal(size=(count, n))
-    rows = CoordinateRows(NAMES, np.ones((n, p + r), dtype=bool))
+    rows = CoordinateRows(NAMES, UNITS, np.ones((n, p + r), dtype=bool))
     rows.fold(Rows(K, y))
     return GainProblem(rows, mean, np.full(p, 0.3), LAYOUT), K, y
 
@@ -112,16 +113,19 @@ def test_delays_are_found_with_gains_of_one():
 
 
 def test_loads_are_the_largest_of_their_kind():
-    rows = CoordinateRows(NAMES, np.ones((6, 1), dtype=bool))
+    rows = CoordinateRows(NAMES, UNITS, np.ones((6, 1), dtype=bool))
     y = np.array([[3.0, 4, 10, 20, 5, 1e-9]])
     rows.fold(Rows(np.zeros((1, 6, 1)), y))
     np.testing.assert_allclose(loads(rows, np.zeros(1)), [4, 4, 20, 20, 5, 5])
     # What the unknowns imply counts if it is more.
-    rows = CoordinateRows(NAMES, np.ones((6, 1), dtype=bool))
+    rows = CoordinateRows(NAMES, UNITS, np.ones((6, 1), dtype=bool))
     rows.fold(Rows(np.full((1, 6, 1), 7.0), np.zeros((1, 6))))
     np.testing.assert_allclose(loads(rows, np.array([2.0])), 14)
     np.testing.assert_allclose(loads(rows, np.array([0.0])), 1)
-    small = CoordinateRows(NAMES, np.ones((6, 1), dtype=bool))
+    mixed = CoordinateRows(NAMES, (*UNITS[:5], "N"), np.ones((6, 1), dtype=bool))
+    mixed.fold(Rows(np.zeros((1, 6, 1)), np.array([[3.0, 4, 10, 20, 5, 1800]])))
+    np.testing.assert_allclose(loads(mixed, np.zeros(1)), [4, 4, 20, 20, 5, 1800])
+    small = CoordinateRows(NAMES, UNITS, np.ones((6, 1), dtype=bool))
     small.fold(Rows(np.zeros((1, 6, 1)), np.array([[0.0, 0, 100, 0, 0, 0]])))
     np.testing.assert_allclose(loads(small, np.zeros(1)), [0.01, 0.01, 100, 100, 0.01, 0.01])
 
