@@ -187,7 +187,10 @@ def score(
     found: Identification, prior: Prior, parameters: ParameterSet, motion: TrueMotion
 ) -> Score:
     """Evaluate one estimate."""
-    estimate, factor, truth = found.estimate, found.deviation_factor, parameters.values
+    estimate, factor = found.estimate, found.deviation_factor
+    # With the joint terms that the log asked for, if any.
+    parameters = ParameterSet.of_names(parameters.model, estimate.names)
+    prior, truth = prior.for_columns(parameters), parameters.values
     metrics = evaluate(parameters, {"": estimate.value}, truth, motion)[""]
     covered = com_covered = np.nan
     squares = np.zeros(0)

@@ -18,6 +18,7 @@ SensorErrorKind = Literal[
     "imu_bias",
     "encoder_offset",
     "compliance",
+    "sensor_delay",
 ]
 
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -27,8 +28,11 @@ FILTERS: tuple[Filter, ...] = get_args(Filter)
 CHANNELS: tuple[Channels, ...] = get_args(Channels)
 TERMS: tuple[Term, ...] = get_args(Term)
 SENSOR_ERROR_KINDS: tuple[SensorErrorKind, ...] = get_args(SensorErrorKind)
-# Those that calibration usually leaves. Elastic joints are a property of the robot.
-TYPICAL_ERRORS = tuple(kind for kind in SENSOR_ERROR_KINDS if kind != "compliance")
+# Those that calibration usually leaves. Elastic joints are a property of the robot, and stamps one
+# of drivers and networks.
+TYPICAL_ERRORS = tuple(
+    kind for kind in SENSOR_ERROR_KINDS if kind not in ("compliance", "sensor_delay")
+)
 
 
 class JointTerm(NamedTuple):

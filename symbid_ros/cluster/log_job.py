@@ -304,6 +304,7 @@ def _require_supported(request: BagRequest) -> None:
         "filter": options.row_filter != "weak",
         "drive_gain": bool(options.drive_gain) and not options.unchecked,
         "imu_mounting": "imu_mounting" in options.sensor_error_kinds,
+        "sensor_delay": "sensor_delay" in options.sensor_error_kinds,
     }
     for name, is_asked in asked.items():
         if is_asked:

@@ -152,7 +152,7 @@ def fold_part(
             return {"warnings": [*messages, str(error)]}
         if checks is not None:
             robot = parameters.apply(np.asarray(mean))
-            found = check_dataset(dataset, checks, robot, estimates_mounting=False)
+            found = check_dataset(dataset, checks, robot, estimated=())
         spans = [(int(one.stamp[0]), int(one.stamp[-1])) for one in segments]
     samples = {one.name: getattr(dataset.samples, one.name) for one in fields(dataset.samples)}
     findings, faults = [], []

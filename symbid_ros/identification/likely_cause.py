@@ -63,6 +63,7 @@ EFFECTS = {
     "compliance": "elasticity",
     "imu_mounting": "the mounting of the IMU",
     "imu_bias": "the bias of the IMU",
+    "sensor_delay": "delays of sensors",
     "plate_offset": "offsets of the wrench sensors",
     "plate_gain": "gains of the wrench sensors",
     "plate_pose": "positions of the wrench sensors",
@@ -102,7 +103,7 @@ class Cause:
         if self.kind in SENSOR_ERROR_KINDS or self.kind == SEVERAL:
             return f"give `sensor_errors` {self.kind}"
         if self.kind == "delay":
-            return "correct the stamps of one of them"
+            return "give `sensor_errors` sensor_delay, or correct the stamps of one of them"
         return NO_OPTION
 
 
@@ -400,7 +401,11 @@ class _Builder:
         missing = tuple(term for term in terms if term not in parameters.terms)
         errors = None
         if not isinstance(build, CalibratingRows):
-            kinds = [kind for kind in SENSOR_ERROR_KINDS if kind != "torque_gain"]
+            # Columns of measured efforts would explain their own residuals: see ``effects``.
+            left_out = {"torque_gain"}
+            if not (segment.wrench_frames or segment.imu_frames):
+                left_out.add("sensor_delay")
+            kinds = [kind for kind in SENSOR_ERROR_KINDS if kind not in left_out]
             errors = SensorErrors.of(
                 kinds, parameters.model, segment.wrench_frames, segment.imu_frames
             )

@@ -403,5 +403,4 @@ def _check(
     if factors is not None:
         dataset = replace(dataset, segments=ConvertedSegments(dataset.segments, factors.values))
     robot = with_payloads(parameters.apply(prior.mean), parameters.payloads)
-    turns = "imu_mounting" in options.sensor_error_kinds
-    return check_dataset(dataset, streams, robot, estimates_mounting=turns)
+    return check_dataset(dataset, streams, robot, estimated=options.sensor_error_kinds)

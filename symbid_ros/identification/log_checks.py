@@ -1,12 +1,13 @@
 """Checks of a log before its identification: refusals, warnings, alarms and starting points."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from symbid_ros.choices import SensorErrorKind
 from symbid_ros.diagnosis.findings import FaultSpan, Finding, Kind, merged
 from symbid_ros.diagnosis.model_checks import check_model
 from symbid_ros.diagnosis.model_statistics import ModelStatistics
@@ -65,7 +66,11 @@ NO_CHECKS = LogChecks()
 
 
 def check_dataset(
-    dataset: Dataset, checks: StreamChecks, robot: RobotModel, *, estimates_mounting: bool
+    dataset: Dataset,
+    checks: StreamChecks,
+    robot: RobotModel,
+    *,
+    estimated: Collection[SensorErrorKind],
 ) -> LogChecks:
     """Check a log by itself and against the model, and log a warning for each finding.
 
@@ -76,8 +81,9 @@ def check_dataset(
         Of the same log.
     robot : RobotModel
         With the prior's inertias, which are trusted within ±25 %.
-    estimates_mounting : bool
-        Whether rotations of IMUs are estimated with the robot.
+    estimated : collection of str
+        Sensor errors that are estimated with the robot; they are not findings then: mountings
+        of IMUs, and delays.
 
     Raises
     ------
@@ -104,7 +110,10 @@ def check_dataset(
             checks.wrench_topics,
         ).findings
     mountings = {}
-    if estimates_mounting and statistics is not None:
+    if "sensor_delay" in estimated:
+        # The identification knows them better, with all other errors as unknowns.
+        found = [one for one in found if one.kind is not Kind.DELAY]
+    if "imu_mounting" in estimated and statistics is not None:
         frames = dict(zip(checks.imu_topics, statistics.gains.imu_frames, strict=False))
         turned = {one.stream: mounting for one in found if (mounting := _mounting(one)) is not None}
         mountings = {frames[topic]: one for topic, one in turned.items() if topic in frames}

@@ -182,7 +182,7 @@ class IdentifyOptions(ContactOptions):
     sensor_errors: tuple[str, ...] = option(
         (),
         f"Sensor errors to identify: typical (those that calibration leaves), none, or a "
-        f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)} (joints that bend).",
+        f"comma-separated list of {', '.join(SENSOR_ERROR_KINDS)}. compliance: joints bend.",
         group=JOINTS,
         unset="compliance if a log of an arm shows it, otherwise none",
     )

@@ -14,6 +14,7 @@ from symbid_ros.dynamics.kinematics import link_poses
 from symbid_ros.dynamics.regressor import Rows, equation_of_motion
 from symbid_ros.model.parameters import ParameterSet
 from symbid_ros.model.tree import RobotModel
+from symbid_ros.signals.realignment import advanced
 from symbid_ros.signals.sensor_samples import SensorSamples, at_base
 from symbid_ros.signals.weak_form import (
     SampledRows,
@@ -32,6 +33,7 @@ DEVIATIONS = {
     "imu_bias": (0.002,) * 3 + (0.02,) * 3,  # rad/s, m/s²
     "encoder_offset": (np.radians(0.11),),
     "compliance": (1e-4,),  # rad/Nm; logs replace it by one in proportion to the efforts
+    "sensor_delay": (0.005,),  # s
     "drive_gain": (1.0,),  # relative to the first guess
 }
 UNITS = {
@@ -43,9 +45,12 @@ UNITS = {
     "imu_bias": ("rad/s",) * 3 + ("m/s^2",) * 3,
     "encoder_offset": ("rad",),
     "compliance": ("rad/Nm",),
+    "sensor_delay": ("s",),
     "drive_gain": ("1",),
 }
-DRIVE_GAIN, COMPLIANCE = "drive_gain", "compliance"
+DRIVE_GAIN, COMPLIANCE, DELAY = "drive_gain", "compliance", "sensor_delay"
+# Owner of the delay of all efforts.
+EFFORTS = "efforts"
 KINDS = SENSOR_ERROR_KINDS
 ALL_KINDS = (*KINDS, DRIVE_GAIN)
 
@@ -106,6 +111,9 @@ class SensorErrors:
             return self.wrench_frames
         if kind.startswith("imu"):
             return self.imu_frames
+        if kind == DELAY:
+            efforts = (EFFORTS,) if self.driven.any() else ()
+            return (*self.imu_frames, *self.wrench_frames, *efforts)
         if kind == "torque_gain":
             return tuple(name for name, used in zip(self.joints, self.driven, strict=True) if used)
         return self.gained if kind == DRIVE_GAIN else self.joints
@@ -165,16 +173,46 @@ class SensorErrors:
             size = len(DEVIATIONS[kind])
             for index, owner in enumerate(self._owners(kind)):
                 columns = slice(place.start + size * index, place.start + size * (index + 1))
-                if kind.startswith("plate"):
+                if kind.startswith("plate") or (kind == DELAY and owner in self.wrench_frames):
                     carried = model.ancestors[:, model.loaded_link(owner)]
                     affects[first:, columns] = carried[:, None]
                 elif kind in ("torque_gain", DRIVE_GAIN):
                     affects[:, columns] = False
                     affects[first + self.joints.index(owner), columns] = True
+                elif kind == DELAY and owner == EFFORTS:
+                    affects[:, columns] = False
+                    affects[first + np.flatnonzero(self.driven), columns] = True
         return affects
+
+    def realigned(self, readings: SensorSamples, theta: FloatArray) -> SensorSamples:
+        """Return the samples without the delays of θ (r,) relative to the joints' positions."""
+        delays = self.of_kind(DELAY, theta)[:, 0]
+        if not delays.any():
+            return readings
+        imus, wrenches = len(self.imu_frames), len(self.wrench_frames)
+
+        def moved(values: FloatArray, late: FloatArray) -> FloatArray:
+            each = [advanced(values[:, i], readings.stamp, one) for i, one in enumerate(late)]
+            return np.stack(each, axis=1) if each else values
+
+        realigned = replace(
+            readings, wrenches=moved(readings.wrenches, delays[imus : imus + wrenches])
+        )
+        if self.driven.any():
+            effort = advanced(readings.effort, readings.stamp, float(delays[-1]))
+            realigned = replace(realigned, effort=effort)
+        if not imus:
+            return realigned
+        return replace(
+            realigned,
+            angular_velocity=moved(readings.angular_velocity, delays[:imus]),
+            angular_acceleration=moved(readings.angular_acceleration, delays[:imus]),
+            specific_force=moved(readings.specific_force, delays[:imus]),
+        )
 
     def corrected(self, readings: SensorSamples, theta: FloatArray) -> SensorSamples:
         """Return the samples corrected for the errors θ (r,)."""
+        readings = self.realigned(readings, theta)
         gain = np.zeros(len(self.joints))
         gain[self.driven] = self.of_kind("torque_gain", theta)[:, 0]
         factor = np.ones(len(self.joints))
@@ -241,6 +279,7 @@ def _component_names(kind: str) -> tuple[str, ...]:
 COLUMN_PERIOD_NS = 20_000_000
 CHUNK = 4096
 STEP = 1e-4  # of a finite difference, rad, rad/s or m/s²; of deflections at the largest effort
+TIME_STEP = 1e-5  # of a finite difference, s
 
 
 @dataclass(frozen=True)
@@ -273,11 +312,12 @@ def error_columns(
     C = np.zeros((len(readings), model.dof, len(errors)))
     unshifted = residual(theta)
     for kind, place in errors.places.items():
-        if kind in ("imu_mounting", "imu_bias", "encoder_offset"):
+        if kind in ("imu_mounting", "imu_bias", "encoder_offset", DELAY):
+            step = TIME_STEP if kind == DELAY else STEP
             for column in range(place.start, place.stop):
                 shifted = theta.copy()
-                shifted[column] += STEP
-                C[:, :, column] = (residual(shifted) - unshifted) / STEP
+                shifted[column] += step
+                C[:, :, column] = (residual(shifted) - unshifted) / step
         elif kind == COMPLIANCE:
             # Links move behind the gears. Friction and rotors move with the motors.
             bare = parameters.with_known_values({})
@@ -292,9 +332,8 @@ def error_columns(
         elif kind == "torque_gain":
             rows = 6 * model.floating + np.flatnonzero(errors.driven)
             gain = errors.of_kind(kind, theta)[:, 0]
-            C[:, rows, range(place.start, place.stop)] = (
-                -np.nan_to_num(readings.effort[:, errors.driven]) / (1 + gain) ** 2
-            )
+            effort = errors.realigned(readings, theta).effort[:, errors.driven]
+            C[:, rows, range(place.start, place.stop)] = -np.nan_to_num(effort) / (1 + gain) ** 2
     _fill_plates(C, errors, model, readings, theta)
     return C
 
@@ -315,7 +354,8 @@ def _fill_plates(
     response = contact_jacobian(model, frames, poses).transpose(0, 2, 1)
     response = response.reshape(len(readings), model.dof, len(frames), 6)
     gain = 1 + errors.of_kind("plate_gain", theta)
-    rescaled = (readings.wrenches - errors.of_kind("plate_offset", theta)) / gain
+    realigned = errors.realigned(readings, theta)
+    rescaled = (realigned.wrenches - errors.of_kind("plate_offset", theta)) / gain
     lever = errors.of_kind("plate_pose", theta)
     # Derivative of the corrected wrench by each component of the uncorrected one.
     correction = np.tile(np.eye(6), (len(frames), 1, 1))

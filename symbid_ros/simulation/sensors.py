@@ -1,14 +1,15 @@
 """The robot's sensors: readings computed from true quantities."""
 
+import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from symbid_ros.arrays import BoolArray, FloatArray
-from symbid_ros.simulation.plant import SCALAR_LAST, Truth
+from symbid_ros.simulation.plant import SCALAR_LAST, State, Truth
 from symbid_ros.simulation.systematic_errors import SystematicErrors
 
 
@@ -155,7 +156,7 @@ class Sensors:
             np.zeros(0) if steps is None else steps.by_channel(joints, len(self._plate_offset))
         )
         self._delays = errors.delays.tolist()
-        self._past: deque[Truth] = deque(maxlen=1 + max(self._delays))
+        self._past: deque[Truth] = deque(maxlen=1 + math.ceil(max(self._delays)))
 
     def store(self, truth: Truth) -> None:
         """Store an instant, which delayed sensors will report later."""
@@ -205,8 +206,13 @@ class Sensors:
         )
 
     def _delayed(self, sensor: int) -> Truth:
-        """Return the past instant that a sensor reports now."""
-        return self._past[max(len(self._past) - 1 - self._delays[sensor], 0)]
+        """Return the past instant that a sensor reports now, interpolated between two."""
+        age = min(self._delays[sensor], len(self._past) - 1)
+        later = self._past[len(self._past) - 1 - math.floor(age)]
+        share = age % 1.0
+        if not share:
+            return later
+        return _interpolated(later, self._past[len(self._past) - 1 - math.ceil(age)], share)
 
     def _joint_readings(self, truth: Truth) -> tuple[FloatArray, FloatArray, FloatArray]:
         return (
@@ -235,6 +241,28 @@ class Sensors:
         self._next += 1
         noise: FloatArray = self._noise[self._next - 1]
         return noise
+
+
+def _interpolated(later: Truth, earlier: Truth, share: float) -> Truth:
+    """Return the joint, IMU and wrench readings between two instants."""
+
+    def between(after: FloatArray, before: FloatArray) -> FloatArray:
+        return (1.0 - share) * after + share * before
+
+    state = State(
+        later.state.time - share * (later.state.time - earlier.state.time),
+        between(later.state.position, earlier.state.position),
+        between(later.state.velocity, earlier.state.velocity),
+    )
+    orientation = between(later.imu_orientation, earlier.imu_orientation)
+    return replace(
+        later,
+        state=state,
+        effort=between(later.effort, earlier.effort),
+        imu_orientation=orientation / np.linalg.norm(orientation),
+        imu_motion=between(later.imu_motion, earlier.imu_motion),
+        wrenches=between(later.wrenches, earlier.wrenches),
+    )
 
 
 def _plate_matrices(errors: SystematicErrors) -> FloatArray:

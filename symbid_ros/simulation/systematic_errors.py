@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from symbid_ros.arrays import FloatArray, IntArray
+from symbid_ros.arrays import FloatArray
 from symbid_ros.errors import SimulationError
 from symbid_ros.simulation.settings import ChannelValues
 
@@ -20,7 +20,7 @@ TORQUE_GAIN = 0.01, 0.02
 IMU_MOUNTING = np.radians(0.1), np.radians(0.3)
 ENCODER_OFFSET = np.radians(0.05), np.radians(0.15)
 LINK_LENGTH = 1e-3, 2e-3  # m
-LONGEST_DELAY = 5  # periods; the shortest is one, and all sensors have different delays
+DELAY = 1.0, 5.0  # periods
 
 # Quantisation steps: 18 bits per turn of an encoder; 16 bits for ±100 Nm, ±250 degrees per second,
 # ±4 g, ±2 kN and ±400 Nm.
@@ -74,9 +74,9 @@ class SystematicErrors:
         This is an error of the robot, not of its sensors.
     sample_rates : SampleRates
         Sample interval of each kind of sensor.
-    delays : (2 + F,) int64
+    delays : (2 + F,) float64
         Delays of joint states, IMU and plates in periods: a message stamped t contains the
-        readings of that many periods earlier.
+        readings of that many periods earlier, interpolated between two instants.
     quantisation : ChannelValues or None
         Quantisation steps of the readings.
     """
@@ -89,7 +89,7 @@ class SystematicErrors:
     encoder_offset: FloatArray
     link_length: FloatArray
     sample_rates: SampleRates
-    delays: IntArray
+    delays: FloatArray
     quantisation: ChannelValues | None
 
     @classmethod
@@ -104,7 +104,7 @@ class SystematicErrors:
             encoder_offset=np.zeros(joints),
             link_length=np.zeros(joints),
             sample_rates=SampleRates(),
-            delays=np.zeros(2 + plates, dtype=np.int64),
+            delays=np.zeros(2 + plates),
             quantisation=None,
         )
 
@@ -179,7 +179,7 @@ ERRORS: dict[str, Draw] = {
     "encoder_offset": lambda random, joints, _: _draw_scalars(random, ENCODER_OFFSET, (joints,)),
     "link_length": lambda random, joints, _: _draw_scalars(random, LINK_LENGTH, (joints,)),
     "sample_rates": lambda *_: SampleRates(joints=1, imu=2, plates=3),
-    "delays": lambda random, _, plates: 1 + random.permutation(LONGEST_DELAY)[: 2 + plates],
+    "delays": lambda random, _, plates: random.uniform(*DELAY, 2 + plates),
     "quantisation": lambda *_: RESOLUTION,
 }
 TYPICAL = (

@@ -118,6 +118,8 @@ def test_names_units_deviations_and_places_agree(robot):
         assert place.start == end
         end = place.stop
         sensors = readings.wrench_frames if kind.startswith("plate") else readings.imu_frames
+        if kind == "sensor_delay":
+            sensors = (*readings.imu_frames, *readings.wrench_frames, "efforts")
         owned = owners.get(kind, list(sensors))
         names = errors.names[place]
         size = len(DEVIATIONS[kind])
@@ -229,6 +231,45 @@ def test_rows_close_at_the_true_parameters_and_errors(robot):
     linearised = closure(draw, LinearizationPoint(phi, none))
     assert linearised < 0.1 * ignored
     assert closure(draw / 4, LinearizationPoint(phi, none)) < linearised / 10 + exact
+
+
+@pytest.mark.parametrize("robot", [(1, True), (2, False)], ids=str)
+def test_rows_close_when_late_sensors_are_realigned(robot):
+    parameters, seed = parameters_of(robot), 7
+    readings = exact_readings(parameters, 1300, seed)
+    errors = all_errors(parameters, readings, ["sensor_delay"])
+    late = np.random.default_rng(3).uniform(-0.005, 0.005, len(errors))
+
+    def delayed(delay):
+        stamp = readings.stamp - round(1e9 * delay)
+        samples = analytic_samples(parameters, stamp, seed)
+        return readings_of(parameters.model, samples, readings.imu_frames)
+
+    segment, phi = segment_of(readings, 1e9 / PERIOD_NS), parameters.values
+    for name, delay in zip(errors.names, late, strict=True):
+        owner, past = name.partition("/")[0], delayed(delay)
+        for channel, own, frames in (
+            ("angular_velocity", past.angular_velocity, readings.imu_frames),
+            ("linear_acceleration", past.specific_force, readings.imu_frames),
+            ("wrenches", past.wrenches, readings.wrench_frames),
+        ):
+            if owner in frames:
+                values = getattr(segment, channel).copy()
+                values[:, frames.index(owner)] = own[:, frames.index(owner)]
+                segment = replace(segment, **{channel: values})
+        if owner == "efforts":
+            segment = replace(segment, effort=past.effort)
+
+    def closure(point):
+        build = CalibratingRows(parameters, errors, LinearizationPoint(phi, point))
+        ((rows,),) = windowed_rows(segment, build, [0.321])
+        left = rows.mean.K @ np.concatenate([phi, late]) - rows.mean.y
+        return np.linalg.norm(left) / np.linalg.norm(rows.mean.y)
+
+    ignored = np.linalg.norm(uncorrected(segment, parameters))
+    assert ignored > 1e-3
+    assert closure(late) < 1e-4
+    assert closure(np.zeros(len(errors))) < 0.1 * ignored
 
 
 def test_noise_in_the_columns_of_gains_is_known():
